@@ -1,0 +1,63 @@
+"""Every error that truearm raises on purpose.
+
+::
+
+    TruearmError
+    ├── InputError            what the user gave is wrong: one clear line, exit code 2
+    │   ├── TableError        a table of observations (CSV)
+    │   ├── RigError          a rig file (TOML)
+    │   ├── RobotError        a robot file (TOML or URDF)
+    │   ├── PlanError         a plan of poses (CSV)
+    │   └── SessionError      a session file (MCAP)
+    ├── ProblemError          the observations and the robot do not make a solvable problem
+    └── LinkError             the box or the robot stopped answering
+        └── ProtocolError     the box speaks a protocol that this version does not
+
+Data conditions (rank, convergence, gaps, losses) are fields of results, never exceptions.
+"""
+
+
+class TruearmError(Exception):
+    """Base of all errors of truearm; its text is one line that says what is wrong and what to do."""
+
+    exit_code = 1
+
+
+class InputError(TruearmError):
+    """What the user gave is wrong."""
+
+    exit_code = 2
+
+
+class TableError(InputError):
+    """A table of observations is wrong; the text names file, row and column."""
+
+
+class RigError(InputError):
+    """A rig file is wrong."""
+
+
+class RobotError(InputError):
+    """A robot description (TOML or URDF) is wrong or not supported."""
+
+
+class PlanError(InputError):
+    """A plan of poses is wrong."""
+
+
+class SessionError(InputError):
+    """A session file cannot be read."""
+
+
+class ProblemError(TruearmError):
+    """Observations and robot do not make a problem that can be solved (too few rows, unknown names)."""
+
+    exit_code = 2
+
+
+class LinkError(TruearmError):
+    """The box or the robot stopped answering."""
+
+
+class ProtocolError(LinkError):
+    """The box speaks a protocol that this version of truearm does not understand."""
