@@ -1,0 +1,392 @@
+"""Finding a MicroPython to run the firmware in, and getting one where there is none.
+
+The simulated box needs a real MicroPython: the *unix port*, ≥ 1.25, best for 32 bit, which has the chip's word, heap
+and object sizes. :func:`find` looks, in this order, at ``$TRUEARM_MICROPYTHON``, at a ``micropython`` on PATH and at the
+one that :func:`get` fetched.
+
+Many systems package no MicroPython, or one too old. Debian 13's packages are good, and they run on any Debian when each
+brings its own loader and C library. So :func:`get` downloads them by the machine's own ``apt`` from the machine's own
+package sources, with another suite name, and unpacks the interpreter, its loader and its libraries into one folder a word
+size. Nothing is installed and nothing of the system's is written: apt works in a private directory, so it needs no root.
+The machine's keyrings verify what is downloaded, and its proxies and credentials are used.
+
+This file uses the standard library alone, since it runs before anything is installed::
+
+    python3 hil_sim/truearm_sim/micropython.py --get
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shlex
+import shutil
+import struct
+import subprocess
+import sys
+import tarfile
+import tempfile
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+VARIABLE = "TRUEARM_MICROPYTHON"
+MINIMUM = (1, 25)
+SUITE = "trixie"  # Debian 13, the first release with MicroPython ≥ 1.25
+# Names under which a Debian machine's sources call their own release, besides its code name.
+SUITE_ALIASES = frozenset({"oldstable", "stable", "testing", "unstable", "sid", SUITE})
+# 32 bit first. Debian's name of the machine's architecture → architectures whose programs it can usually run.
+ARCHITECTURES = {"amd64": ("i386", "amd64"), "arm64": ("armhf", "arm64")}
+# What apt on this machine needs to reach its sources; nothing that would loosen the verification of signatures.
+ACQUIRE = re.compile(
+    r"Acquire::(?:https?|tor\+https?|mirror)::|Acquire::(?:Check-Valid-Until|Check-Date|Force\w+|Retries) ", re.I
+)
+BY_HAND = f"install MicroPython (unix port, {MINIMUM[0]}.{MINIMUM[1]} or newer) and set ${VARIABLE} to it"
+PROBE = "import sys; v = sys.implementation; print(v.name, v.version[0], v.version[1], v.version[2], sys.maxsize)"
+
+
+class InterpreterError(Exception):
+    """No usable MicroPython; the text is one line that says why and what to do."""
+
+    exit_code = 2
+
+
+@dataclass(frozen=True)
+class Interpreter:
+    """A MicroPython that was run once: where it is, its version and the bits of its word."""
+
+    path: Path
+    version: tuple[int, int, int]
+    bits: int
+
+    def __str__(self) -> str:
+        return f"MicroPython {'.'.join(map(str, self.version))}, {self.bits} bit: {self.path}"
+
+
+@dataclass(frozen=True)
+class Source:
+    """One of the machine's package sources: its URIs, its ``Signed-By`` (a file or a key block) or None."""
+
+    uris: str
+    signed_by: str | None
+
+
+# ---- finding
+
+
+def probe(path: Path) -> Interpreter:
+    """Run ``path`` once and read version and word size.
+
+    Raises:
+        InterpreterError: it does not run, is no MicroPython or is older than ``MINIMUM``.
+    """
+    try:
+        done = subprocess.run([path, "-c", PROBE], capture_output=True, text=True, timeout=30, stdin=subprocess.DEVNULL)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise InterpreterError(f"{path} does not run ({error}); {BY_HAND}") from error
+    words = done.stdout.split()
+    if done.returncode or len(words) != 5 or words[0] != "micropython":
+        why = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}, printed {done.stdout[:60]!r}"])[-1]
+        raise InterpreterError(f"{path} is no MicroPython that runs here ({why}); {BY_HAND}")
+    major, minor, patch, maxsize = map(int, words[1:])
+    if (major, minor) < MINIMUM:
+        raise InterpreterError(f"{path} is MicroPython {major}.{minor}, too old; {BY_HAND}")
+    return Interpreter(path, (major, minor, patch), 64 if maxsize > 2**32 else 32)
+
+
+def find(environ: Mapping[str, str] = os.environ, fetched: Path | None = None) -> Interpreter | None:
+    """The MicroPython to use, or None.
+
+    ``fetched`` is where :func:`get` put its own, by default :func:`default_destination`. An interpreter on PATH or a
+    fetched one that cannot be used is passed over; one that ``$TRUEARM_MICROPYTHON`` names cannot: that is an error.
+
+    Raises:
+        InterpreterError: ``$TRUEARM_MICROPYTHON`` names something that is no usable MicroPython.
+    """
+    search_path = environ.get("PATH", os.defpath)
+    if named := environ.get(VARIABLE):
+        found = shutil.which(named, path=search_path)
+        if found is None:
+            raise InterpreterError(f"${VARIABLE} is {named!r}, which is no program; {BY_HAND}, or unset it")
+        return probe(Path(found))
+    on_path = shutil.which("micropython", path=search_path)
+    fetched = fetched or default_destination()
+    for path in ([Path(on_path)] if on_path else []) + [fetched / "micropython32", fetched / "micropython64"]:
+        if path.exists():
+            try:
+                return probe(path)
+            except InterpreterError:
+                continue
+    return None
+
+
+def default_destination() -> Path:
+    """build/micropython of the checkout that this file is in, else a folder of the user's cache."""
+    checkout = Path(__file__).resolve().parents[2]
+    if (checkout / "pyproject.toml").exists():
+        return checkout / "build" / "micropython"
+    cache = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    return Path(cache).expanduser() / "truearm" / "micropython"
+
+
+# ---- the machine's package sources (pure)
+
+
+def sources_deb822(text: str, suites: Iterable[str]) -> list[Source]:
+    """The sources of a ``.sources`` file whose component main is there for one of ``suites``."""
+    found = []
+    for stanza in re.split(r"\n[ \t]*\n", text):
+        fields = _fields(stanza)
+        if (
+            "deb" in fields.get("types", "").split()
+            and set(suites) & set(fields.get("suites", "").split())
+            and "main" in fields.get("components", "").split()
+            and fields.get("enabled", "yes").lower() not in ("no", "false", "0", "off", "without", "disable")
+        ):
+            found.append(Source(fields.get("uris", ""), fields.get("signed-by")))
+    return found
+
+
+def _fields(stanza: str) -> dict[str, str]:
+    """Fields of a deb822 stanza by lower-case name; continuation lines keep their line breaks."""
+    fields: dict[str, str] = {}
+    name = ""
+    for line in stanza.splitlines():
+        if line.startswith("#") or not line.strip():
+            continue
+        if line[0] in " \t":
+            if name:
+                fields[name] += "\n" + line
+            continue
+        name, _, value = line.partition(":")
+        name = name.strip().lower()
+        fields[name] = value.strip()
+    return fields
+
+
+def sources_one_line(text: str, suites: Iterable[str]) -> list[Source]:
+    """The sources of a ``sources.list`` file (``deb [options] uri suite components``), as in :func:`sources_deb822`."""
+    found = []
+    for line in text.splitlines():
+        match = re.match(r"deb\s+(?:\[([^]]*)\]\s+)?(\S+)\s+(\S+)\s+(.*)", line.partition("#")[0].strip())
+        if match and match[3] in set(suites) and "main" in match[4].split():
+            key = re.search(r"(?:^|\s)signed-by=(\S+)", match[1] or "", re.I)
+            found.append(Source(match[2], key[1] if key else None))
+    return found
+
+
+def source_stanza(source: Source, suite: str) -> str:
+    """The deb822 stanza for the same source and another suite. An unsigned source's ``trusted`` is not taken over."""
+    signed_by = f"Signed-By: {source.signed_by}\n" if source.signed_by else ""
+    return f"Types: deb\nURIs: {source.uris}\nSuites: {suite}\nComponents: main\n{signed_by}"
+
+
+def machine_sources(etc: Path, suites: Iterable[str]) -> list[Source]:
+    """The machine's own sources of its own release, each once; files that this user may not read are passed over."""
+    found = []
+    folder = etc / "sources.list.d"
+    for path in [etc / "sources.list", *sorted(folder.glob("*.list")), *sorted(folder.glob("*.sources"))]:
+        if path.is_file() and os.access(path, os.R_OK):
+            parse = sources_deb822 if path.suffix == ".sources" else sources_one_line
+            found += parse(path.read_text(encoding="utf-8", errors="replace"), suites)
+    return [source for source in dict.fromkeys(found) if not source.uris.startswith("cdrom:")]
+
+
+# ---- getting
+
+
+def get(destination: Path, say: Callable[[str], None] = print) -> Interpreter:
+    """Download MicroPython with its loader and libraries into ``destination`` and return what runs here.
+
+    Every word size that the machine may run is fetched. The folder appears complete or not at all.
+
+    Raises:
+        InterpreterError: this machine has no apt or no Debian source, a download or its verification failed, or
+            nothing of what came runs here.
+    """
+    for program in ("apt-get", "apt-config", "dpkg", "dpkg-deb"):
+        if shutil.which(program) is None:
+            raise InterpreterError(f"cannot get MicroPython here: no {program}, which Debian has; {BY_HAND}")
+    native = _run(["dpkg", "--print-architecture"]).strip()
+    architectures = ARCHITECTURES.get(native, (native,))
+    try:
+        destination.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{destination.name}-", dir=destination.parent) as work:
+            tree = Path(work) / "tree"
+            _unpack(_download(Path(work) / "apt", native, architectures, say), tree, architectures)
+            working = _first_that_runs(tree)
+            _replace(tree, destination, Path(work) / "old")
+    except OSError as error:
+        raise InterpreterError(f"cannot write {destination} ({error}); {BY_HAND}") from error
+    return probe(destination / working.path.name)
+
+
+def _download(apt: Path, native: str, architectures: tuple[str, ...], say: Callable[[str], None]) -> list[Path]:
+    """The packages of MicroPython and all that it depends on, for each architecture, downloaded into ``apt``."""
+    suites = SUITE_ALIASES | {os_release().get("VERSION_CODENAME", SUITE)}
+    sources = machine_sources(Path("/etc/apt"), suites)
+    if not sources:
+        raise InterpreterError(f"cannot get MicroPython here: no Debian package source under /etc/apt; {BY_HAND}")
+    _write_apt(apt, sources, native, architectures)
+    environ = {**os.environ, "APT_CONFIG": str(apt / "apt.conf"), "LC_ALL": "C"}
+    say(f"MicroPython: reading the package lists of Debian {SUITE} ({', '.join(architectures)})")
+    _run(["apt-get", "-qq", "update"], environ)
+    for architecture in architectures:
+        say(f"MicroPython: downloading micropython for {architecture}")
+        _run(["apt-get", "-qq", "-y", "--download-only", "install", f"micropython:{architecture}"], environ)
+    return sorted((apt / "cache" / "archives").glob("*.deb"))
+
+
+def os_release(path: Path = Path("/etc/os-release")) -> dict[str, str]:
+    """The assignments of an os-release file, unquoted; none where there is no such file."""
+    if not path.exists():
+        return {}
+    words = shlex.split(path.read_text(encoding="utf-8", errors="replace"), comments=True)
+    return {name: value for name, sign, value in (word.partition("=") for word in words) if sign}
+
+
+def _write_apt(apt: Path, sources: list[Source], native: str, architectures: tuple[str, ...]) -> None:
+    """A private apt directory: its own sources, lists, cache and package database, the machine's keys and proxies."""
+    for folder in ("none", "sources", "state/lists/partial", "cache/archives/partial"):
+        (apt / folder).mkdir(parents=True)
+    (apt / "state" / "status").touch()
+    for number, source in enumerate(sources):
+        (apt / "sources" / f"{number}.sources").write_text(source_stanza(source, SUITE), encoding="utf-8")
+    machine = _run(["apt-config", "dump", "--format", '%f "%v";%n', "--no-empty"]).splitlines()
+    lines = [line for line in machine if ACQUIRE.match(line)]
+    listed = " ".join(f'"{name}";' for name in dict.fromkeys((native, *architectures)))
+    # Dir::Etc stays the machine's: its trusted.gpg.d and auth.conf.d are wanted, its hooks and preferences are not.
+    lines += [
+        f'Dir::Etc::{name} "{apt}/none";' for name in ("main", "parts", "preferences", "preferencesparts", "sourcelist")
+    ]
+    lines += [
+        f'Dir::Etc::sourceparts "{apt}/sources";',
+        f'Dir::State "{apt}/state";',
+        f'Dir::State::status "{apt}/state/status";',
+        f'Dir::Cache "{apt}/cache";',
+        f'APT::Architecture "{native}";',
+        f"APT::Architectures {{ {listed} }};",
+        'APT::Install-Recommends "false";',
+        'APT::Sandbox::User "root";',  # for root: the _apt user could not enter every folder that a checkout lies in
+        'Acquire::Languages "none";',
+    ]
+    (apt / "apt.conf").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _run(command: list[str], environ: Mapping[str, str] | None = None) -> str:
+    """Standard output of a command of apt's or dpkg's.
+
+    Raises:
+        InterpreterError: it failed; the text says so in apt's words, and more plainly where a key is missing.
+    """
+    done = subprocess.run(
+        command, capture_output=True, text=True, errors="replace", env=environ, stdin=subprocess.DEVNULL
+    )
+    if done.returncode == 0:
+        return done.stdout
+    if re.search(r"NO_PUBKEY|is not signed|Missing key|EXPKEYSIG", done.stderr):
+        raise InterpreterError(
+            f"cannot verify Debian {SUITE}'s packages: this machine's keyring does not know its keys; "
+            f"update the package debian-archive-keyring, or {BY_HAND}"
+        )
+    lines = [line for line in done.stderr.splitlines() if line.startswith("E:")] or done.stderr.splitlines()
+    raise InterpreterError(f"'{' '.join(command)}' failed: {(lines or ['no message'])[0]}; {BY_HAND}")
+
+
+def _unpack(packages: list[Path], tree: Path, architectures: tuple[str, ...]) -> None:
+    """One flat folder an architecture with interpreter, loader and shared libraries, and a launcher beside it."""
+    for architecture in architectures:
+        folder = tree / architecture
+        folder.mkdir(parents=True)
+        for package in packages:
+            if package.name.endswith(f"_{architecture}.deb"):
+                _unpack_package(package, folder)
+        program = folder / "micropython"
+        loader = Path(elf_interpreter(program.read_bytes())).name
+        launcher = tree / f"micropython{elf_bits(program.read_bytes())}"
+        launcher.write_text(
+            '#!/bin/sh\nroot=$(dirname "$(readlink -f "$0")")/' + architecture + "\n"
+            f'exec "$root/{loader}" --library-path "$root" "$root/micropython" "$@"\n'
+        )
+        launcher.chmod(0o755)
+
+
+def _unpack_package(package: Path, folder: Path) -> None:
+    """The interpreter and the shared libraries of a package, without their folders; links only to neighbours."""
+    wanted = re.compile(r"\./(?:usr/)?(?:bin/micropython|lib\d*/(?:[\w-]+/)?[^/]+\.so[^/]*)")
+    with subprocess.Popen(["dpkg-deb", "--fsys-tarfile", package], stdout=subprocess.PIPE) as dpkg:
+        with tarfile.open(fileobj=dpkg.stdout, mode="r|") as tar:
+            for member in tar:
+                path = folder / Path(member.name).name
+                if not wanted.fullmatch(member.name):
+                    continue
+                if member.issym() and Path(member.linkname).name != path.name and not path.exists():
+                    path.symlink_to(Path(member.linkname).name)
+                elif member.isfile():
+                    stream = tar.extractfile(member)
+                    path.unlink(missing_ok=True)
+                    path.write_bytes(stream.read() if stream else b"")
+                    path.chmod(0o755)
+    if dpkg.returncode:
+        raise InterpreterError(f"{package.name} cannot be unpacked (dpkg-deb: {dpkg.returncode}); try again")
+
+
+def elf_bits(elf: bytes) -> int:
+    """Word size of an ELF program."""
+    return {1: 32, 2: 64}[elf[4]]
+
+
+def elf_interpreter(elf: bytes) -> str:
+    """The loader that an ELF program asks for (its PT_INTERP segment), as a path."""
+    wide, order = elf_bits(elf) == 64, {1: "<", 2: ">"}[elf[5]]
+    (table,) = struct.unpack_from(order + ("Q" if wide else "I"), elf, 32 if wide else 28)
+    size, count = struct.unpack_from(order + "HH", elf, 54 if wide else 42)
+    for header in range(table, table + size * count, size):
+        if struct.unpack_from(order + "I", elf, header) == (3,):  # PT_INTERP
+            (start,) = struct.unpack_from(order + ("Q" if wide else "I"), elf, header + (8 if wide else 4))
+            return elf[start : elf.index(b"\0", start)].decode()
+    raise InterpreterError(f"Debian's micropython names no loader; {BY_HAND}")
+
+
+def _first_that_runs(tree: Path) -> Interpreter:
+    reasons = []
+    for name in ("micropython32", "micropython64"):
+        if (tree / name).exists():
+            try:
+                return probe(tree / name)
+            except InterpreterError as error:
+                reasons.append(str(error))
+    raise InterpreterError("; ".join(reasons) or f"Debian has no micropython for this machine; {BY_HAND}")
+
+
+def _replace(new: Path, destination: Path, old: Path) -> None:
+    """Put ``new`` where ``destination`` is; what was there goes to ``old``."""
+    if destination.exists():
+        destination.rename(old)
+    new.rename(destination)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="micropython.py", description="Find the MicroPython that the simulator uses.")
+    parser.add_argument("--get", action="store_true", help="download one where none is found")
+    parser.add_argument("--force", action="store_true", help="with --get: download in any case")
+    parser.add_argument("--to", type=Path, metavar="FOLDER", help=f"where to (default: {default_destination()})")
+    options = parser.parse_args(arguments)
+    destination = (options.to or default_destination()).absolute()
+    try:
+        interpreter = None if options.force else find(fetched=destination)
+        if interpreter is None and (options.get or options.force):
+            interpreter = get(destination, lambda text: print(text, flush=True))
+    except InterpreterError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_code
+    if interpreter is None:
+        print(f"error: no MicroPython found; run this with --get, or {BY_HAND}", file=sys.stderr)
+        return 2
+    print(interpreter)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
