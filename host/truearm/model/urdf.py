@@ -1,0 +1,246 @@
+"""URDF chains: the path of joints from a base link to a tip link, six constants a joint origin, two a moving joint.
+
+A URDF joint is ``Trans(xyz)·Rz(yaw)·Ry(pitch)·Rx(roll)`` followed by its motion along or about ``axis``. An axis that
+is no coordinate axis is reached by a fixed alignment, ``A·Rz(θ)·A⁻¹`` with ``A = Rz(φ)·Ry(ψ)`` and ``A·e_z = axis``:
+constants that are not parameters. Joint law: θ = offset + gain·q with nominal offset 0 and gain 1.
+
+Parameters, base to tip: ``<joint>.x .y .z .yaw .pitch .roll`` for every joint of the path, fixed ones too, and
+``<joint>.offset .gain`` for those that move. Joints off the path, mimic joints among them, are ignored.
+
+The text may come from a stranger: no document type, no entities, bounded size, finite numbers of a plausible size.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+from xml.etree.ElementTree import Element as Xml
+from xml.etree.ElementTree import ParseError
+
+from defusedxml import DefusedXmlException
+from defusedxml.ElementTree import fromstring
+
+from truearm.errors import RobotError
+from truearm.model.chain import Chain, Element, Joint, Parameter
+
+MAX_TEXT = 8_000_000  # characters; a large humanoid has some 200,000
+MAX_JOINTS = 10_000
+MAX_PATH = 64
+MAX_LENGTH_M = 100.0  # larger than any arm; a file in mm is caught by it
+MAX_ANGLE_RAD = 1e4
+ORIGIN = (("x", "tx"), ("y", "ty"), ("z", "tz"), ("yaw", "rz"), ("pitch", "ry"), ("roll", "rx"))
+MOVING = ("revolute", "continuous", "prismatic")
+TYPES = (*MOVING, "fixed", "floating", "planar")
+
+
+class _UrdfJoint(NamedTuple):
+    name: str
+    kind: str
+    parent: str
+    child: str
+    xml: Xml
+
+
+def chain_from_urdf(text: str, base: str | None = None, tip: str | None = None) -> Chain:
+    """The chain from link ``base`` (default: the root) to link ``tip`` (default: the only leaf) of a URDF text.
+
+    Raises RobotError, one line, for text that is not URDF, for loops, unknown links, joints that cannot be modelled,
+    numbers that are not finite or absurd; with several leaves and no tip it lists them.
+    """
+    root = _parse(text)
+    joints = _read_joints(root)
+    links = _read_links(root, joints)
+    by_child = {j.child: j for j in joints}
+    base = base or _only(sorted(links - set(by_child)), "root link", "base")
+    for link in (base, tip):
+        if link is not None and link not in links:
+            raise RobotError(f"URDF has no link {link!r}; it has {_listed(sorted(links))}")
+    tip = tip or _only(_leaves(base, joints), "leaf", "tip")
+    path = _path(base, tip, by_child)
+    return _build(root.get("name") or "robot", path, base, tip)
+
+
+def _parse(text: str) -> Xml:
+    if len(text) > MAX_TEXT:
+        raise RobotError(f"URDF has {len(text)} characters, the limit is {MAX_TEXT}")
+    try:
+        root = fromstring(text, forbid_dtd=True)
+    except DefusedXmlException as error:
+        raise RobotError("URDF must not contain a document type or entities") from error
+    except (ParseError, ValueError) as error:
+        raise RobotError(f"URDF is not valid XML: {error}") from error
+    if root.tag != "robot":
+        raise RobotError(f"URDF must start with <robot>, starts with <{root.tag}>")
+    return root
+
+
+def _read_joints(root: Xml) -> list[_UrdfJoint]:
+    # Only direct children: <joint> inside <transmission> is another thing.
+    nodes = root.findall("joint")
+    if len(nodes) > MAX_JOINTS:
+        raise RobotError(f"URDF has {len(nodes)} joints, the limit is {MAX_JOINTS}")
+    out = [_read_joint(node) for node in nodes]
+    for what, names in (("joint name", [j.name for j in out]), ("parent of link", [j.child for j in out])):
+        twice = sorted({n for n in names if names.count(n) > 1}) if len(set(names)) < len(names) else []
+        if twice:
+            raise RobotError(f"URDF has more than one {what} {twice[0]!r}; joints must form a tree")
+    return out
+
+
+def _read_joint(node: Xml) -> _UrdfJoint:
+    name, kind = node.get("name"), node.get("type")
+    if not name:
+        raise RobotError("URDF has a joint without a name")
+    if kind not in TYPES:
+        raise RobotError(f"URDF joint {name}: type {kind!r} is not known; use one of {', '.join(TYPES)}")
+    ends = []
+    for tag in ("parent", "child"):
+        end = node.find(tag)
+        link = None if end is None else end.get("link")
+        if not link:
+            raise RobotError(f"URDF joint {name} has no <{tag} link=…>")
+        ends.append(link)
+    return _UrdfJoint(name, kind, ends[0], ends[1], node)
+
+
+def _read_links(root: Xml, joints: list[_UrdfJoint]) -> set[str]:
+    links = {node.get("name") or "" for node in root.findall("link")}
+    for joint in joints:
+        for link in (joint.parent, joint.child):
+            if link not in links:
+                raise RobotError(f"URDF joint {joint.name} refers to link {link!r}, which does not exist")
+    if not links:
+        raise RobotError("URDF has no links")
+    return links
+
+
+def _leaves(base: str, joints: list[_UrdfJoint]) -> list[str]:
+    """Links below base (base itself if alone) that are nobody's parent."""
+    children: dict[str, list[str]] = {}
+    for joint in joints:
+        children.setdefault(joint.parent, []).append(joint.child)
+    below, todo = [], [base]
+    while todo and len(below) <= len(joints):
+        below.append(todo.pop())
+        todo += children.get(below[-1], [])
+    return sorted(link for link in below if link not in children)
+
+
+def _path(base: str, tip: str, by_child: Mapping[str, _UrdfJoint]) -> list[_UrdfJoint]:
+    path: list[_UrdfJoint] = []
+    link, seen = tip, {tip}
+    while link != base:
+        if link not in by_child:
+            raise RobotError(f"URDF: link {tip!r} is not below link {base!r}")
+        path.append(by_child[link])
+        link = path[-1].parent
+        if link in seen:
+            raise RobotError(f"URDF: the joints above link {tip!r} form a loop")
+        seen.add(link)
+        if len(path) > MAX_PATH:
+            raise RobotError(f"URDF: more than {MAX_PATH} joints between {base!r} and {tip!r}")
+    if not path:
+        raise RobotError(f"URDF: base and tip are the same link {base!r}")
+    return path[::-1]
+
+
+def _build(name: str, path: list[_UrdfJoint], base: str, tip: str) -> Chain:
+    elements: list[Element] = []
+    parameters: list[Parameter] = []
+    joints: list[Joint] = []
+    for joint in path:
+        for (key, motion), value in zip(ORIGIN, _origin(joint), strict=True):
+            elements.append(Element(motion, parameter=len(parameters)))
+            parameters.append(Parameter(f"{joint.name}.{key}", "m" if motion[0] == "t" else "rad", value))
+        if joint.kind == "fixed":
+            continue
+        elements += _moving(joint, offset=len(parameters), number=len(joints))
+        unit = "m" if joint.kind == "prismatic" else "rad"
+        parameters += [Parameter(f"{joint.name}.offset", unit, 0.0), Parameter(f"{joint.name}.gain", "1", 1.0)]
+        joints.append(_limits(joint))
+    if not joints:
+        raise RobotError(f"URDF: no joint moves between {base!r} and {tip!r}")
+    return Chain(name, tuple(elements), tuple(parameters), tuple(joints), base, tip)
+
+
+def _origin(joint: _UrdfJoint) -> tuple[float, ...]:
+    node = joint.xml.find("origin")
+    xyz = _triple(joint, "origin xyz", "0 0 0" if node is None else node.get("xyz", "0 0 0"), MAX_LENGTH_M)
+    roll, pitch, yaw = _triple(
+        joint, "origin rpy", "0 0 0" if node is None else node.get("rpy", "0 0 0"), MAX_ANGLE_RAD
+    )
+    return (*xyz, yaw, pitch, roll)
+
+
+def _moving(joint: _UrdfJoint, offset: int, number: int) -> list[Element]:
+    """The joint's own motion, between alignments where its axis is no coordinate axis."""
+    if joint.kind not in MOVING:
+        raise RobotError(f"URDF joint {joint.name}: a {joint.kind} joint on the path cannot be modelled")
+    if joint.xml.find("mimic") is not None:
+        raise RobotError(f"URDF joint {joint.name} on the path mimics another joint, which cannot be modelled")
+    x, y, z = _axis(joint)
+    letter = "t" if joint.kind == "prismatic" else "r"
+    for name, unit in (("x", (1.0, 0.0, 0.0)), ("y", (0.0, 1.0, 0.0)), ("z", (0.0, 0.0, 1.0))):
+        if (x, y, z) == unit:
+            return [Element(letter + name, parameter=offset, joint=number, gain=offset + 1)]
+    phi, psi = math.atan2(y, x), math.atan2(math.hypot(x, y), z)
+    return [
+        *(Element("rz", phi), Element("ry", psi)),
+        Element(letter + "z", parameter=offset, joint=number, gain=offset + 1),
+        *(Element("ry", -psi), Element("rz", -phi)),
+    ]
+
+
+def _axis(joint: _UrdfJoint) -> tuple[float, float, float]:
+    node = joint.xml.find("axis")
+    x, y, z = _triple(joint, "axis xyz", "1 0 0" if node is None else node.get("xyz", "1 0 0"), 1e6)
+    norm = math.hypot(x, y, z)
+    if norm < 1e-6:
+        raise RobotError(f"URDF joint {joint.name}: its axis has no length")
+    return x / norm, y / norm, z / norm
+
+
+def _limits(joint: _UrdfJoint) -> Joint:
+    kind = "prismatic" if joint.kind == "prismatic" else "revolute"
+    if joint.kind == "continuous":
+        return Joint(joint.name, kind, -math.inf, math.inf)
+    node = joint.xml.find("limit")
+    if node is None:
+        raise RobotError(f"URDF joint {joint.name} is {joint.kind} and needs a <limit>; without limits use continuous")
+    bound = MAX_LENGTH_M if kind == "prismatic" else MAX_ANGLE_RAD
+    lower, upper = (_numbers(joint, f"limit {k}", node.get(k, "0"), 1, bound)[0] for k in ("lower", "upper"))
+    if lower > upper:
+        raise RobotError(f"URDF joint {joint.name}: its lower limit {lower:g} is above its upper limit {upper:g}")
+    return Joint(joint.name, kind, lower, upper)
+
+
+def _triple(joint: _UrdfJoint, what: str, text: str, bound: float) -> tuple[float, float, float]:
+    x, y, z = _numbers(joint, what, text, 3, bound)
+    return x, y, z
+
+
+def _numbers(joint: _UrdfJoint, what: str, text: str, count: int, bound: float) -> list[float]:
+    where = f"URDF joint {joint.name}: {what}={text[:60]!r}"
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError as error:
+        raise RobotError(f"{where} is not numbers (expand xacro files first)") from error
+    if len(values) != count:
+        raise RobotError(f"{where} needs {count} number{'s' if count > 1 else ''}")
+    if not all(math.isfinite(v) and abs(v) <= bound for v in values):
+        raise RobotError(f"{where} is not finite or larger than {bound:g} (URDF is in m and rad)")
+    return values
+
+
+def _only(candidates: list[str], what: str, option: str) -> str:
+    if len(candidates) == 1:
+        return candidates[0]
+    if not candidates:
+        raise RobotError(f"URDF has no {what}: its joints form a loop")
+    raise RobotError(f"URDF has {len(candidates)} {what}s; choose a {option} among {_listed(candidates)}")
+
+
+def _listed(names: list[str]) -> str:
+    shown = ", ".join(names[:12])
+    return shown if len(names) <= 12 else f"{shown}, … ({len(names)} in all)"
