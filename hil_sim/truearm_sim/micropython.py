@@ -1,14 +1,14 @@
 """Finding a MicroPython to run the firmware in, and getting one where there is none.
 
 The simulated box needs a real MicroPython: the *unix port*, ≥ 1.25, best for 32 bit, which has the chip's word, heap
-and object sizes. :func:`find` looks, in this order, at ``$TRUEARM_MICROPYTHON``, at a ``micropython`` on PATH and at the
-one that :func:`get` fetched.
+and object sizes. :func:`find` looks, in this order, at ``$TRUEARM_MICROPYTHON``, at a ``micropython`` on PATH and at
+the one that :func:`get` fetched.
 
 Many systems package no MicroPython, or one too old. Debian 13's packages are good, and they run on any Debian when each
 brings its own loader and C library. So :func:`get` downloads them by the machine's own ``apt`` from the machine's own
-package sources, with another suite name, and unpacks the interpreter, its loader and its libraries into one folder a word
-size. Nothing is installed and nothing of the system's is written: apt works in a private directory, so it needs no root.
-The machine's keyrings verify what is downloaded, and its proxies and credentials are used.
+package sources, with another suite name, and unpacks the interpreter, its loader and its libraries into one folder a
+word size. Nothing is installed and nothing of the system's is written: apt works in a private directory, so it needs no
+root. The machine's keyrings verify what is downloaded, and its proxies and credentials are used.
 
 This file uses the standard library alone, since it runs before anything is installed::
 
@@ -214,7 +214,7 @@ def get(destination: Path, say: Callable[[str], None] = print) -> Interpreter:
         destination.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{destination.name}-", dir=destination.parent) as work:
             tree = Path(work) / "tree"
-            _unpack(_download(Path(work) / "apt", native, architectures, say), tree, architectures)
+            _unpack(_download(Path(work) / "apt", native, architectures, say), tree)
             working = _first_that_runs(tree)
             _replace(tree, destination, Path(work) / "old")
     except OSError as error:
@@ -234,7 +234,12 @@ def _download(apt: Path, native: str, architectures: tuple[str, ...], say: Calla
     _run(["apt-get", "-qq", "update"], environ)
     for architecture in architectures:
         say(f"MicroPython: downloading micropython for {architecture}")
-        _run(["apt-get", "-qq", "-y", "--download-only", "install", f"micropython:{architecture}"], environ)
+        try:
+            _run(["apt-get", "-qq", "-y", "--download-only", "install", f"micropython:{architecture}"], environ)
+        except InterpreterError as error:
+            if architecture == native:
+                raise
+            say(f"MicroPython: not for {architecture}: {error}")  # a mirror may hold the native architecture alone
     return sorted((apt / "cache" / "archives").glob("*.deb"))
 
 
@@ -270,6 +275,7 @@ def _write_apt(apt: Path, sources: list[Source], native: str, architectures: tup
         'APT::Install-Recommends "false";',
         'APT::Sandbox::User "root";',  # for root: the _apt user could not enter every folder that a checkout lies in
         'Acquire::Languages "none";',
+        'APT::Update::Error-Mode "any";',  # else an unreachable source is only a warning
     ]
     (apt / "apt.conf").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
@@ -294,20 +300,19 @@ def _run(command: list[str], environ: Mapping[str, str] | None = None) -> str:
     raise InterpreterError(f"'{' '.join(command)}' failed: {(lines or ['no message'])[0]}; {BY_HAND}")
 
 
-def _unpack(packages: list[Path], tree: Path, architectures: tuple[str, ...]) -> None:
+def _unpack(packages: list[Path], tree: Path) -> None:
     """One flat folder an architecture with interpreter, loader and shared libraries, and a launcher beside it."""
-    for architecture in architectures:
+    for architecture in (path.stem.rpartition("_")[2] for path in packages if path.name.startswith("micropython_")):
         folder = tree / architecture
         folder.mkdir(parents=True)
         for package in packages:
             if package.name.endswith(f"_{architecture}.deb"):
                 _unpack_package(package, folder)
-        program = folder / "micropython"
-        loader = Path(elf_interpreter(program.read_bytes())).name
-        launcher = tree / f"micropython{elf_bits(program.read_bytes())}"
+        elf = (folder / "micropython").read_bytes()
+        launcher = tree / f"micropython{elf_bits(elf)}"
         launcher.write_text(
-            '#!/bin/sh\nroot=$(dirname "$(readlink -f "$0")")/' + architecture + "\n"
-            f'exec "$root/{loader}" --library-path "$root" "$root/micropython" "$@"\n'
+            f'#!/bin/sh\nroot=$(dirname "$(readlink -f "$0")")/{architecture}\n'
+            f'exec "$root/{Path(elf_interpreter(elf)).name}" --library-path "$root" "$root/micropython" "$@"\n'
         )
         launcher.chmod(0o755)
 
@@ -315,19 +320,21 @@ def _unpack(packages: list[Path], tree: Path, architectures: tuple[str, ...]) ->
 def _unpack_package(package: Path, folder: Path) -> None:
     """The interpreter and the shared libraries of a package, without their folders; links only to neighbours."""
     wanted = re.compile(r"\./(?:usr/)?(?:bin/micropython|lib\d*/(?:[\w-]+/)?[^/]+\.so[^/]*)")
-    with subprocess.Popen(["dpkg-deb", "--fsys-tarfile", package], stdout=subprocess.PIPE) as dpkg:
-        with tarfile.open(fileobj=dpkg.stdout, mode="r|") as tar:
-            for member in tar:
-                path = folder / Path(member.name).name
-                if not wanted.fullmatch(member.name):
-                    continue
-                if member.issym() and Path(member.linkname).name != path.name and not path.exists():
-                    path.symlink_to(Path(member.linkname).name)
-                elif member.isfile():
-                    stream = tar.extractfile(member)
-                    path.unlink(missing_ok=True)
-                    path.write_bytes(stream.read() if stream else b"")
-                    path.chmod(0o755)
+    with (
+        subprocess.Popen(["dpkg-deb", "--fsys-tarfile", package], stdout=subprocess.PIPE) as dpkg,
+        tarfile.open(fileobj=dpkg.stdout, mode="r|") as tar,
+    ):
+        for member in tar:
+            path = folder / Path(member.name).name
+            if not wanted.fullmatch(member.name):
+                continue
+            if member.issym() and Path(member.linkname).name != path.name and not path.exists():
+                path.symlink_to(Path(member.linkname).name)
+            elif member.isfile():
+                stream = tar.extractfile(member)
+                path.unlink(missing_ok=True)
+                path.write_bytes(stream.read() if stream else b"")
+                path.chmod(0o755)
     if dpkg.returncode:
         raise InterpreterError(f"{package.name} cannot be unpacked (dpkg-deb: {dpkg.returncode}); try again")
 

