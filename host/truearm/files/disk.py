@@ -1,0 +1,100 @@
+"""Reading strangers' files within bounds, and writing ours so that a reader sees the old file or the new one whole."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from truearm.errors import InputError
+
+
+def read_bytes(path: Path, max_bytes: int, error: type[InputError]) -> bytes:
+    """The whole of a regular file of at most ``max_bytes``; anything else raises ``error``."""
+    try:
+        if path.is_dir():
+            raise error(f"{path}: is a directory; give a file")
+        if not path.exists():
+            raise error(f"{path}: no such file")
+        if not path.is_file():  # a pipe or a device would block or never end
+            raise error(f"{path}: is not a regular file; save the data to a file first")
+        with path.open("rb") as file:
+            data = file.read(max_bytes + 1)
+    except OSError as exc:
+        raise error(f"{path}: cannot be read: {exc.strerror}") from exc
+    if len(data) > max_bytes:
+        raise error(f"{path}: is larger than {max_bytes / 2**20:.0f} MiB, the most such a file may be")
+    return data
+
+
+def read_text(path: Path, max_bytes: int, error: type[InputError]) -> str:
+    """The text of a UTF-8 file (with or without a byte order mark), bounded as in ``read_bytes``."""
+    data = read_bytes(path, max_bytes, error)
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as exc:
+        raise error(f"{path}: is not UTF-8 text (byte {exc.start}); save it as UTF-8") from exc
+    if "\0" in text:
+        raise error(f"{path}: holds a NUL byte at {text.index(chr(0))}, so it is no text file")
+    return text
+
+
+def parse_toml(text: str, name: str, error: type[InputError]) -> dict[str, Any]:
+    """TOML text as a dictionary; what is no TOML, or is nested beyond reason, raises ``error``."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as exc:
+        raise error(f"{name}: is not TOML: {exc}") from exc
+    except RecursionError as exc:
+        raise error(f"{name}: is nested too deeply") from exc
+    except ValueError as exc:  # tomllib passes on int()'s limit of digits and impossible dates
+        raise error(f"{name}: is not TOML that can be used: {exc}") from exc
+
+
+def write_atomic(path: Path, text: str) -> None:
+    """Write UTF-8 text beside ``path`` and rename it over ``path``.
+
+    Raises InputError when the folder is missing or cannot be written.
+    """
+    try:
+        descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name[:100]}.", dir=path.parent)
+    except OSError as exc:
+        raise InputError(f"{path}: cannot be written: {exc.strerror}") from exc
+    try:
+        with os.fdopen(descriptor, "w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(temporary, 0o666 & ~_umask())  # mkstemp makes files that only the owner reads
+        os.replace(temporary, path)
+    except OSError as exc:
+        Path(temporary).unlink(missing_ok=True)
+        raise InputError(f"{path}: cannot be written: {exc.strerror}") from exc
+
+
+def _umask() -> int:
+    mask = os.umask(0)  # the only portable way to read it is to set it
+    os.umask(mask)
+    return mask
+
+
+def sha256(path: Path) -> str:
+    """The SHA-256 of a file as hexadecimal text, read in blocks. Raises InputError where it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as exc:
+        raise InputError(f"{path}: cannot be read: {exc.strerror}") from exc
+
+
+def check_writable(path: Path) -> None:
+    """Raise InputError when ``path`` cannot become a file; called before long work, not instead of handling errors."""
+    if path.is_dir():
+        raise InputError(f"{path}: is a directory; give the name of a file to write")
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: the folder {path.parent} does not exist; create it first")
+    if not os.access(path.parent, os.W_OK):
+        raise InputError(f"{path}: the folder {path.parent} cannot be written")

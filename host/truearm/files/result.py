@@ -1,0 +1,267 @@
+"""result.json: what an identification found, for people, scripts and later commands (docs/result-format.md).
+
+Strict JSON (RFC 8259): a number that does not exist is ``null``, never NaN. Lengths of the summary are in mm,
+parameters in the unit they name. Written whole or not at all.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm import __version__
+from truearm.errors import InputError
+from truearm.files.disk import read_text, sha256, write_atomic
+from truearm.types import Estimate, Floats, HeldOut, ObservationTable
+
+FORMAT = "truearm-result"
+FORMAT_VERSION = 1
+MAX_BYTES = 64 * 2**20
+
+
+class Input(NamedTuple):
+    """A file that went into an identification: what it was for, its name without folders, its SHA-256."""
+
+    role: str  # "observations" | "rig" | "robot"
+    name: str
+    sha256: str
+
+
+def input_of(role: str, path: Path) -> Input:
+    """Name and hash of an input file. Folders are left out: they say where somebody works, not what was read."""
+    return Input(role, path.name.encode(errors="backslashreplace").decode(), sha256(path))
+
+
+@dataclass(frozen=True)
+class RobotFrames:
+    """Which chain was identified: its name, frames, and joint units ("rad" or "m")."""
+
+    name: str
+    base_frame: str
+    end_frame: str
+    joint_units: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class StoredResult:
+    """What later commands need of a result.json; arrays run over all parameters, NaN where the file has null.
+
+    ``covariance`` (f, f) runs over ``covariance_names``, the free parameters.
+    """
+
+    status: str
+    robot: RobotFrames
+    parameter_names: tuple[str, ...]
+    units: tuple[str, ...]
+    nominal: Floats
+    value: Floats
+    sigma: Floats
+    free: NDArray[np.bool_]
+    of_robot: NDArray[np.bool_]
+    covariance_names: tuple[str, ...]
+    covariance: Floats
+    document: Mapping[str, Any]  # the whole file as parsed
+
+
+def document_of(
+    estimate: Estimate,
+    table: ObservationTable,
+    robot: RobotFrames,
+    inputs: Sequence[Input],
+    held_out_by: Sequence[str] = (),
+) -> dict[str, Any]:
+    """The content of result.json for an estimate from ``table``; ``held_out_by`` is what the user asked to hold out."""
+    names = np.array(estimate.parameter_names)
+    return {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "truearm_version": __version__,
+        "inputs": [entry._asdict() for entry in inputs],
+        "robot": {
+            "name": robot.name,
+            "base_frame": robot.base_frame,
+            "end_frame": robot.end_frame,
+            "joint_units": list(robot.joint_units),
+        },
+        "status": estimate.status,
+        "message": estimate.message,
+        "solver": estimate.solver,
+        "iterations": estimate.iterations,
+        "n_observations": estimate.n_observations,
+        "observations": _counts(estimate, table),
+        "n_free": int(estimate.free.sum()),
+        "rank": estimate.rank,
+        "rank_gap": _number(estimate.rank_gap),
+        "free": names[estimate.free].tolist(),
+        "null_space": [{"names": list(d.names), "weights": _numbers(d.weights)} for d in estimate.null_space],
+        "rms_before_mm": _mm(estimate.rms_before),
+        "rms_after_mm": _mm(estimate.rms_after),
+        "rms_history_mm": [_mm(rms) for rms in estimate.rms_history],
+        "chi2_reduced": _number(estimate.chi2_reduced),
+        "held_out_by": list(held_out_by),
+        "held_out": _held_out(estimate.held_out),
+        "held_out_before": _held_out(estimate.held_out_before),
+        "parameters": _parameters(estimate),
+        "covariance": {
+            "names": names[estimate.free].tolist(),
+            "units": np.array(estimate.units)[estimate.free].tolist(),
+            "matrix": [_numbers(row) for row in estimate.covariance[np.ix_(estimate.free, estimate.free)]],
+        },
+    }
+
+
+def _counts(estimate: Estimate, table: ObservationTable) -> list[dict[str, Any]]:
+    return [
+        {
+            "kind": str(kind),
+            "fitted": int(np.sum((table.kind == kind) & estimate.fitted)),
+            "held_out": int(np.sum((table.kind == kind) & ~estimate.fitted)),
+        }
+        for kind in np.unique(table.kind)
+    ]
+
+
+def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": name,
+            "unit": estimate.units[i],
+            "nominal": _number(estimate.nominal[i]),
+            "value": _number(estimate.value[i]),
+            "sigma": _number(estimate.sigma[i]) if estimate.free[i] and estimate.identifiable[i] else None,
+            "free": bool(estimate.free[i]),
+            "seen": bool(estimate.free[i] and estimate.identifiable[i]),
+            "of": "robot" if i < estimate.n_robot_parameters else "rig",
+        }
+        for i, name in enumerate(estimate.parameter_names)
+    ]
+
+
+def _held_out(held_out: HeldOut | None) -> dict[str, Any] | None:
+    if held_out is None:
+        return None
+    return {
+        "rms_mm": _mm(held_out.rms),
+        "mean_mm": _mm(held_out.mean),
+        "max_mm": _mm(held_out.max),
+        "n": held_out.n,
+    }
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _numbers(values: Iterable[float]) -> list[float | None]:
+    return [_number(value) for value in values]
+
+
+def _mm(metres: float) -> float | None:
+    return _number(1e3 * metres)
+
+
+def format_document(value: Any, indent: int = 0) -> str:
+    """JSON with one line for each innermost list or object, so that a covariance has as many lines as rows."""
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    if not any(isinstance(item, dict | list) for item in inner):
+        return json.dumps(value, allow_nan=False)
+    pad = " " * (indent + 2)
+    if isinstance(value, dict):
+        lines = [f"{pad}{json.dumps(key)}: {format_document(item, indent + 2)}" for key, item in value.items()]
+    else:
+        lines = [pad + format_document(item, indent + 2) for item in value]
+    start, end = "{}" if isinstance(value, dict) else "[]"
+    return start + "\n" + ",\n".join(lines) + "\n" + " " * indent + end
+
+
+def write_result(path: Path, document: Mapping[str, Any]) -> None:
+    """Write result.json whole or not at all. Raises InputError when the place cannot be written."""
+    write_atomic(path, format_document(dict(document)) + "\n")
+
+
+def read_result(path: Path) -> StoredResult:
+    """Read a result.json of this format version or an older one. Raises InputError that names file and field."""
+    return parse_result(read_text(path, MAX_BYTES, InputError), str(path))
+
+
+def parse_result(text: str, name: str) -> StoredResult:
+    """Parse the text of a result.json; see ``read_result``. Unknown fields, of later versions, are passed over."""
+    document = _json_object(text, name)
+    if document.get("format") != FORMAT:
+        raise InputError(f"{name}: is no result of truearm identify (its format is not {FORMAT!r})")
+    version = document.get("format_version")
+    if not isinstance(version, int) or not 1 <= version <= FORMAT_VERSION:
+        raise InputError(f"{name}: has format version {str(version)[:20]}, this truearm reads up to {FORMAT_VERSION}")
+    try:
+        return _stored(document)
+    except KeyError as exc:
+        raise InputError(f"{name}: field {exc} is missing") from exc
+    except (TypeError, ValueError, AttributeError) as exc:
+        raise InputError(f"{name}: a field has the wrong type or shape: {exc}") from exc
+
+
+def _json_object(text: str, name: str) -> dict[str, Any]:
+    try:
+        document = json.loads(text, parse_constant=_refuse_constant)
+    except RecursionError as exc:
+        raise InputError(f"{name}: is nested too deeply") from exc
+    except ValueError as exc:  # JSONDecodeError, constants such as NaN, integers beyond reason
+        raise InputError(f"{name}: is not strict JSON: {exc}") from exc
+    if not isinstance(document, dict):
+        raise InputError(f"{name}: is not a JSON object")
+    return document
+
+
+def _refuse_constant(constant: str) -> float:
+    raise ValueError(f"{constant} is not JSON")
+
+
+def _stored(document: Mapping[str, Any]) -> StoredResult:
+    parameters, robot, covariance = document["parameters"], document["robot"], document["covariance"]
+    names = tuple(str(p["name"]) for p in parameters)
+    covariance_names = tuple(str(n) for n in covariance["names"])
+    size = len(covariance_names)
+    matrix = np.array([_floats(row) for row in covariance["matrix"]]).reshape(size, size)
+    if len(set(names)) != len(names) or not set(covariance_names) <= set(names):
+        raise ValueError("parameter names are not unique, or the covariance names others")
+    return StoredResult(
+        status=str(document["status"]),
+        robot=RobotFrames(
+            str(robot["name"]), str(robot["base_frame"]), str(robot["end_frame"]), tuple(map(str, robot["joint_units"]))
+        ),
+        parameter_names=names,
+        units=tuple(str(p["unit"]) for p in parameters),
+        nominal=_floats(p["nominal"] for p in parameters),
+        value=_floats(p["value"] for p in parameters),
+        sigma=_floats(p["sigma"] for p in parameters),
+        free=np.array([_flag(p["free"]) for p in parameters], dtype=bool),
+        of_robot=np.array([p["of"] == "robot" for p in parameters], dtype=bool),
+        covariance_names=covariance_names,
+        covariance=matrix,
+        document=document,
+    )
+
+
+def _floats(values: Iterable[Any]) -> Floats:
+    return np.array([_float(value) for value in values], dtype=float)
+
+
+def _float(value: object) -> float:
+    if value is None:
+        return math.nan
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError(f"{str(value)[:40]!r} is not a number")
+    return float(value)
+
+
+def _flag(value: object) -> bool:
+    if not isinstance(value, bool):
+        raise TypeError(f"{str(value)[:40]!r} is not true or false")
+    return value

@@ -1,0 +1,54 @@
+"""``--robot``: a built-in robot by name, a robot file (TOML) or a URDF by path."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from truearm.errors import RobotError
+from truearm.files.disk import read_text
+from truearm.model.chain import Chain
+from truearm.model.robot import Robot, builtin_names, builtin_robot, parse_robot
+from truearm.model.urdf import chain_from_urdf
+
+MAX_BYTES = 8_000_000
+
+
+def load_robot(robot: str, base: str | None = None, tip: str | None = None) -> Robot:
+    """The robot called or stored at ``robot``; ``base`` and ``tip`` are links of a URDF.
+
+    Raises RobotError that names the file, or lists the built-in robots.
+    """
+    path = robot_file(robot)
+    is_urdf = path is not None and path.suffix.lower() != ".toml"
+    if not is_urdf and (base or tip):
+        raise RobotError("--base and --tip choose links of a URDF; a built-in robot or a TOML file has its own frames")
+    if path is None:
+        return builtin_robot(robot)
+    text = read_text(path, MAX_BYTES, RobotError)
+    try:
+        return _urdf_robot(chain_from_urdf(text, base, tip)) if is_urdf else parse_robot(text)
+    except RobotError as exc:
+        raise RobotError(f"{path}: {exc}") from exc
+
+
+def robot_file(robot: str) -> Path | None:
+    """The file that ``--robot`` names, None for a built-in robot. Raises RobotError where it is neither."""
+    if robot in builtin_names():
+        return None
+    path = Path(robot)
+    if path.suffix.lower() not in (".toml", ".urdf", ".xml"):
+        raise RobotError(
+            f"{robot!r} is no built-in robot (there is {', '.join(builtin_names())}) and no .toml or .urdf file"
+        )
+    return path
+
+
+def _urdf_robot(chain: Chain) -> Robot:
+    return Robot(chain, {"nominal": chain.params_nominal}, np.ones(len(chain.parameters), dtype=bool))
+
+
+def joint_units(chain: Chain) -> tuple[str, ...]:
+    """ "rad" or "m" for each joint."""
+    return tuple("m" if joint.kind == "prismatic" else "rad" for joint in chain.joints)

@@ -1,0 +1,55 @@
+"""--robot: built-in by name, TOML or URDF by path; the rest is told in one line."""
+
+from pathlib import Path
+
+import pytest
+
+from truearm.errors import RobotError
+from truearm.files.robot import joint_units, load_robot, robot_file
+
+PANDA = Path(__file__).parents[1] / "data" / "mukca" / "panda.urdf"
+
+
+def test_a_built_in_robot_has_no_file() -> None:
+    robot = load_robot("puma560")
+    assert robot_file("puma560") is None
+    assert joint_units(robot.chain) == ("rad",) * 6
+
+
+def test_a_urdf_is_the_chain_to_its_tip() -> None:
+    robot = load_robot(str(PANDA), tip="ball_link")
+    assert (robot.chain.base_frame, robot.chain.end_frame) == ("panda_link0", "ball_link")
+    assert joint_units(robot.chain) == ("rad",) * 7
+    assert robot.free.all()
+    assert joint_units(load_robot(str(PANDA), tip="panda_leftfinger").chain) == (*("rad",) * 7, "m")
+
+
+def test_a_robot_file_is_read(tmp_path: Path) -> None:
+    from importlib import resources
+
+    text = resources.files("truearm.model").joinpath("robots", "puma560.toml").read_text("utf-8")
+    (tmp_path / "mine.toml").write_text(text, "utf-8")
+    assert load_robot(str(tmp_path / "mine.toml")).chain == load_robot("puma560").chain
+
+
+@pytest.mark.parametrize(
+    ("robot", "tip", "message"),
+    [
+        ("puma561", None, r"no built-in robot \(there is .*puma560"),
+        ("puma560", "ball", "--base and --tip choose links of a URDF"),
+        ("none.urdf", None, "none.urdf: no such file"),
+        (str(PANDA), None, "panda.urdf: .*choose a tip"),
+        (str(PANDA), "ball", "panda.urdf: URDF has no link 'ball'"),
+    ],
+)
+def test_wrong_robots_are_told(robot: str, tip: str | None, message: str) -> None:
+    with pytest.raises(RobotError, match=message):
+        load_robot(robot, tip=tip)
+
+
+def test_wrong_files_are_told_with_their_name(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text("name = 3")
+    (tmp_path / "a.urdf").write_text("<robot")
+    for name in ("a.toml", "a.urdf"):
+        with pytest.raises(RobotError, match=name):
+            load_robot(str(tmp_path / name))

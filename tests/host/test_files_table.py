@@ -1,0 +1,177 @@
+"""Tables: what is written comes back, what is wrong is told with row and column."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from truearm.errors import TableError
+from truearm.files.table import check_against_rig, concatenate, format_table, parse_table, read_table, write_table
+from truearm.types import BallBar, ObservationTable, Point, Rig
+
+GOOD = "kind,q1_rad,q2_deg,length_mm,sigma_mm,bar,chuck,sphere,shell\nball_bar,0.5,90,460.25,0.1,b46,c1,s1,low\n"
+SEAT = "kind,q1_rad,place,socket\nseat,0.5,front,0\n"
+
+
+def test_units_are_converted_to_si() -> None:
+    table = parse_table(GOOD, "t.csv", ("rad", "rad"))
+    np.testing.assert_allclose(table.q, [[0.5, math.pi / 2]], rtol=1e-15)
+    np.testing.assert_allclose([table.value[0], table.sigma[0]], [0.46025, 1e-4], rtol=1e-15)
+    assert (table.bar[0], table.shell[0], table.place[0], table.source[0]) == ("b46", "low", "", "t.csv row 2")
+
+
+def test_seat_rows_have_no_length_and_prismatic_joints_are_in_metres() -> None:
+    table = parse_table("kind,q1_mm,place,socket\nseat,250,front,0\n", "t.csv", ("m",))
+    assert table.q[0, 0] == pytest.approx(0.25, rel=1e-15)
+    assert math.isnan(table.value[0])
+    assert math.isnan(table.sigma[0])
+
+
+def test_blank_lines_byte_order_mark_notes_and_windows_line_ends_are_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_bytes(b'\xef\xbb\xbf kind ,q1_rad,place,socket,note,x_temp\r\n\r\nseat, 1 ,a,0,"two\r\nlines",warm\r\n')
+    table = read_table(path)
+    assert len(table) == 1
+    assert table.q[0, 0] == 1.0
+
+
+names = st.from_regex(r"[A-Za-z0-9_.é-]{1,64}", fullmatch=True)
+angles = st.floats(-60.0, 60.0)
+lengths = st.floats(min_value=1e-9, max_value=100.0)
+
+
+@st.composite
+def tables(draw: st.DrawFn) -> ObservationTable:
+    joints, n = draw(st.integers(1, 8)), draw(st.integers(1, 5))
+    bar = np.array(draw(st.lists(st.booleans(), min_size=n, max_size=n)))
+    column = [draw(st.lists(names, min_size=n, max_size=n)) for _ in range(6)]
+    measured = np.array(draw(st.lists(lengths, min_size=n, max_size=n)))
+    sigma = np.array(draw(st.lists(st.just(math.nan) | st.floats(1e-9, 0.1), min_size=n, max_size=n)))
+    return ObservationTable(
+        q=np.array(draw(st.lists(st.lists(angles, min_size=joints, max_size=joints), min_size=n, max_size=n))),
+        kind=np.where(bar, "ball_bar", "seat"),
+        value=np.where(bar, measured, math.nan),
+        sigma=sigma,
+        bar=np.where(bar, column[0], ""),
+        chuck=np.where(bar, column[1], ""),
+        sphere=np.array(column[2]),
+        socket=np.where(bar, "", column[3]),
+        place=np.array(column[4]),
+        shell=np.array(column[5]),
+        source=np.array([f"t.csv row {i + 2}" for i in range(n)]),
+    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(tables())
+def test_a_written_table_comes_back_bit_for_bit(table: ObservationTable) -> None:
+    units = ("rad",) * table.q.shape[1]
+    back = parse_table(format_table(table, units), "t.csv", units)
+    for field in ObservationTable.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(back, field), getattr(table, field), err_msg=field)
+
+
+def test_write_table_leaves_no_other_file(tmp_path: Path) -> None:
+    table = parse_table(GOOD, "t.csv")
+    write_table(tmp_path / "t.csv", table, ("rad", "rad"))
+    assert [p.name for p in tmp_path.iterdir()] == ["t.csv"]
+    np.testing.assert_array_equal(read_table(tmp_path / "t.csv").q, table.q)
+
+
+WRONG = {
+    "empty": ("", "is empty"),
+    "blank": ("\n \n", "column 1 ('')"),
+    "no rows": ("kind,q1_rad,place,socket\n", "no rows"),
+    "no header": ("seat,0.5,front,0\n", "'seat'"),
+    "semicolons": (SEAT.replace(",", ";"), "separate them by commas"),
+    "no kind": ("q1_rad,place\n0,a\n", "no column 'kind'"),
+    "unknown column": ("kind,q1_rad,plaec\nseat,0,a\n", "did you mean place?"),
+    "nothing like it": ("kind,q1_rad,temperature\nseat,0,20\n", "x_"),
+    "no unit": ("kind,q1\nseat,0\n", "name it q1_rad or q1_deg"),
+    "length without unit": ("kind,q1_rad,length\nball_bar,0,1\n", "name it length_m or length_mm"),
+    "unknown unit": ("kind,q1_grad\nseat,0\n", "'grad'"),
+    "length in degrees": ("kind,q1_rad,length_deg\nball_bar,0,1\n", "'deg'"),
+    "both units": ("kind,q1_rad,q1_deg\nseat,0,0\n", "q1 is given twice"),
+    "both lengths": ("kind,q1_rad,length_m,length_mm\nball_bar,0,1,1\n", "length is given twice"),
+    "doubled column": ("kind,q1_rad,place,place\nseat,0,a,a\n", "stands twice"),
+    "no joints": ("kind,place,socket\nseat,a,0\n", "no joint columns"),
+    "a gap in q": ("kind,q1_rad,q3_rad,place,socket\nseat,0,0,a,0\n", "none for q2"),
+    "text for a number": (SEAT.replace("0.5", "half"), "row 2 column q1_rad: 'half' is not a number"),
+    "underscore": (SEAT.replace("0.5", "1_000"), "is not a number"),
+    "decimal comma": ("kind;q1_rad\nseat;0,5\n", "separate them by commas"),
+    "NaN": (SEAT.replace("0.5", "NaN"), "row 2 column q1_rad: NaN is not a finite number"),
+    "infinity": (SEAT.replace("0.5", "-inf"), "not a finite number"),
+    "overflow": (SEAT.replace("0.5", "1e999"), "too large"),
+    "no reading": (SEAT.replace("0.5", ""), "is empty"),
+    "ragged": (SEAT + "seat,0.5,front\n", "row 3: has 3 cells, the header has 4"),
+    "unknown kind": (SEAT + "sofa,0.5,front,0\n", "row 3 column kind: 'sofa'"),
+    "no socket": (SEAT.replace("front,0", "front,"), "needs a socket"),
+    "no chuck": (GOOD.replace("c1", ""), "needs a chuck"),
+    "no length": (GOOD.replace("460.25", ""), "needs length_mm or length_m"),
+    "length of a seat": ("kind,q1_rad,length_m,place,socket\nseat,0,1,a,0\n", "has no length"),
+    "degrees called rad": (SEAT.replace("0.5", "95"), "in another unit"),
+    "mm called m": (GOOD.replace("length_mm", "length_m"), "in another unit"),
+    "negative length": (GOOD.replace("460.25", "-1"), "greater than 0"),
+    "zero sigma": (GOOD.replace("0.1,", "0,"), "greater than 0"),
+    "odd identifier": (SEAT.replace("front", "front left"), "no identifier"),
+    "escape sequence": (SEAT.replace("front", "\x1b[31m"), "no identifier"),
+    "open quote": (SEAT + '"seat,0.5,front,0\n', "is not CSV"),
+    "wide": (",".join(["kind", *(f"x_{i}" for i in range(300))]) + "\n", "301 columns"),
+    "long cell": ("kind,q1_rad,x_a\nseat,0," + "9" * 200_000 + "\n", "is not CSV"),
+    "long number": (SEAT.replace("0.5", "9" * 5000), "is not a number"),
+}
+
+
+@pytest.mark.parametrize(("text", "message"), WRONG.values(), ids=WRONG.keys())
+def test_wrong_tables_are_told_in_one_line(text: str, message: str) -> None:
+    with pytest.raises(TableError) as caught:
+        parse_table(text, "poses.csv")
+    assert message in str(caught.value)
+    assert str(caught.value).startswith("poses.csv")
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 250
+
+
+def test_joints_must_be_the_robots() -> None:
+    with pytest.raises(TableError, match="has 2 joint columns, the robot has 6 joints"):
+        parse_table(GOOD, "t.csv", ("rad",) * 6)
+    with pytest.raises(TableError, match="column q2_deg: the robot's joint is measured in m or mm"):
+        parse_table(GOOD, "t.csv", ("rad", "m"))
+
+
+def test_tables_are_concatenated_only_with_equal_joints() -> None:
+    table = parse_table(GOOD, "a.csv")
+    both = concatenate([table, parse_table(GOOD, "b.csv")])
+    assert both.source.tolist() == ["a.csv row 2", "b.csv row 2"]
+    with pytest.raises(TableError, match=r"b.csv row 2: has 1 joints, a.csv row 2 has 2"):
+        concatenate([table, parse_table(SEAT, "b.csv")])
+
+
+def test_rows_that_name_what_the_rig_lacks_are_told() -> None:
+    bar = BallBar("b46", 0.4, 1.0, 0.075, 1e-4)
+    rig = Rig(bars={"b46": bar}, chucks={"c1": Point("c1", (0.0, 0.0, 0.0))})
+    with pytest.raises(TableError, match=r"t\.csv row 2 column sphere: 's1' is not in the rig"):
+        check_against_rig(parse_table(GOOD, "t.csv"), rig)
+    with pytest.raises(TableError, match=r"column chuck: 'c7' is not in the rig \(it has c1\)"):
+        check_against_rig(parse_table(GOOD.replace("c1", "c7"), "t.csv"), rig)
+    check_against_rig(parse_table(SEAT, "t.csv"), Rig())
+
+
+def test_files_that_are_no_text_are_refused(tmp_path: Path) -> None:
+    for name, data, message in (
+        ("latin1.csv", "kind,note\nseat,\xe9\n".encode("latin-1"), "is not UTF-8"),
+        ("nul.csv", b"kind\0", "NUL"),
+        ("big.csv", b"x" * (16 * 2**20 + 1), "larger than 16 MiB"),
+    ):
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(TableError, match=message):
+            read_table(tmp_path / name)
+    with pytest.raises(TableError, match="is a directory"):
+        read_table(tmp_path)
+    with pytest.raises(TableError, match="no such file"):
+        read_table(tmp_path / "none.csv")
+    with pytest.raises(TableError, match="not a regular file"):
+        read_table(Path("/dev/zero"))
