@@ -1,0 +1,9 @@
+"""The truearm wire (protocol/SPEC.md) for CPython and MicroPython alike; it imports nothing of ours.
+
+fast      CRC-32, COBS and byte counters in place, without allocation (viper on MicroPython)
+cbor      the subset of CBOR that the wire uses, both ways
+messages  the layout of every frame, encode and decode
+frame     payload ↔ frame, and the splitter of a byte stream
+"""
+
+PROTOCOL = (1, 0)

@@ -1,0 +1,69 @@
+"""Payload ↔ frame, and the splitter of a byte stream; for the box and for tests. The host has its own, faster one."""
+
+from .cbor import CborError
+from .fast import cobs_decode, cobs_encode, crc32_into, crc32_ok
+
+PAYLOAD_MAX = 250
+FRAME_MAX = PAYLOAD_MAX + 4 + 1 + 2
+HEAD = 2  # delimiter and first code byte stand before the payload
+
+
+def close(buf, at, end):
+    """Finish a frame in place: buf[at + 2:end] holds its payload, six bytes behind it are free. Returns the end.
+
+    Allocates nothing.
+    """
+    crc32_into(buf, at + HEAD, end)
+    cobs_encode(buf, at + HEAD, end + 4)
+    buf[at] = 0
+    buf[end + 4] = 0
+    return end + 5
+
+
+def frame(payload):
+    """The frame of a payload. Raises CborError if it is too long."""
+    if len(payload) > PAYLOAD_MAX:
+        raise CborError("a payload of %d bytes; %d fit a frame" % (len(payload), PAYLOAD_MAX))
+    buf = bytearray(len(payload) + 7)
+    buf[HEAD : HEAD + len(payload)] = payload
+    close(buf, 0, HEAD + len(payload))
+    return bytes(buf)
+
+
+def unframe(run):
+    """The payload of the bytes between two delimiters, or None if they are no frame."""
+    buf = bytearray(run)
+    n = len(buf)
+    if n < 6 or not cobs_decode(buf, 0, n) or not crc32_ok(buf, 1, n):
+        return None
+    return bytes(buf[1 : n - 4])
+
+
+class Splitter:
+    """Finds frames in the bytes that the box receives, in a fixed buffer; longer runs are counted as bad.
+
+    After `push(byte)` returned True the payload is buf[1:end] until the next push. Allocates nothing.
+    """
+
+    def __init__(self):
+        self.buf = bytearray(256)
+        self.n = 0
+        self.end = 0
+        self.bad_frames = 0
+
+    def push(self, byte):
+        if byte:
+            if self.n < 256:
+                self.buf[self.n] = byte
+            if self.n < 257:
+                self.n += 1
+            return False
+        n = self.n
+        self.n = 0
+        if n == 0:
+            return False
+        if 6 <= n <= 255 and cobs_decode(self.buf, 0, n) and crc32_ok(self.buf, 1, n):
+            self.end = n - 4
+            return True
+        self.bad_frames += 1
+        return False

@@ -1,0 +1,124 @@
+"""The layout of every frame (SPEC §4 and §6): names of the elements after the type, and which are of fixed width."""
+
+from .cbor import U32, U64, CborError, Tag, decode, encode
+
+DATA = 16
+EVENT = 17
+HEARTBEAT = 18
+IDENT = 19
+SYNC_REQUEST = 32
+SYNC_REPLY = 33
+IDENTIFY = 48
+CONFIGURE = 49
+START = 50
+STOP = 51
+REPLY = 64
+ERROR = 65
+
+ERROR_UNKNOWN = 1
+ERROR_MALFORMED = 2
+ERROR_RANGE = 3
+ERROR_STREAMING = 4
+
+FLAG_OVERRUN = 1
+FLAG_CONVERTER = 2
+
+PAGE_BYTES = 200
+PAGES_MAX = 32
+
+# "name:u32" and "name:u64" are of fixed width; all other integers are shortest
+LAYOUT = {
+    DATA: ("seq:u32", "stream", "n0:u64", "t0_us:u64", "timing:u32", "samples", "flags"),
+    EVENT: ("seq:u32", "line", "t_us:u64", "edge"),
+    HEARTBEAT: (
+        "seq:u32",
+        "boot_id:u32",
+        "t_us:u64",
+        "sent",
+        "dropped",
+        "short_writes",
+        "overruns",
+        "bad_frames",
+        "loop_max_us",
+        "gc_max_us",
+        "heap_free",
+        "temperature_mdegc",
+        "reset_cause",
+        "streaming",
+    ),
+    IDENT: ("seq:u32", "req_id", "page", "pages", "data"),
+    SYNC_REQUEST: ("id",),
+    SYNC_REPLY: ("seq:u32", "id", "t1_us:u64", "t2_us:u64"),
+    IDENTIFY: ("req_id",),
+    CONFIGURE: ("req_id", "stream", "osr"),
+    START: ("req_id",),
+    STOP: ("req_id",),
+    REPLY: ("seq:u32", "req_id", "page", "pages", "data"),
+    ERROR: ("seq:u32", "req_id", "code", "text"),
+}
+
+
+def names(frame_type):
+    """Names of the elements after the type."""
+    return [entry.split(":")[0] for entry in LAYOUT[frame_type]]
+
+
+def encode_payload(values):
+    """Payload of [type, element …] with the widths of LAYOUT; elements beyond the layout are written shortest.
+
+    Raises CborError if the type is unknown or elements are missing.
+    """
+    layout = LAYOUT.get(values[0])
+    if layout is None:
+        raise CborError("frame type %d is unknown" % values[0])
+    if len(values) <= len(layout):
+        raise CborError("frame type %d has %d elements, %d are needed" % (values[0], len(values) - 1, len(layout)))
+    sized = [values[0]]
+    for entry, value in zip(layout, values[1:]):
+        if isinstance(value, int):
+            if entry.endswith(":u32"):
+                value = U32(value)
+            elif entry.endswith(":u64"):
+                value = U64(value)
+        sized.append(value)
+    sized.extend(values[1 + len(layout) :])
+    return encode(sized)
+
+
+def decode_payload(payload):
+    """[type, element …] of a payload. Raises CborError if it is no frame of a known layout.
+
+    Unknown frame types are returned as they are (SPEC §7); known ones must have the elements of their layout.
+    """
+    values = decode(payload)
+    if not isinstance(values, list) or not values or not isinstance(values[0], int) or values[0] < 0:
+        raise CborError("a frame is an array that begins with its type")
+    layout = LAYOUT.get(values[0])
+    if layout is None:
+        return values
+    if len(values) <= len(layout):
+        raise CborError("frame type %d has %d elements, %d are needed" % (values[0], len(values) - 1, len(layout)))
+    for entry, value in zip(layout, values[1:]):
+        if not isinstance(value, _accepted(entry)):
+            raise CborError("element %s of frame type %d has the wrong type" % (entry.split(":")[0], values[0]))
+    return values
+
+
+def _accepted(entry):
+    if entry == "samples":
+        return Tag
+    if entry == "timing:u32":
+        return (int, Tag)
+    if entry == "data":
+        return bytes
+    if entry == "text":
+        return str
+    return int
+
+
+def pages(document):
+    """The pages of a document's CBOR bytes, as (page, pages, bytes). Raises CborError if it needs more than 32."""
+    count = (len(document) + PAGE_BYTES - 1) // PAGE_BYTES or 1
+    if count > PAGES_MAX:
+        raise CborError("a document of %d bytes does not fit %d pages" % (len(document), PAGES_MAX))
+    return [(i, count, document[PAGE_BYTES * i : PAGE_BYTES * (i + 1)]) for i in range(count)]
