@@ -11,6 +11,7 @@
     │   └── SessionError      a session file (MCAP)
     ├── ProblemError          the observations and the robot do not make a solvable problem
     └── LinkError             the box or the robot stopped answering
+        ├── LinkClosed        the other side ended the stream in order
         └── ProtocolError     the box speaks a protocol that this version does not
 
 Data conditions (rank, convergence, gaps, losses) are fields of results, never exceptions.
@@ -57,6 +58,10 @@ class ProblemError(TruearmError):
 
 class LinkError(TruearmError):
     """The box or the robot stopped answering."""
+
+
+class LinkClosed(LinkError):
+    """The other side ended the stream in order; a robot does so when its plan is done."""
 
 
 class ProtocolError(LinkError):

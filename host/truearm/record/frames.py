@@ -1,0 +1,165 @@
+"""Bytes in arbitrary pieces → frames and everything else (SPEC §1). Nothing that arrives is lost.
+
+The stream is cut at the delimiters. A run between two delimiters is a frame when it decodes as COBS, its CRC fits and
+it is an array that begins with a frame type; any other run is console text: a traceback, a frame that was damaged.
+That a frame's delimiters may be shared or doubled needs no code: empty runs are dropped.
+
+About 2 µs a frame of 190 bytes; a box at 4 kHz sends 310 a second.
+"""
+
+from __future__ import annotations
+
+from struct import Struct
+from zlib import crc32
+
+from cobs import cobs
+
+MAX_RUN = 4096  # bytes; a longer run is no frame and is handed out in pieces of this size
+_ENCODED_MIN, _ENCODED_MAX = 8, 255  # payload 3 … 250, CRC 4, one byte of stuffing
+_LARGEST_TYPE = 255
+
+_UINT_WIDTH = {0x18: 1, 0x19: 2, 0x1A: 4, 0x1B: 8}
+# A data frame as SPEC §2 writes it, from the byte behind its array head to the head of its sint32 samples.
+_DATA_USUAL = Struct(">BBIBBQBQBIHBB")
+
+
+class Runs:
+    """The runs of bytes between delimiters, of a stream that comes in arbitrary pieces; memory stays below ``limit``.
+
+    The runs do not depend on how the stream was cut.
+    """
+
+    def __init__(self, delimiter: bytes, limit: int) -> None:
+        self._delimiter = delimiter
+        self._limit = limit
+        self._rest = b""
+        self._overlong = False  # the run that ``_rest`` belongs to was handed out in part
+
+    def push(self, data: bytes) -> list[tuple[bool, bytes]]:
+        """``(whole, bytes)`` of every run finished by ``data``; pieces of a run beyond the limit are not whole."""
+        runs = data.split(self._delimiter)
+        runs[0] = self._rest + runs[0]
+        self._rest = runs.pop()
+        found: list[tuple[bool, bytes]] = []
+        for run in runs:
+            if self._overlong or len(run) > self._limit:
+                found += [(False, piece) for piece in self._pieces(run)]
+                self._overlong = False
+            elif run:
+                found.append((True, run))
+        if len(self._rest) > self._limit:
+            *full, self._rest = self._pieces(self._rest)
+            found += [(False, piece) for piece in full]
+            self._overlong = True
+        return found
+
+    def flush(self) -> bytes:
+        """What came behind the last delimiter, when no more will come."""
+        rest, self._rest, self._overlong = self._rest, b"", False
+        return rest
+
+    def _pieces(self, run: bytes) -> list[bytes]:
+        return [run[i : i + self._limit] for i in range(0, len(run), self._limit)]
+
+
+class FrameSplitter:
+    """Frames and console bytes of a stream, in order."""
+
+    def __init__(self) -> None:
+        self._runs = Runs(b"\0", MAX_RUN)
+
+    def push(self, data: bytes) -> list[tuple[bool, bytes]]:
+        """``(True, payload)`` for a frame, ``(False, bytes)`` for a run that is none."""
+        found: list[tuple[bool, bytes]] = []
+        for whole, run in self._runs.push(data):
+            payload = payload_of(run) if whole else None
+            found.append((False, run) if payload is None else (True, payload))
+        return found
+
+    def flush(self) -> bytes:
+        """The bytes behind the last delimiter, when the stream has ended or was cut."""
+        return self._runs.flush()
+
+
+def payload_of(run: bytes) -> bytes | None:
+    """The payload of the bytes between two delimiters, None if they are no frame."""
+    if not _ENCODED_MIN <= len(run) <= _ENCODED_MAX:
+        return None
+    try:
+        raw = cobs.decode(run)
+    except cobs.DecodeError:
+        return None
+    payload = raw[:-4]
+    if len(payload) < 3 or crc32(payload) != int.from_bytes(raw[-4:], "little") or frame_type(payload) is None:
+        return None
+    return payload
+
+
+def frame_type(payload: bytes) -> int | None:
+    """The type of a payload, None if it is no array of definite length that begins with a small integer."""
+    at = _behind_array_head(payload)
+    if at is None:
+        return None
+    if payload[at] < 0x18:
+        return payload[at]
+    found = _uint(payload, at)
+    return found[0] if found is not None and found[0] <= _LARGEST_TYPE else None
+
+
+def frame_seq(payload: bytes) -> int | None:
+    """The second element of a payload that has a type: the count of the frame on its link."""
+    found = _element(payload, 1)
+    return None if found is None else found[0]
+
+
+def data_head(payload: bytes) -> tuple[int, int, int] | None:
+    """Stream, ``n0`` and the number of sample bytes of a data frame with uniform timing in the usual widths.
+
+    The samples' head stands in the frame; the bytes themselves are not looked at. None for any other form.
+    """
+    if len(payload) < 1 + _DATA_USUAL.size or not 0x88 <= payload[0] <= 0x97:
+        return None
+    _, m_seq, _, stream, m_n0, n0, m_t0, _, m_period, _, tag, m_bytes, n_bytes = _DATA_USUAL.unpack_from(payload, 1)
+    if (m_seq, m_n0, m_t0, m_period, tag) != (0x1A, 0x1B, 0x1B, 0x1A, 0xD84E) or stream > 0x17:
+        return None
+    if 0x40 <= m_bytes < 0x58:
+        return stream, n0, m_bytes - 0x40
+    return (stream, n0, n_bytes) if m_bytes == 0x58 else None
+
+
+def data_stream(payload: bytes) -> int | None:
+    """The stream number (element 2) of a data frame in whatever widths."""
+    found = _element(payload, 2)
+    return None if found is None else found[0]
+
+
+def _behind_array_head(payload: bytes) -> int | None:
+    if len(payload) >= 2 and 0x81 <= payload[0] <= 0x97:
+        return 1
+    return 2 if len(payload) >= 3 and payload[0] == 0x98 and payload[1] else None
+
+
+def _element(payload: bytes, index: int) -> tuple[int, int] | None:
+    """Element ``index`` and the offset behind it, where it and those before it are unsigned integers."""
+    at = _behind_array_head(payload)
+    found = None
+    for _ in range(index + 1):
+        found = None if at is None else _uint(payload, at)
+        if found is None:
+            return None
+        at = found[1]
+    return found
+
+
+def _uint(payload: bytes, at: int) -> tuple[int, int] | None:
+    """An unsigned integer of any width and the offset behind it."""
+    if at >= len(payload):
+        return None
+    first = payload[at]
+    if first < 0x18:
+        return first, at + 1
+    width = _UINT_WIDTH.get(first)
+    end = at + 1 + (width or 0)
+    if width is None or end > len(payload):
+        return None
+    return int.from_bytes(payload[at + 1 : end], "big"), end

@@ -1,0 +1,303 @@
+"""Links to a box or a robot: bytes with the host's time of arrival, and the clock that stamps them.
+
+The recorder knows only ``Link`` and ``Clock``. It never looks at another clock and waits only in ``Link.read``, so that
+the simulator can hand it virtual time. A real link reads in a thread of its own: a stamp is taken when the bytes
+arrive, not when the recorder gets round to them.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import queue
+import select
+import socket
+import threading
+import time
+from collections.abc import Callable
+from typing import Protocol, runtime_checkable
+from urllib.parse import urlsplit
+
+import serial
+
+from truearm.errors import InputError, LinkClosed, LinkError
+
+Arrivals = list[tuple[int, bytes]]
+
+_POLL_S = 0.1  # how long a reader thread waits before it looks whether it shall stop
+_READ_BYTES = 4096
+_QUEUE_ITEMS = 4096  # at most 16 MiB wait for the recorder; then the operating system holds the sender back
+_WRITE_TIMEOUT_S = 2.0
+_CONNECT_TIMEOUT_S = 5.0
+
+
+class Clock(Protocol):
+    """The host's time. ``kind`` is "monotonic" or "virtual"."""
+
+    kind: str
+
+    def now_ns(self) -> int: ...
+
+    def utc_anchor(self) -> tuple[int, int]:
+        """The same instant as UTC [ns since 1970] and on this clock [ns]."""
+        ...
+
+
+class Link(Protocol):
+    """A byte stream in both directions. Every method raises LinkError when the stream is lost."""
+
+    name: str
+
+    def read(self, timeout_s: float) -> Arrivals:
+        """``(t_host_ns, bytes)`` of each piece that arrived, waiting up to ``timeout_s`` for the first; [] if none.
+
+        Raises LinkClosed when the other side ended the stream in order; everything before it was handed out.
+        """
+        ...
+
+    def write(self, data: bytes) -> int:
+        """Send ``data``; returns the host's time [ns] just before it was handed over."""
+        ...
+
+    def close(self) -> None: ...
+
+
+@runtime_checkable
+class Reopenable(Protocol):
+    """A link that can come back after it was lost."""
+
+    def reopen(self, timeout_s: float) -> bool:
+        """Try to open again, waiting up to ``timeout_s``; whether the link is back."""
+        ...
+
+
+class HostClock:
+    """The operating system's monotonic clock."""
+
+    kind = "monotonic"
+
+    def now_ns(self) -> int:
+        return time.monotonic_ns()
+
+    def utc_anchor(self) -> tuple[int, int]:
+        """The tightest of five readings of both clocks."""
+        readings = [(time.monotonic_ns(), time.time_ns(), time.monotonic_ns()) for _ in range(5)]
+        before, utc, after = min(readings, key=lambda r: r[2] - r[0])
+        return utc, (before + after) // 2
+
+
+class _Reader:
+    """A thread that calls ``receive`` (b"" when nothing came for a while) and stamps what it returns."""
+
+    def __init__(self, receive: Callable[[], bytes], clock: Clock) -> None:
+        self._receive = receive
+        self._clock = clock
+        self._queue: queue.Queue[tuple[int, bytes] | LinkError] = queue.Queue(_QUEUE_ITEMS)
+        self._error: LinkError | None = None
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def read(self, timeout_s: float) -> Arrivals:
+        arrivals: Arrivals = []
+        try:
+            while self._error is None:
+                item = self._queue.get(timeout=timeout_s) if not arrivals else self._queue.get_nowait()
+                if isinstance(item, LinkError):
+                    self._error = item
+                else:
+                    arrivals.append(item)
+        except queue.Empty:
+            return arrivals
+        if not arrivals and self._error is not None:
+            raise self._error
+        return arrivals
+
+    def stop(self) -> None:
+        self._stopping.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            try:
+                data = self._receive()
+                t_host_ns = self._clock.now_ns()
+            except LinkError as exc:
+                self._put(exc)
+                return
+            if data:
+                self._put((t_host_ns, data))
+
+    def _put(self, item: tuple[int, bytes] | LinkError) -> None:
+        while not self._stopping.is_set():
+            try:
+                self._queue.put(item, timeout=_POLL_S)
+            except queue.Full:
+                continue
+            return
+
+
+class SerialLink:
+    """A box on a serial device (``/dev/ttyACM0``, ``COM3``) or behind ``socket://host:port``, through pyserial.
+
+    The port is opened for this program alone and DTR is raised, without which a Pico sends nothing.
+    """
+
+    def __init__(self, device: str, clock: Clock) -> None:
+        self.name = device
+        self._clock = clock
+        self._port: serial.SerialBase | None = None
+        self._reader: _Reader | None = None
+        _check_device(device)
+        self._open()
+
+    def read(self, timeout_s: float) -> Arrivals:
+        if self._reader is None:
+            raise LinkError(f"{self.name}: the port is closed")
+        return self._reader.read(timeout_s)
+
+    def write(self, data: bytes) -> int:
+        if self._port is None:
+            raise LinkError(f"{self.name}: the port is closed")
+        t_host_ns = self._clock.now_ns()
+        try:
+            self._port.write(data)
+        except serial.SerialTimeoutException as exc:
+            raise LinkError(f"{self.name}: the box takes no bytes ({_WRITE_TIMEOUT_S:g} s); is it stuck?") from exc
+        except (serial.SerialException, OSError) as exc:
+            raise LinkError(f"{self.name}: the link was lost ({exc})") from exc
+        return t_host_ns
+
+    def reopen(self, timeout_s: float) -> bool:
+        self.close()
+        try:
+            self._open()
+        except LinkError:
+            time.sleep(timeout_s)  # a real link may: its clock is the operating system's
+            return False
+        return True
+
+    def close(self) -> None:
+        if self._reader is not None:
+            self._reader.stop()
+            self._reader = None
+        if self._port is not None:
+            port, self._port = self._port, None
+            port.close()
+
+    def _open(self) -> None:
+        try:
+            port = serial.serial_for_url(
+                self.name, timeout=_POLL_S, write_timeout=_WRITE_TIMEOUT_S, exclusive=True, baudrate=115200
+            )
+        except (serial.SerialException, OSError, ValueError) as exc:
+            raise LinkError(_why_not_open(self.name, exc)) from exc
+        self._port = port
+        receive = _polled(port, self.name) if _can_select(self.name) else _blocking(port, self.name)
+        self._reader = _Reader(receive, self._clock)
+
+
+def _check_device(device: str) -> None:
+    scheme, separator, _ = device.partition("://")
+    if not device or (separator and scheme != "socket"):
+        raise InputError(f"{device!r} is no device; give a path such as /dev/ttyACM0 or socket://host:port")
+    if separator:
+        host_and_port(device, "socket")
+
+
+def _can_select(device: str) -> bool:
+    return os.name == "posix" or device.startswith("socket://")
+
+
+def _polled(port: serial.SerialBase, name: str) -> Callable[[], bytes]:
+    """One system call a piece, whatever its length; pyserial's ``in_waiting`` of a socket says only 0 or 1."""
+    port.timeout = 0
+
+    def receive() -> bytes:
+        try:
+            ready, _, _ = select.select([port.fileno()], [], [], _POLL_S)
+            return bytes(port.read(_READ_BYTES)) if ready else b""
+        except (serial.SerialException, OSError, ValueError) as exc:
+            raise LinkError(f"{name}: the link was lost ({exc})") from exc
+
+    return receive
+
+
+def _blocking(port: serial.SerialBase, name: str) -> Callable[[], bytes]:
+    def receive() -> bytes:
+        try:
+            return bytes(port.read(max(1, port.in_waiting)))
+        except (serial.SerialException, OSError) as exc:
+            raise LinkError(f"{name}: the link was lost ({exc})") from exc
+
+    return receive
+
+
+_HINTS = {
+    errno.ENOENT: "is not there; is the box plugged in?",
+    errno.EACCES: "may not be opened; on Linux, join the group that owns it (dialout)",
+    errno.EBUSY: "is in use by another program",
+    errno.EAGAIN: "is in use by another program",
+    errno.ENOTTY: "is no serial port",
+    errno.ECONNREFUSED: "nothing listens there; is the box or the simulator running?",
+}
+
+
+def _why_not_open(name: str, exc: Exception) -> str:
+    number = getattr(exc, "errno", None) or getattr(exc.__context__, "errno", None)
+    if number is None and exc.__context__ is not None and exc.__context__.args:
+        number = exc.__context__.args[0]  # termios.error has no errno attribute
+    hint = _HINTS.get(number) if isinstance(number, int) else None
+    return f"{name}: {hint}" if hint else f"{name}: cannot be opened ({exc})"
+
+
+class TcpLink:
+    """A robot's stream behind ``tcp://host:port``."""
+
+    def __init__(self, url: str, clock: Clock) -> None:
+        self.name = url
+        self._clock = clock
+        address = host_and_port(url, "tcp")
+        try:
+            self._socket = socket.create_connection(address, timeout=_CONNECT_TIMEOUT_S)
+        except OSError as exc:
+            raise LinkError(_why_not_open(url, exc)) from exc
+        self._socket.settimeout(_WRITE_TIMEOUT_S)
+        self._reader = _Reader(self._receive, clock)
+
+    def read(self, timeout_s: float) -> Arrivals:
+        return self._reader.read(timeout_s)
+
+    def write(self, data: bytes) -> int:
+        t_host_ns = self._clock.now_ns()
+        try:
+            self._socket.sendall(data)
+        except OSError as exc:
+            raise LinkError(f"{self.name}: the robot was lost ({exc})") from exc
+        return t_host_ns
+
+    def close(self) -> None:
+        self._reader.stop()
+        self._socket.close()
+
+    def _receive(self) -> bytes:
+        try:
+            ready, _, _ = select.select([self._socket], [], [], _POLL_S)
+            data = self._socket.recv(_READ_BYTES) if ready else None
+        except (OSError, ValueError) as exc:
+            raise LinkError(f"{self.name}: the robot was lost ({exc})") from exc
+        if data == b"":
+            raise LinkClosed(f"{self.name}: the robot closed its stream")
+        return data or b""
+
+
+def host_and_port(url: str, scheme: str) -> tuple[str, int]:
+    """The parts of ``scheme://host:port``. Raises InputError."""
+    try:
+        parts = urlsplit(url)
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host = port = None
+    if host is None or not port or parts.scheme != scheme or parts.path or parts.query:
+        raise InputError(f"{url!r} is no address; write {scheme}://host:port, such as {scheme}://127.0.0.1:7007")
+    return host, port
