@@ -54,7 +54,7 @@ def test_an_empty_rig_is_the_default_rig() -> None:
     assert parse_rig("", "rig.toml") == Rig()
 
 
-names = st.from_regex(r"[A-Za-z0-9_.é-]{1,64}", fullmatch=True)
+names = st.from_regex(r"[A-Za-z0-9_é-]{1,64}", fullmatch=True)
 coordinates = st.tuples(*[st.floats(-100.0, 100.0)] * 3)
 sizes = st.floats(1e-9, 100.0)
 points = st.builds(Point, names, coordinates, st.none() | st.floats(0.0, 100.0))

@@ -38,7 +38,7 @@ def test_blank_lines_byte_order_mark_notes_and_windows_line_ends_are_passed_over
     assert table.q[0, 0] == 1.0
 
 
-names = st.from_regex(r"[A-Za-z0-9_.é-]{1,64}", fullmatch=True)
+names = st.from_regex(r"[A-Za-z0-9_é-]{1,64}", fullmatch=True)
 angles = st.floats(-60.0, 60.0)
 lengths = st.floats(min_value=1e-9, max_value=100.0)
 

@@ -96,7 +96,7 @@ def document_of(
         "iterations": estimate.iterations,
         "n_observations": estimate.n_observations,
         "observations": _counts(estimate, table),
-        "n_free": int(estimate.free.sum()),
+        "n_free": int(estimate.free[: estimate.n_robot_parameters].sum()),
         "rank": estimate.rank,
         "rank_gap": _number(estimate.rank_gap),
         "free": names[estimate.free].tolist(),

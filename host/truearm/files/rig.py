@@ -20,7 +20,7 @@ from truearm.types import BallBar, Point, Rig, SocketDistance
 MAX_BYTES = 2**20
 LARGEST = 100.0  # m; a longer one was written in mm
 
-_NAME = re.compile(r"[\w.-]{1,64}")
+_NAME = re.compile(r"[\w-]{1,64}")
 _T = TypeVar("_T", Point, BallBar)
 
 
@@ -109,7 +109,7 @@ def _is_name(value: object) -> bool:
 def _name(table: Mapping[str, Any], where: str) -> str:
     name = table.get("name")
     if not isinstance(name, str) or not _is_name(name):
-        raise RigError(f"{where}: needs a name of up to 64 letters, digits, '.', '-' and '_', as in the table")
+        raise RigError(f"{where}: needs a name of up to 64 letters, digits, '-' and '_', as in the table")
     return name
 
 

@@ -38,7 +38,8 @@ LARGEST = {"rad": 20.0 * math.pi, "m": 100.0}
 LARGEST_SIGMA = 0.1
 
 _QUANTITY = re.compile(r"(q[1-9][0-9]{0,2}|length|sigma)(?:_(\w*))?")
-_ID = re.compile(r"[\w.-]{1,64}")
+# No dots: the names of parameters, socket.<place>.<socket>.x, are made of identifiers.
+_ID = re.compile(r"[\w-]{1,64}")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
@@ -187,7 +188,7 @@ def _identifiers(rows: list[_Row], column: _Column | None, name: str) -> np.ndar
         if cell and not _ID.fullmatch(cell):
             raise TableError(
                 f"{name} row {row.number} column {column.name}: {_shown(cell)} is no identifier; "
-                "use up to 64 letters, digits, '.', '-' and '_'"
+                "use up to 64 letters, digits, '-' and '_'"
             )
     return np.array([row.cells[column.position] for row in rows])
 

@@ -1,0 +1,96 @@
+"""The command line: one typer app; errors become one line on stderr and an exit code.
+
+Exit codes: 0 done (a rank that is not full or a fit that stopped early is a result, not an error), 1 the box or the
+robot failed, 2 the user's input is wrong, 130 interrupted. To add a command, write ``commands/NAME.py`` and add it to
+``COMMANDS``.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+from collections.abc import Sequence
+from typing import Annotated, cast
+
+import typer
+
+from truearm import __version__
+from truearm.commands.identify import identify
+from truearm.commands.terminal import one_line
+from truearm.errors import TruearmError
+
+COMMANDS = (identify,)
+
+# Options and arguments that typer rejects raise a UsageError. That class lives in click or, in later versions, inside
+# typer, which exports only its subclass BadParameter.
+_UsageError = cast(type[typer.BadParameter], typer.BadParameter.__mro__[1])
+
+app = typer.Typer(
+    name="truearm",
+    help="Identify a robot arm's kinematic parameters from a ball-bar or a ball in sockets.",
+    epilog="Example: truearm identify poses.csv --robot puma560 --rig rig.toml",
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+for _command in COMMANDS:
+    app.command(_command.__name__)(_command)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"truearm {__version__}")
+        raise typer.Exit
+
+
+@app.callback(invoke_without_command=True)
+def _root(
+    context: typer.Context,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and leave.")
+    ] = False,
+) -> None:
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run ``truearm`` with ``arguments`` (``sys.argv`` without the first if None); returns the exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a Latin-1 terminal must not end a run at its first "σ"
+            stream.reconfigure(errors="backslashreplace")
+    try:
+        return _run(sys.argv[1:] if arguments is None else list(arguments))
+    except TruearmError as exc:
+        _complain(str(exc))
+        return exc.exit_code
+    except _UsageError as exc:
+        _complain(f"{exc.format_message()} (see {exc.ctx.command_path if exc.ctx else 'truearm'} --help)")
+        return 2
+    except (KeyboardInterrupt, typer.Abort):
+        _complain("interrupted")
+        return 130
+    except BrokenPipeError:  # the reader of our output left, as `| head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return 1
+
+
+def _run(arguments: list[str]) -> int:
+    command = typer.main.get_command(app)
+    try:
+        # Not command.main(): it prints errors in a box of several lines and swallows KeyboardInterrupt.
+        with command.make_context("truearm", arguments) as context:
+            command.invoke(context)
+        sys.stdout.flush()
+    except typer.Exit as exc:
+        return int(exc.exit_code)
+    return 0
+
+
+def _complain(message: str) -> None:
+    print("truearm: " + one_line(message), file=sys.stderr)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,120 @@
+"""What the user chooses by text: the rows to hold out, the parameters to identify."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.errors import InputError
+from truearm.types import ObservationTable
+
+Mask = NDArray[np.bool_]
+
+GROUPS = ("place", "shell")  # what a bare identifier may mean
+COLUMNS = (*GROUPS, "bar", "chuck", "sphere", "socket")
+
+
+def held_out_rows(table: ObservationTable, wanted: Sequence[str], seed: int) -> Mask | None:
+    """Mask (n,) of the rows that ``--hold-out`` names, None where it names none.
+
+    ``wanted``: groups ("shell=s61", "place=front", or "front" alone where no other group has that name), or one
+    fraction such as "0.2": that share of the rows, drawn by ``seed`` alike from every group.
+    Raises InputError for an unknown or ambiguous group and where nothing would be left to fit.
+    """
+    if not wanted:
+        return None
+    fractions = [value for value in map(_fraction, wanted) if value is not None]
+    if not fractions:
+        mask: Mask = np.any([_group_rows(table, group) for group in wanted], axis=0)
+    elif len(wanted) == 1:
+        mask = _random_rows(table, fractions[0], seed)
+    else:
+        raise InputError("--hold-out takes one fraction or any number of groups, not both")
+    if mask.all():
+        raise InputError("--hold-out names every row; nothing would be left to fit")
+    if not mask.any():
+        raise InputError(f"--hold-out {wanted[0]} is not one row of {len(table)}; take a larger fraction")
+    return mask
+
+
+def _fraction(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if 0.0 < value < 1.0 else None
+
+
+def _group_rows(table: ObservationTable, group: str) -> Mask:
+    column, equals, identifier = group.partition("=")
+    if not equals:
+        return _bare_group_rows(table, group)
+    if column not in COLUMNS:
+        raise InputError(f"--hold-out {group}: {column!r} is no group; use one of {', '.join(COLUMNS)}, or a fraction")
+    rows: Mask = getattr(table, column) == identifier
+    if not identifier or not rows.any():
+        known = [name for name in np.unique(getattr(table, column)) if name]
+        raise InputError(f"--hold-out {group}: no row has that {column}; {_listed(column, known)}")
+    return rows
+
+
+def _bare_group_rows(table: ObservationTable, identifier: str) -> Mask:
+    found = [column for column in GROUPS if identifier and np.any(getattr(table, column) == identifier)]
+    if len(found) > 1:
+        raise InputError(
+            f"--hold-out {identifier} is a place and a shell; say place={identifier} or shell={identifier}"
+        )
+    if not found:
+        known = [f"{column}={name}" for column in GROUPS for name in np.unique(getattr(table, column)) if name]
+        raise InputError(f"--hold-out {identifier}: no place or shell has that name; {_listed('group', known)}")
+    return np.asarray(getattr(table, found[0]) == identifier)
+
+
+def _listed(what: str, known: Sequence[str]) -> str:
+    shown = ", ".join(known[:12]) + (f", … ({len(known)} in all)" if len(known) > 12 else "")
+    return f"there is {shown}" if known else f"the observations have no {what} column"
+
+
+def _random_rows(table: ObservationTable, fraction: float, seed: int) -> Mask:
+    """Every row gets its place in a random order of its own group, as a share of the group; the lowest are taken."""
+    rng = np.random.default_rng(seed)
+    keys = np.stack([table.kind.astype("U64"), *(getattr(table, c).astype("U64") for c in (*GROUPS, "socket"))], axis=1)
+    _, group = np.unique(keys, axis=0, return_inverse=True)
+    share = np.empty(len(table))
+    for index in range(int(group.max()) + 1):
+        rows = np.flatnonzero(group.ravel() == index)
+        # The random start lets small groups round up in one draw and down in another.
+        share[rows] = (rng.permutation(rows.size) + rng.random()) / rows.size
+    mask = np.zeros(len(table), dtype=bool)
+    mask[np.argsort(share, kind="stable")[: round(fraction * len(table))]] = True
+    return mask
+
+
+def free_parameters(names: Sequence[str], default: Mask, free: Sequence[str], freeze: Sequence[str]) -> Mask:
+    """Mask (p,) of the parameters to identify: those that match a pattern of ``free`` (``default`` where there is none)
+    and none of ``freeze``. Patterns are a shell's (``joint*.offset``).
+
+    Raises InputError for a pattern that matches nothing and where no parameter is left.
+    """
+    chosen = _matching(names, "--free", free) if free else default
+    mask: Mask = chosen & ~_matching(names, "--freeze", freeze)
+    if not mask.any():
+        raise InputError("no parameter is left to identify; see --free and --freeze")
+    return mask
+
+
+def _matching(names: Sequence[str], option: str, patterns: Sequence[str]) -> Mask:
+    mask = np.zeros(len(names), dtype=bool)
+    for pattern in patterns:
+        matches = np.array([fnmatchcase(name, pattern) for name in names])
+        if not matches.any():
+            close = difflib.get_close_matches(pattern, names, n=3) or list(names[:3])
+            raise InputError(
+                f"{option} {pattern}: matches no parameter of the robot; names are like {', '.join(close)}"
+            )
+        mask |= matches
+    return mask

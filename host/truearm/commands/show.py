@@ -1,0 +1,135 @@
+"""A result as a person reads it: parameters in mm and deg, what cannot be seen, errors, what to do next.
+
+Everything is taken from the content of result.json, so that what is printed and what is stored cannot differ.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from truearm.commands.terminal import one_line
+
+Document = Mapping[str, Any]
+
+BORDER = {"m": ("mm", 1e3, 4), "rad": ("deg", 180.0 / math.pi, 5), "1": ("", 1.0, 6)}  # unit, factor, decimals
+MAX_DIRECTIONS = 6
+MAX_TERMS = 4
+CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
+
+
+def show_result(document: Document, out: Path | None) -> None:
+    """Print the content of a result.json; ``out`` is where it was written, if it was."""
+    # Names come from strangers' files: no markup. Into a pipe rich would wrap at 80 columns.
+    width = None if sys.stdout.isatty() else 120
+    console = Console(markup=False, highlight=False, emoji=False, width=width)
+    console.print(headline(document))
+    console.print(_parameter_table(document))
+    for line in unseen(document):
+        console.print(line)
+    console.print(_error_table(document))
+    for line in advice(document, out):
+        console.print(line)
+
+
+def headline(document: Document) -> str:
+    """One line: the robot, the observations, how the solver ended."""
+    kinds = ", ".join(f"{k['fitted']} {k['kind']}" for k in document["observations"] if k["fitted"])
+    held = sum(k["held_out"] for k in document["observations"])
+    rows = kinds + (f" to fit, {held} held out" if held else " to fit")
+    end = f"{document['status']} in {document['iterations']} iterations"
+    return f"{one_line(document['robot']['name'])}: {rows}; {end}; rank {document['rank']} of {document['n_free']} free"
+
+
+def _parameter_table(document: Document) -> Table:
+    table = Table(box=None, pad_edge=False)
+    table.add_column("parameter", overflow="fold")
+    for title in ("nominal", "value", "change", "sigma"):
+        table.add_column(title, justify="right", no_wrap=True)
+    table.add_column("unit")
+    for parameter in document["parameters"]:
+        if parameter["free"]:
+            table.add_row(*parameter_cells(parameter))
+    return table
+
+
+def parameter_cells(parameter: Mapping[str, Any]) -> tuple[str, ...]:
+    """Name, nominal, value, change, sigma and unit of a parameter as text, in mm, deg or 1."""
+    unit, factor, decimals = BORDER[parameter["unit"]]
+    nominal, value, sigma = (parameter[key] for key in ("nominal", "value", "sigma"))
+    change = value - nominal if None not in (nominal, value) else None
+    numbers = [f"{factor * v:.{decimals}f}" if v is not None else "-" for v in (nominal, value)]
+    numbers.append(f"{factor * change:+.{decimals}f}" if change is not None else "-")
+    numbers.append(f"{factor * sigma:.2g}" if sigma is not None else "not seen")
+    return (one_line(parameter["name"]), *numbers, unit)
+
+
+def unseen(document: Document) -> list[str]:
+    """What the observations cannot see, a line each."""
+    directions = document["null_space"]
+    if not directions:
+        return ["The observations see every free parameter."]
+    lines = [
+        f"{len(directions)} combinations of parameters cannot be seen; no prediction of these observations needs them:"
+    ]
+    lines += [f"  {direction_text(direction)}" for direction in directions[:MAX_DIRECTIONS]]
+    if len(directions) > MAX_DIRECTIONS:
+        lines.append(f"  and {len(directions) - MAX_DIRECTIONS} more (null_space in the JSON result)")
+    return lines
+
+
+def direction_text(direction: Mapping[str, Any]) -> str:
+    """A null direction as "1.00 link1.z - 0.50 link2.z", its largest terms first."""
+    terms = sorted(zip(direction["weights"], direction["names"], strict=True), key=lambda t: -abs(t[0]))
+    signs = ["-" if weight < 0.0 else "+" for weight, _ in terms]
+    words = [f"{s} {abs(w):.2f} {one_line(n)}" for s, (w, n) in zip(signs, terms, strict=True)][:MAX_TERMS]
+    more = f" and {len(terms) - MAX_TERMS} more" if len(terms) > MAX_TERMS else ""
+    return " ".join(words).removeprefix("+ ") + more
+
+
+def _error_table(document: Document) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for title in ("error [mm]", "before", "after", "rows"):
+        table.add_column(title, justify="left" if title == "error [mm]" else "right")
+    fitted = sum(k["fitted"] for k in document["observations"])
+    table.add_row("fitted, RMS", _mm(document["rms_before_mm"]), _mm(document["rms_after_mm"]), str(fitted))
+    if document["held_out"]:
+        for key, title in (("rms_mm", "RMS"), ("mean_mm", "mean"), ("max_mm", "largest")):
+            before, after = (document[name] or {} for name in ("held_out_before", "held_out"))
+            rows = str(document["held_out"]["n"])
+            table.add_row(f"held out, {title}", _mm(before.get(key)), _mm(after.get(key)), rows)
+    return table
+
+
+def _mm(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4f}"
+
+
+def advice(document: Document, out: Path | None) -> list[str]:
+    """What to do next, a line each."""
+    lines = []
+    if document["status"] != "converged":
+        lines.append(
+            f"Not converged: {one_line(document['message'])}. Try --max-iterations, or check joint signs and units."
+        )
+    if document["chi2_reduced"] is not None and document["chi2_reduced"] > CHI2_DOUBTFUL:
+        factor = math.sqrt(document["chi2_reduced"])
+        lines.append(
+            f"Residuals are {factor:.1f} times what the declared sigmas allow: the robot has errors that these "
+            "parameters do not model, or the sigmas are too small. The sigmas above are too small by as much."
+        )
+    if document["held_out"] is None:
+        lines.append(
+            "Next: judge the result on rows that it has not seen, with --hold-out shell=..., place=... or 0.2."
+        )
+    if out is None:
+        lines.append("Next: keep the result with --out result.json.")
+    else:
+        lines.append(f"Written: {one_line(str(out))}")
+    return lines

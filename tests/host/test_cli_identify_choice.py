@@ -1,0 +1,98 @@
+"""What --hold-out, --free and --freeze choose."""
+
+import numpy as np
+import pytest
+
+from truearm.commands.choice import free_parameters, held_out_rows
+from truearm.errors import InputError
+from truearm.files.table import concatenate, parse_table
+from truearm.types import ObservationTable
+
+NAMES = ("joint1.offset", "joint1.gain", "link2.x", "link2.y")
+
+
+def seats(place: str, n: int, socket: str = "0") -> ObservationTable:
+    return parse_table("kind,q1_rad,place,socket\n" + f"seat,0.5,{place},{socket}\n" * n, "t.csv")
+
+
+TABLE = concatenate([seats("a", 3), seats("b", 5), seats("c", 2)])
+
+
+def test_groups_are_held_out_by_name() -> None:
+    assert held_out_rows(TABLE, [], 0) is None
+    for wanted in (["place=b"], ["b"], ["b", "place=b"]):
+        mask = held_out_rows(TABLE, wanted, 0)
+        assert mask is not None
+        assert mask.tolist() == [False] * 3 + [True] * 5 + [False] * 2
+    both = held_out_rows(TABLE, ["a", "c"], 0)
+    assert both is not None
+    assert both.sum() == 5
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_fraction_takes_its_share_of_every_group(seed: int) -> None:
+    table = concatenate([seats("a", 40), seats("a", 20, "1"), seats("b", 10)])
+    mask = held_out_rows(table, ["0.2"], seed)
+    assert mask is not None
+    assert mask.sum() == 14
+    for place, socket, expected in (("a", "0", 8), ("a", "1", 4), ("b", "0", 2)):
+        count = int(mask[(table.place == place) & (table.socket == socket)].sum())
+        assert abs(count - expected) <= 1
+
+
+def test_the_seed_decides_the_draw() -> None:
+    table = seats("a", 100)
+    draws = [held_out_rows(table, ["0.3"], seed) for seed in (0, 0, 1)]
+    np.testing.assert_array_equal(draws[0], draws[1])
+    assert not np.array_equal(draws[0], draws[2])  # equal by chance: 1 in C(100, 30) = 3e25
+
+
+@pytest.mark.parametrize(
+    ("wanted", "message"),
+    [
+        (["place=d"], r"no row has that place; there is a, b, c"),
+        (["d"], r"no place or shell has that name; there is place=a, place=b, place=c"),
+        (["shell=s61"], "the observations have no shell column"),
+        (["colour=a"], "'colour' is no group"),
+        (["place="], "no row has that place"),
+        ([""], "no place or shell has that name"),
+        (["0.2", "a"], "not both"),
+        (["0.2", "0.3"], "not both"),
+        (["1.5"], "no place or shell"),
+        (["nan"], "no place or shell"),
+        (["0.01"], "not one row of 10"),
+        (["0.99"], "every row"),
+        (["a", "b", "c"], "every row"),
+    ],
+)
+def test_wrong_groups_are_told(wanted: list[str], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        held_out_rows(TABLE, wanted, 0)
+
+
+def test_a_name_that_is_a_place_and_a_shell_must_say_which() -> None:
+    table = parse_table("kind,q1_rad,place,socket,shell\nseat,0,a,0,b\nseat,0,b,0,c\n", "t.csv")
+    with pytest.raises(InputError, match="say place=b or shell=b"):
+        held_out_rows(table, ["b"], 0)
+
+
+def test_patterns_choose_the_free_parameters() -> None:
+    default = np.array([True, False, True, True])
+    for free, freeze, expected in (
+        ([], [], default),
+        (["*"], [], [True] * 4),
+        (["joint1.*"], [], [True, True, False, False]),
+        ([], ["link2.?"], [True, False, False, False]),
+        (["*"], ["*.gain", "link2.x"], [True, False, False, True]),
+    ):
+        assert free_parameters(NAMES, default, free, freeze).tolist() == list(expected)
+
+
+def test_patterns_that_match_nothing_or_leave_nothing_are_told() -> None:
+    default = np.ones(4, dtype=bool)
+    with pytest.raises(InputError, match=r"--free joint1\.ofset: .* like joint1\.offset"):
+        free_parameters(NAMES, default, ["joint1.ofset"], [])
+    with pytest.raises(InputError, match=r"--freeze link7\.\*: matches no parameter"):
+        free_parameters(NAMES, default, [], ["link7.*"])
+    with pytest.raises(InputError, match="no parameter is left"):
+        free_parameters(NAMES, default, [], ["*"])
