@@ -2,8 +2,8 @@
 
 The chain is ``T_base_end = L_0 · J_1(θ_1) · L_1 · J_2(θ_2) · … · J_j(θ_j) · L_j``. A link ``L_i`` is a run of
 constants, each a translation along or a rotation about x, y or z; a joint ``J_i`` is one such motion by
-θ = offset + gain·q. A constant is either a parameter (it has a name and a derivative) or fixed (an alignment that nobody identifies).
-Every convention (Sheth–Uicker, URDF, Denavit–Hartenberg) is a builder of this one chain.
+θ = offset + gain·q. A constant is either a parameter (it has a name and a derivative) or fixed (an alignment that
+nobody identifies). Every convention (Sheth–Uicker, URDF, Denavit–Hartenberg) is a builder of this one chain.
 
 Derivatives. Let ``L = A·M(p)·B`` where M moves along the unit twist ξ by p. Then ∂L/∂p = L·[Ad(B⁻¹)ξ]: a parameter
 moves everything beyond its link by a twist that is constant in the link's far frame F_i, whatever the pose. With the

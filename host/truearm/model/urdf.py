@@ -120,7 +120,8 @@ def _leaves(base: str, joints: list[_UrdfJoint]) -> list[str]:
     children: dict[str, list[str]] = {}
     for joint in joints:
         children.setdefault(joint.parent, []).append(joint.child)
-    below, todo = [], [base]
+    below: list[str] = []
+    todo = [base]
     while todo and len(below) <= len(joints):
         below.append(todo.pop())
         todo += children.get(below[-1], [])

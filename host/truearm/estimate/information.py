@@ -1,0 +1,104 @@
+"""What observations say, as a square root: the one linear algebra that all solvers share.
+
+Whitened rows [J | f] (each divided by its σ) are folded block by block into one triangle,
+
+    R_aug = qr([R_aug; J_block | f_block]),   R_aug = [[R, z], [0, ρ]],
+
+so that JᵀJ = RᵀR, Jᵀf = Rᵀz and memory does not grow with the number of poses. The triangle keeps J's own condition
+number; the normal equations of Goswami's (10) would square it, and a rank test on them sees only half the digits.
+A prior adds the rows 1/σ with residuals (mean − x)/σ.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.estimate.problem import Group, Problem, blocks, evaluate
+from truearm.observe.ball_bar import BallBarRows
+from truearm.observe.socket_distance import SocketDistanceRows
+from truearm.types import Floats
+
+
+class Information(NamedTuple):
+    """A linearised least-squares problem over k unknowns, whitened."""
+
+    root: Floats  # (k, k) R
+    rhs: Floats  # (k,) z
+    chi2: float  # fᵀf
+    n_residuals: int  # scalar ones, priors included
+    residual: Floats  # (n,) m, of the table's rows: signed for a length, the norm for a seat
+
+
+class Spectrum(NamedTuple):
+    """Singular values of the root with its columns scaled to length 1: root = U diag(singular) Vtᵀ diag(scale)."""
+
+    u: Floats  # (k, k)
+    singular: Floats  # (k,) descending
+    vt: Floats  # (k, k)
+    scale: Floats  # (k,)
+
+
+def observe(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> Information:
+    """Information of the observations, without priors, on x[columns], linearised at x (P,)."""
+    k = int(columns.sum())
+    triangle = np.zeros((k + 1, k + 1))
+    residual = np.full(problem.n_rows, np.nan)
+    chi2, count = 0.0, 0
+    for block in blocks(problem):
+        lin = evaluate(problem, block, x)
+        _note(block, lin.residual, residual)
+        whiten = 1.0 / np.repeat(block.sigma, lin.residual.size // block.sigma.size)[:, None]
+        stacked = np.concatenate([lin.jac_params[:, columns], lin.residual[:, None]], axis=1) * whiten
+        chi2 += float(stacked[:, -1] @ stacked[:, -1])
+        count += lin.residual.size
+        triangle = fold(triangle, stacked)
+    return Information(triangle[:k, :k], triangle[:k, k], chi2, count, residual)
+
+
+def with_prior(information: Information, error: Floats, sigma: Floats) -> Information:
+    """Add a prior: ``error`` = mean − x (k,), ``sigma`` (k,), inf for none."""
+    some = np.isfinite(sigma)
+    if not some.any():
+        return information
+    weight = 1.0 / sigma[some]
+    rows = np.zeros((weight.size, sigma.size + 1))
+    rows[np.arange(weight.size), np.flatnonzero(some)] = weight
+    rows[:, -1] = error[some] * weight
+    k = sigma.size
+    triangle = np.zeros((k + 1, k + 1))
+    triangle[:k, :k], triangle[:k, k] = information.root, information.rhs
+    triangle = fold(triangle, rows)
+    chi2 = information.chi2 + float(rows[:, -1] @ rows[:, -1])
+    return Information(
+        triangle[:k, :k], triangle[:k, k], chi2, information.n_residuals + weight.size, information.residual
+    )
+
+
+def fold(triangle: Floats, rows: Floats) -> Floats:
+    """Fold rows (m, k) into an upper triangle (k, k)."""
+    return np.asarray(np.linalg.qr(np.concatenate([triangle, rows]), mode="r"))
+
+
+def spectrum(root: Floats) -> Spectrum:
+    """Scale the columns (Marquardt 1963) and decompose; a column without information keeps scale 1."""
+    scale = np.linalg.norm(root, axis=0)
+    scale[scale == 0.0] = 1.0
+    u, singular, vt = np.linalg.svd(root / scale)
+    return Spectrum(u, singular, vt, scale)
+
+
+def covariance(parts: Spectrum, tolerance: float) -> Floats:
+    """(k, k) inverse of RᵀR on what is seen: singular values below tolerance times the largest are left out."""
+    seen = parts.singular > tolerance * max(parts.singular.max(initial=0.0), np.finfo(float).tiny)
+    half = parts.vt[seen].T / parts.singular[seen] / parts.scale[:, None]
+    return np.asarray(half @ half.T)
+
+
+def _note(block: Group, residual: Floats, out: Floats) -> None:
+    """Write a block's residuals to their rows of the table; distances between sockets belong to no row."""
+    if isinstance(block, SocketDistanceRows):
+        return
+    out[block.row] = residual if isinstance(block, BallBarRows) else np.linalg.norm(residual.reshape(-1, 3), axis=1)

@@ -1,0 +1,98 @@
+"""Levenberg–Marquardt (Goswami, Quaid, Peshkin 1993, (4)–(10)), on the square-root information.
+
+The paper's step is Δ = (JᵀJ + λI)⁻¹ Jᵀf with f = measured − computed; J is then ∂computed/∂x, the negative of what its
+(9) defines. λI depends on the units of x; here columns are scaled to length 1 first (Marquardt 1963), so that λ is a
+pure number. With the scaled root R D⁻¹ = U diag(s) Vᵀ and Qᵀf = z the step is
+
+    Δ = D⁻¹ V diag(s / (s² + λ)) Uᵀ z ,
+
+over singular values above ``RANK_TOLERANCE`` only: along directions that the observations cannot see x does not move,
+so a model with redundant parameters (54 where 36 can be seen) converges like one without.
+
+λ falls by 10 to 1000 after a step, the more the better the linearised problem foretold it, and grows by 10 after a
+step that did not reduce χ². The end: what the linearised problem still promises, ‖Uᵀz‖, is below 1e-6 of ‖f‖ (then x
+is within some 1e-5 σ of the minimum), or below 1e-10 a residual (data without noise), or the step is rounding.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from truearm.estimate.information import Information, Spectrum, spectrum
+from truearm.types import Floats
+
+RANK_TOLERANCE = 1e-10  # of the largest singular value; analytic Jacobians leave 1e-15 where nothing is seen
+DAMPING_START = 1e-4
+DAMPING_MIN = 1e-14
+DAMPING_MAX = 1e10
+RELATIVE_END = 1e-6
+ABSOLUTE_END = 1e-10
+STEP_END = 1e-14
+
+
+class Minimum(NamedTuple):
+    """Where the iteration ended; ``status`` is "converged", "max_iterations" or "stalled"."""
+
+    x: Floats  # (k,)
+    status: str
+    message: str
+    iterations: int
+    information: Information
+
+
+def minimise(
+    linearise: Callable[[Floats], Information],
+    x: Floats,
+    max_iterations: int,
+    on_step: Callable[[int, Information], None] | None = None,
+) -> Minimum:
+    """Minimise χ² = fᵀf from x (k,). ``linearise`` gives root, Qᵀf and χ² at an x; ``on_step`` hears of each step.
+
+    An iteration is an accepted step. Not to converge is a status, not an exception.
+    """
+    here = linearise(x)
+    damping = DAMPING_START
+    for iteration in range(max_iterations + 1):
+        parts = spectrum(here.root)
+        promised = promise(parts, here.rhs)
+        if promised @ promised <= max(RELATIVE_END**2 * here.chi2, ABSOLUTE_END**2 * here.n_residuals):
+            return Minimum(x, "converged", "the linearised problem promises no further gain", iteration, here)
+        delta, _ = step(parts, promised, 0.0)
+        if np.linalg.norm(parts.scale * delta) <= STEP_END * np.linalg.norm(parts.scale * x):
+            return Minimum(x, "converged", "the step is below rounding", iteration, here)
+        if iteration == max_iterations:
+            break
+        while True:
+            delta, foretold = step(parts, promised, damping)
+            with np.errstate(over="ignore", invalid="ignore"):
+                there = linearise(x + delta)
+            if there.chi2 < here.chi2:  # False for a step so wild that χ² is no number
+                break
+            damping = max(damping * 10.0, DAMPING_MIN)
+            if damping > DAMPING_MAX:
+                return Minimum(x, "stalled", "no step reduces the residuals", iteration, here)
+        gain = (here.chi2 - there.chi2) / foretold
+        damping = max(damping * (1e-3 if gain > 0.9 else 0.1 if gain > 0.25 else 1.0), DAMPING_MIN)
+        x, here = x + delta, there
+        if on_step is not None:
+            on_step(iteration + 1, here)
+    return Minimum(x, "max_iterations", f"not converged after {max_iterations} iterations", max_iterations, here)
+
+
+def promise(parts: Spectrum, rhs: Floats) -> Floats:
+    """Uᵀz on the directions that are seen, zero elsewhere; its square is the reduction of χ² that is left."""
+    seen = parts.singular > RANK_TOLERANCE * parts.singular.max(initial=0.0)
+    return np.where(seen, parts.u.T @ rhs, 0.0)
+
+
+def step(parts: Spectrum, promised: Floats, damping: float) -> tuple[Floats, float]:
+    """Δ (k,) for a damping λ, and the reduction of χ² that the linearised problem foretells."""
+    seen = promised != 0.0
+    filtered = np.zeros_like(promised)
+    filtered[seen] = parts.singular[seen] / (parts.singular[seen] ** 2 + damping) * promised[seen]
+    left = promised - parts.singular * filtered
+    foretold = float(promised @ promised - left @ left)
+    return (parts.vt.T @ filtered) / parts.scale, max(foretold, np.finfo(float).tiny)

@@ -1,0 +1,56 @@
+"""What all kinds of observation share: where their unknowns stand, and what they give back.
+
+The parameter vector x (P,) of a problem is the robot's params (p,) followed by the rig's unknowns: coordinates of
+chucks, spheres and sockets, zero and gain of bars. A row refers to a coordinate by its index into *x followed by the
+problem's known constants*, so that known and unknown coordinates are read the same way, and only the unknown ones
+(index below P) have a column in the Jacobian.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.types import Floats
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Indices = NDArray[np.intp]
+AnyRows = TypeVar("AnyRows", bound="DataclassInstance")
+
+
+class Linearised(NamedTuple):
+    """Residuals and derivatives of a batch of observations; m scalar residuals, those of one observation together."""
+
+    residual: Floats  # (m,) measured − predicted [m]
+    jac_params: Floats  # (m, P) ∂predicted/∂x
+    jac_joints: Floats  # (m, j) ∂predicted/∂(joint readings)
+
+
+def take(rows: AnyRows, which: slice | NDArray[Any]) -> AnyRows:
+    """Some of the observations; every field but the shared constants has them as its first axis."""
+    return replace(rows, **{f.name: getattr(rows, f.name)[which] for f in fields(rows) if f.name != "constants"})
+
+
+def gather(x: Floats, constants: Floats, index: Indices) -> Floats:
+    """Values at ``index`` (any shape) of x followed by constants."""
+    return np.concatenate([x, constants])[index]
+
+
+def widen(jac_robot: Floats, n_params: int) -> Floats:
+    """The robot's columns (m, p) followed by zeros for the rig's unknowns, (m, P)."""
+    missing = n_params - jac_robot.shape[1]
+    return np.concatenate([jac_robot, np.zeros((jac_robot.shape[0], missing), jac_robot.dtype)], axis=1)
+
+
+def scatter(jac: Floats, index: Indices, values: Floats) -> None:
+    """Add ``values`` (m, c) to the columns ``index`` (m, c) of jac (m, P) in place; constants have no column."""
+    rows = np.arange(jac.shape[0])
+    for column, value in zip(index.T, values.T, strict=True):
+        unknown = column < jac.shape[1]
+        if unknown.any():
+            jac[rows[unknown], column[unknown]] += value[unknown]

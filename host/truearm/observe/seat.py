@@ -1,0 +1,45 @@
+"""A ball of the endpoint seated in a socket that stands somewhere: the same point for all seats of one socket.
+
+Predicted is the ball relative to its socket, T(q)·s − c; measured is zero. The socket's point c is unknown, three
+parameters per place and socket, so only the spread of the predicted ball about its socket says something of the robot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from truearm.model.chain import Chain, along, trace_point
+from truearm.observe.rows import Indices, Linearised, gather, scatter, widen
+from truearm.types import Floats
+
+WIDTH = 3  # scalar residuals an observation: x, y, z in the base frame
+
+
+@dataclass(frozen=True)
+class SeatRows:
+    """n seats; indices point into x followed by ``constants``."""
+
+    row: Indices  # (n,) rows of the table
+    sigma: Floats  # (n,) m, of each coordinate
+    q: Floats  # (n, j)
+    sphere: Indices  # (n, 3) the ball, in the end frame
+    socket: Indices  # (n, 3) in the base frame
+    constants: Floats
+
+
+def evaluate(chain: Chain, rows: SeatRows, x: Floats) -> Linearised:
+    """Residual (3n,), jac_params (3n, P), jac_joints (3n, j) at x (P,); x, y, z of a seat follow each other."""
+    p = len(chain.parameters)
+    trace = trace_point(chain, x[:p], rows.q, gather(x, rows.constants, rows.sphere))
+    residual = gather(x, rows.constants, rows.socket) - trace.p_base
+    jac = np.empty((len(rows.row), 3, x.size))
+    jac_joints = np.empty((len(rows.row), 3, len(chain.joints)))
+    for axis, direction in enumerate(np.eye(3)):
+        derivative = along(trace, direction)
+        columns = widen(derivative.jac_params, x.size)
+        scatter(columns, rows.sphere, derivative.jac_point)
+        scatter(columns, rows.socket[:, axis : axis + 1], np.full((len(rows.row), 1), -1.0))
+        jac[:, axis], jac_joints[:, axis] = columns, derivative.jac_joints
+    return Linearised(residual.ravel(), jac.reshape(-1, x.size), jac_joints.reshape(-1, len(chain.joints)))

@@ -1,0 +1,38 @@
+"""The known distance between two sockets of one place: an observation of the sockets alone.
+
+Predicted is ‖c_a − c_b‖. It carries the scale into an identification by seats, which otherwise have none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from truearm.model.chain import Chain
+from truearm.observe.rows import Indices, Linearised, gather, scatter
+from truearm.types import Floats
+
+WIDTH = 1  # scalar residuals an observation
+
+
+@dataclass(frozen=True)
+class SocketDistanceRows:
+    """n places where both sockets were used; indices point into x followed by ``constants``."""
+
+    sigma: Floats  # (n,) m
+    distance: Floats  # (n,) measured, m
+    first: Indices  # (n, 3)
+    second: Indices  # (n, 3)
+    constants: Floats
+
+
+def evaluate(chain: Chain, rows: SocketDistanceRows, x: Floats) -> Linearised:
+    """Residual (n,), jac_params (n, P), jac_joints (n, j), all zero, at x (P,)."""
+    apart = gather(x, rows.constants, rows.first) - gather(x, rows.constants, rows.second)
+    d = np.linalg.norm(apart, axis=1)
+    u = np.divide(apart, d[:, None], out=np.zeros_like(apart), where=d[:, None] > 0.0)
+    jac = np.zeros((d.size, x.size))
+    scatter(jac, rows.first, u)
+    scatter(jac, rows.second, -u)
+    return Linearised(rows.distance - d, jac, np.zeros((d.size, len(chain.joints))))
