@@ -52,7 +52,9 @@ IDENT_DOCUMENT = cbor2.dumps(
         "uid": bytes.fromhex("e6614103e7452b2f"),
         "boot_id": 0xDEADBEEF,
         "clock_hz": 1000000,
-        "streams": [{"id": 0, "name": "adc", "period_ns": 983040, "osr": 4096, "group_delay_ns": 1474560, "channels": []}],
+        "streams": [
+            {"id": 0, "name": "adc", "period_ns": 983040, "osr": 4096, "group_delay_ns": 1474560, "channels": []}
+        ],
     }
 )
 
@@ -65,7 +67,9 @@ def golden(name: str, payload: bytes) -> None:
 
 golden("data-full", array(16, u32(7), 0, u64(13), u64(1234567), u32(983040), typed(78, counts(13, 0)), 0))
 golden("data-one-sample", array(16, u32(0), 0, u64(0), u64(0), u32(245760), typed(78, counts(1, 5)), 0))
-golden("data-wraps", array(16, u32(2**32 - 1), 0, u64(2**32), u64(2**32 + 5), u32(983040), typed(78, counts(13, 99)), 1))
+golden(
+    "data-wraps", array(16, u32(2**32 - 1), 0, u64(2**32), u64(2**32 + 5), u32(983040), typed(78, counts(13, 99)), 1)
+)
 golden("data-far-time", array(16, u32(2**30), 0, u64(2**53), u64(2**63), u32(983040), typed(78, counts(2, 1)), 3))
 golden(
     "data-with-stamps",

@@ -35,6 +35,7 @@ class Tag:
         return "Tag(%d, %r)" % (self.number, self.data)
 
 
+DEPTH_MAX = 12
 SINT32_LE = 78
 UINT16_LE = 69
 
@@ -72,7 +73,7 @@ def put_int(buf, at, n):
 def encode(value):
     """CBOR bytes of a value. Raises CborError."""
     out = bytearray()
-    _encode(value, out, 8)
+    _encode(value, out, DEPTH_MAX)
     return bytes(out)
 
 
@@ -132,7 +133,7 @@ def _encode(value, out, depth):
 
 def decode(data):
     """The value of CBOR bytes, all of them. Raises CborError."""
-    value, end = _decode(data, 0, 8)
+    value, end = _decode(data, 0, DEPTH_MAX)
     if end != len(data):
         raise CborError("%d bytes behind the value" % (len(data) - end))
     return value

@@ -1,6 +1,6 @@
 """Re-encode every golden frame and reject every corrupted one; runs on CPython and on MicroPython.
 
-    micropython check_vectors.py FOLDER      prints one line a failure, then "N golden, M corrupted"; exit 1 on failure
+micropython check_vectors.py FOLDER      prints one line a failure, then "N golden, M corrupted"; exit 1 on failure
 """
 
 import json
@@ -57,7 +57,13 @@ def check(folder):
         fast.add(buf, 0, 8, n)
         if buf != ((start + n) % 2**64).to_bytes(8, "big"):
             failures.append("add %d to %d" % (n, start))
-    for now, stamp in ((2**32 + 5, 2**32 + 5), (2**32 + 5, 2**32 - 1), (2**33, 2**33 - 2**31), (77, 3), (2**56, 2**56 - 1)):
+    for now, stamp in (
+        (2**32 + 5, 2**32 + 5),
+        (2**32 + 5, 2**32 - 1),
+        (2**33, 2**33 - 2**31),
+        (77, 3),
+        (2**56, 2**56 - 1),
+    ):
         out = bytearray(9)
         fast.extend(now.to_bytes(8, "big"), (stamp % 2**32).to_bytes(4, "big"), 0, out, 1)
         if out[1:] != stamp.to_bytes(8, "big"):

@@ -95,7 +95,17 @@ def test_decoded_like_cbor2(data):
 
 @pytest.mark.parametrize(
     "data",
-    [b"", b"\x9f\xff", b"\xf9\x00\x00", b"\xf6", b"\x18", b"\x82\x01", b"\x9b" + b"\xff" * 8, b"\x81" * 60 + b"\x00", b"\x00\x00"],
+    [
+        b"",
+        b"\x9f\xff",
+        b"\xf9\x00\x00",
+        b"\xf6",
+        b"\x18",
+        b"\x82\x01",
+        b"\x9b" + b"\xff" * 8,
+        b"\x81" * 60 + b"\x00",
+        b"\x00\x00",
+    ],
 )
 def test_refused(data):
     with pytest.raises(cbor.CborError):

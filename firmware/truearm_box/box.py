@@ -1,0 +1,131 @@
+"""The box's main loop. What the board has to offer:
+
+    now(buf)                  8 bytes, big endian: microseconds since boot. Never steps, never wraps.
+    ticks(), ticks_diff(a, b) microseconds for durations, small integers
+    receive(buf) → n          bytes that came over the link, at most len(buf)
+    send(buf, at, n) → taken  of buf[at:at + n], 0 … n
+    start(osr), stop()        the converter
+    take(n, dst, at, index, stamp) → bool
+                              if n contiguous samples wait: move them (16 bytes each) to dst[at:], the first one's index since
+                              start to index (8 bytes) and the lower half of its hardware stamp to stamp (4 bytes, big endian)
+    waiting() → n             samples that wait
+    lost() → n                samples lost in the board before those just taken; counts from zero again
+    converter_fault() → bool  the converter reported a fault since the last call
+    edge(edge) → bool         if a trigger edge waits: line, rising, stamp (1, 1, 4 bytes) to edge
+    idle()                    nothing to do: wait for an interrupt, at most some milliseconds
+    console(text), reset()    the way out of an exception
+    heap_free(), temperature_mdegc(), reset_cause, uid, boot_id (4 bytes), ring_slots, config_path
+
+None of them may allocate but console and reset.
+"""
+
+import io
+import sys
+
+from truearm_wire.fast import extend
+from truearm_wire.frame import Splitter
+from truearm_wire.messages import EVENT
+
+from . import config
+from .commands import Commands
+from .health import Health
+from .link import Link
+from .ring import Ring
+from .stream import Stream
+
+
+class Box:
+    def __init__(self, board):
+        self._board = board
+        self._ring = Ring(board.ring_slots)
+        self.link = Link(board)
+        self.stream = Stream(board, self._ring)
+        self.health = Health(board)
+        settings, fault = config.load(board.config_path)
+        self.commands = Commands(board, self.link, self.stream, self.health, settings, fault)
+        self._splitter = Splitter()
+        self._rx = bytearray(64)
+        self._rx_at = 0
+        self._rx_end = 0
+        self._t1 = bytearray(8)
+        self._edge = bytearray(6)
+        self._t_edge = bytearray(8)
+        self._now = bytearray(8)
+        self._sending_block = False
+        self.commands.identify(0)  # the ident that every boot sends
+
+    def step(self):
+        """One pass: samples into the ring, at most one frame onto the link. Returns whether there was anything to do."""
+        start = self._board.ticks()
+        busy = self.stream.pull()
+        if self.link.pump():
+            busy = True
+        if self.link.free():
+            if self._sending_block:
+                self._ring.release()
+                self._sending_block = False
+            if self._next_frame():
+                busy = True
+            else:
+                self.health.tidy()
+        self.health.loop(self._board.ticks_diff(self._board.ticks(), start))
+        return busy
+
+    def _next_frame(self):
+        """Begin the most urgent frame. Answers first: they carry times; blocks can wait in the ring."""
+        if self.commands.pending():
+            self.commands.send_page()
+            return True
+        if self._receive():
+            return True
+        if self._board.edge(self._edge):
+            self._send_event()
+            return True
+        if self.health.due():
+            self.health.send(self.link, self.stream, self._splitter.bad_frames + self.commands.bad)
+            return True
+        if self._ring.used:
+            self._sending_block = True
+            self.stream.send_oldest(self.link)
+            return True
+        return self.commands.send_deferred()
+
+    def _receive(self):
+        """Read what came until a frame is whole, and handle it."""
+        while True:
+            while self._rx_at < self._rx_end:
+                byte = self._rx[self._rx_at]
+                self._rx_at += 1
+                if self._splitter.push(byte):
+                    self.commands.handle(self._splitter.buf, 1, self._splitter.end, self._t1)
+                    return True
+            self._rx_end = self._board.receive(self._rx)
+            self._rx_at = 0
+            if self._rx_end == 0:
+                return False
+            self._board.now(self._t1)
+
+    def _send_event(self):
+        self._board.now(self._now)
+        extend(self._now, self._edge, 2, self._t_edge, 0)
+        self.link.begin(EVENT, 3)
+        self.link.put_int(self._edge[0])
+        self.link.put_u64(self._t_edge)
+        self.link.put_int(self._edge[1])
+        self.link.send()
+
+
+def run(box, board):
+    """Run for ever. An exception is printed on the link, between delimiters, and the box starts anew."""
+    try:
+        while True:
+            if not box.step():
+                board.idle()
+    except Exception as e:
+        text = io.StringIO()
+        if sys.implementation.name == "micropython":
+            sys.print_exception(e, text)
+        else:
+            text.write("%s: %s\n" % (type(e).__name__, e))
+        board.console(text.getvalue())
+        board.reset()

@@ -1,0 +1,90 @@
+"""Boxes for the tests: the firmware in a real MicroPython, and in CPython where that should make no difference."""
+
+import struct
+
+import cbor2
+import pytest
+
+from truearm_sim import micropython
+from truearm_sim.box import BoxProcess, BoxSetup
+from truearm_wire import frame, messages
+
+OSR = 4096
+PERIOD_NS = 983040
+
+
+def frames(tx: bytes) -> list[list]:
+    """The frames of sent bytes, decoded; anything else stays bytes."""
+    found = []
+    for run in tx.split(b"\0"):
+        if run:
+            payload = frame.unframe(run)
+            found.append(messages.decode_payload(payload) if payload else run)
+    return found
+
+
+def command(*values: int) -> bytes:
+    return frame.frame(messages.encode_payload(list(values)))
+
+
+def records(index: int, n: int, t_start_us: int = 0) -> bytes:
+    """n samples from `index` on whose counts say which they are."""
+    return b"".join(
+        struct.pack(">I", (t_start_us + k * PERIOD_NS // 1000) % 2**32)
+        + struct.pack("<4i", k % 2**23, -(k % 2**23), 2**23 - 1, -(2**23))
+        for k in range(index, index + n)
+    )
+
+
+class Bench:
+    """A box that was booted at time 0, and the shortest way to talk to it."""
+
+    def __init__(self, interpreter, **setup):
+        self.box = BoxProcess(interpreter, BoxSetup(**setup), 0xDEADBEEF)
+        self.now_us = 0
+        self.index = 0
+        self.boot = frames(self.box.grant(0).tx)
+
+    def give(self, us=1000, **grant):
+        self.now_us += us
+        self.answer = self.box.grant(self.now_us, **grant)
+        return frames(self.answer.tx)
+
+    def start(self):
+        assert self.give(rx=command(49, 1, 0, OSR))[0][:1] == [64]
+        assert self.give(rx=command(50, 2))[0][:1] == [64]
+        self.t_start_us, self.index = self.now_us, 0
+
+    def sample(self, n, **grant):
+        """Let n samples pass."""
+        samples = records(self.index, n, self.t_start_us)
+        index, self.index = self.index, self.index + n
+        self.now_us = self.t_start_us + self.index * PERIOD_NS // 1000
+        return self.give(us=0, samples=samples, index=index, **grant)
+
+
+def real_micropython():
+    interpreter = micropython.find()
+    assert interpreter is not None, "no MicroPython: run make micropython"
+    return interpreter
+
+
+@pytest.fixture(params=["micropython", "cpython"])
+def bench(request):
+    bench = Bench(real_micropython() if request.param == "micropython" else None)
+    yield bench
+    bench.box.close()
+
+
+@pytest.fixture
+def chip():
+    """The firmware in MicroPython, with the chip's heap."""
+    bench = Bench(real_micropython())
+    yield bench
+    bench.box.close()
+
+
+def ident_document(found: list[list]) -> dict:
+    pages = [f for f in found if f[0] == messages.IDENT]
+    assert [(f[3], f[4]) for f in pages] == [(i, len(pages)) for i in range(len(pages))]
+    return cbor2.loads(b"".join(f[5] for f in pages))

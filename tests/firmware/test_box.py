@@ -1,0 +1,258 @@
+"""The firmware core in a real MicroPython (and in CPython), driven grant by grant."""
+
+import itertools
+import struct
+
+import pytest
+
+from tests.firmware.conftest import PERIOD_NS, Bench, command, frames, ident_document, real_micropython, records
+from truearm_sim.box import CRASH, STALL, BoxDied
+from truearm_wire import cbor, frame
+
+DATA, EVENT, HEARTBEAT, IDENT, SYNC, REPLY, ERROR = 16, 17, 18, 19, 33, 64, 65
+
+
+def data_of(found):
+    return [f for f in found if f[0] == DATA]
+
+
+def counts_of(block):
+    return struct.unpack("<%di" % (len(block[6].data) // 4), block[6].data)
+
+
+def quads(values):
+    return zip(*[iter(values)] * 4, strict=True)
+
+
+def assert_contiguous(blocks, start=0):
+    """Every sample is there once, in order, with the counts that `records` gave it; returns how many."""
+    n = start
+    for block in blocks:
+        assert block[3] == n
+        for i, (a, b, c, d) in enumerate(quads(counts_of(block))):
+            k = (n + i) % 2**23
+            assert (a, b, c, d) == (k, -k, 2**23 - 1, -(2**23))
+        n += len(counts_of(block)) // 4
+    return n
+
+
+def test_boot_sends_ident_and_heartbeat(bench):
+    document = ident_document(bench.boot)
+    assert document["protocol"] == [1, 0]
+    assert document["boot_id"] == 0xDEADBEEF
+    assert document["uid"] == bytes.fromhex("e6614103e7452b2f")
+    stream = document["streams"][0]
+    assert (stream["osr"], stream["period_ns"]) == (4096, PERIOD_NS)
+    assert [c["name"] for c in stream["channels"]] == ["lvdt", "transverse_a", "transverse_b", "excitation"]
+    assert [f[1] for f in bench.boot] == list(range(len(bench.boot))), "seq counts every frame from 0"
+    assert bench.boot[-1][0] == HEARTBEAT
+
+
+def test_sync_reply_bears_device_time(bench):
+    (reply,) = bench.give(us=12345, rx=command(32, 2**30 - 1))
+    assert reply[0] == SYNC
+    assert reply[2:] == [2**30 - 1, 12345, 12345]
+
+
+def test_streams_what_was_sampled(bench):
+    bench.start()
+    found = [f for _ in range(20) for f in bench.sample(64)]
+    found += bench.give(rx=command(51, 3))
+    assert assert_contiguous(data_of(found)) == 20 * 64
+    assert found[-1][0] == REPLY, "a stop is answered when all samples have gone"
+    assert all(f[2] == 0 and f[5] == PERIOD_NS and f[7] == 0 for f in data_of(found))
+    for block in data_of(found):
+        assert block[4] == bench.t_start_us + block[3] * PERIOD_NS // 1000
+    seqs = [f[1] for f in found]
+    assert seqs == list(range(seqs[0], seqs[0] + len(seqs)))
+
+
+def test_time_passes_the_wraps_of_30_and_32_bits(chip):
+    chip.start()
+    chip.sample(20)
+    for far in (2**30, 2**32, 3 * 2**32, 2**40):
+        chip.now_us = far - 30000
+        chip.give(us=0, rx=command(51, 2 + far.bit_length()))
+        chip.give(us=0, rx=command(50, 100 + far.bit_length()))
+        chip.t_start_us, chip.index = far - 30000, 0
+        blocks = data_of([f for _ in range(6) for f in chip.sample(13)])
+        assert [b[4] for b in blocks] == [far - 30000 + 13 * k * PERIOD_NS // 1000 for k in range(6)]
+        assert blocks[-1][4] > far > blocks[0][4]
+
+
+def test_nothing_is_allocated_while_streaming(chip):
+    """With automatic collection off every allocation would lower heap_free; 1000 frames, syncs and edges leave it as it is."""
+    chip.start()
+    free, blocks = [], 0
+    for i in range(1500):
+        edges = struct.pack(">BBI", 1, i & 1, chip.now_us % 2**32) if i % 50 == 0 else b""
+        for f in chip.sample(13, rx=command(32, i) if i % 20 == 0 else b"", edges=edges):
+            blocks += f[0] == DATA
+            if f[0] == HEARTBEAT:
+                free.append(f[11])
+    assert blocks == 1500
+    assert len(free) >= 18
+    assert set(free[1:]) == {free[1]}, "heap_free moved while streaming"
+    assert free[1] > 80_000
+
+
+def test_heap_holds_a_day_of_commands(chip):
+    """Commands allocate; the collection at a chosen moment gives it back, and its duration is reported."""
+    chip.start()
+    for i in range(400):
+        found = chip.sample(13, rx=command(48, 10 + i))
+        assert sum(f[0] == IDENT for f in found) >= 1
+    beats = [f for _ in range(200) for f in chip.sample(13) if f[0] == HEARTBEAT]
+    assert beats[-1][11] > 80_000
+
+
+def test_trigger_edges_are_stamped_in_full_time(chip):
+    chip.now_us = 2**32 + 500
+    found = chip.give(us=0, edges=struct.pack(">BBI", 1, 1, 2**32 - 7))
+    (event,) = [f for f in found if f[0] == EVENT]
+    assert event[2:] == [1, 2**32 - 7, 1]
+
+
+def test_a_command_is_executed_once(bench):
+    bench.start()
+    bench.sample(26)
+    again = bench.give(rx=command(50, 2))
+    assert again[0][:1] == [REPLY]
+    assert again[0][2] == 2
+    assert data_of(bench.sample(13))[0][3] == 26, "the repeated start did not begin anew"
+
+
+@pytest.mark.parametrize(
+    ("values", "code"), [((49, 7, 0, 4096), 4), ((50, 7), 4)], ids=["configure while streaming", "start twice"]
+)
+def test_refused_while_streaming(bench, values, code):
+    bench.start()
+    (error,) = bench.give(rx=command(*values))
+    assert (error[0], error[2], error[3]) == (ERROR, 7, code)
+
+
+def test_refused_values(bench):
+    for values in ((49, 5, 0, 1000), (49, 6, 3, 4096)):
+        (error,) = bench.give(rx=command(*values))
+        assert (error[0], error[2], error[3]) == (ERROR, values[1], 3)
+
+
+def test_unknown_command_is_refused_by_name(bench):
+    (error,) = bench.give(rx=frame.frame(cbor.encode([99, 8])))
+    assert (error[0], error[2], error[3]) == (ERROR, 8, 1)
+
+
+def test_rubbish_is_counted_and_harmless(bench):
+    rubbish = [
+        b"\x05hello\0",
+        b"\xff" * 300 + b"\0",
+        frame.frame(cbor.encode([49, 4])),
+        frame.frame(cbor.encode([48, 2**30])),
+    ]
+    rubbish += [
+        frame.frame(cbor.encode({"a": 1})),
+        frame.frame(bytes([0x82, 0x18, 0x20, 0x1B, 1, 2, 3, 4, 5, 6, 7, 8])),
+    ]
+    for run in rubbish:
+        assert bench.give(rx=run) == []
+    (beat,) = [f for f in bench.give(us=2_000_000) if f[0] == HEARTBEAT]
+    assert beat[8] == len(rubbish)
+    assert bench.give(rx=command(32, 1))[0][0] == SYNC
+
+
+def test_short_writes_lose_nothing(bench):
+    """The link takes 100 bytes a step: frames go in pieces, every one is finished."""
+    bench.start()
+    tx = b""
+    for _ in range(30):
+        bench.sample(13, tx_room=100)
+        tx += bench.answer.tx
+    for _ in range(60):
+        bench.give(us=10, tx_room=100)
+        tx += bench.answer.tx
+    assert assert_contiguous(data_of(frames(tx))) == 30 * 13
+    beat = [f for f in bench.give(us=2_000_000) if f[0] == HEARTBEAT][0]
+    assert 30 <= beat[6] <= 60, "short writes are counted once a frame"
+    assert beat[7] == 0
+
+
+def test_host_gone_overruns_the_ring_and_is_counted(bench):
+    """A minute without a reader: the box keeps time, counts what it drops, resumes with a jump of n0 and no gap in seq."""
+    bench.start()
+    before = data_of(bench.sample(26))
+    for _ in range(240):
+        bench.sample(13, tx_room=0)
+    tx = bench.answer.tx
+    for _ in range(10):  # the link takes 16 kB a step: frames go in pieces
+        bench.give(us=10)
+        tx += bench.answer.tx
+    bench.sample(26)
+    found = frames(tx + bench.answer.tx)
+    after = data_of(found)
+    seqs = [f[1] for f in found]
+    assert seqs == list(range(seqs[0], seqs[0] + len(seqs)))
+    jumps = [(a[3] + 13, b[3]) for a, b in itertools.pairwise(before + after) if a[3] + 13 != b[3]]
+    assert len(jumps) == 1
+    lost = jumps[0][1] - jumps[0][0]
+    (flagged,) = [b for b in after if b[7] & 1]
+    assert flagged[3] == jumps[0][1]
+    beat = [f for f in bench.give(us=2_000_000) if f[0] == HEARTBEAT][-1]
+    assert beat[7] == lost > 0
+
+
+def test_stalled_firmware_loses_what_lapped_the_board(bench):
+    bench.start()
+    first = data_of(bench.sample(13))
+    for _ in range(6):
+        bench.sample(100, flags=STALL)
+    found = bench.sample(13)
+    (jump,) = [(a[3] + 13, b[3]) for a, b in itertools.pairwise(first + data_of(found)) if a[3] + 13 != b[3]]
+    assert jump[1] - jump[0] == 500, "five hundred were in the board when the sixth hundred lapped them"
+    beat = [f for f in bench.give(us=2_000_000) if f[0] == HEARTBEAT][-1]
+    assert beat[7] == 500
+
+
+def test_an_exception_is_printed_between_frames_and_the_box_restarts():
+    box = Bench(real_micropython())
+    box.start()
+    found = box.sample(26, flags=CRASH)
+    assert box.answer.reset
+    text = b"".join(f for f in found if isinstance(f, bytes)).decode()
+    assert text.startswith("Traceback")
+    assert "injected by the simulator" in text
+    with pytest.raises(BoxDied):
+        box.give()
+    box.box.close()
+
+
+def test_configuration_of_the_flash_reaches_ident():
+    config = {
+        "osr": 1024,
+        "channels": [
+            {
+                "name": "lvdt",
+                "unit": "V",
+                "scale": [1430511474609375, -22],
+                "calibration": {"unit": "m", "poly": [[-123, -6], [375, -4]], "serial": "s1", "date": "2026-01-02"},
+            }
+        ]
+        * 4,
+    }
+    box = Bench(real_micropython(), config=config)
+    stream = ident_document(box.boot)["streams"][0]
+    assert stream["period_ns"] == 245760
+    assert stream["group_delay_ns"] == 360 * 1023
+    assert stream["channels"] == config["channels"]
+    box.box.close()
+
+
+def test_damaged_configuration_is_reported_and_the_box_still_boots():
+    box = Bench(real_micropython(), config={"osr": 5})
+    document = ident_document(box.boot)
+    assert document["fault"].startswith("config: osr is not one of")
+    assert document["streams"][0]["osr"] == 4096
+    box.box.close()
+
+
+def test_records_of_the_tests_are_what_the_board_expects():
+    assert records(3, 1, 10)[:4] == (10 + 3 * PERIOD_NS // 1000).to_bytes(4, "big")
