@@ -1,0 +1,115 @@
+"""Who may import whom (docs/decisions/0001): the imports are read from the source and held against this table."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+HOST = ROOT / "host" / "truearm"
+
+# room of truearm → rooms it may import besides itself, types and errors
+ROOMS = {
+    "model": set(),
+    "observe": {"model"},
+    "estimate": {"observe", "model"},
+    "sensors": set(),
+    "sync": {"sensors"},
+    "record": {"files"},
+    "files": {"model"},
+    "report": set(),
+    "commands": {"model", "observe", "estimate", "sensors", "sync", "record", "files", "report", "cli"},
+    "cli": {"commands"},
+    "types": set(),
+    "errors": set(),
+}
+WIRE_ALLOWED = {"record", "sync"}
+SIMULATOR_ALLOWED = {"commands"}  # simulate and demo alone
+PURE = ("model", "observe", "estimate")  # compute; touch neither files nor the network
+IO_MODULES = {"socket", "serial", "urllib", "http", "subprocess", "shutil", "tempfile", "os", "mcap", "pathlib", "io"}
+DEVICE_MODULES = {"machine", "rp2"}
+# what the firmware may use of MicroPython's library
+FIRMWARE_ALLOWED = {"array", "gc", "io", "json", "sys", "micropython", "os", "board", "truearm_box", "truearm_wire"}
+
+
+def imports(path: Path) -> set[str]:
+    """Dotted names of all modules that a file imports, wherever in the file; relative ones resolved."""
+    found = set()
+    package = list(path.relative_to(path_root(path)).with_suffix("").parts[:-1])
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else []
+            module = ".".join([*base, *(node.module.split(".") if node.module else [])])
+            found |= {f"{module}.{alias.name}" for alias in node.names} | {module}
+    return found
+
+
+def path_root(path: Path) -> Path:
+    for folder in ("host", "protocol", "hil_sim", "firmware", "tests"):
+        if path.is_relative_to(ROOT / folder):
+            return ROOT / folder
+    raise AssertionError(path)
+
+
+def python_files(folder: Path) -> list[Path]:
+    return sorted(p for p in folder.rglob("*.py") if "__pycache__" not in p.parts)
+
+
+def room_of(path: Path) -> str:
+    return path.relative_to(HOST).with_suffix("").parts[0]
+
+
+@pytest.mark.parametrize("path", python_files(HOST), ids=lambda p: str(p.relative_to(HOST)))
+def test_host(path):
+    room = room_of(path)
+    if room == "__init__":
+        assert not {i for i in imports(path) if i.startswith("truearm")}
+        return
+    assert room in ROOMS, f"{room} is a new room: say in ROOMS whom it may import"
+    for name in imports(path):
+        top, *rest = name.split(".")
+        if top == "truearm" and rest and rest[0] not in ("types", "errors", "__version__", room):
+            assert rest[0] in ROOMS[room], f"{room} may not import {name}"
+        assert top != "truearm_wire" or room in WIRE_ALLOWED | SIMULATOR_ALLOWED, f"{room} may not import {name}"
+        assert top != "truearm_sim" or room in SIMULATOR_ALLOWED, f"{room} may not import {name}"
+        assert top not in DEVICE_MODULES
+        if room in PURE:
+            assert top not in IO_MODULES, f"{room} does no input or output, yet imports {name}"
+
+
+def test_only_simulate_and_demo_know_the_simulator():
+    users = {p.stem for p in python_files(HOST) if any(i.startswith("truearm_sim") for i in imports(p))}
+    assert users <= {"simulate", "demo"}
+
+
+@pytest.mark.parametrize("path", python_files(ROOT / "protocol" / "truearm_wire"), ids=lambda p: p.name)
+def test_wire_imports_nothing_of_ours(path):
+    for name in imports(path):
+        assert name.split(".")[0] in {"sys", "micropython", "truearm_wire"}, name
+
+
+@pytest.mark.parametrize("path", python_files(ROOT / "firmware"), ids=lambda p: str(p.relative_to(ROOT)))
+def test_firmware_runs_on_micropython_alone(path):
+    allowed = FIRMWARE_ALLOWED | (DEVICE_MODULES if path.name.startswith("board") else set())
+    for name in imports(path):
+        assert name.split(".")[0] in allowed, name
+
+
+@pytest.mark.parametrize("path", python_files(ROOT / "hil_sim"), ids=lambda p: str(p.relative_to(ROOT)))
+def test_simulator_touches_no_hardware(path):
+    assert not {n.split(".")[0] for n in imports(path)} & DEVICE_MODULES
+
+
+def test_nothing_evaluates_or_unpickles():
+    """Files from strangers are hostile: no eval, exec, pickle or marshal anywhere in what is shipped."""
+    for folder in (HOST, ROOT / "protocol", ROOT / "hil_sim", ROOT / "firmware"):
+        for path in python_files(folder):
+            names = {
+                n.func.id
+                for n in ast.walk(ast.parse(path.read_text()))
+                if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)
+            }
+            assert not names & {"eval", "exec", "compile"}, path
+            assert not {n.split(".")[0] for n in imports(path)} & {"pickle", "marshal", "shelve", "dill"}, path
