@@ -1,0 +1,192 @@
+"""The world that the box measures: a robot with true parameters, a ball-bar, clocks. A function of time and a seed.
+
+Nothing here has a state: ask for any samples or readings, in any order and chunks, and the same ones come. (One block of
+samples is kept, because readers ask for the next few samples of it.) True time starts at 0 with the first move.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.files import plan as plan_file
+from truearm.files.plan import Plan
+from truearm.model.chain import Chain, point_forward
+from truearm.model.robot import builtin_robot
+from truearm.types import BallBar, Floats, Point, Rig
+from truearm_sim import sensors
+from truearm_sim.clocks import Clock, Clocks, draw_clocks
+from truearm_sim.robot import SPEED, Controller
+from truearm_sim.shells import plan_shells
+
+ROBOT, DESIGN, TRUTH = "puma560", "design", "optimised"
+REPEATABILITY = 84e-6  # m
+
+
+def standard_rig() -> Rig:
+    """Three chucks on the table before a PUMA 560, three spheres on its endpoint, bars of 46 and 61 cm."""
+    return Rig(
+        chucks=_triangle("c", centre=(0.45, 0.15, 0.08), radius=0.15, turn=0.2),
+        spheres=_triangle("s", centre=(0.0, 0.0, 0.04), radius=0.10, turn=0.5),
+        bars={
+            name: BallBar(name, zero, gain=1.0, travel=0.075, sigma=REPEATABILITY)
+            for name, zero in (("bar46", 0.46), ("bar61", 0.61))
+        },
+    )
+
+
+def _triangle(prefix: str, centre: tuple[float, float, float], radius: float, turn: float) -> dict[str, Point]:
+    """Three points of an equilateral triangle in a plane of constant z, known to the micrometre as if measured."""
+    points = {}
+    for i in range(3):
+        angle = turn + 2.0 * math.pi * i / 3.0
+        x, y = centre[0] + radius * math.cos(angle), centre[1] + radius * math.sin(angle)
+        points[f"{prefix}{i + 1}"] = Point(f"{prefix}{i + 1}", (round(x, 6), round(y, 6), centre[2]))
+    return points
+
+
+def standard_plan(n_poses: int = 800, seed: int = 0, rig: Rig | None = None) -> Plan:
+    """``n_poses`` poses with each bar of the rig, one bar after the other, planned on the design model."""
+    rig = rig or standard_rig()
+    robot = builtin_robot(ROBOT)
+    design = robot.parameter_sets[DESIGN]
+    plans = [plan_shells(robot.chain, design, rig, bar, n_poses, seed, speed=SPEED) for bar in rig.bars]
+    return plan_file.concatenate(*plans)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a calibration looks for and what it is judged by: parameters (p,), clocks, dwells in true time."""
+
+    params: Floats
+    clocks: Clocks
+    dwell_start: Floats  # (n,) s
+    dwell_end: Floats  # (n,) s
+    length: Floats  # (n,) m, of the bar while the robot stands, repeatability included
+
+
+class World:
+    """The true robot visiting ``plan`` with the bars of ``rig``, as the box and the robot's socket show it."""
+
+    def __init__(
+        self,
+        seed: int,
+        plan: Plan,
+        rig: Rig | None = None,
+        params: Floats | None = None,
+        clocks: Clocks | None = None,
+        robot_rate: float = 50.0,
+    ) -> None:
+        """``params`` (p,): the true robot, Table II's optimised values by default; ``clocks``: drawn from the seed.
+
+        Raises PlanError when the plan names something that the rig does not have.
+        """
+        robot = builtin_robot(ROBOT)
+        self.seed = seed
+        self.rig = rig or standard_rig()
+        plan_file.check_against_rig(plan, self.rig, "the plan")
+        self.chain: Chain = robot.chain
+        self.params = robot.parameter_sets[TRUTH] if params is None else params
+        self.clocks = clocks or draw_clocks(seed)
+        self._p_chuck = np.array([self.rig.chucks[name].xyz for name in plan.chuck])
+        self._p_sphere = np.array([self.rig.spheres[name].xyz for name in plan.sphere])
+        self._zero = np.array([self.rig.bars[name].zero for name in plan.bar])
+        self._gain = np.array([self.rig.bars[name].gain for name in plan.bar])
+        self._travel = np.array([self.rig.bars[name].travel for name in plan.bar])
+        self._scatter = sensors.repeatability(seed, len(plan)) * [self.rig.bars[name].sigma for name in plan.bar]
+        self.controller = Controller.from_plan(plan, self.clocks.robot, seed, robot_rate, self._runs_out(plan))
+        poses = np.arange(len(plan))
+        self._settled_length = self._distance(self.controller.q_held, poses) + self._scatter
+        self._kept: tuple[tuple[int, ...], NDArray[np.int32]] | None = None
+
+    @property
+    def duration(self) -> float:
+        """End of the last dwell [s], true time."""
+        return self.controller.duration
+
+    @property
+    def truth(self) -> Truth:
+        start, end, _ = self.controller.dwells
+        return Truth(self.params, self.clocks, start, end, self._settled_length)
+
+    def _distance(self, q: Floats, poses: NDArray[np.int64]) -> Floats:
+        """Centre to centre (m,) [m] at true joints q (m, j), with the chuck and sphere of each pose."""
+        p_sphere = point_forward(self.chain, self.params, q, self._p_sphere[poses])
+        apart: Floats = np.linalg.norm(p_sphere - self._p_chuck[poses], axis=-1)
+        return apart
+
+    def _runs_out(self, plan: Plan) -> NDArray[np.bool_]:
+        """Poses (n,) on whose way the bar would leave its travel, so that the operator has to take it off."""
+        shares = np.linspace(0.0, 1.0, 9)[:, None]
+        poses = np.repeat(np.arange(1, len(plan)), len(shares))
+        steps = plan.q[:-1, None] + shares * (plan.q[1:] - plan.q[:-1])[:, None]
+        strain = np.abs(self._distance(steps.reshape(len(poses), -1), poses) - self._zero[poses])
+        worst = strain.reshape(-1, len(shares)).max(axis=1)
+        return np.concatenate([[False], worst > 0.5 * self._travel[1:]])
+
+    def length(self, t: Floats) -> Floats:
+        """True length of the bar (m,) [m] at true times t (m,), repeatability included; NaN while it is off."""
+        poses = self.controller.pose_index(t)
+        length = self._settled_length[poses]
+        moving = ~self.controller.is_settled(t)
+        q = self.controller.q_true(t[moving])
+        length[moving] = self._distance(q, poses[moving]) + self._scatter[poses[moving]]
+        return np.where(self.controller.bar_is_on(t), length, np.nan)
+
+    def samples(
+        self, k0: int, k1: int, t_start_device_ns: int, period: int
+    ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+        """Samples k0 ≤ k < k1 of a stream: counts (m, 4) and stamps (m,) [µs of the device clock, rounded down].
+
+        Sample k is taken at the device time ``t_start_device_ns + k·period`` [ns], and shows what was the converter's
+        group delay earlier.
+        """
+        stamps = (t_start_device_ns + np.arange(k0, k1, dtype=np.int64) * period) // 1000
+        parts = []
+        k = k0
+        while k < k1:
+            block, first = divmod(k, sensors.BLOCK)
+            last = min(k1 - block * sensors.BLOCK, sensors.BLOCK)
+            parts.append(self._block(block, t_start_device_ns, period)[first:last])
+            k += last - first
+        counts = np.concatenate(parts) if parts else np.empty((0, len(sensors.CHANNELS)), np.int32)
+        return counts, stamps
+
+    def _block(self, block: int, t_start_device_ns: int, period: int) -> NDArray[np.int32]:
+        """Counts (BLOCK, 4) of a whole block; the last one is kept."""
+        key = (block, t_start_device_ns, period)
+        if self._kept is None or self._kept[0] != key:
+            k = np.arange(block * sensors.BLOCK, (block + 1) * sensors.BLOCK, dtype=np.int64)
+            shown_ns = t_start_device_ns + k * period - sensors.group_delay_ns(period // sensors.MODULATOR_NS)
+            t = self.clocks.device.true(1e-9 * shown_ns)
+            poses = self.controller.pose_index(t)
+            extension = (self.length(t) - self._zero[poses]) / self._gain[poses]
+            self._kept = (key, sensors.sample_counts(extension, self.seed, block))
+        return self._kept[1]
+
+    def robot_lines(self, t0_ns: int, t1_ns: int) -> tuple[NDArray[np.int64], list[bytes]]:
+        """True times of sending (m,) [ns] and lines of the robot's socket with t0 ≤ true time < t1; none after its end."""
+        t, lines = self.controller.reading_lines(1e-9 * t0_ns, 1e-9 * min(t1_ns, self.robot_end_ns))
+        return np.rint(1e9 * t).astype(np.int64), lines
+
+    @property
+    def robot_end_ns(self) -> int:
+        """True time at which the robot's program ends [ns]: half a second after its last dwell."""
+        return round(1e9 * (self.duration + 0.5))
+
+    @property
+    def device_clock(self) -> Clock:
+        """The box's crystal."""
+        return self.clocks.device
+
+    def box_config(self, osr: int = 4096) -> dict[str, Any]:
+        """The configuration file of this world's box: its rate, its channels, the LVDT's calibration."""
+        channels: list[dict[str, Any]] = [
+            {"name": name, "unit": "V", "scale": list(sensors.SCALE)} for name in sensors.CHANNELS
+        ]
+        channels[0]["calibration"] = sensors.calibration()
+        return {"osr": osr, "channels": channels}
