@@ -86,7 +86,7 @@ def payload_of(run: bytes) -> bytes | None:
     if not _ENCODED_MIN <= len(run) <= _ENCODED_MAX:
         return None
     try:
-        raw = cobs.decode(run)
+        raw: bytes = cobs.decode(run)
     except cobs.DecodeError:
         return None
     payload = raw[:-4]
@@ -113,18 +113,18 @@ def frame_seq(payload: bytes) -> int | None:
 
 
 def data_head(payload: bytes) -> tuple[int, int, int] | None:
-    """Stream, ``n0`` and the number of sample bytes of a data frame with uniform timing in the usual widths.
+    """``seq``, stream and number of sample bytes of a data frame with uniform timing in the usual widths.
 
-    The samples' head stands in the frame; the bytes themselves are not looked at. None for any other form.
+    The samples' head stands in the frame; the bytes themselves are not looked at. None for any other frame.
     """
     if len(payload) < 1 + _DATA_USUAL.size or not 0x88 <= payload[0] <= 0x97:
         return None
-    _, m_seq, _, stream, m_n0, n0, m_t0, _, m_period, _, tag, m_bytes, n_bytes = _DATA_USUAL.unpack_from(payload, 1)
-    if (m_seq, m_n0, m_t0, m_period, tag) != (0x1A, 0x1B, 0x1B, 0x1A, 0xD84E) or stream > 0x17:
+    kind, m_seq, seq, stream, m_n0, _, m_t0, _, m_period, _, tag, m_bytes, n_bytes = _DATA_USUAL.unpack_from(payload, 1)
+    if (kind, m_seq, m_n0, m_t0, m_period, tag) != (0x10, 0x1A, 0x1B, 0x1B, 0x1A, 0xD84E) or stream > 0x17:
         return None
     if 0x40 <= m_bytes < 0x58:
-        return stream, n0, m_bytes - 0x40
-    return (stream, n0, n_bytes) if m_bytes == 0x58 else None
+        return seq, stream, m_bytes - 0x40
+    return (seq, stream, n_bytes) if m_bytes == 0x58 else None
 
 
 def data_stream(payload: bytes) -> int | None:

@@ -226,7 +226,7 @@ def _polled(port: serial.SerialBase, name: str) -> Callable[[], bytes]:
 def _blocking(port: serial.SerialBase, name: str) -> Callable[[], bytes]:
     def receive() -> bytes:
         try:
-            return bytes(port.read(max(1, port.in_waiting)))
+            return bytes(port.read(max(1, getattr(port, "in_waiting", 1))))
         except (serial.SerialException, OSError) as exc:
             raise LinkError(f"{name}: the link was lost ({exc})") from exc
 

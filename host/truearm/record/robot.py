@@ -1,12 +1,19 @@
-"""A robot's joint readings: JSON lines over a link, told apart from everything else that a robot may print."""
+"""A robot's joint readings: JSON lines over a link, told apart from everything else that a robot may print.
+
+Like a box's bytes they are stored before anything is made of them, line by line as they came.
+"""
 
 from __future__ import annotations
 
 import json
 from math import isfinite
-from typing import Any
+from typing import Any, TypeGuard
 
+from truearm.errors import LinkClosed, LinkError
 from truearm.record.frames import Runs
+from truearm.record.links import Arrivals, Clock, Link
+from truearm.record.session_writer import SessionWriter
+from truearm.record.status import Counters
 
 MAX_LINE = 8192  # bytes
 MAX_JOINTS = 32
@@ -39,7 +46,7 @@ class JointLines:
         if not isinstance(row, dict) or not _is_number(row.get("t")) or not isinstance(row.get("seq", 0), int):
             return False
         q = row.get("q")
-        if not _is_vector(q) or not 1 <= len(q) <= MAX_JOINTS:
+        if not _is_vector(q):
             return False
         if self._n_joints is None:
             self._n_joints = len(q)
@@ -53,5 +60,54 @@ def _is_number(value: Any) -> bool:
     return type(value) is float and isfinite(value)
 
 
-def _is_vector(value: Any) -> bool:
-    return isinstance(value, list) and all(map(_is_number, value))
+def _is_vector(value: Any) -> TypeGuard[list[float]]:
+    return isinstance(value, list) and 1 <= len(value) <= MAX_JOINTS and all(map(_is_number, value))
+
+
+class RobotIntake:
+    """The robot's side of a recording. ``end`` is the error that ended its stream, None while it runs."""
+
+    def __init__(self, link: Link, writer: SessionWriter, clock: Clock, counters: Counters) -> None:
+        self.end: LinkError | None = None
+        self._link = link
+        self._writer = writer
+        self._clock = clock
+        self._counters = counters
+        self._lines = JointLines()
+
+    def read(self) -> Arrivals:
+        """What has arrived, without waiting; nothing after the end."""
+        if self.end is not None:
+            return []
+        try:
+            return self._link.read(0.0)
+        except LinkError as exc:
+            self.end = exc
+        now_ns = self._clock.now_ns()
+        self.flush(now_ns)
+        self._writer.event("robot-closed" if self.closed else "robot-lost", now_ns, text=str(self.end))
+        return []
+
+    @property
+    def closed(self) -> bool:
+        """Whether the robot ended its stream in order."""
+        return isinstance(self.end, LinkClosed)
+
+    def take(self, t_host_ns: int, data: bytes) -> None:
+        """Store bytes that arrived."""
+        for is_joints, line in self._lines.push(data):
+            if is_joints:
+                self._counters.robot_lines += 1
+                self._writer.add("/robot/joints", t_host_ns, line)
+            else:
+                self._store_console(t_host_ns, line)
+
+    def flush(self, t_host_ns: int) -> None:
+        """Store what came behind the last line feed."""
+        rest = self._lines.flush()
+        if rest:
+            self._store_console(t_host_ns, rest)
+
+    def _store_console(self, t_host_ns: int, data: bytes) -> None:
+        self._counters.robot_console_bytes += len(data)
+        self._writer.add("/robot/console", t_host_ns, data)

@@ -1,0 +1,48 @@
+"""Clock exchanges with the box: requests under way, and the ``/sync`` rows that they become.
+
+t0 is the host's time before the request was handed over, t3 that of the reply's arrival; the box's t1 and t2 lie
+between them (SPEC §4). A request that is not answered in 2 s becomes a row with nulls.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from truearm.record.session_writer import SessionWriter
+
+SYNC_TIMEOUT_NS = 2_000_000_000
+
+
+@dataclass
+class Probes:
+    """Exchanges by id: those under way, and what became of the others."""
+
+    writer: SessionWriter
+    rtt_us: float | None = None  # the shortest exchange, without the box's own part
+    sent: int = 0
+    unanswered: int = 0
+    _pending: dict[int, int] = field(default_factory=dict)  # id: t0
+
+    def asked(self, probe: int, t0_ns: int) -> None:
+        """A request went out at ``t0_ns``."""
+        self._pending[probe] = t0_ns
+        self.sent += 1
+
+    def answered(self, probe: int, t1_us: int, t2_us: int, t3_ns: int) -> None:
+        """A reply arrived; one that is unknown, too late or doubled is not counted again."""
+        t0_ns = self._pending.pop(probe, None)
+        if t0_ns is None:
+            return
+        row = {"id": probe, "t0_ns": t0_ns, "t1_us": t1_us, "t2_us": t2_us, "t3_ns": t3_ns}
+        self.writer.add_json("/sync", t3_ns, row)
+        rtt_us = (t3_ns - t0_ns) / 1000 - (t2_us - t1_us)
+        self.rtt_us = rtt_us if self.rtt_us is None else min(rtt_us, self.rtt_us)
+
+    def expire(self, now_ns: int, older_than_ns: int = SYNC_TIMEOUT_NS) -> None:
+        """Give up requests of that age."""
+        late = [probe for probe, t0_ns in self._pending.items() if now_ns - t0_ns >= older_than_ns]
+        for probe in late:
+            row: dict[str, Any] = {"id": probe, "t0_ns": self._pending.pop(probe), "t1_us": None, "t2_us": None}
+            self.writer.add_json("/sync", now_ns, {**row, "t3_ns": None})
+            self.unanswered += 1

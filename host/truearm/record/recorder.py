@@ -1,0 +1,334 @@
+"""Hop 3: everything that a box and a robot send, into a session file.
+
+One loop (``_pump``) reads both links and stores what came; every wait for an answer is that same loop, so nothing is
+missed while a command is under way. Time comes from the clock and passes in ``Link.read`` alone: with the simulator's
+clock and links this module runs in virtual time.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping
+from operator import itemgetter
+from typing import Any
+
+from truearm_wire.frame import frame
+from truearm_wire.messages import CONFIGURE, IDENTIFY, START, STOP, SYNC_REQUEST, encode_payload
+
+from truearm.errors import LinkError, ProtocolError, TruearmError
+from truearm.record.ident import Ident
+from truearm.record.intake import Answer, Intake
+from truearm.record.links import Clock, Link, Reopenable
+from truearm.record.probes import Probes
+from truearm.record.robot import RobotIntake
+from truearm.record.session_writer import SessionWriter
+from truearm.record.status import Counters, RecordSummary, Status
+
+SECOND = 1_000_000_000
+CHORES_NS = SECOND // 20  # probes, chunks and progress are looked after at this pace
+PROBE_NS = SECOND // 4
+PROGRESS_NS = SECOND // 4
+RETRY_NS = SECOND // 2
+RETRIES = 10  # 5 s: a box that was just plugged in waits 2 s before it runs
+STOP_RETRIES = 4  # somebody who pressed Ctrl-C waits for this
+SILENCE_NS = 3 * SECOND  # of a box that sends a heartbeat every second
+REOPEN_S = 0.5
+DRAIN_NS = SECOND // 5
+
+_COMMANDS = {IDENTIFY: "identify", CONFIGURE: "configure", START: "start", STOP: "stop"}
+_IDS = 2**29  # SPEC §6: ids stay below 2^30
+
+
+class _Ended(Exception):
+    """The recording is over, for ``reason`` (see RecordSummary)."""
+
+    def __init__(self, reason: str, text: str = "") -> None:
+        self.reason = reason
+        self.text = text
+
+
+def record(
+    link: Link,
+    writer: SessionWriter,
+    clock: Clock,
+    *,
+    robot: Link | None = None,
+    plan: Iterable[Mapping[str, Any]] = (),
+    rig_toml: bytes | None = None,
+    mounted: Mapping[str, str] | None = None,
+    osr: int | None = None,
+    duration_s: float | None = None,
+    until: Callable[[], bool] | None = None,
+    interrupted: Callable[[], bool] | None = None,
+    progress: Callable[[Status], None] | None = None,
+) -> RecordSummary:
+    """Identify, configure and start the box, then record until the end; completes and closes the session file.
+
+    The end: ``duration_s`` after the start, the robot closing its stream, ``until()`` or ``interrupted()`` turning
+    true (both asked every 50 ms), KeyboardInterrupt, or a lost link that cannot be opened again. ``plan``: one mapping
+    a pose, as ``/plan`` holds them. ``osr`` is configured on every stream that has one; None leaves them.
+    ``progress`` is called four times a second. The links stay open.
+
+    Raises LinkError if the box does not answer, ProtocolError if it refuses a command or speaks another protocol,
+    TruearmError if the file cannot be written; what came until then is kept in the file.
+    """
+    ends = {"until": until, "interrupted": interrupted}
+    recorder = _Recorder(link, writer, clock, robot, osr, duration_s, ends, progress)
+    return recorder.run(plan, rig_toml, mounted)
+
+
+class _Recorder:
+    def __init__(
+        self,
+        link: Link,
+        writer: SessionWriter,
+        clock: Clock,
+        robot: Link | None,
+        osr: int | None,
+        duration_s: float | None,
+        ends: Mapping[str, Callable[[], bool] | None],
+        progress: Callable[[Status], None] | None,
+    ) -> None:
+        self._link = link
+        self._writer = writer
+        self._clock = clock
+        self._osr = osr
+        self._duration_s = duration_s
+        self._ends = ends
+        self._progress = progress
+
+        self._counters = Counters()
+        self._probes = Probes(writer)
+        self._box = Intake(writer, self._counters, self._probes)
+        self._robot = None if robot is None else RobotIntake(robot, writer, clock, self._counters)
+        now_ns = clock.now_ns()
+        # Ids go on from the clock: the box may still remember, by its id, a command of an earlier session (SPEC §6).
+        self._last_id = now_ns // 1_000_000 % _IDS
+        self._state = "identifying"
+        self._to_set_up = True
+        self._to_ask = False  # whether the box is still the one that it was
+        self._started_ns: int | None = None
+        self._silent = False
+        self._next_chores_ns = self._next_probe_ns = self._next_progress_ns = now_ns
+
+    # --- the course of a recording
+
+    def run(
+        self, plan: Iterable[Mapping[str, Any]], rig_toml: bytes | None, mounted: Mapping[str, str] | None
+    ) -> RecordSummary:
+        end = _Ended("failed")
+        try:
+            self._write_head(plan, rig_toml, mounted)
+            self._record()
+        except _Ended as exc:
+            end = exc
+        except KeyboardInterrupt:
+            end = _Ended("interrupted")
+        except TruearmError as exc:
+            end = _Ended("failed", str(exc))
+            raise
+        finally:
+            duration_s = self._elapsed_s()
+            self._finish(end)
+        return RecordSummary(end.reason, end.text, duration_s, self._probes.rtt_us, self._counters)
+
+    def _write_head(
+        self, plan: Iterable[Mapping[str, Any]], rig_toml: bytes | None, mounted: Mapping[str, str] | None
+    ) -> None:
+        now_ns = self._clock.now_ns()
+        if rig_toml is not None:
+            self._writer.attach("rig.toml", "application/toml", rig_toml)
+        for pose in plan:
+            self._writer.add_json("/plan", now_ns, pose)
+        if mounted:
+            self._writer.event("mounted", now_ns, **mounted)
+
+    def _record(self) -> None:
+        while True:
+            try:
+                self._check_end()
+                if self._to_set_up or self._box.restarted:
+                    self._set_up()
+                elif self._to_ask or self._box.suspect:
+                    self._ask()
+                self._pump(CHORES_NS)
+            except ProtocolError:
+                raise
+            except LinkError as exc:
+                self._reconnect(exc)
+
+    def _set_up(self) -> None:
+        self._state = "identifying"
+        self._box.restarted = False
+        self._command(IDENTIFY)
+        self._command(STOP, may_fail=True)  # a recorder that was killed left it streaming
+        self._configure()
+        self._command(START)
+        now_ns = self._clock.now_ns()
+        self._writer.event("start", now_ns)
+        if self._started_ns is None:
+            self._started_ns = now_ns
+        self._to_set_up = self._to_ask = False
+        self._state = "recording"
+
+    def _configure(self) -> None:
+        others = [s for s in self._ident().streams.values() if self._osr is not None and s.osr not in (0, self._osr)]
+        for stream in others:
+            self._command(CONFIGURE, stream.id, self._osr)
+        if others:
+            self._command(IDENTIFY)  # period and group delay depend on the osr
+        self._writer.metadata("box", {"ident": json.dumps(self._ident().document)})
+
+    def _ask(self) -> None:
+        """Have the box say whether it restarted: ``_box.restarted`` tells."""
+        suspect = self._box.suspect
+        self._command(IDENTIFY)
+        self._to_ask = False
+        if suspect and not self._box.restarted:
+            self._box.cleared()
+
+    def _ident(self) -> Ident:
+        if self._box.ident is None:
+            raise ProtocolError(f"{self._link.name}: the box answers but does not say what it is; update its firmware")
+        return self._box.ident
+
+    def _check_end(self) -> None:
+        if self._state == "stopping":
+            return
+        for reason, asked in self._ends.items():
+            if asked is not None and asked():
+                raise _Ended(reason)
+        if self._robot is not None and self._robot.end is not None:
+            raise _Ended("robot closed" if self._robot.closed else "robot lost", str(self._robot.end))
+        if self._started_ns is not None and self._duration_s is not None and self._elapsed_s() >= self._duration_s:
+            raise _Ended("duration")
+
+    def _reconnect(self, error: LinkError) -> None:
+        now_ns = self._clock.now_ns()
+        self._box.flush(now_ns)
+        if self._box.ident is None:
+            raise error  # it never answered: there is nothing to wait for
+        self._state = "link lost"
+        self._counters.link_losses += 1
+        self._writer.event("link-lost", now_ns, text=str(error))
+        if not isinstance(self._link, Reopenable):
+            raise _Ended("link lost", str(error))
+        while not self._link.reopen(REOPEN_S):
+            if self._robot is not None:
+                for t_host_ns, data in self._robot.read():
+                    self._robot.take(t_host_ns, data)
+            self._chores(self._clock.now_ns())
+            self._check_end()
+        self._box.heard_ns = self._clock.now_ns()
+        self._writer.event("link-back", self._box.heard_ns)
+        self._to_ask = True
+        self._state = "recording"
+
+    def _finish(self, end: _Ended) -> None:
+        """Stop the box and complete the file, whatever happens on the way."""
+        try:
+            if self._box.ident is not None and self._state != "link lost":
+                self._stop()
+        except (LinkError, KeyboardInterrupt):
+            pass  # what came is kept; the next recorder stops the box first
+        finally:
+            now_ns = self._clock.now_ns()
+            self._box.flush(now_ns)
+            if self._robot is not None:
+                self._robot.flush(now_ns)
+            self._probes.expire(now_ns, 0)
+            self._count_probes()
+            self._writer.event("stop", now_ns, reason=end.reason, text=end.text)
+            counters = {name: str(value) for name, value in vars(self._counters).items()}
+            self._writer.close({"reason": end.reason, **counters})
+
+    def _stop(self) -> None:
+        self._state = "stopping"
+        self._command(STOP, may_fail=True, retries=STOP_RETRIES)
+        deadline_ns = self._clock.now_ns() + DRAIN_NS
+        while (left_ns := deadline_ns - self._clock.now_ns()) > 0:
+            self._pump(left_ns)
+
+    # --- commands
+
+    def _next_id(self) -> int:
+        self._last_id = self._last_id % _IDS + 1
+        return self._last_id
+
+    def _command(self, kind: int, *arguments: Any, may_fail: bool = False, retries: int = RETRIES) -> None:
+        """Send a command until it is answered. Raises LinkError if it never is, ProtocolError if it is refused."""
+        self._box.awaited, self._box.answer = self._next_id(), None
+        data = frame(encode_payload([kind, self._box.awaited, *arguments]))
+        name = _COMMANDS[kind]
+        for _ in range(retries):
+            self._link.write(data)
+            answer = self._await_answer()
+            if answer is not None:
+                break
+        else:
+            raise LinkError(
+                f"{self._link.name}: no answer to {name!r} in {retries * RETRY_NS / SECOND:g} s; "
+                "is this a truearm box, and does its firmware run?"
+            )
+        if answer.error is not None and not may_fail:
+            raise ProtocolError(f"{self._link.name}: the box refuses {name!r} {list(arguments)}: {answer.error}")
+
+    def _await_answer(self) -> Answer | None:
+        deadline_ns = self._clock.now_ns() + RETRY_NS
+        while self._box.answer is None:
+            left_ns = deadline_ns - self._clock.now_ns()
+            if left_ns <= 0:
+                return None
+            self._check_end()
+            self._pump(left_ns)
+        return self._box.answer
+
+    # --- the loop
+
+    def _pump(self, timeout_ns: int) -> None:
+        now_ns = self._clock.now_ns()
+        if now_ns >= self._next_chores_ns:
+            self._chores(now_ns)
+        arrivals = [(t, self._box.take, data) for t, data in self._link.read(min(timeout_ns, CHORES_NS) / SECOND)]
+        if self._robot is not None:
+            arrivals += [(t, self._robot.take, data) for t, data in self._robot.read()]
+            arrivals.sort(key=itemgetter(0))
+        for t_host_ns, take, data in arrivals:
+            take(t_host_ns, data)
+
+    def _chores(self, now_ns: int) -> None:
+        self._next_chores_ns = now_ns + CHORES_NS
+        self._writer.tick(now_ns)
+        self._probes.expire(now_ns)
+        if self._state == "recording":
+            self._watch_silence(now_ns)
+            self._probe(now_ns)
+        if self._progress is not None and now_ns >= self._next_progress_ns:
+            self._next_progress_ns = now_ns + PROGRESS_NS
+            self._count_probes()
+            self._progress(self._status())
+
+    def _probe(self, now_ns: int) -> None:
+        if now_ns < self._next_probe_ns:
+            return
+        self._next_probe_ns = max(self._next_probe_ns + PROBE_NS, now_ns)
+        probe = self._next_id()
+        self._probes.asked(probe, self._link.write(frame(encode_payload([SYNC_REQUEST, probe]))))
+
+    def _watch_silence(self, now_ns: int) -> None:
+        heard_ns = self._box.heard_ns
+        silent = heard_ns is not None and now_ns - heard_ns > SILENCE_NS
+        if silent != self._silent:
+            self._silent = silent
+            self._writer.event("box-silent" if silent else "box-heard", now_ns, heard_ns=heard_ns)
+
+    def _elapsed_s(self) -> float:
+        return 0.0 if self._started_ns is None else (self._clock.now_ns() - self._started_ns) / SECOND
+
+    def _count_probes(self) -> None:
+        self._counters.probes = self._probes.sent
+        self._counters.unanswered_probes = self._probes.unanswered
+
+    def _status(self) -> Status:
+        robot_ok = None if self._robot is None else self._robot.end is None
+        return Status(self._elapsed_s(), self._state, self._probes.rtt_us, robot_ok, self._counters)

@@ -1,0 +1,158 @@
+"""Writing a session file: MCAP that a crash cannot take with it.
+
+The mcap library gathers messages in a chunk and writes it when it is full, which at slow data would be half a minute.
+Here a chunk also ends when its first message is ``CHUNK_NS`` old, and is handed to the operating system then; once a
+second of real time the disk is told to keep it (fsync). A killed recorder therefore loses less than a second. About
+3.5 µs a message of 200 bytes.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from mcap.writer import CompressionType, Writer
+
+from truearm import __version__
+from truearm.errors import InputError, TruearmError
+from truearm.record.links import Clock
+
+CHUNK_NS = 800_000_000  # with the recorder's pace of 50 ms no message waits longer than 1 s
+_CHUNK_BYTES = 1 << 20
+_FSYNC_EVERY_S = 0.9
+
+_CONSOLE_TOPICS = frozenset({"/box/console", "/robot/console"})
+_NUMBERS = {"type": "array", "items": {"type": "number"}}
+_TEXTS = {name: {"type": "string"} for name in ("bar", "chuck", "sphere", "shell")}
+_PROPERTIES: dict[str, dict[str, Any]] = {
+    "/sync": {name: {"type": ["integer", "null"]} for name in ("id", "t0_ns", "t1_us", "t2_us", "t3_ns")},
+    "/robot/joints": {"t": {"type": "number"}, "seq": {"type": "integer"}, "q": _NUMBERS, "q_cmd": _NUMBERS},
+    "/events": {"kind": {"type": "string"}, **_TEXTS},
+    "/plan": {"pose": {"type": "integer"}, **_TEXTS, "q": _NUMBERS},
+}
+
+
+class SessionWriter:
+    """An open session file. ``close`` (or leaving the ``with`` block) completes it; an unclosed one is readable too.
+
+    Raises InputError where the file cannot be made, TruearmError where it cannot be written any more (a full disk).
+    """
+
+    def __init__(self, path: Path, clock: Clock, *, overwrite: bool = False) -> None:
+        self.path = path
+        try:
+            self._file = path.open("wb" if overwrite else "xb")
+        except FileExistsError as exc:
+            raise InputError(f"{path}: exists; choose another name or give --force") from exc
+        except OSError as exc:
+            raise InputError(f"{path}: cannot be written: {exc.strerror}") from exc
+        self._clock = clock
+        self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._channels: dict[str, list[int]] = {}  # topic: channel id, messages so far
+        self._chunk_since_ns: int | None = None
+        self._synced_s = time.monotonic()
+        self._writer.start(profile="truearm", library=f"truearm {__version__}")
+        self.metadata("session", {"version": __version__, "clock": clock.kind, **_anchor(clock)})
+
+    def __enter__(self) -> SessionWriter:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, exc: BaseException | None, tb: TracebackType | None) -> None:
+        self.close()
+
+    def add(self, topic: str, t_host_ns: int, data: bytes) -> None:
+        """Append a message as it is."""
+        channel = self._channels.get(topic)
+        if channel is None:
+            channel = self._channels[topic] = [self._register(topic), 0]
+        try:
+            self._writer.add_message(channel[0], t_host_ns, data, t_host_ns, channel[1])
+        except OSError as exc:
+            raise self._cannot_write(exc) from exc
+        channel[1] = channel[1] + 1 & 0xFFFFFFFF
+        if self._chunk_since_ns is None:
+            self._chunk_since_ns = t_host_ns
+        elif t_host_ns - self._chunk_since_ns >= CHUNK_NS:
+            self._finish_chunk()
+
+    def add_json(self, topic: str, t_host_ns: int, row: Mapping[str, Any]) -> None:
+        """Append ``row`` as JSON."""
+        self.add(topic, t_host_ns, json.dumps(row, separators=(",", ":")).encode())
+
+    def event(self, kind: str, t_host_ns: int, **fields: Any) -> None:
+        """Append to ``/events``."""
+        self.add_json("/events", t_host_ns, {"kind": kind, **fields})
+
+    def metadata(self, name: str, entries: Mapping[str, str]) -> None:
+        """Write a metadata record. A later one of the same name counts."""
+        try:
+            self._writer.add_metadata(name, dict(entries))
+            self._file.flush()
+        except OSError as exc:
+            raise self._cannot_write(exc) from exc
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """Write an attachment."""
+        now_ns = self._clock.now_ns()
+        try:
+            self._writer.add_attachment(now_ns, now_ns, name, media_type, data)
+        except OSError as exc:
+            raise self._cannot_write(exc) from exc
+
+    def tick(self, now_ns: int) -> None:
+        """End the chunk if it is old enough; to be called several times a second, also when nothing arrives."""
+        if self._chunk_since_ns is not None and now_ns - self._chunk_since_ns >= CHUNK_NS:
+            self._finish_chunk()
+
+    def close(self, end: Mapping[str, str] | None = None) -> None:
+        """Write the metadata ``session-end`` (the clock's anchor and ``end``), the index, and make the disk keep all.
+
+        A second call does nothing.
+        """
+        if self._file.closed:
+            return
+        try:
+            self._writer.add_metadata("session-end", {**_anchor(self._clock), **(end or {})})
+            self._writer.finish()
+            self._file.flush()
+            os.fsync(self._file.fileno())
+        except OSError as exc:
+            raise self._cannot_write(exc) from exc
+        finally:
+            with suppress(OSError):  # a full disk refuses the same bytes again
+                self._file.close()
+
+    def _register(self, topic: str) -> int:
+        if topic in _CONSOLE_TOPICS:
+            return self._writer.register_channel(topic, "application/octet-stream", 0)
+        if topic.startswith("/box/"):
+            return self._writer.register_channel(topic, "cbor", 0)
+        schema = {"type": "object", "properties": _PROPERTIES.get(topic, {})}
+        schema_id = self._writer.register_schema("truearm" + topic, "jsonschema", json.dumps(schema).encode())
+        return self._writer.register_channel(topic, "json", schema_id)
+
+    def _finish_chunk(self) -> None:
+        try:
+            self._writer.flush()
+            # The clock here is the real one on purpose: in virtual time an hour passes in seconds.
+            now_s = time.monotonic()
+            if now_s - self._synced_s >= _FSYNC_EVERY_S:
+                os.fsync(self._file.fileno())
+                self._synced_s = time.monotonic()
+        except OSError as exc:
+            raise self._cannot_write(exc) from exc
+        self._chunk_since_ns = None
+
+    def _cannot_write(self, exc: OSError) -> TruearmError:
+        return TruearmError(f"{self.path}: cannot be written any more ({exc.strerror}); what is in it stays readable")
+
+
+def _anchor(clock: Clock) -> dict[str, str]:
+    utc_ns, monotonic_ns = clock.utc_anchor()
+    return {"utc_ns": str(utc_ns), "monotonic_ns": str(monotonic_ns)}

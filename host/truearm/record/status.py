@@ -1,0 +1,50 @@
+"""What a recording says about itself: while it runs, and at its end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass
+class Counters:
+    """What was seen so far; the session file's ``session-end`` repeats it. For people: inspect counts anew."""
+
+    frames: int = 0
+    samples: int = 0
+    lost_frames: int = 0
+    doubled_frames: int = 0
+    console_bytes: int = 0
+    probes: int = 0
+    unanswered_probes: int = 0
+    robot_lines: int = 0
+    robot_console_bytes: int = 0
+    restarts: int = 0
+    link_losses: int = 0
+    dropped_in_box: int = 0  # frames, by the last heartbeat
+    overruns_in_box: int = 0  # samples, by the last heartbeat
+
+
+@dataclass(frozen=True)
+class Status:
+    """For a progress display. ``rtt_us``: the shortest exchange with the box so far."""
+
+    elapsed_s: float  # since the start of the stream; 0 before it
+    state: str  # "identifying" | "recording" | "link lost" | "stopping"
+    rtt_us: float | None
+    robot_ok: bool | None  # None: no robot
+    counters: Counters
+
+
+@dataclass(frozen=True)
+class RecordSummary:
+    """How a recording ended.
+
+    ``reason`` is "duration", "robot closed", "robot lost", "interrupted", "until" or "link lost"; ``text`` explains
+    what was lost or closed. ``duration_s`` runs from the start of the stream.
+    """
+
+    reason: str
+    text: str
+    duration_s: float
+    rtt_us: float | None
+    counters: Counters
