@@ -1,0 +1,161 @@
+"""The whole lab in virtual time: box, robot and the links between them and the host.
+
+True time is integer nanoseconds from the start of the lab; the host's monotonic clock is true time plus a constant, as if
+the computer had run for some hours. Nothing advances by itself. Whoever reads a link lets time pass: up to the next thing that arrives, at most by the time-out. The
+recorder runs unchanged: it takes time from :class:`VirtualClock` and waits in ``read`` alone. Latencies are drawn from a
+seeded generator, so a run is repeatable to the byte.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from truearm.errors import LinkClosed, LinkError
+
+from .simbox import SimulatedBox
+from .world import World
+
+STEP_NS = 50_000_000  # the box's bytes are fetched at least this often
+HOST_AT_START_NS = 12_345_678_901_234
+UTC_NS = 1_767_225_600_000_000_000  # 2026-01-01T00:00:00Z: the virtual lab's calendar
+
+
+@dataclass(frozen=True)
+class Latency:
+    """One way over a link: at least ``least``, plus an exponential part, now and then a stall; nanoseconds."""
+
+    least: float
+    mean_extra: float
+    stall: float = 0.0
+    stall_probability: float = 0.0
+
+    def draw(self, rng: np.random.Generator) -> int:
+        extra = rng.exponential(self.mean_extra)
+        if self.stall_probability and rng.random() < self.stall_probability:
+            extra += rng.exponential(self.stall)
+        return int(self.least + extra)
+
+
+# full-speed USB: a frame of 1 ms, of which the controller wastes little on bulk transfers; and a quiet local network
+TO_BOX = Latency(125e3, 80e3, 5e6, 0.01)
+FROM_BOX = Latency(150e3, 120e3, 8e6, 0.01)
+FROM_ROBOT = Latency(300e3, 200e3, 20e6, 0.005)
+
+
+class Lab:
+    """Box and robot in virtual time; ``box_link``, ``robot_link`` and ``clock`` are what the recorder is given."""
+
+    def __init__(self, world: World, box: SimulatedBox, seed: int = 0) -> None:
+        self.world = world
+        self.box = box
+        self.now_ns = 0
+        self._rng = np.random.default_rng((seed, 1))
+        self._to_box: list[tuple[int, int, bytes]] = []  # heap of (arrival, order, bytes)
+        self._order = 0
+        self._next_step_ns = 0
+        self._arrivals: dict[str, deque[tuple[int, bytes]]] = {"box": deque(), "robot": deque()}
+        self._last_ns = {"box": 0, "robot": 0, "to box": 0}
+        self._robot_until_ns = 0
+        self.clock = VirtualClock(self)
+        self.box_link = VirtualLink(self, "box")
+        self.robot_link = VirtualLink(self, "robot")
+
+    # -- time
+
+    def read(self, which: str, timeout_s: float) -> list[tuple[int, bytes]]:
+        """What has arrived on a link; lets time pass, up to ``timeout_s``, until something has."""
+        deadline = self.now_ns + int(timeout_s * 1e9)
+        arrivals = self._arrivals[which]
+        while not (arrivals and arrivals[0][0] <= self.now_ns) and self.now_ns < deadline:
+            self._pass_to(min(deadline, self._next_event_ns(which)))
+        if which == "robot" and not arrivals and self.now_ns >= self.world.robot_end_ns:
+            raise LinkClosed("the robot's program has ended")
+        found = []
+        while arrivals and arrivals[0][0] <= self.now_ns:
+            t_ns, data = arrivals.popleft()
+            found.append((self.host_ns(t_ns), data))
+        return found
+
+    def write(self, data: bytes) -> int:
+        """Bytes from the host to the box; they arrive in order."""
+        at = self._in_order("to box", self.now_ns + TO_BOX.draw(self._rng))
+        self._order += 1
+        heapq.heappush(self._to_box, (at, self._order, data))
+        return self.host_ns(self.now_ns)
+
+    def host_ns(self, t_ns: int) -> int:
+        """The host's clock at true time ``t_ns``."""
+        return HOST_AT_START_NS + t_ns
+
+    def _next_event_ns(self, which: str) -> int:
+        times = [self._next_step_ns]
+        if self._to_box:
+            times.append(self._to_box[0][0])
+        if self._arrivals[which]:
+            times.append(self._arrivals[which][0][0])
+        return max(min(times), self.now_ns)
+
+    def _pass_to(self, t_ns: int) -> None:
+        self.now_ns = t_ns
+        rx = b""
+        while self._to_box and self._to_box[0][0] <= t_ns:
+            rx += heapq.heappop(self._to_box)[2]
+        if rx or t_ns >= self._next_step_ns:
+            for tx in self.box.advance(t_ns, rx):
+                at = self._in_order("box", t_ns + FROM_BOX.draw(self._rng))
+                self._arrivals["box"].append((at, tx))
+        if t_ns >= self._next_step_ns:
+            self._next_step_ns = t_ns + STEP_NS
+            self._robot_speaks(t_ns)
+
+    def _robot_speaks(self, t_ns: int) -> None:
+        """The lines that the controller sent since the last step, each with its own delay."""
+        times_ns, lines = self.world.robot_lines(self._robot_until_ns, t_ns + STEP_NS)
+        self._robot_until_ns = t_ns + STEP_NS
+        for sent_ns, line in zip(times_ns, lines, strict=True):
+            at = self._in_order("robot", int(sent_ns) + FROM_ROBOT.draw(self._rng))
+            self._arrivals["robot"].append((at, line))
+
+    def _in_order(self, stream: str, t_ns: int) -> int:
+        """A byte stream keeps its order: nothing arrives before what was sent earlier."""
+        self._last_ns[stream] = max(self._last_ns[stream], t_ns)
+        return self._last_ns[stream]
+
+
+class VirtualClock:
+    """The host's clock in the lab."""
+
+    kind = "virtual"
+
+    def __init__(self, lab: Lab) -> None:
+        self._lab = lab
+
+    def now_ns(self) -> int:
+        return self._lab.host_ns(self._lab.now_ns)
+
+    def utc_anchor(self) -> tuple[int, int]:
+        return UTC_NS + self._lab.now_ns, self.now_ns()
+
+
+class VirtualLink:
+    """One of the lab's links, as the recorder knows links (truearm.record.links.Link)."""
+
+    def __init__(self, lab: Lab, which: str) -> None:
+        self.name = f"simulated {which}"
+        self._lab = lab
+        self._which = which
+
+    def read(self, timeout_s: float) -> list[tuple[int, bytes]]:
+        return self._lab.read(self._which, timeout_s)
+
+    def write(self, data: bytes) -> int:
+        if self._which == "robot":
+            raise LinkError("robot: this link is read only")
+        return self._lab.write(data)
+
+    def close(self) -> None:
+        return
