@@ -13,7 +13,7 @@ from truearm.errors import ProblemError
 from truearm.estimate.identifiability import Identifiability, identifiability
 from truearm.estimate.information import Information, covariance, observe, spectrum, with_prior
 from truearm.estimate.lm import RANK_TOLERANCE, Minimum, minimise
-from truearm.estimate.problem import Problem, build_problem
+from truearm.estimate.problem import Problem, build_problem, settled
 from truearm.model.chain import Chain
 from truearm.observe.socket_distance import SocketDistanceRows
 from truearm.types import Estimate, Floats, HeldOut, ObservationTable, Rig
@@ -130,7 +130,7 @@ def _what_is_seen(
     n_robot = int(columns[: problem.n_robot].sum())
     rig_prior = problem.prior_sigma[columns]
     rig_prior[:n_robot] = np.inf
-    data = with_prior(observe(problem, x, columns), (problem.start - x)[columns], rig_prior)
+    data = with_prior(observe(settled(problem, x), x, columns), (problem.start - x)[columns], rig_prior)
     names = [name for name, is_free in zip(problem.names, columns, strict=True) if is_free]
     matrix = np.zeros((x.size, x.size))
     matrix[np.ix_(columns, columns)] = covariance(spectrum(minimum.information.root), RANK_TOLERANCE)

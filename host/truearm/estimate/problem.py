@@ -9,7 +9,7 @@ start at the mean of the ball's positions that the nominal robot predicts.
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -128,6 +128,12 @@ def evaluate(problem: Problem, group: Group, x: Floats) -> Linearised:
     if isinstance(group, SeatRows):
         return seat.evaluate(problem.chain, group, x)
     return socket_distance.evaluate(problem.chain, group, x)
+
+
+def settled(problem: Problem, x: Floats) -> Problem:
+    """The problem with its seats settled (``seat.settle``), to count what its observations can see at x."""
+    groups = (seat.settle(problem.chain, g, x) if isinstance(g, SeatRows) else g for g in problem.groups)
+    return replace(problem, groups=tuple(groups))
 
 
 class _Layout:

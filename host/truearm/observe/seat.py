@@ -6,7 +6,7 @@ parameters per place and socket, so only the spread of the predicted ball about 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,3 +43,17 @@ def evaluate(chain: Chain, rows: SeatRows, x: Floats) -> Linearised:
         scatter(columns, rows.socket[:, axis : axis + 1], np.full((len(rows.row), 1), -1.0))
         jac[:, axis], jac_joints[:, axis] = columns, derivative.jac_joints
     return Linearised(residual.ravel(), jac.reshape(-1, x.size), jac_joints.reshape(-1, len(chain.joints)))
+
+
+def settle(chain: Chain, rows: SeatRows, x: Floats) -> SeatRows:
+    """The seats with joint readings moved, as little as possible, until every ball sits in its socket at x.
+
+    A rank test needs it. Turning the base and all sockets together changes no spread, yet the Jacobian's column for it
+    is −ω × residual: only where the residuals vanish does the Jacobian show the model's own null space. Three Newton
+    steps; a seat whose joints cannot move the ball in some direction (1e-3 of its best one) keeps that residual.
+    """
+    for _ in range(3):
+        lin = evaluate(chain, rows, x)
+        inverse = np.linalg.pinv(lin.jac_joints.reshape(-1, 3, len(chain.joints)), rcond=1e-3)
+        rows = replace(rows, q=rows.q + (inverse @ lin.residual.reshape(-1, 3, 1))[..., 0])
+    return rows
