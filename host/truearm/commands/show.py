@@ -21,6 +21,7 @@ Document = Mapping[str, Any]
 BORDER = {"m": ("mm", 1e3, 4), "rad": ("deg", 180.0 / math.pi, 5), "1": ("", 1.0, 6)}  # unit, factor, decimals
 MAX_DIRECTIONS = 6
 MAX_TERMS = 4
+SMALLEST_WEIGHT = 0.005  # below it "0.00" would be shown
 CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
 
 
@@ -75,9 +76,7 @@ def unseen(document: Document) -> list[str]:
     directions = document["null_space"]
     if not directions:
         return ["The observations see every free parameter."]
-    lines = [
-        f"{len(directions)} combinations of parameters cannot be seen; no prediction of these observations needs them:"
-    ]
+    lines = [f"{len(directions)} combinations of parameters cannot be seen; predictions do not depend on them:"]
     lines += [f"  {direction_text(direction)}" for direction in directions[:MAX_DIRECTIONS]]
     if len(directions) > MAX_DIRECTIONS:
         lines.append(f"  and {len(directions) - MAX_DIRECTIONS} more (null_space in the JSON result)")
@@ -87,9 +86,9 @@ def unseen(document: Document) -> list[str]:
 def direction_text(direction: Mapping[str, Any]) -> str:
     """A null direction as "1.00 link1.z - 0.50 link2.z", its largest terms first."""
     terms = sorted(zip(direction["weights"], direction["names"], strict=True), key=lambda t: -abs(t[0]))
-    signs = ["-" if weight < 0.0 else "+" for weight, _ in terms]
-    words = [f"{s} {abs(w):.2f} {one_line(n)}" for s, (w, n) in zip(signs, terms, strict=True)][:MAX_TERMS]
-    more = f" and {len(terms) - MAX_TERMS} more" if len(terms) > MAX_TERMS else ""
+    shown = [(weight, name) for weight, name in terms[:MAX_TERMS] if abs(weight) >= SMALLEST_WEIGHT]
+    words = [f"{'-' if weight < 0.0 else '+'} {abs(weight):.2f} {one_line(name)}" for weight, name in shown]
+    more = f" and {len(terms) - len(shown)} smaller" if len(terms) > len(shown) else ""
     return " ".join(words).removeprefix("+ ") + more
 
 
@@ -116,7 +115,7 @@ def advice(document: Document, out: Path | None) -> list[str]:
     lines = []
     if document["status"] != "converged":
         lines.append(
-            f"Not converged: {one_line(document['message'])}. Try --max-iterations, or check joint signs and units."
+            f"The fit stopped early: {one_line(document['message'])}. Raise --max-iterations, or check the units."
         )
     if document["chi2_reduced"] is not None and document["chi2_reduced"] > CHI2_DOUBTFUL:
         factor = math.sqrt(document["chi2_reduced"])

@@ -76,8 +76,12 @@ def document_of(
     robot: RobotFrames,
     inputs: Sequence[Input],
     held_out_by: Sequence[str] = (),
+    prior: str = "none",
 ) -> dict[str, Any]:
-    """The content of result.json for an estimate from ``table``; ``held_out_by`` is what the user asked to hold out."""
+    """The content of result.json for an estimate from ``table``.
+
+    ``held_out_by`` and ``prior`` are what the user asked to hold out, and the name of the robot's prior.
+    """
     names = np.array(estimate.parameter_names)
     return {
         "format": FORMAT,
@@ -93,6 +97,7 @@ def document_of(
         "status": estimate.status,
         "message": estimate.message,
         "solver": estimate.solver,
+        "prior": prior,
         "iterations": estimate.iterations,
         "n_observations": estimate.n_observations,
         "observations": _counts(estimate, table),

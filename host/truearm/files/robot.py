@@ -21,14 +21,13 @@ def load_robot(robot: str, base: str | None = None, tip: str | None = None) -> R
     Raises RobotError that names the file, or lists the built-in robots.
     """
     path = robot_file(robot)
-    is_urdf = path is not None and path.suffix.lower() != ".toml"
-    if not is_urdf and (base or tip):
+    if not is_urdf(robot) and (base or tip):
         raise RobotError("--base and --tip choose links of a URDF; a built-in robot or a TOML file has its own frames")
     if path is None:
         return builtin_robot(robot)
     text = read_text(path, MAX_BYTES, RobotError)
     try:
-        return _urdf_robot(chain_from_urdf(text, base, tip)) if is_urdf else parse_robot(text)
+        return _urdf_robot(chain_from_urdf(text, base, tip)) if is_urdf(robot) else parse_robot(text)
     except RobotError as exc:
         raise RobotError(f"{path}: {exc}") from exc
 
@@ -43,6 +42,12 @@ def robot_file(robot: str) -> Path | None:
             f"{robot!r} is no built-in robot (there is {', '.join(builtin_names())}) and no .toml or .urdf file"
         )
     return path
+
+
+def is_urdf(robot: str) -> bool:
+    """Whether ``--robot`` names a URDF. Raises RobotError as ``robot_file`` does."""
+    path = robot_file(robot)
+    return path is not None and path.suffix.lower() != ".toml"
 
 
 def _urdf_robot(chain: Chain) -> Robot:

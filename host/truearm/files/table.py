@@ -262,7 +262,10 @@ def concatenate(tables: Sequence[ObservationTable]) -> ObservationTable:
 
 
 def check_against_rig(table: ObservationTable, rig: Rig) -> None:
-    """Raise TableError for the first row that names a bar, chuck or sphere which the rig does not have."""
+    """Raise TableError for the first row that names a bar, chuck or sphere which the rig does not have.
+
+    Likewise for a socket distance of the rig that no place of a table with seats has: it would silently do nothing.
+    """
     for column, known in (("bar", rig.bars), ("chuck", rig.chucks), ("sphere", rig.spheres)):
         for identifier, source in zip(getattr(table, column), table.source, strict=True):
             if identifier and identifier not in known:
@@ -270,6 +273,15 @@ def check_against_rig(table: ObservationTable, rig: Rig) -> None:
                 raise TableError(
                     f"{source} column {column}: {_shown(str(identifier))} is not in the rig (it has {names})"
                 )
+    seats = table.kind == "seat"
+    used = set(zip(table.place[seats].tolist(), table.socket[seats].tolist(), strict=True))
+    for distance in rig.socket_distances if used else ():
+        if not any({(place, socket) for socket in distance.sockets} <= used for place, _ in used):
+            sockets = ", ".join(sorted({socket for _, socket in used})[:12])
+            raise TableError(
+                f"the rig's socket distance {' to '.join(distance.sockets)} is of no use: "
+                f"the seats are in sockets {sockets}, and no place has both"
+            )
 
 
 def format_table(table: ObservationTable, joint_units: Sequence[str]) -> str:

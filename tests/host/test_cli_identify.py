@@ -1,0 +1,393 @@
+"""``truearm identify`` as a user meets it: what it prints and writes, and what it says of bad input."""
+
+import json
+import math
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from truearm import cli
+from truearm.files.result import parse_result, read_result
+from truearm.files.rig import write_rig
+from truearm.files.robot import load_robot
+from truearm.files.table import read_table, write_table
+from truearm.model.chain import point_forward
+from truearm.types import BallBar, ObservationTable, Point, Rig
+
+ROOT = Path(__file__).parents[2]
+MUKCA = ROOT / "tests" / "data" / "mukca"
+
+
+class Outcome(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+Run = Callable[..., Outcome]
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    """The real main() with arguments; what it returns and prints."""
+
+    def call(*arguments: object) -> Outcome:
+        code = cli.main([str(a) for a in arguments])
+        captured = capsys.readouterr()
+        return Outcome(code, captured.out, captured.err)
+
+    return call
+
+
+def process(*arguments: object) -> Outcome:
+    command = [sys.executable, "-m", "truearm.cli", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    return Outcome(done.returncode, done.stdout, done.stderr)
+
+
+def exact_lengths(n: int, chucks: int = 3, seed: int = 5) -> tuple[ObservationTable, Rig]:
+    """Noise-free ball-bar rows of the PUMA with Table II's optimised parameters, all pairings in turn."""
+    robot = load_robot("puma560")
+    where = {
+        "chuck": [(0.0, 0.0, 0.0), (0.4, 0.0, 0.0), (0.0, 0.3, 0.1)][:chucks],
+        "sphere": [(0.0, 0.0, 0.1), (0.08, 0.0, 0.1), (0.0, 0.06, 0.05)],
+    }
+    points = {
+        what: {f"{what[0]}{i}": Point(f"{what[0]}{i}", p) for i, p in enumerate(ps)} for what, ps in where.items()
+    }
+    rig = Rig(points["chuck"], points["sphere"], {"b": BallBar("b", 0.46, 1.0, 0.075, 8.4e-5)})
+    q = np.random.default_rng(seed).uniform(-1.5, 1.5, (n, 6))
+    chuck, sphere = np.arange(n) % chucks, np.arange(n) // chucks % 3
+    ball = point_forward(robot.chain, robot.parameter_sets["optimised"], q, np.array(where["sphere"])[sphere])
+    empty = np.full(n, "")
+    table = ObservationTable(
+        q=q,
+        kind=np.full(n, "ball_bar"),
+        value=np.linalg.norm(ball - np.array(where["chuck"])[chuck], axis=1),
+        sigma=np.full(n, math.nan),
+        bar=np.full(n, "b"),
+        chuck=np.char.add("c", chuck.astype(str)),
+        sphere=np.char.add("s", sphere.astype(str)),
+        socket=empty,
+        place=empty,
+        shell=np.where(np.arange(n) < n - 20, "inner", "outer"),
+        source=empty,
+    )
+    return table, rig
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a good table and a good rig."""
+    folder = tmp_path_factory.mktemp("identify")
+    table, rig = exact_lengths(90)
+    write_table(folder / "poses.csv", table, ("rad",) * 6)
+    write_rig(folder / "rig.toml", rig)
+    return folder
+
+
+@pytest.fixture
+def good(files: Path) -> list[object]:
+    return ["identify", files / "poses.csv", "--robot", "puma560", "--rig", files / "rig.toml"]
+
+
+def test_noise_free_lengths_give_the_true_robot(run: Run, good: list[object]) -> None:
+    outcome = run(*good, "--all-free", "--hold-out", "outer", "--json")
+    assert (outcome.code, outcome.err) == (0, "")
+    result = json.loads(outcome.out)
+    assert (result["status"], result["rank"], result["n_free"]) == ("converged", 36, 54)
+    assert len(result["null_space"]) == 18
+    assert result["iterations"] <= 8
+    assert result["rms_before_mm"] > 1.0
+    # 1e-10 of the parameters over lengths of about 1 m.
+    assert result["rms_after_mm"] < 1e-7
+    assert result["held_out"]["n"] == 20
+    assert result["held_out"]["max_mm"] < 1e-7
+    assert result["held_out_before"]["mean_mm"] > 1.0
+
+
+SCALARS: dict[str, type | tuple[type, ...]] = {
+    "format": str,
+    "format_version": int,
+    "truearm_version": str,
+    "status": str,
+    "message": str,
+    "solver": str,
+    "prior": str,
+    "iterations": int,
+    "n_observations": int,
+    "n_free": int,
+    "rank": int,
+    "rank_gap": (float, type(None)),
+    "rms_before_mm": float,
+    "rms_after_mm": float,
+    "chi2_reduced": (float, type(None)),
+}
+PARAMETER = {
+    "name": str,
+    "unit": str,
+    "nominal": float,
+    "value": float,
+    "sigma": (float, type(None)),
+    "free": bool,
+    "seen": bool,
+    "of": str,
+}
+LISTS = {"inputs", "observations", "free", "null_space", "rms_history_mm", "held_out_by", "parameters"}
+
+
+def check_schema(result: dict[str, Any]) -> None:
+    """docs/result-format.md, as far as a machine can hold it."""
+    assert set(result) == {*SCALARS, *LISTS, "robot", "held_out", "held_out_before", "covariance"}
+    for key, kind in SCALARS.items():
+        assert isinstance(result[key], kind), key
+    for parameter in result["parameters"]:
+        assert set(parameter) == set(PARAMETER)
+        assert all(isinstance(parameter[key], kind) for key, kind in PARAMETER.items()), parameter
+        assert parameter["unit"] in ("m", "rad", "1")
+        assert (parameter["sigma"] is None) == (not parameter["seen"])
+    free = [p["name"] for p in result["parameters"] if p["free"]]
+    assert result["free"] == result["covariance"]["names"] == free
+    assert np.array(result["covariance"]["matrix"], dtype=float).shape == (len(free), len(free))
+    unseen = {name for direction in result["null_space"] for name in direction["names"]}
+    assert unseen == {p["name"] for p in result["parameters"] if p["free"] and not p["seen"] and p["of"] == "robot"}
+    for direction in result["null_space"]:
+        assert max(map(abs, direction["weights"])) == pytest.approx(1.0)
+    for key in ("held_out", "held_out_before"):
+        assert result[key] is None or set(result[key]) == {"rms_mm", "mean_mm", "max_mm", "n"}
+
+
+def test_the_result_file_is_the_json_output_and_keeps_to_its_schema(
+    run: Run, good: list[object], tmp_path: Path
+) -> None:
+    out = tmp_path / "result.json"
+    outcome = run(*good, "--all-free", "--hold-out", "0.2", "--json", "--out", out)
+    assert out.read_text() == outcome.out
+    result = json.loads(outcome.out, parse_constant=pytest.fail)
+    check_schema(result)
+    check_schema(json.loads(run(*good, "--json").out))
+    assert [(i["role"], i["name"], len(i["sha256"])) for i in result["inputs"]] == [
+        ("observations", "poses.csv", 64),
+        ("rig", "rig.toml", 64),
+    ]
+    assert str(tmp_path) not in outcome.out
+
+
+def test_the_result_is_read_back(run: Run, good: list[object], tmp_path: Path) -> None:
+    run(*good, "--all-free", "--out", tmp_path / "r.json")
+    stored = read_result(tmp_path / "r.json")
+    document = json.loads((tmp_path / "r.json").read_text())
+    assert stored.robot.name == "puma560"
+    assert stored.parameter_names == load_robot("puma560").chain.parameter_names
+    assert stored.value.tolist() == [p["value"] for p in document["parameters"]]
+    assert int(np.isnan(stored.sigma).sum()) == sum(p["sigma"] is None for p in document["parameters"])
+    assert stored.covariance.shape == (54, 54)
+    assert stored.of_robot.all()
+
+
+def test_every_field_is_documented() -> None:
+    text = (ROOT / "docs" / "result-format.md").read_text()
+    nested = {"role", "sha256", "base_frame", "end_frame", "joint_units", "fitted", "weights", "matrix", "units"}
+    for field in {*SCALARS, *PARAMETER, *LISTS, *nested, "robot", "held_out", "held_out_before", "covariance"}:
+        assert f"`{field}`" in text, field
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: d.pop("parameters"), "field 'parameters' is missing"),
+        (lambda d: d.update(format="other"), "is no result"),
+        (lambda d: d.update(format_version=99), "format version 99"),
+        (lambda d: d["parameters"][0].update(value="1"), "not a number"),
+        (lambda d: d["parameters"][0].update(free=1), "not true or false"),
+        (lambda d: d["covariance"]["matrix"].pop(), "wrong type or shape"),
+        (lambda d: d.update(robot=[]), "wrong type or shape"),
+    ],
+)
+def test_damaged_results_are_told(
+    run: Run, good: list[object], change: Callable[[dict[str, Any]], object], message: str
+) -> None:
+    document = json.loads(run(*good, "--json").out)
+    change(document)
+    with pytest.raises(cli.TruearmError, match=message):
+        parse_result(json.dumps(document), "r.json")
+    for text in ("", "[]", "{", '{"a": NaN}', "[" * 100_000, "1" * 5000):
+        with pytest.raises(cli.TruearmError, match=r"r\.json: is"):
+            parse_result(text, "r.json")
+
+
+def test_a_person_reads_parameters_errors_and_what_is_not_seen(run: Run, good: list[object]) -> None:
+    outcome = run(*good, "--all-free", "--hold-out", "outer")
+    assert outcome.code == 0
+    for words in (
+        "puma560: 70 ball_bar to fit, 20 held out; converged",
+        "rank 36 of 54 free",
+        "not seen",
+        "18 combinations of parameters cannot be seen",
+        "held out, mean",
+        "--out result.json",
+    ):
+        assert words in outcome.out
+    # Table II: link 2's x is -180.00 mm by design and -180.803 mm in truth.
+    line = next(line for line in outcome.out.splitlines() if line.startswith("link2.x"))
+    assert line.split()[1] == "-180.0000"
+    assert line.split()[-1] == "mm"
+
+
+def test_stopping_early_and_a_rank_that_is_not_full_are_results(run: Run, tmp_path: Path) -> None:
+    table, rig = exact_lengths(60, chucks=1)
+    write_table(tmp_path / "t.csv", table, ("rad",) * 6)
+    write_rig(tmp_path / "rig.toml", rig)
+    arguments = ["identify", tmp_path / "t.csv", "--robot", "puma560", "--rig", tmp_path / "rig.toml"]
+    outcome = run(*arguments, "--all-free", "--max-iterations", 1)
+    assert outcome.code == 0
+    assert "rank 33 of 54 free" in outcome.out  # the paper's Table I: one chuck, three spheres
+    assert "The fit stopped early" in outcome.out
+    assert json.loads(run(*arguments, "--max-iterations", 1, "--json").out)["status"] == "max_iterations"
+
+
+def test_free_and_freeze_choose_parameters(run: Run, good: list[object]) -> None:
+    result = json.loads(run(*good, "--free", "joint*", "--freeze", "*.gain", "--json").out)
+    assert result["free"] == [f"joint{i}.offset" for i in range(1, 7)]
+    held = [p for p in result["parameters"] if not p["free"]]
+    assert all(p["value"] == p["nominal"] and p["sigma"] is None for p in held)
+
+
+def test_several_tables_are_one_and_save_table_writes_it(run: Run, good: list[object], tmp_path: Path) -> None:
+    saved = tmp_path / "all.csv"
+    first = good[1]
+    both = json.loads(run(good[0], first, first, *good[2:], "--save-table", saved, "--json").out)
+    assert both["n_observations"] == 180
+    table = read_table(Path(str(first)))
+    back = read_table(saved, ("rad",) * 6)
+    np.testing.assert_array_equal(back.q, np.concatenate([table.q, table.q]))
+    np.testing.assert_array_equal(back.value, np.concatenate([table.value, table.value]))
+
+
+def documented_figures() -> list[list[str]]:
+    rows = [line.strip("| ").split(" | ") for line in (MUKCA / "README.md").read_text().splitlines() if line[:1] == "|"]
+    return [row for row in rows if row[0] in ("panda_1", "panda_3", "kuka_14")]
+
+
+@pytest.mark.parametrize("row", documented_figures(), ids=lambda row: f"{row[0]} {row[2]}")
+def test_real_data_gives_the_documented_figures(run: Run, row: list[str]) -> None:
+    table, urdf, places, before, after, with_gains = row
+    arguments = ["identify", MUKCA / f"{table}.csv", "--robot", MUKCA / f"{urdf}.urdf", "--tip", "ball_link"]
+    arguments += ["--rig", MUKCA / "rig.toml", "--json"]
+    for place in places.split():
+        arguments += ["--hold-out", f"place={place}"]
+    result, gains_too = (json.loads(run(*arguments, *more).out) for more in ([], ["--all-free"]))
+    assert result["status"] == "converged"
+    # Three decimals are written down.
+    assert result["held_out_before"]["mean_mm"] == pytest.approx(float(before), abs=6e-4)
+    assert result["held_out"]["mean_mm"] == pytest.approx(float(after), abs=6e-4)
+    assert gains_too["held_out"]["mean_mm"] == pytest.approx(float(with_gains), abs=6e-4)
+
+
+def test_real_data_reaches_what_was_asked(run: Run) -> None:
+    assert len(documented_figures()) == 4
+    panda_3 = documented_figures()[0]
+    assert float(panda_3[3]) == pytest.approx(2.65, abs=0.005)
+    assert float(panda_3[4]) <= 0.22
+
+
+HEADER = "kind,q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad,length_mm,bar,chuck,sphere"
+ROW = "ball_bar,0,0,0,0,0,0,460,b,c0,s0"
+BAD_TABLES = {
+    "unknown column": (HEADER.replace("chuck", "chukc"), ROW, "did you mean chuck?"),
+    "no unit": (HEADER.replace("length_mm", "length"), ROW, "name it length_m or length_mm"),
+    "joint without unit": (HEADER.replace("q3_rad", "q3"), ROW, "name it q3_rad or q3_deg"),
+    "NaN": (HEADER, ROW.replace("460", "nan"), "row 2 column length_mm: nan is not a finite number"),
+    "joint count": (HEADER.replace("q6_rad,", ""), ROW.replace("0,", "", 1), "5 joint columns, the robot has 6"),
+    "unknown chuck": (
+        HEADER,
+        ROW.replace("c0", "c9"),
+        "row 2 column chuck: 'c9' is not in the rig (it has c0, c1, c2)",
+    ),
+    "no rows": (HEADER, "", "no rows"),
+    "ragged": (HEADER, ROW + ",1", "has 12 cells, the header has 11"),
+}
+
+
+def told(outcome: Outcome, message: str) -> None:
+    """Exit code 2, nothing on stdout, one line on stderr that holds the message."""
+    assert (outcome.code, outcome.out) == (2, "")
+    assert outcome.err.startswith("truearm: ")
+    assert outcome.err.count("\n") == 1
+    assert outcome.err.endswith("\n")
+    assert message in outcome.err
+    assert "Traceback" not in outcome.err
+
+
+@pytest.mark.parametrize(("header", "row", "message"), BAD_TABLES.values(), ids=BAD_TABLES.keys())
+def test_bad_tables(run: Run, good: list[object], tmp_path: Path, header: str, row: str, message: str) -> None:
+    (tmp_path / "t.csv").write_text(f"{header}\n{row}\n")
+    told(run("identify", tmp_path / "t.csv", *good[2:]), message)
+
+
+BAD_ARGUMENTS = {
+    "no such option": (["--nonsense"], "--nonsense"),
+    "no number": (["--max-iterations", "many"], "--max-iterations"),
+    "below its range": (["--max-iterations", "0"], "--max-iterations"),
+    "no such prior": (["--prior", "strong"], "strong"),
+    "no such robot": (["--robot", "puma561"], "there is puma560"),
+    "no such robot file": (["--robot", "none.urdf"], "none.urdf: no such file"),
+    "no such rig": (["--rig", "none.toml"], "none.toml: no such file"),
+    "tip of no URDF": (["--tip", "ball"], "--base and --tip"),
+    "no such group": (["--hold-out", "shell=s99"], "there is inner, outer"),
+    "every group": (["--hold-out", "inner", "--hold-out", "outer"], "nothing would be left"),
+    "no such parameter": (["--free", "link9.*"], "--free link9.*: matches no parameter"),
+    "no such folder": (["--out", "/none/result.json"], "does not exist"),
+    "a folder": (["--out", "/"], "is a directory"),
+    "line breaks in a name": (["--rig", "a\nb\x1b[31m.toml"], "a b\\x1b[31m.toml"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "message"), BAD_ARGUMENTS.values(), ids=BAD_ARGUMENTS.keys())
+def test_bad_arguments(run: Run, good: list[object], arguments: list[str], message: str) -> None:
+    told(run(*good, *arguments), message)
+
+
+def test_bad_input_as_the_shell_sees_it(good: list[object], tmp_path: Path) -> None:
+    told(process("identify", tmp_path / "none.csv", *good[2:]), "none.csv: no such file")
+    told(process("identify", tmp_path, *good[2:]), "is a directory")
+    told(process("identify"), "Missing argument")
+    told(process("sing"), "sing")
+    (tmp_path / "t.csv").write_bytes(b"\x89MCAP0\r\n\0\0")
+    told(process("identify", tmp_path / "t.csv", *good[2:]), "is not UTF-8")
+
+
+def test_help_and_version_and_no_command_are_no_errors(run: Run) -> None:
+    assert "Example: truearm identify" in run("--help").out
+    assert "Example:" in run("identify", "--help").out
+    assert run().code == 0
+    assert run("--version").out.startswith("truearm ")
+
+
+def test_help_imports_nothing_slow() -> None:
+    code = "import sys, truearm.cli; truearm.cli.main(['--help']); print({'numpy', 'scipy'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert done.stdout.splitlines()[-1] == "set()"
+
+
+def test_interruption_is_one_line_and_130(run: Run, good: list[object], monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("truearm.estimate.identify.identify", interrupted)
+    assert run(*good) == Outcome(130, "", "truearm: interrupted\n")
+
+
+def test_a_reader_that_leaves_is_no_traceback(good: list[object]) -> None:
+    command = [sys.executable, "-m", "truearm.cli", *map(str, good), "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        assert child.stderr is not None
+        child.stdout.close()
+        assert child.stderr.read() == b""
+    assert child.returncode == 1
