@@ -21,6 +21,7 @@ unharmed, so that a complex step can check every derivative.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -199,7 +200,7 @@ def point_jacobians(chain: Chain, params: Floats, q: Floats, p_end_point: Floats
 def trace_point(chain: Chain, params: Floats, q: Floats, p_end_point: Floats) -> PointTrace:
     """Carry a point of the end, (3,) or (…, 3), inwards to the base; leading axes of q are flattened to n."""
     params, q = _checked(chain, params, q)
-    q = q.reshape(-1, len(chain.joints))
+    q = q.reshape(math.prod(q.shape[:-1]), len(chain.joints))
     links = tuple(fold_link(run, params) for run in chain.links)
     gains = tuple(_amount(params, m.gain, 1.0) for m in chain.movers)
     offsets = [_amount(params, m.parameter, m.value) for m in chain.movers]

@@ -52,11 +52,11 @@ def chain_from_urdf(text: str, base: str | None = None, tip: str | None = None) 
     joints = _read_joints(root)
     links = _read_links(root, joints)
     by_child = {j.child: j for j in joints}
-    base = base or _only(sorted(links - set(by_child)), "root link", "base")
+    base = base or _only(sorted(links - set(by_child)), "root links", "base")
     for link in (base, tip):
         if link is not None and link not in links:
             raise RobotError(f"URDF has no link {link!r}; it has {_listed(sorted(links))}")
-    tip = tip or _only(_leaves(base, joints), "leaf", "tip")
+    tip = tip or _only(_leaves(base, joints), "end links", "tip")
     path = _path(base, tip, by_child)
     return _build(root.get("name") or "robot", path, base, tip)
 
@@ -239,7 +239,7 @@ def _only(candidates: list[str], what: str, option: str) -> str:
         return candidates[0]
     if not candidates:
         raise RobotError(f"URDF has no {what}: its joints form a loop")
-    raise RobotError(f"URDF has {len(candidates)} {what}s; choose a {option} among {_listed(candidates)}")
+    raise RobotError(f"URDF has {len(candidates)} {what}; choose a {option} among {_listed(candidates)}")
 
 
 def _listed(names: list[str]) -> str:

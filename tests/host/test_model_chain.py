@@ -1,0 +1,210 @@
+"""The chain against independent products of matrices, and its derivatives against complex steps and differences."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from truearm.errors import RobotError
+from truearm.model.chain import (
+    MOTIONS,
+    Chain,
+    Element,
+    Joint,
+    Parameter,
+    along,
+    elementary,
+    forward,
+    joint_frames,
+    joint_jacobian,
+    point_forward,
+    point_jacobians,
+    trace_point,
+)
+
+AMOUNT = st.floats(-3.0, 3.0, allow_nan=False)
+
+
+@st.composite
+def chains(draw):
+    """Any mix of named constants, fixed constants and joints, with and without gain and offset parameters."""
+    elements, parameters, joints = [], [], []
+
+    def name_a_parameter(unit, nominal):
+        parameters.append(Parameter(f"p{len(parameters)}", unit, nominal))
+        return len(parameters) - 1
+
+    for kind in draw(st.lists(st.sampled_from("cfj"), min_size=1, max_size=14)):
+        motion, amount = draw(st.sampled_from(MOTIONS)), draw(AMOUNT)
+        unit = "m" if motion[0] == "t" else "rad"
+        if kind == "f":
+            elements.append(Element(motion, amount))
+            continue
+        index = name_a_parameter(unit, amount) if draw(st.booleans()) or kind == "c" else None
+        if kind == "c":
+            elements.append(Element(motion, parameter=index))
+            continue
+        gain = name_a_parameter("1", draw(st.floats(0.5, 2.0))) if draw(st.booleans()) else None
+        value = amount if index is None else 0.0
+        elements.append(Element(motion, value, index, joint=len(joints), gain=gain))
+        joints.append(Joint(f"q{len(joints)}", "prismatic" if unit == "m" else "revolute", -3.0, 3.0))
+    return Chain("random", tuple(elements), tuple(parameters), tuple(joints))
+
+
+def product(chain, params, q):
+    """T_base_end of one pose as a plain product of matrices."""
+    out = np.eye(4)
+    for e in chain.elements:
+        amount = e.value if e.parameter is None else params[e.parameter]
+        if e.joint is not None:
+            amount = amount + (1.0 if e.gain is None else params[e.gain]) * q[e.joint]
+        out = out @ plain(e.motion, amount)
+    return out
+
+
+def plain(motion, amount):
+    c, s = np.cos(amount), np.sin(amount)
+    rotations = {"rx": [[1, 0, 0], [0, c, -s], [0, s, c]], "ry": [[c, 0, s], [0, 1, 0], [-s, 0, c]]}
+    rotations["rz"] = [[c, -s, 0], [s, c, 0], [0, 0, 1]]
+    out = np.eye(4, dtype=np.result_type(amount, float))
+    if motion in rotations:
+        out[:3, :3] = rotations[motion]
+    else:
+        out[MOTIONS.index(motion), 3] = amount
+    return out
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_elementary_transforms(motion):
+    np.testing.assert_allclose(elementary(motion, 0.7), plain(motion, 0.7), atol=1e-15)
+    assert elementary(motion, np.zeros((2, 3))).shape == (2, 3, 4, 4)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(chain=chains(), data=st.data())
+def test_forward_is_the_product_of_the_elements(chain, data):
+    q = np.array(data.draw(st.lists(AMOUNT, min_size=len(chain.joints), max_size=len(chain.joints))), dtype=float)
+    expected = product(chain, chain.params_nominal, q)
+    # Lengths below 3 m times 14 factors: rounding stays below 14 · 42 m · eps.
+    np.testing.assert_allclose(forward(chain, chain.params_nominal, q), expected, atol=1e-13)
+    p_end = np.array([0.3, -0.2, 0.5])
+    moved = (expected @ np.append(p_end, 1.0))[:3]
+    np.testing.assert_allclose(point_forward(chain, chain.params_nominal, q, p_end), moved, atol=1e-13)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(chain=chains(), seed=st.integers(0, 2**32 - 1))
+def test_jacobians_are_complex_steps_and_central_differences(chain, seed):
+    rng = np.random.default_rng(seed)
+    q, p_end, params = rng.uniform(-3, 3, (2, len(chain.joints))), rng.uniform(-1, 1, (2, 3)), chain.params_nominal
+    _, jac_params, jac_joints = point_jacobians(chain, params, q, p_end)
+
+    def p_base(params, q):
+        return np.array([(product(chain, params, q[i]) @ np.append(p_end[i], 1.0))[:3] for i in range(2)])
+
+    for i in range(params.size):
+        up, down, step = params.copy(), params.copy(), params.astype(complex)
+        up[i], down[i], step[i] = params[i] + 1e-5, params[i] - 1e-5, params[i] + 1e-30j
+        # Central differences: h²/6 times a third derivative of at most 50 m, plus eps·50 m/h.
+        np.testing.assert_allclose(jac_params[..., i], (p_base(up, q) - p_base(down, q)) / 2e-5, atol=1e-8)
+        np.testing.assert_allclose(jac_params[..., i], p_base(step, q).imag / 1e-30, atol=1e-12)
+    for i in range(q.shape[1]):
+        step = q.astype(complex)
+        step[:, i] += 1e-30j
+        np.testing.assert_allclose(jac_joints[..., i], p_base(params, step).imag / 1e-30, atol=1e-12)
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(chain=chains(), seed=st.integers(0, 2**32 - 1))
+def test_along_is_the_point_jacobian_read_along_a_direction(chain, seed):
+    rng = np.random.default_rng(seed)
+    q, p_end, u = rng.uniform(-3, 3, (4, len(chain.joints))), rng.uniform(-1, 1, 3), rng.normal(size=(4, 3))
+    _, jac_params, jac_joints = point_jacobians(chain, chain.params_nominal, q, p_end)
+    rows = along(trace_point(chain, chain.params_nominal, q, p_end), u)
+    np.testing.assert_allclose(rows.jac_params, np.einsum("nc,ncp->np", u, jac_params), atol=1e-12)
+    np.testing.assert_allclose(rows.jac_joints, np.einsum("nc,ncj->nj", u, jac_joints), atol=1e-12)
+    rot = forward(chain, chain.params_nominal, q)[:, :3, :3]
+    np.testing.assert_allclose(rows.jac_point, np.einsum("nc,nck->nk", u, rot), atol=1e-12)
+
+
+def scara():
+    """Two revolute joints and a prismatic one along −z, whose gain is no parameter."""
+    elements = (
+        Element("rz", parameter=0, joint=0, gain=1),
+        Element("tx", parameter=2),
+        Element("rz", joint=1),
+        Element("tx", 0.3),
+        Element("rx", np.pi),
+        Element("tz", parameter=3, joint=2),
+    )
+    named = (("t1.offset", "rad", 0.0), ("t1.gain", "1", 1.0), ("a1", "m", 0.4), ("t3.offset", "m", 0.1))
+    joints = (Joint("t1", "revolute", -3, 3), Joint("t2", "revolute", -3, 3), Joint("t3", "prismatic", 0, 0.2))
+    return Chain("scara", elements, tuple(Parameter(*n) for n in named), joints)
+
+
+def test_batches_of_any_shape():
+    chain, rng = scara(), np.random.default_rng(1)
+    q = rng.uniform(-1, 1, (2, 5, 3))
+    pose = forward(chain, chain.params_nominal, q)
+    assert pose.shape == (2, 5, 4, 4)
+    assert joint_frames(chain, chain.params_nominal, q).shape == (2, 5, 3, 4, 4)
+    p_base, jac_params, jac_joints = point_jacobians(chain, chain.params_nominal, q, np.zeros(3))
+    assert (p_base.shape, jac_params.shape, jac_joints.shape) == ((2, 5, 3), (2, 5, 3, 4), (2, 5, 3, 3))
+    one = point_jacobians(chain, chain.params_nominal, q[1, 3], np.zeros(3))
+    for batched, single in zip((p_base, jac_params, jac_joints), one, strict=True):
+        np.testing.assert_allclose(batched[1, 3], single, atol=1e-15)
+
+
+def test_a_scara_by_hand():
+    pose = forward(scara(), scara().params_nominal, np.array([np.pi / 2, -np.pi / 2, 0.05]))
+    np.testing.assert_allclose(pose[:3, 3], [0.3, 0.4, -0.15], atol=1e-15)
+    np.testing.assert_allclose(pose[:3, 2], [0, 0, -1], atol=1e-15)
+
+
+def test_joint_jacobian_is_the_motion_of_the_end():
+    chain = scara()
+    q = np.array([0.3, -0.8, 0.05])
+    jac = joint_jacobian(chain, chain.params_nominal, q)
+    for i in range(3):
+        step = q.astype(complex)
+        step[i] += 1e-30j
+        rate = forward(chain, chain.params_nominal, step).imag / 1e-30
+        spin = rate[:3, :3] @ forward(chain, chain.params_nominal, q)[:3, :3].T
+        np.testing.assert_allclose(jac[:3, i], rate[:3, 3], atol=1e-14)
+        np.testing.assert_allclose(jac[3:, i], [spin[2, 1], spin[0, 2], spin[1, 0]], atol=1e-14)
+
+
+def test_joint_frames_lie_on_the_way_to_the_end():
+    chain = scara()
+    frames = joint_frames(chain, chain.params_nominal, np.array([np.pi / 2, 0.0, 0.0]))
+    np.testing.assert_allclose(frames[1, :3, 3], [0.0, 0.4, 0.0], atol=1e-15)
+    np.testing.assert_allclose(frames[2, :3, 3], [0.0, 0.7, -0.1], atol=1e-15)
+
+
+J = (Joint("a", "revolute", -1, 1),)
+P = (Parameter("x", "m", 0.0),)
+
+
+@pytest.mark.parametrize(
+    ("elements", "parameters", "joints", "says"),
+    [
+        ((Element("rz", joint=0), Element("qx")), (), J, "unknown elementary transform 'qx'"),
+        ((Element("rz", joint=0),), P, J, "every parameter must be used"),
+        ((Element("rz", joint=0), Element("tx", parameter=0), Element("ty", parameter=0)), P, J, "exactly one"),
+        ((Element("tz", joint=0),), (), J, "revolute but moves by tz"),
+        ((Element("rz", joint=1),), (), J, "joint index 1"),
+        ((Element("tx", 1.0),), (), J, "joints must move once each"),
+        ((Element("tx", parameter=0), Element("tx", parameter=1), Element("rz", joint=0)), P + P, J, "same name"),
+    ],
+)
+def test_a_chain_that_makes_no_sense_is_refused(elements, parameters, joints, says):
+    with pytest.raises(RobotError, match=says):
+        Chain("bad", elements, parameters, joints)
+
+
+def test_wrong_shapes_are_refused():
+    chain = scara()
+    with pytest.raises(RobotError, match="3 joints"):
+        forward(chain, chain.params_nominal, np.zeros(4))
+    with pytest.raises(RobotError, match="4 parameters"):
+        forward(chain, np.zeros(5), np.zeros(3))

@@ -1,0 +1,161 @@
+"""URDF: geometry against Rodrigues' formula, names, and refusal of everything that cannot be trusted."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from truearm.errors import RobotError
+from truearm.model.chain import forward, point_jacobians
+from truearm.model.urdf import MAX_TEXT, chain_from_urdf
+
+LIMIT = '<limit lower="-2" upper="2" effort="1" velocity="1"/>'
+
+
+def joint(name, kind, parent, child, axis="0 0 1", xyz="0 0 0", rpy="0 0 0", more=LIMIT):
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>{more}</joint>'
+    )
+
+
+def robot(*joints, links="abcde"):
+    return "<robot name='r'>" + "".join(f"<link name='{n}'/>" for n in links) + "".join(joints) + "</robot>"
+
+
+def rodrigues(axis, angle):
+    x, y, z = np.asarray(axis) / np.linalg.norm(axis)
+    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
+
+
+ARM = robot(
+    joint("j1", "revolute", "a", "b", "1 2 -2", "0.1 0.2 0.3", "0.4 -0.5 0.6"),
+    joint("j2", "continuous", "b", "c", "0 0 -1", "0 0 0.5", more=""),
+    joint("j3", "prismatic", "c", "d", "0 -3 4", "0.05 0 0"),
+    joint("tool", "fixed", "d", "e", xyz="0 0 0.07", rpy="0 1.5 0", more=""),
+)
+
+
+def test_arbitrary_axes_by_rodrigues():
+    chain = chain_from_urdf(ARM)
+    q = np.array([0.7, -1.1, 0.08])
+    roll, pitch, yaw = (rodrigues(axis, a) for axis, a in zip(np.eye(3), (0.4, -0.5, 0.6), strict=True))
+    p, rot = np.array([0.1, 0.2, 0.3]), yaw @ pitch @ roll @ rodrigues([1, 2, -2], q[0])
+    p, rot = p + rot @ [0, 0, 0.5], rot @ rodrigues([0, 0, -1], q[1])
+    p = p + rot @ [0.05, 0, 0] + rot @ (np.array([0, -0.6, 0.8]) * q[2]) + rot @ [0, 0, 0.07]
+    rot = rot @ rodrigues([0, 1, 0], 1.5)
+    pose = forward(chain, chain.params_nominal, q)
+    np.testing.assert_allclose(pose[:3, 3], p, atol=1e-14)
+    np.testing.assert_allclose(pose[:3, :3], rot, atol=1e-14)
+
+
+def test_names_units_limits_and_frames():
+    chain = chain_from_urdf(ARM)
+    origin = [f"j1.{k}" for k in ("x", "y", "z", "yaw", "pitch", "roll", "offset", "gain")]
+    assert list(chain.parameter_names[:8]) == origin
+    assert [p.unit for p in chain.parameters[:8]] == ["m"] * 3 + ["rad"] * 4 + ["1"]
+    assert list(chain.parameter_names[-6:]) == [f"tool.{k}" for k in ("x", "y", "z", "yaw", "pitch", "roll")]
+    assert chain.parameters[chain.parameter_names.index("j3.offset")].unit == "m"
+    assert [(j.name, j.kind, j.lower, j.upper) for j in chain.joints] == [
+        ("j1", "revolute", -2.0, 2.0),
+        ("j2", "revolute", -np.inf, np.inf),
+        ("j3", "prismatic", -2.0, 2.0),
+    ]
+    assert (chain.name, chain.base_frame, chain.end_frame) == ("r", "a", "e")
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(
+    axis=st.tuples(*[st.sampled_from([-1.0, 0.0, 0.3, 1.0])] * 3).filter(any),
+    kind=st.sampled_from(["revolute", "prismatic"]),
+    seed=st.integers(0, 1000),
+)
+def test_jacobian_against_central_differences(axis, kind, seed):
+    rng = np.random.default_rng(seed)
+    words = [" ".join(f"{v:.3f}" for v in rng.uniform(-1, 1, 3)) for _ in range(4)]
+    first = joint("j1", kind, "a", "b", " ".join(map(str, axis)), words[0], words[1])
+    chain = chain_from_urdf(robot(first, joint("j2", "revolute", "b", "c", "0 1 0", words[2], words[3])), "a", "c")
+    q, p_end, params = rng.uniform(-2, 2, (3, 2)), rng.uniform(-1, 1, 3), chain.params_nominal
+    _, jac_params, jac_joints = point_jacobians(chain, params, q, p_end)
+    h = 1e-5  # error h²/6 · 5 m = 1e-10, rounding eps · 5 m/h = 1e-10
+    for i, unit in enumerate(np.eye(params.size)):
+        up, down = (point_jacobians(chain, params + s * h * unit, q, p_end)[0] for s in (1, -1))
+        np.testing.assert_allclose(jac_params[..., i], (up - down) / (2 * h), atol=1e-8)
+    for i, unit in enumerate(np.eye(2)):
+        up, down = (point_jacobians(chain, params, q + s * h * unit, p_end)[0] for s in (1, -1))
+        np.testing.assert_allclose(jac_joints[..., i], (up - down) / (2 * h), atol=1e-8)
+
+
+def test_base_and_tip_choose_a_path_and_ignore_the_rest():
+    mimic = '<mimic joint="j1"/>' + LIMIT
+    text = robot(
+        joint("j1", "revolute", "a", "b"),
+        joint("j2", "revolute", "b", "c"),
+        joint("finger", "prismatic", "b", "d", more=mimic),
+        joint("free", "floating", "c", "e", more=""),
+    )
+    assert [j.name for j in chain_from_urdf(text, tip="c").joints] == ["j1", "j2"]
+    assert [j.name for j in chain_from_urdf(text, base="b", tip="c").joints] == ["j2"]
+    with pytest.raises(RobotError, match="2 end links; choose a tip among d, e"):
+        chain_from_urdf(text)
+    with pytest.raises(RobotError, match="finger on the path mimics"):
+        chain_from_urdf(text, tip="d")
+    with pytest.raises(RobotError, match="free: a floating joint"):
+        chain_from_urdf(text, tip="e")
+
+
+HOP = joint("j1", "revolute", "a", "b")
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "not valid XML"),
+        ("<robot>", "not valid XML"),
+        ("<sdf/>", "starts with <sdf>"),
+        ("<robot/>", "no links"),
+        ("<!DOCTYPE robot []>" + robot(HOP, links="ab"), "document type"),
+        ('<!DOCTYPE r [<!ENTITY a "1"><!ENTITY b "&a;&a;">]><robot name="&b;"/>', "document type"),
+        ('<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]><robot>&x;</robot>', "document type"),
+        (robot(HOP, joint("j2", "revolute", "b", "a"), links="ab"), "no root links"),
+        (robot(HOP, joint("j2", "revolute", "c", "d"), joint("j3", "revolute", "d", "c"), links="abcd"), "above link 'c' form a loop"),
+            (robot(HOP, joint("j2", "revolute", "d", "c"), links="abcd"), "not below"),
+        (robot(HOP, joint("j2", "revolute", "c", "b"), links="abc"), "more than one parent of link 'b'"),
+        (robot(HOP, joint("j1", "revolute", "b", "c"), links="abc"), "more than one joint name 'j1'"),
+        (robot(joint("j1", "ball", "a", "b"), links="ab"), "type 'ball' is not known"),
+        (robot(joint("j1", "revolute", "a", "x"), links="ab"), "link 'x', which does not exist"),
+        (robot(HOP.replace("<child link=\"b\"/>", ""), links="ab"), "no <child"),
+        (robot(HOP.replace('name="j1"', ""), links="ab"), "without a name"),
+        (robot(joint("j1", "revolute", "a", "b", xyz="0 nan 0"), links="ab"), "not finite"),
+        (robot(joint("j1", "revolute", "a", "b", xyz="0 inf 0"), links="ab"), "not finite"),
+        (robot(joint("j1", "revolute", "a", "b", xyz="0 0 333"), links="ab"), "larger than 100"),
+        (robot(joint("j1", "revolute", "a", "b", xyz="0 0"), links="ab"), "needs 3 numbers"),
+        (robot(joint("j1", "revolute", "a", "b", rpy="0 ${pi} 0"), links="ab"), "expand xacro"),
+        (robot(joint("j1", "revolute", "a", "b", axis="0 0 0"), links="ab"), "axis has no length"),
+        (robot(joint("j1", "revolute", "a", "b", more=""), links="ab"), "needs a <limit>"),
+        (robot(joint("j1", "revolute", "a", "b", more='<limit lower="2" upper="1"/>'), links="ab"), "above its upper"),
+        (robot(joint("j1", "fixed", "a", "b", more=""), links="ab"), "no joint moves"),
+        (robot(links="a"), "same link"),
+        (robot(HOP, links="ab") + " " * MAX_TEXT, "limit is"),
+        (robot(*[joint(f"j{i}", "revolute", f"l{i}", f"l{i + 1}") for i in range(70)], links=[f"l{i}" for i in range(71)]),
+         "more than 64 joints"),
+    ],
+)  # fmt: skip
+def test_bad_text_is_one_clear_line(text, says):
+    tip = "c" if "'c'" in says or "not below" in says else None
+    with pytest.raises(RobotError, match=says) as caught:
+        chain_from_urdf(text, base="a" if tip else None, tip=tip)
+    assert "\n" not in str(caught.value)
+
+
+def test_unknown_base_and_tip():
+    with pytest.raises(RobotError, match="no link 'flange'; it has a, b"):
+        chain_from_urdf(robot(HOP, links="ab"), tip="flange")
+    with pytest.raises(RobotError, match="no link 'world'"):
+        chain_from_urdf(robot(HOP, links="ab"), base="world")
+
+
+def test_deep_nesting_does_no_harm():
+    with pytest.raises(RobotError, match="no links"):
+        chain_from_urdf("<robot>" + "<a>" * 200_000 + "</a>" * 200_000 + "</robot>")
