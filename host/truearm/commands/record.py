@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 # The converter's modulator runs at 125 MHz / 15 / 2; a sample is osr of its periods.
 MODULATOR_HZ = 125e6 / 15 / 2
-OSRS = tuple(2**k for k in range(7, 15))  # 128 … 16384
+OSRS = tuple(1 << k for k in range(7, 15))  # 128 … 16384
 _MOUNTABLE = ("bar", "chuck", "sphere", "shell")
 _PLAIN_EVERY_S = 10.0
 _INTERRUPTED = 130

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import cbor2
-from truearm_wire.messages import PAGE_BYTES, PAGES_MAX
 
 from truearm.errors import ProtocolError
+from truearm_wire.messages import PAGE_BYTES, PAGES_MAX
 
 PROTOCOL_MAJOR = 1
 MAX_STREAMS = 16

@@ -14,13 +14,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import cbor2
-from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, IDENT, LAYOUT, REPLY, SYNC_REPLY
 
 from truearm.record.frames import FrameSplitter, data_head, data_stream, frame_seq, frame_type
 from truearm.record.ident import Ident, Pages, parse_ident
 from truearm.record.probes import Probes
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
+from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, IDENT, LAYOUT, REPLY, SYNC_REPLY
 
 _TOPICS = {
     EVENT: "/box/event",

@@ -12,9 +12,6 @@ from collections.abc import Callable, Iterable, Mapping
 from operator import itemgetter
 from typing import Any
 
-from truearm_wire.frame import frame
-from truearm_wire.messages import CONFIGURE, IDENTIFY, START, STOP, SYNC_REQUEST, encode_payload
-
 from truearm.errors import LinkError, ProtocolError, TruearmError
 from truearm.record.ident import Ident
 from truearm.record.intake import Answer, Intake
@@ -23,6 +20,8 @@ from truearm.record.probes import Probes
 from truearm.record.robot import RobotIntake
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters, RecordSummary, Status
+from truearm_wire.frame import frame
+from truearm_wire.messages import CONFIGURE, IDENTIFY, START, STOP, SYNC_REQUEST, encode_payload
 
 SECOND = 1_000_000_000
 CHORES_NS = SECOND // 20  # probes, chunks and progress are looked after at this pace
@@ -33,6 +32,7 @@ RETRIES = 10  # 5 s: a box that was just plugged in waits 2 s before it runs
 STOP_RETRIES = 4  # somebody who pressed Ctrl-C waits for this
 SILENCE_NS = 3 * SECOND  # of a box that sends a heartbeat every second
 REOPEN_S = 0.5
+SHORTEST_NS = 10_000
 DRAIN_NS = SECOND // 5
 
 _COMMANDS = {IDENTIFY: "identify", CONFIGURE: "configure", START: "start", STOP: "stop"}
@@ -289,7 +289,9 @@ class _Recorder:
         now_ns = self._clock.now_ns()
         if now_ns >= self._next_chores_ns:
             self._chores(now_ns)
-        arrivals = [(t, self._box.take, data) for t, data in self._link.read(min(timeout_ns, CHORES_NS) / SECOND)]
+        # Never so short that a clock which counts in whole units would stand still.
+        timeout_s = max(min(timeout_ns, CHORES_NS), SHORTEST_NS) / SECOND
+        arrivals = [(t, self._box.take, data) for t, data in self._link.read(timeout_s)]
         if self._robot is not None:
             arrivals += [(t, self._robot.take, data) for t, data in self._robot.read()]
             arrivals.sort(key=itemgetter(0))

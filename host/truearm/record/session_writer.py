@@ -105,6 +105,11 @@ class SessionWriter:
         except OSError as exc:
             raise self._cannot_write(exc) from exc
 
+    @property
+    def received(self) -> bool:
+        """Whether anything of a box or a robot is in the file."""
+        return any(topic.startswith(("/box/", "/robot/")) for topic in self._channels)
+
     def tick(self, now_ns: int) -> None:
         """End the chunk if it is old enough; to be called several times a second, also when nothing arrives."""
         if self._chunk_since_ns is not None and now_ns - self._chunk_since_ns >= CHUNK_NS:
