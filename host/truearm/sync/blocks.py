@@ -1,0 +1,355 @@
+"""Box messages in the order of their arrival → blocks of samples, clock exchanges and exact losses.
+
+Every frame from the box counts in one ``seq`` (SPEC §4), so each is looked at, whatever its type:
+
+- ``seq`` one on: the next frame. A jump ahead by less than half the circle: frames lost on the link.
+- a ``seq`` of one of the last 64 frames with the same bytes: a frame that was doubled, ignored.
+- any other step back, device time that runs backward within one kind of frame, or a new boot id: the box restarted.
+  A new **segment** begins; its ``seq`` counts from 0, so frames missing at its beginning are known too.
+
+``n0`` counts samples. A jump with frames lost since the stream's last block: the samples went with them; without: the box
+overran. ``n0`` that falls back without a restart is a new ``start``, a new **run**. Device time belongs to a segment;
+samples are whole within a run between blocks marked ``gap``.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import cbor2
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.errors import SessionError
+from truearm.sensors.ident import Ident, parse_ident
+from truearm.sync.losses import BoxCounters, Losses
+from truearm.types import Message
+from truearm_wire import messages as wire
+
+TAG_INT32 = 78
+TAG_UINT16 = 69
+MAX_PAYLOAD = 250
+MAX_DEVICE_US = 2**53  # 285 years: beyond it nothing but a damaged or hostile file lies, and ns stay within 63 bits
+MAX_HOST_NS = 2**62
+REMEMBERED = 64  # frames that a doubled one may lag behind
+HALF_CIRCLE = 2**31
+
+_HEARTBEAT, _SYNC = -1, -2  # keys of the kinds of device time, beside the streams' ids
+_COUNTERS = wire.names(wire.HEARTBEAT)
+_SUMMED = ("sent", "dropped", "short_writes", "overruns", "bad_frames")
+
+
+class Block(NamedTuple):
+    """The samples of one data frame."""
+
+    segment: int
+    run: int
+    stream: int
+    seq: int
+    n0: int
+    t0_us: int  # device time of the first sample
+    period_ns: int  # 0: offsets_us says
+    offsets_us: bytes  # uint16 a sample, little endian
+    n: int
+    channels: int
+    samples: bytes  # int32, little endian, row-major (n, channels)
+    gap: bool  # samples before this block are missing
+    flags: int
+    t_host_ns: int
+
+    @property
+    def counts(self) -> NDArray[np.int32]:
+        """The samples as (n, channels)."""
+        return np.frombuffer(self.samples, "<i4").reshape(self.n, self.channels)
+
+
+class Exchange(NamedTuple):
+    """An answered clock request: host before write, device received, device sent, host arrival."""
+
+    t0_ns: int
+    t1_us: int
+    t2_us: int
+    t3_ns: int
+
+
+@dataclass
+class Segment:
+    """One life of the box, from boot to reboot."""
+
+    index: int
+    boot_id: int | None = None
+    ident: Ident | None = None
+    exchanges: list[Exchange] = field(default_factory=list)
+
+
+@dataclass
+class _Stream:
+    """Where a stream stands: the index of its next sample, frames lost when its last block came."""
+
+    next_n0: int | None
+    frames_lost: int
+    run: int
+
+
+class BoxReader:
+    """Takes the box's and the clock's messages one by one in log order; see the module's text for the rules.
+
+    ``ident`` describes the streams where the session itself holds no ident frames before the data. ``keep_exchanges``
+    False leaves the exchanges out (a second pass needs them no more).
+    """
+
+    def __init__(self, ident: Ident | None = None, keep_exchanges: bool = True) -> None:
+        self.segments = [Segment(0, ident=ident)]
+        self._keep_exchanges = keep_exchanges
+        self._count: Counter[str] = Counter()
+        self._last_seq: int | None = None
+        self._recent: list[bytes] = [b""] * REMEMBERED
+        self._times: dict[int, int] = {}
+        self._streams: dict[int, _Stream] = {}
+        self._pages: dict[int, bytes] = {}
+        self._heartbeats: dict[int, list[int]] = {}  # segment → last counters
+        self._worst: dict[str, int] = {}
+
+    @property
+    def segment(self) -> Segment:
+        """The segment that the last message belongs to."""
+        return self.segments[-1]
+
+    def feed(self, message: Message) -> Block | None:
+        """Account for one message; the block of samples if it is one. Messages of other topics are ignored."""
+        topic = message.topic
+        if topic == "/sync":
+            self._exchange(message.data)
+        elif topic == "/box/console":
+            self._console(message.data)
+        elif topic.startswith("/box/"):
+            return self._frame(message)
+        return None
+
+    def losses(self) -> Losses:
+        """The account so far."""
+        totals = Counter[str]()
+        for last in self._heartbeats.values():
+            totals.update({name: last[_COUNTERS.index(name) - 1] for name in _SUMMED})
+        worst = self._worst
+        box = BoxCounters(
+            heartbeats=self._count["heartbeats"],
+            **{name: totals[name] for name in _SUMMED},
+            loop_max_us=worst.get("loop_max_us"),
+            gc_max_us=worst.get("gc_max_us"),
+            heap_free_min=worst.get("heap_free"),
+        )
+        known = {name: self._count[name] for name in Losses.__dataclass_fields__ if name != "box"}
+        return Losses(**known, box=box)
+
+    # ------------------------------------------------------------------------------------------------ frames
+
+    def _frame(self, message: Message) -> Block | None:
+        frame = decode(message.data)
+        if frame is None:
+            self._count["frames_malformed"] += 1
+            return None
+        kind, seq = frame[0], frame[1]
+        stamp = _device_time(frame) if kind in (wire.DATA, wire.HEARTBEAT, wire.SYNC_REPLY) else None
+        if not self._advance(seq, stamp, message.data):
+            self._count["frames_duplicated"] += 1
+            return None
+        self._count["frames"] += 1
+        if kind == wire.DATA:
+            return self._data(frame, message.t_host_ns)
+        if kind == wire.HEARTBEAT:
+            self._heartbeat(frame)
+        elif kind == wire.IDENT:
+            self._ident_page(frame)
+        elif kind not in wire.LAYOUT:
+            self._count["frames_unknown"] += 1
+        return None
+
+    def _advance(self, seq: int, stamp: tuple[int, int] | None, data: bytes) -> bool:
+        """Account for ``seq`` and device time; False for a doubled frame."""
+        last = self._last_seq
+        step = 1 if last is None else (seq - last) & 0xFFFFFFFF
+        if step != 1 and self._recent[seq % REMEMBERED] == data:
+            return False
+        backward = stamp is not None and stamp[1] < self._times.get(stamp[0], 0)
+        if last is not None and (backward or step == 0 or step >= HALF_CIRCLE):
+            self._restart()
+            step = seq + 1
+        if step != 1:
+            self._count["frames_lost"] += step - 1
+            self._count["loss_events"] += 1
+        self._last_seq = seq
+        self._recent[seq % REMEMBERED] = data
+        if stamp is not None:
+            self._times[stamp[0]] = stamp[1]
+        return True
+
+    def _restart(self) -> None:
+        self._count["restarts"] += 1
+        self.segments.append(Segment(len(self.segments), ident=self.segment.ident))
+        self._times.clear()
+        self._pages.clear()
+        self._recent = [b""] * REMEMBERED
+        for stream in self._streams.values():
+            stream.next_n0, stream.frames_lost = None, self._count["frames_lost"]
+
+    def _boot_id(self, boot_id: int) -> None:
+        if self.segment.boot_id not in (None, boot_id):
+            self._restart()
+        self.segment.boot_id = boot_id
+
+    # ------------------------------------------------------------------------------------------------ contents
+
+    def _data(self, frame: list[Any], t_host_ns: int) -> Block | None:
+        if not _is_data(frame):
+            self._count["frames_malformed"] += 1
+            return None
+        _, seq, stream_id, n0, t0_us, timing, samples, flags = frame[:8]
+        described = self.segment.ident and self.segment.ident.streams.get(stream_id)
+        if not described:
+            self._count["blocks_without_ident"] += 1
+            return None
+        channels = len(described.channels)
+        n, rest = divmod(len(samples.value), 4 * channels)
+        uniform = type(timing) is int
+        offsets = b"" if uniform else timing.value
+        if rest or n == 0 or not (uniform or len(offsets) == 2 * n):
+            self._count["frames_malformed"] += 1
+            return None
+        self._count.update(blocks=1, samples=n, converter_faults=flags >> 1 & 1)
+        gap, run = self._place(stream_id, n0, n, flags)
+        period_ns = timing if uniform else 0
+        return Block(
+            self.segment.index, run, stream_id, seq, n0, t0_us, period_ns, offsets, n, channels, samples.value, gap, flags, t_host_ns
+        )  # fmt: skip
+
+    def _place(self, stream_id: int, n0: int, n: int, flags: int) -> tuple[bool, int]:
+        """Account for ``n0``: whether samples are missing before it, and the run it belongs to."""
+        lost = self._count["frames_lost"]
+        stream = self._streams.setdefault(stream_id, _Stream(None, 0, 0))
+        with_frames = lost != stream.frames_lost
+        if stream.next_n0 is None:
+            # Joined, or restarted. Without a frame lost the box had been sampling before the session began.
+            missing = n0 if with_frames else 0
+            gap = True
+        elif n0 < stream.next_n0:
+            self._count["starts"] += 1
+            stream.run += 1
+            missing, gap = n0, True
+        else:
+            missing = n0 - stream.next_n0
+            gap = missing > 0 or bool(flags & wire.FLAG_OVERRUN)
+        self._count["samples_lost" if with_frames else "samples_overrun"] += missing
+        stream.next_n0, stream.frames_lost = n0 + n, lost
+        return gap, stream.run
+
+    def _heartbeat(self, frame: list[Any]) -> None:
+        values = frame[2 : 1 + len(_COUNTERS)]
+        if len(values) < len(_COUNTERS) - 1 or any(type(value) is not int for value in values):
+            self._count["frames_malformed"] += 1
+            return
+        self._boot_id(values[0])
+        self._count["heartbeats"] += 1
+        self._heartbeats[self.segment.index] = values
+        for name, worse in (("loop_max_us", max), ("gc_max_us", max), ("heap_free", min)):
+            value = values[_COUNTERS.index(name) - 1]
+            self._worst[name] = worse(self._worst.get(name, value), value)
+
+    def _ident_page(self, frame: list[Any]) -> None:
+        document = self._collect(frame)
+        if document is None:
+            return
+        try:
+            ident = parse_ident(cbor2.loads(document, max_depth=8, allow_indefinite=False))
+        except (cbor2.CBORError, SessionError):
+            self._count["frames_malformed"] += 1
+            return
+        self._boot_id(ident.boot_id)
+        self.segment.ident = ident
+
+    def _collect(self, frame: list[Any]) -> bytes | None:
+        """The document that this page completes. Page 0 drops an unfinished one (SPEC §5)."""
+        if len(frame) < 6 or any(type(v) is not int for v in frame[2:5]) or type(frame[5]) is not bytes:
+            self._count["frames_malformed"] += 1
+            return None
+        page, pages, data = frame[3:6]
+        if page == 0:
+            self._pages.clear()
+        if page != len(self._pages) or not page < pages <= wire.PAGES_MAX:
+            return None
+        self._pages[page] = data
+        return b"".join(self._pages.values()) if page == pages - 1 else None
+
+    # ------------------------------------------------------------------------------------------------ not frames
+
+    def _console(self, data: bytes) -> None:
+        self._count.update(console_runs=1, console_bytes=len(data), console_text_runs=is_text(data))
+
+    def _exchange(self, data: bytes) -> None:
+        exchange = parse_exchange(data)
+        self._count.update(sync_requests=1, sync_unanswered=exchange is None)
+        if exchange is not None and self._keep_exchanges:
+            self.segment.exchanges.append(exchange)
+
+
+def decode(payload: bytes) -> list[Any] | None:
+    """The elements of a payload; None if it is not [type, seq, …]."""
+    if len(payload) > MAX_PAYLOAD:
+        return None
+    try:
+        frame = cbor2.loads(payload, max_depth=4, allow_indefinite=False)
+    except cbor2.CBORError:
+        return None
+    if type(frame) is not list or len(frame) < 2 or type(frame[0]) is not int or type(frame[1]) is not int:
+        return None
+    return frame if 0 <= frame[1] < 2**32 else None
+
+
+def is_text(data: bytes) -> bool:
+    """Whether bytes are text that a program printed rather than a damaged frame."""
+    try:
+        text = data.decode()
+    except UnicodeDecodeError:
+        return False
+    return all(character.isprintable() or character.isspace() for character in text)
+
+
+def parse_exchange(data: bytes) -> Exchange | None:
+    """A ``/sync`` message; None if it was not answered (or is no such message, which answers nothing either)."""
+    try:
+        document = json.loads(data)
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(document, dict):
+        return None
+    t0, t1, t2, t3 = (document.get(name) for name in ("t0_ns", "t1_us", "t2_us", "t3_ns"))
+    host = type(t0) is int and type(t3) is int and abs(t0) < MAX_HOST_NS and abs(t3) < MAX_HOST_NS
+    device = type(t1) is int and type(t2) is int and 0 <= t1 < MAX_DEVICE_US and 0 <= t2 < MAX_DEVICE_US
+    return Exchange(t0, t1, t2, t3) if host and device else None  # type: ignore[arg-type]
+
+
+def _device_time(frame: list[Any]) -> tuple[int, int] | None:
+    """The kind of device time and its value, of a data, heartbeat or sync frame."""
+    place = {wire.DATA: 4, wire.HEARTBEAT: 3, wire.SYNC_REPLY: 3}[frame[0]]
+    if len(frame) <= place or type(frame[place]) is not int or type(frame[2]) is not int:
+        return None
+    if not 0 <= frame[place] < MAX_DEVICE_US:
+        return None
+    return {wire.DATA: frame[2], wire.HEARTBEAT: _HEARTBEAT, wire.SYNC_REPLY: _SYNC}[frame[0]], frame[place]
+
+
+def _is_data(frame: list[Any]) -> bool:
+    if len(frame) < 8:
+        return False
+    _, _, stream, n0, t0_us, timing, samples, flags = frame[:8]
+    if not (type(stream) is type(n0) is type(t0_us) is type(flags) is int and min(stream, n0, flags) >= 0):
+        return False
+    timed = 0 < timing < 2**32 if type(timing) is int else _is_array(timing, TAG_UINT16)
+    return 0 <= t0_us < MAX_DEVICE_US and n0 < 2**62 and timed and _is_array(samples, TAG_INT32)
+
+
+def _is_array(value: object, tag: int) -> bool:
+    return isinstance(value, cbor2.CBORTag) and value.tag == tag and type(value.value) is bytes

@@ -1,0 +1,54 @@
+"""What did not arrive, counted exactly (hop 4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class BoxCounters:
+    """The box's own counters, of the last heartbeat of each boot and summed over the boots; they run since boot.
+
+    ``loop_max_us``, ``gc_max_us`` and ``heap_free_min`` are the worst of all heartbeats; None without a heartbeat.
+    """
+
+    heartbeats: int = 0
+    sent: int = 0
+    dropped: int = 0
+    short_writes: int = 0
+    overruns: int = 0
+    bad_frames: int = 0
+    loop_max_us: int | None = None
+    gc_max_us: int | None = None
+    heap_free_min: int | None = None
+
+
+@dataclass(frozen=True)
+class Losses:
+    """Exact accounting of a session.
+
+    A flipped bit makes one console run and one lost frame; a traceback in the stream one console run; a doubled frame
+    one duplicate. Frames before the first one seen cannot be counted; after a restart ``seq`` begins at 0, so
+    there they are.
+    """
+
+    frames: int = 0  # frames received, each counted once, of whatever type
+    frames_lost: int = 0  # gaps of seq
+    loss_events: int = 0  # places where seq has a gap
+    frames_duplicated: int = 0
+    frames_malformed: int = 0  # frames with a good CRC that do not keep to the specification
+    frames_unknown: int = 0  # of types that this version does not know
+    blocks: int = 0
+    samples: int = 0
+    samples_lost: int = 0  # jumps of n0 with a gap of seq: they went with lost frames
+    samples_overrun: int = 0  # jumps of n0 without a gap of seq: lost in the box
+    blocks_without_ident: int = 0  # data of a stream that no ident describes: unusable
+    converter_faults: int = 0  # blocks that the box flagged
+    console_runs: int = 0  # runs of bytes that were no frame
+    console_text_runs: int = 0  # those of them that are text
+    console_bytes: int = 0
+    restarts: int = 0
+    starts: int = 0  # times that n0 began anew without a restart
+    sync_requests: int = 0
+    sync_unanswered: int = 0
+    box: BoxCounters = BoxCounters()

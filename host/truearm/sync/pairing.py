@@ -1,0 +1,146 @@
+"""Which bar, chuck and sphere a dwell belongs to: by the plan, or by what was said to be mounted (hop 5).
+
+A robot follows its plan in order, but a pose may be left out, visited twice, or stopped at in between. The pairing is
+therefore the longest chain of (dwell, pose) pairs that are near in joint space and ascend in both; of chains as long, the
+one with the smaller distances. It is found as a longest increasing subsequence with weights, in O(k log k) for k near pairs.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from truearm.sync.joints import MAX_JOINTS
+from truearm.types import Floats
+
+FITTINGS = ("bar", "chuck", "sphere", "shell")
+MAX_NAME = 64
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The planned poses in their order: q (p, j) and what is mounted at each."""
+
+    q: Floats
+    mounted: tuple[dict[str, str], ...]
+
+
+@dataclass
+class Marks:
+    """Gathers what ``/plan`` and ``/events`` say."""
+
+    poses: list[tuple[list[float], dict[str, str]]] = field(default_factory=list)
+    mountings: list[tuple[int, dict[str, str]]] = field(default_factory=list)  # (t_host_ns, what)
+    kinds: dict[str, int] = field(default_factory=dict)
+    malformed: int = 0
+
+    def feed(self, topic: str, t_host_ns: int, data: bytes) -> None:
+        """Take one message of either topic; others are ignored."""
+        if topic not in ("/plan", "/events"):
+            return
+        document = _document(data)
+        if document is None:
+            self.malformed += 1
+        elif topic == "/plan":
+            self._plan(document)
+        else:
+            kind = document.get("kind")
+            if isinstance(kind, str) and (kind in self.kinds or len(self.kinds) < 100):
+                self.kinds[kind] = self.kinds.get(kind, 0) + 1
+            if kind == "mounted":
+                self.mountings.append((t_host_ns, _fittings(document)))
+
+    def _plan(self, document: Mapping[str, Any]) -> None:
+        q = document.get("q")
+        numbers = isinstance(q, list) and 1 <= len(q) <= MAX_JOINTS
+        numbers = numbers and all(type(value) in (int, float) and abs(value) < 1e6 for value in q or [])
+        if not numbers or (self.poses and len(self.poses[0][0]) != len(q or [])):
+            self.malformed += 1
+            return
+        self.poses.append(([float(value) for value in q or []], _fittings(document)))
+
+    def plan(self) -> Plan | None:
+        """The plan, None without a pose."""
+        if not self.poses:
+            return None
+        return Plan(np.array([q for q, _ in self.poses]), tuple(mounted for _, mounted in self.poses))
+
+    def mounted_at(self, t_host_ns: int) -> dict[str, str]:
+        """What was said to be mounted at a time; empty before the first word."""
+        times = [t for t, _ in self.mountings]
+        index = int(np.searchsorted(np.array(times, dtype=np.int64), t_host_ns, side="right"))
+        return self.mountings[index - 1][1] if index else {}
+
+
+def match_plan(q: Floats, plan: Plan, tolerance: float, said: Sequence[Mapping[str, str]]) -> list[int | None]:
+    """The planned pose of each dwell, None where there is none.
+
+    ``q`` (d, j): mean readings in order; ``tolerance`` [rad or m] holds for every joint; ``said``: what events said to be
+    mounted at each dwell, which a pose must not contradict.
+    """
+    pairs = _near_pairs(q, plan, tolerance, said)
+    matched: list[int | None] = [None] * len(q)
+    for dwell, pose in _best_chain(pairs, len(plan.q)):
+        matched[dwell] = pose
+    return matched
+
+
+def _near_pairs(
+    q: Floats, plan: Plan, tolerance: float, said: Sequence[Mapping[str, str]]
+) -> list[tuple[int, int, float]]:
+    """(dwell, pose, weight) of near pairs, by dwell; the poses of one dwell descend, so that a chain takes one of them.
+
+    A pair weighs 1 less its distance, scaled so that all distances together are less than one pair.
+    """
+    if not len(q) or q.shape[1] != plan.q.shape[1]:
+        return []
+    near = KDTree(plan.q).query_ball_point(q, tolerance, p=np.inf)
+    scale = 1.0 / (tolerance * (len(q) + 1))
+    return [
+        (dwell, pose, 1.0 - scale * float(np.max(np.abs(q[dwell] - plan.q[pose]))))
+        for dwell, poses in enumerate(near)
+        for pose in sorted(poses, reverse=True)
+        if not _contradict(said[dwell], plan.mounted[pose])
+    ]
+
+
+def _contradict(said: Mapping[str, str], planned: Mapping[str, str]) -> bool:
+    return any(said.get(key) and planned.get(key) and said[key] != planned[key] for key in ("bar", "chuck", "sphere"))
+
+
+def _best_chain(pairs: list[tuple[int, int, float]], poses: int) -> list[tuple[int, int]]:
+    """The heaviest chain of pairs that ascends in both; a Fenwick tree holds the heaviest that ends at or before a pose."""
+    tree = [(0.0, -1)] * (poses + 1)
+    weights, before = [], []
+    for k, (_, pose, weight) in enumerate(pairs):
+        best, i = (0.0, -1), pose
+        while i > 0:
+            best, i = max(best, tree[i]), i & (i - 1)
+        weights.append(best[0] + weight)
+        before.append(best[1])
+        i = pose + 1
+        while i <= poses:
+            tree[i], i = max(tree[i], (weights[k], k)), i + (i & -i)
+    chain, k = [], max(range(len(pairs)), key=weights.__getitem__, default=-1)
+    while k >= 0:
+        chain.append(pairs[k][:2])
+        k = before[k]
+    return chain[::-1]
+
+
+def _document(data: bytes) -> dict[str, Any] | None:
+    try:
+        document = json.loads(data)
+    except (ValueError, RecursionError):
+        return None
+    return document if isinstance(document, dict) else None
+
+
+def _fittings(document: Mapping[str, Any]) -> dict[str, str]:
+    named = {key: document.get(key) for key in FITTINGS}
+    return {key: str(value)[:MAX_NAME] for key, value in named.items() if isinstance(value, str) and value}
