@@ -19,7 +19,8 @@ from truearm.errors import LinkClosed, LinkError
 from .simbox import SimulatedBox
 from .world import World
 
-STEP_NS = 50_000_000  # the box's bytes are fetched at least this often
+STEP_NS = 100_000_000  # the box runs at least this often
+ROBOT_AHEAD_NS = 1_000_000_000  # the robot's lines are computed by the second
 HOST_AT_START_NS = 12_345_678_901_234
 UTC_NS = 1_767_225_600_000_000_000  # 2026-01-01T00:00:00Z: the virtual lab's calendar
 
@@ -110,12 +111,14 @@ class Lab:
                 self._arrivals["box"].append((at, tx))
         if t_ns >= self._next_step_ns:
             self._next_step_ns = t_ns + STEP_NS
-            self._robot_speaks(t_ns)
+            while self._robot_until_ns <= self._next_step_ns:
+                self._robot_speaks()
 
-    def _robot_speaks(self, t_ns: int) -> None:
-        """The lines that the controller sent since the last step, each with its own delay."""
-        times_ns, lines = self.world.robot_lines(self._robot_until_ns, t_ns + STEP_NS)
-        self._robot_until_ns = t_ns + STEP_NS
+    def _robot_speaks(self) -> None:
+        """The controller's next lines, each with a delay of its own."""
+        since_ns = self._robot_until_ns
+        self._robot_until_ns += ROBOT_AHEAD_NS
+        times_ns, lines = self.world.robot_lines(since_ns, self._robot_until_ns)
         for sent_ns, line in zip(times_ns, lines, strict=True):
             at = self._in_order("robot", int(sent_ns) + FROM_ROBOT.draw(self._rng))
             self._arrivals["robot"].append((at, line))

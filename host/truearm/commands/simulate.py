@@ -1,0 +1,96 @@
+"""``truearm simulate``: a box and a robot in real time behind ports of this machine, to try everything without hardware."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from truearm.errors import InputError, LinkError
+
+if TYPE_CHECKING:
+    from truearm_sim.micropython import Interpreter
+    from truearm_sim.simbox import Fault
+
+
+def simulate(
+    folder: Annotated[
+        Path, typer.Option("--out", metavar="FOLDER", help="Where plan.csv and rig.toml are written.")
+    ] = Path("out/simulated"),
+    port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port of the box; 0 takes a free one.")] = 7007,
+    robot_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="TCP port of the robot; 0 takes a free one.")
+    ] = 7008,
+    pty: Annotated[bool, typer.Option("--pty", help="The box behind a pseudo-terminal, as a serial device.")] = False,
+    poses: Annotated[int, typer.Option(min=9, max=5000, help="Poses with each of the two bars.")] = 36,
+    seed: Annotated[int, typer.Option(min=0, help="Of everything that is drawn by chance.")] = 1,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(metavar="SECONDS:KIND", help="Something that goes wrong; repeatable. An unknown KIND lists them."),
+    ] = None,
+) -> None:
+    """Simulate a sensor box and a robot in real time, on this machine's loopback.
+
+    The firmware's own files run in a real MicroPython (in CPython, and it says so, where there is none). Time starts
+    with the first connection. Ends with the robot's program, or with Ctrl-C.
+
+    Example: truearm simulate, and in another terminal the truearm record line that it prints.
+    """
+    from truearm.files.plan import write_plan
+    from truearm.files.rig import write_rig
+    from truearm_sim import micropython
+    from truearm_sim.serve import Port, Terminal, serve
+    from truearm_sim.simbox import SimulatedBox
+    from truearm_sim.world import World, standard_plan
+
+    faults = [parse_fault(text) for text in fault or []]
+    interpreter = find_interpreter()
+    typer.echo(f"firmware: {interpreter or 'CPython; no MicroPython was found (' + micropython.BY_HAND + ')'}")
+    plan = standard_plan(poses, seed)
+    world = World(seed, plan)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_plan(folder / "plan.csv", plan)
+    write_rig(folder / "rig.toml", world.rig)
+    box = SimulatedBox(world, interpreter, faults=faults, seed=seed)
+    try:
+        box_port = Terminal() if pty else Port.listen("127.0.0.1", port)
+        robot = Port.listen("127.0.0.1", robot_port)
+    except OSError as exc:
+        raise LinkError(f"cannot listen: {exc.strerror}; choose other ports with --port and --robot-port") from exc
+    device = box_port.path if isinstance(box_port, Terminal) else f"socket://127.0.0.1:{box_port.number}"
+    typer.echo(f"{len(plan)} poses, {world.duration / 60:.0f} minutes. Record them with\n")
+    typer.echo(
+        f"  truearm record --device {device} --robot tcp://127.0.0.1:{robot.number} "
+        f"--plan {shlex.quote(str(folder / 'plan.csv'))} --rig {shlex.quote(str(folder / 'rig.toml'))} "
+        f"--out {shlex.quote(str(folder / 'session.mcap'))}\n"
+    )
+    try:
+        serve(world, box, box_port, robot, started=lambda: typer.echo("connected: time starts"))
+        typer.echo("the robot's program has ended")
+    finally:
+        box.close()
+        box_port.close()
+        robot.close()
+
+
+def find_interpreter() -> Interpreter | None:
+    """The MicroPython to run the firmware in. Raises InputError if the one that was named cannot be used."""
+    from truearm_sim import micropython
+
+    try:
+        return micropython.find()
+    except micropython.InterpreterError as exc:
+        raise InputError(str(exc)) from exc
+
+
+def parse_fault(text: str) -> Fault:
+    """A fault written SECONDS:KIND. Raises InputError."""
+    from truearm_sim.simbox import FAULTS, Fault
+
+    seconds, _, kind = text.partition(":")
+    try:
+        return Fault(float(seconds), kind)
+    except ValueError:
+        raise InputError(f"--fault {text!r}: write SECONDS:KIND, with KIND one of {', '.join(FAULTS)}") from None
