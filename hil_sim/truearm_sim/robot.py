@@ -28,7 +28,7 @@ READY = 0.5  # s, of the pause: the bar is on, hands are off
 RING_HZ = 9.0
 RING_DECAY = 0.05  # s
 RING_SHARE = 0.1  # of the deflection that the peak acceleration would cause: the quintic ends softly
-SETTLED = 10.0 * RING_DECAY  # s; what is left then moves the endpoint by less than 10 nm
+SETTLED = 10.0 * RING_DECAY  # s; what is left then moves the endpoint by at most 30 nm
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class Controller:
         return ~self.remount[i] | (t >= self.dwell_start[i] - READY)
 
     def is_settled(self, t: Floats) -> NDArray[np.bool_]:
-        """Whether the joints stand at ``q_held`` of their pose, to 10 nm at the endpoint, at each time t (m,)."""
+        """Whether the joints stand at ``q_held`` of their pose, to 30 nm at the endpoint, at each time t (m,)."""
         return np.asarray(t >= self.arrive[self.pose_index(t)] + SETTLED)
 
     def q_commanded(self, t: Floats) -> Floats:
@@ -158,7 +158,7 @@ def move_durations(delta: Floats) -> Floats:
     size, j = np.abs(delta), delta.shape[1]
     by_speed = 15.0 / 8.0 * size / SPEED[:j]
     by_acceleration = np.sqrt(10.0 / np.sqrt(3.0) * size / ACCELERATION[:j])
-    return np.maximum(by_speed, by_acceleration).max(axis=1)
+    return np.asarray(np.maximum(by_speed, by_acceleration).max(axis=1))
 
 
 def quintic(share: Floats) -> Floats:

@@ -121,7 +121,7 @@ class World:
 
     def _runs_out(self, plan: Plan) -> NDArray[np.bool_]:
         """Poses (n,) on whose way the bar would leave its travel, so that the operator has to take it off."""
-        shares = np.linspace(0.0, 1.0, 9)[:, None]
+        shares = np.linspace(0.0, 1.0, 33)[:, None]
         poses = np.repeat(np.arange(1, len(plan)), len(shares))
         steps = plan.q[:-1, None] + shares * (plan.q[1:] - plan.q[:-1])[:, None]
         strain = np.abs(self._distance(steps.reshape(len(poses), -1), poses) - self._zero[poses])

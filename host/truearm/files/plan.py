@@ -127,7 +127,7 @@ def check_against_rig(plan: Plan, rig: Rig, name: str) -> None:
             if identifier not in known:
                 names = ", ".join(sorted(known)) or "none"
                 raise PlanError(
-                    f"{name} pose {pose} column {column}: {identifier!r} is not in the rig (it has {names})"
+                    f"{name} pose {pose} column {column}: {str(identifier)!r} is not in the rig (it has {names})"
                 )
 
 

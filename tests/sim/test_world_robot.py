@@ -1,0 +1,167 @@
+"""The controller: motion within limits, dwells, settling, and what it reports; clocks."""
+
+import json
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from truearm.files.plan import Plan
+from truearm_sim import robot
+from truearm_sim.clocks import Clock, draw_clocks
+from truearm_sim.robot import Controller, move_durations, quintic
+
+CLOCKS = st.builds(Clock, st.floats(-1e4, 1e4), st.floats(-500.0, 500.0), st.floats(-1e-3, 1e-3), st.floats(60.0, 1e4))
+
+
+def small_plan(n=12, seed=0):
+    rng = np.random.default_rng(seed)
+    chuck = np.repeat(["c1", "c2"], [n // 2, n - n // 2])
+    same = [np.full(n, name) for name in ("bar46", "s1")]
+    return Plan(rng.uniform(-1.5, 1.5, (n, 6)), chuck, same[0], chuck, same[1])
+
+
+@given(CLOCKS, st.floats(0.0, 1e4))
+def test_a_clock_is_inverted_to_the_last_bits(clock, t):
+    # Readings reach 2e4 s, where neighbouring doubles lie 3.6e-12 s apart; the inverse adds and subtracts two of them.
+    assert abs(clock.true(clock.reading(t)) - t) <= 2e-11
+    assert abs(clock.reading(clock.true(t)) - t) <= 2e-11
+
+
+@given(CLOCKS, st.integers(0, 10**13))
+def test_nanoseconds_come_back_to_one_nanosecond(clock, t_ns):
+    assert abs(clock.to_true_ns(clock.from_true_ns(t_ns)) - t_ns) <= 1
+
+
+def test_a_clock_by_hand():
+    clock = Clock(offset=5.0, ppm=100.0, wander=1e-3, wander_period=1000.0)
+    assert clock.reading(0.0) == 5.0
+    assert clock.reading(500.0) == pytest.approx(5.0 + 500.0 + 0.05 + 2e-3, abs=1e-12)
+    assert clock.reading(np.array([1000.0]))[0] == pytest.approx(1005.1, abs=1e-12)
+
+
+def test_drawn_clocks_belong_to_the_seed():
+    assert draw_clocks(1) == draw_clocks(1)
+    assert draw_clocks(1) != draw_clocks(2)
+    for seed in range(20):
+        assert abs(draw_clocks(seed).device.ppm) <= 30.0
+
+
+def test_speeds_and_accelerations_are_kept_and_used():
+    controller = Controller.from_plan(small_plan())
+    step = 1e-3
+    q = controller.q_commanded(np.arange(0.0, controller.duration, step))
+    speed = np.abs(np.diff(q, axis=0)) / step / robot.SPEED
+    acceleration = np.abs(np.diff(q, 2, axis=0)) / step**2 / robot.ACCELERATION
+    # Differences over 1 ms of a quintic lie below its peaks by the mean value theorem.
+    assert speed.max() <= 1.0 + 1e-9
+    assert acceleration.max() <= 1.0 + 1e-6
+    for i in range(1, 12):
+        way = slice(int(controller.move_start[i] / step), int(controller.arrive[i] / step) + 2)
+        assert max(speed[way].max(), acceleration[way].max()) > 0.98  # some joint is at its limit
+
+
+def test_durations_by_hand():
+    # 1 rad of joint 1: 15/8 / 1.43 rad/s = 1.31 s by speed, √(5.774/4) = 1.20 s by acceleration.
+    assert move_durations(np.array([[1.0, 0, 0, 0, 0, 0]]))[0] == pytest.approx(15 / 8 / np.deg2rad(82.0))
+    assert move_durations(np.array([[0.1, 0, 0, 0, 0, 0]]))[0] == pytest.approx(np.sqrt(0.1 * 10 / np.sqrt(3.0) / 4.0))
+    assert move_durations(np.zeros((1, 6)))[0] == 0.0
+
+
+def test_the_quintic_starts_and_ends_at_rest():
+    assert quintic(np.array([0.0, 0.5, 1.0])).tolist() == [0.0, 0.5, 1.0]
+    h = 1e-4
+    for end in (0.0, 1.0):
+        assert abs(quintic(np.array([end + h]))[0] - quintic(np.array([end - h]))[0]) / (2 * h) < 1e-6
+
+
+def test_dwells_last_two_seconds_from_the_end_of_the_commanded_motion():
+    plan = small_plan()
+    controller = Controller.from_plan(plan)
+    start, end, pose = controller.dwells
+    assert np.allclose(end - start, 2.0, rtol=0, atol=1e-9)
+    assert pose.tolist() == list(range(12))
+    new = np.isin(pose, [0, 6])  # the first pose, and the second chuck
+    assert np.array_equal(controller.remount, new)
+    assert np.allclose(start - controller.arrive, np.where(new, 4.0, 0.0), atol=1e-9)
+    assert np.allclose(controller.move_start[1:], end[:-1], atol=1e-9)
+    assert controller.duration == end[-1]
+    for t in (start + 1e-6, 0.5 * (start + end), end - 1e-6):
+        assert np.array_equal(controller.pose_index(t), pose)
+        assert np.allclose(controller.q_commanded(t), plan.q, rtol=0, atol=1e-14)
+
+
+def test_the_bar_is_off_only_before_new_pairings():
+    controller = Controller.from_plan(small_plan(), remount=np.arange(12) == 3)
+    assert np.flatnonzero(controller.remount).tolist() == [0, 3, 6]
+    t = np.arange(0.0, controller.duration, 0.01)
+    off = ~controller.bar_is_on(t)
+    pauses = [(controller.move_start[i], controller.dwell_start[i] - robot.READY) for i in (0, 3, 6)]
+    expected = np.any([(t >= a) & (t < b) for a, b in pauses], axis=0)
+    assert np.array_equal(off, expected)
+    assert controller.bar_is_on(controller.dwell_start).all()
+
+
+def test_the_joints_ring_and_settle():
+    controller = Controller.from_plan(small_plan())
+    deviation = [np.abs(controller.q_true(controller.arrive + dt) - controller.q_held).max() for dt in (0.028, 0.5)]
+    # A quarter of a period after arrival: RING_SHARE · a/ω² at decay exp(-0.56); for 4 … 15 rad/s² some 1e-4 rad.
+    assert 1e-5 < deviation[0] < 1e-3
+    limit = robot.RING_SHARE * robot.ACCELERATION / (2 * np.pi * robot.RING_HZ) ** 2
+    assert np.all(np.abs(controller.ring) <= limit + 1e-12)
+    # The sphere lies within 1 m of the axes of joints 1 and 2, 0.6 m of joint 3, 0.2 m of the wrist: 30 nm in all.
+    assert limit @ [1.0, 1.0, 0.6, 0.2, 0.2, 0.2] * np.exp(-10.0) < 30e-9
+    assert deviation[1] <= limit.max() * np.exp(-10.0)
+    assert not controller.is_settled(controller.arrive + 0.499).any()
+    settled = controller.arrive + 0.501
+    assert controller.is_settled(settled).all()
+    assert np.allclose(controller.q_true(settled), controller.q_held, rtol=0, atol=1e-12)
+
+
+def test_the_servo_holds_near_the_command_but_not_on_it():
+    n = 2000
+    plan = Plan(np.zeros((n, 6)), *(np.full(n, "x") for _ in range(4)))
+    error = Controller.from_plan(plan, seed=5).q_held / robot.SERVO_SIGMA
+    # χ² with 12,000 degrees of freedom: mean 12,000, σ 155.
+    assert abs(np.sum(error**2) - 12_000) < 5 * 155
+
+
+def test_readings_are_multiples_of_the_resolution_near_the_true_joints():
+    assert robot.STEP <= 1e-4
+    clock = Clock(100.0, 20.0)
+    controller = Controller.from_plan(small_plan(), clock)
+    t_robot, q = controller.readings(0.0, controller.duration)
+    assert np.abs(q / robot.STEP - np.round(q / robot.STEP)).max() < 1e-9
+    q_true = controller.q_true(clock.true(t_robot))
+    assert np.abs(q - q_true).max() <= robot.STEP / 2 + 1e-12
+    assert np.allclose(np.diff(t_robot), 0.02, rtol=0, atol=1e-9)
+
+
+@settings(max_examples=30)
+@given(st.lists(st.floats(0.0, 20.0), max_size=6))
+def test_readings_do_not_depend_on_the_chunks_they_are_asked_in(cuts):
+    controller = Controller.from_plan(small_plan(), Clock(1.0, -30.0))
+    edges = [0.0, *sorted(cuts), 20.0]
+    whole_t, whole_q = controller.readings(0.0, 20.0)
+    parts = [controller.readings(a, b) for a, b in pairwise(edges)]
+    assert np.array_equal(np.concatenate([t for t, _ in parts]), whole_t)
+    assert np.array_equal(np.concatenate([q for _, q in parts]), whole_q)
+
+
+def test_lines_hold_the_readings():
+    clock = Clock(1000.0, 12.0)
+    controller = Controller.from_plan(small_plan(), clock, rate=125.0)
+    t, lines = controller.reading_lines(3.0, 9.0)
+    t_robot, q = controller.readings(3.0, 9.0)
+    rows = [json.loads(line) for line in lines]
+    assert all(line.endswith(b"}\n") for line in lines)
+    assert len(rows) == len(t) == 750
+    assert np.all((t >= 3.0) & (t < 9.0))
+    # %.6f and %.9f round by half a last digit.
+    assert np.allclose([row["t"] for row in rows], t_robot, rtol=0, atol=5.1e-7)
+    assert np.allclose([row["q"] for row in rows], q, rtol=0, atol=5.1e-10)
+    assert np.allclose([row["q_cmd"] for row in rows], controller.q_commanded(t), rtol=0, atol=5.1e-10)
+    assert np.array_equal(np.diff([row["seq"] for row in rows]), np.ones(749))
+    assert json.loads(controller.reading_lines(0.0, 0.1)[1][0])["seq"] == 0

@@ -1,0 +1,198 @@
+"""What the box's converter sees: noise that belongs to the sample, repeatability, rails, stamps, delay, calibration."""
+
+import importlib.util
+from fractions import Fraction
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from truearm.errors import PlanError
+from truearm.files.plan import Plan
+from truearm.model.chain import point_forward
+from truearm_sim import sensors
+from truearm_sim.clocks import Clock
+from truearm_sim.world import World, standard_plan, standard_rig
+
+PERIOD = 983_040
+PLAN = standard_plan(27, seed=7)
+WORLD = World(11, PLAN)
+START = WORLD.device_clock.from_true_ns(0)
+
+
+def extension_of(counts):
+    """What the host makes of the LVDT's counts with the box's configuration: extension [m]."""
+    channel = WORLD.box_config()["channels"][0]
+    volts = counts[:, 0] * (channel["scale"][0] * 10.0 ** channel["scale"][1])
+    zero, gain = (mantissa * 10.0**exponent for mantissa, exponent in channel["calibration"]["poly"])
+    return zero + gain * volts
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 3 * sensors.BLOCK), st.lists(st.integers(0, 2 * sensors.BLOCK), max_size=5))
+def test_samples_do_not_depend_on_the_chunks_they_are_asked_in(first, lengths):
+    edges = np.cumsum([first, *lengths])
+    parts = [WORLD.samples(int(a), int(b), START, PERIOD) for a, b in pairwise(edges)]
+    whole = World(11, PLAN).samples(first, int(edges[-1]), START, PERIOD)
+    for column in (0, 1):
+        pieces = [part[column] for part in parts] or [whole[column][:0]]
+        assert np.array_equal(np.concatenate(pieces), whole[column])
+
+
+def test_counts_and_stamps_have_their_types():
+    counts, stamps = WORLD.samples(5, 9, START, PERIOD)
+    assert counts.shape == (4, 4)
+    assert (counts.dtype, stamps.dtype) == (np.int32, np.int64)
+    assert WORLD.samples(5, 5, START, PERIOD)[0].shape == (0, 4)
+
+
+def test_stamps_are_the_exact_device_time_rounded_down():
+    _, stamps = WORLD.samples(4_000_000, 4_000_050, 1_234_567_891, PERIOD)
+    assert stamps.tolist() == [(1_234_567_891 + k * PERIOD) // 1000 for k in range(4_000_000, 4_000_050)]
+
+
+def test_noise_of_another_seed_channel_or_block_is_other_noise():
+    streams = [sensors.sample_noise(s, c, b) for s, c, b in [(1, 0, 0), (2, 0, 0), (1, 1, 0), (1, 0, 1)]]
+    correlations = np.corrcoef(streams)[np.triu_indices(4, 1)]
+    assert np.abs(correlations).max() < 5.0 / np.sqrt(sensors.BLOCK)  # σ of a correlation of independent numbers: 1/√n
+    assert np.array_equal(sensors.sample_noise(1, 0, 0), streams[0])
+    for noise in streams:
+        assert stats.kstest(noise, "norm").pvalue > 1e-4
+
+
+def test_resting_channels_have_their_level_and_noise():
+    counts, _ = WORLD.samples(0, sensors.BLOCK, START, PERIOD)
+    volts = counts[:, 1:] * sensors.VOLTS_PER_COUNT
+    sigma = sensors.RESTING_SIGMA[1:]
+    assert np.all(np.abs(volts.mean(axis=0) - sensors.RESTING_VOLTS[1:]) < 5 * sigma / np.sqrt(sensors.BLOCK))
+    assert np.allclose(volts.std(axis=0), sigma, rtol=5 / np.sqrt(2 * sensors.BLOCK))
+
+
+def test_the_host_reads_the_true_length_in_a_dwell():
+    start, end, poses = WORLD.controller.dwells
+    zero = np.where(PLAN.bar == "bar46", 0.46, 0.61)
+    for i in poses[::9]:
+        k0, k1 = (
+            int((WORLD.device_clock.from_true_ns(int(1e9 * t)) - START) / PERIOD) for t in (start[i] + 0.6, end[i])
+        )
+        counts, _ = WORLD.samples(k0, k1 - 1, START, PERIOD)
+        extension = extension_of(counts)
+        n = len(extension)
+        assert n > 1400
+        error = extension.mean() - (WORLD.truth.length[i] - zero[i])
+        # Mean of the sample noise; settling's rest and a count are below 40 nm.
+        assert abs(error) < 5 * sensors.SAMPLE_SIGMA / np.sqrt(n) + 4e-8
+        assert extension.std() == pytest.approx(sensors.SAMPLE_SIGMA, rel=5 / np.sqrt(2 * n))
+
+
+def test_the_length_in_motion_joins_the_dwells_without_a_jump_but_for_the_scatter():
+    controller = WORLD.controller
+    calm = np.flatnonzero(~controller.remount)
+    before, after = (WORLD.length(controller.arrive[calm] + 0.5 + dt) for dt in (-1e-6, 1e-6))
+    assert np.abs(after - before).max() < 30e-9 + 1e-9  # what SETTLED leaves, and the ringing in 2 µs
+    # At the start of a move the bar's scatter changes to that of the next dwell: 84 µm · √2, 5 σ.
+    before, after = (WORLD.length(controller.move_start[calm] + dt) for dt in (-1e-9, 1e-9))
+    assert np.abs(after - before).max() < 5 * np.sqrt(2) * 84e-6
+
+
+def test_repeatability_is_drawn_once_a_dwell():
+    n = 3000
+    scatter = sensors.repeatability(21, n)
+    assert np.array_equal(sensors.repeatability(21, 100), scatter[:100])
+    low, high = stats.chi2.ppf([1e-4, 1 - 1e-4], n)
+    assert low < np.sum(scatter**2) < high
+    assert abs(np.corrcoef(scatter[1:], scatter[:-1])[0, 1]) < 5 / np.sqrt(n)
+
+
+def test_the_worlds_scatter_is_the_declared_repeatability():
+    rig = standard_rig()
+    world = World(5, PLAN)
+    p_sphere = np.array([rig.spheres[name].xyz for name in PLAN.sphere])
+    p_chuck = np.array([rig.chucks[name].xyz for name in PLAN.chuck])
+    exact = np.linalg.norm(
+        point_forward(world.chain, world.params, world.controller.q_held, p_sphere) - p_chuck, axis=1
+    )
+    scatter = (world.truth.length - exact) / 84e-6
+    assert np.allclose(scatter, sensors.repeatability(5, len(PLAN)), rtol=0, atol=1e-9)
+
+
+def test_without_the_bar_the_lvdt_lies_at_the_rail():
+    counts, _ = WORLD.samples(0, 9000, START, PERIOD)
+    t = WORLD.device_clock.true(1e-9 * (START + np.arange(9000) * PERIOD - sensors.group_delay_ns(4096)))
+    off = ~WORLD.controller.bar_is_on(t)
+    assert 0 < off.sum() < 9000
+    assert np.array_equal(counts[:, 0] == -(2**23), off)
+
+
+def test_the_converter_saturates_and_rounds():
+    volts = np.array([-5.0, -1.2, 0.0, 0.6 * sensors.VOLTS_PER_COUNT, 1.2, 5.0])
+    assert sensors.counts_of_volts(volts).tolist() == [-(2**23), -(2**23), 0, 1, 2**23 - 1, 2**23 - 1]
+
+
+def test_the_scale_in_the_ident_is_exact():
+    mantissa, exponent = sensors.SCALE
+    assert Fraction(mantissa) * Fraction(10) ** exponent == Fraction(12, 10) / 2**23
+
+
+def test_calibration_inverts_the_conditioner():
+    extension = np.linspace(-0.0375, 0.0375, 7)
+    zero, gain = (mantissa * 10.0**exponent for mantissa, exponent in sensors.calibration()["poly"])
+    volts = sensors.volts_of_extension(extension)
+    assert np.allclose(zero + gain * volts, extension, rtol=0, atol=1e-15)
+    assert np.abs(volts).max() < 1.1  # the whole travel lies within the converter's ±1.2 V
+
+
+def test_periods_and_delays_are_those_that_the_firmware_says():
+    path = Path(__file__).parents[2] / "firmware" / "truearm_box" / "config.py"
+    spec = importlib.util.spec_from_file_location("box_config", path)
+    firmware = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(firmware)
+    assert firmware.check(WORLD.box_config())["osr"] == 4096
+    assert sensors.period_ns(4096) == PERIOD
+    for osr in firmware.OSRS:
+        assert sensors.period_ns(osr) == 240 * osr
+        assert sensors.group_delay_ns(osr) == firmware.group_delay_ns(osr)
+    with pytest.raises(ValueError, match="4097"):
+        sensors.period_ns(4097)
+
+
+def test_a_sample_shows_what_was_a_group_delay_earlier():
+    t = np.arange(0.0, WORLD.controller.dwell_end[8], 1e-3)  # the first pairing
+    t_ns = int(1e6 * np.nanargmax(np.abs(np.gradient(WORLD.length(t)))))  # where the bar moves fastest
+    counts, _ = WORLD.samples(0, 1, WORLD.device_clock.from_true_ns(t_ns), sensors.period_ns(16384))
+    length = WORLD.length(np.array([1e-9 * (t_ns - sensors.group_delay_ns(16384))]))
+    undelayed = WORLD.length(np.array([1e-9 * t_ns]))
+    assert abs(extension_of(counts)[0] - (length[0] - 0.46)) < 6 * sensors.SAMPLE_SIGMA
+    assert abs(undelayed[0] - length[0]) > 50 * sensors.SAMPLE_SIGMA
+
+
+def test_the_robots_lines_end_half_a_second_after_the_last_dwell():
+    end = WORLD.robot_end_ns
+    assert end == pytest.approx(1e9 * (WORLD.duration + 0.5), abs=1)
+    times, lines = WORLD.robot_lines(end - 10**9, end + 10**9)
+    assert len(times) == len(lines) == 50
+    assert times.dtype == np.int64
+    assert times.max() < end
+    assert WORLD.robot_lines(end, end + 10**9)[1] == []
+
+
+def test_the_truth_is_what_was_asked_for():
+    params = WORLD.params + 0.0
+    params[0] += 1e-3
+    clocks = type(WORLD.clocks)(device=Clock(2.0, 5.0), robot=Clock(3.0, -5.0))
+    world = World(1, PLAN, params=params, clocks=clocks)
+    assert world.truth.params is params
+    assert world.device_clock.from_true_ns(10**9) == 3_000_005_000
+    # Link 1 moved by 1 mm along x: every length changes by the bar's direction along x.
+    change = world.truth.length - World(1, PLAN, clocks=clocks).truth.length
+    assert 0.1e-3 < np.abs(change).max() <= 1e-3 + 1e-7
+
+
+def test_a_plan_for_another_rig_is_refused():
+    plan = Plan(PLAN.q[:1], *(np.array(["x"]) for _ in range(4)))
+    with pytest.raises(PlanError, match="pose 0 column bar: 'x' is not in the rig"):
+        World(1, plan)
