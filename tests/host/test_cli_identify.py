@@ -192,7 +192,20 @@ def test_the_result_is_read_back(run: Run, good: list[object], tmp_path: Path) -
 
 def test_every_field_is_documented() -> None:
     text = (ROOT / "docs" / "result-format.md").read_text()
-    nested = {"role", "sha256", "base_frame", "end_frame", "joint_units", "fitted", "weights", "matrix", "units"}
+    nested = {
+        "chucks",
+        "spheres",
+        "places",
+        "role",
+        "sha256",
+        "base_frame",
+        "end_frame",
+        "joint_units",
+        "fitted",
+        "weights",
+        "matrix",
+        "units",
+    }
     for field in {*SCALARS, *PARAMETER, *LISTS, *nested, "robot", "held_out", "held_out_before", "covariance"}:
         assert f"`{field}`" in text, field
 
@@ -248,6 +261,8 @@ def test_stopping_early_and_a_rank_that_is_not_full_are_results(run: Run, tmp_pa
     assert outcome.code == 0
     assert "rank 33 of 54 free" in outcome.out  # the paper's Table I: one chuck, three spheres
     assert "The fit stopped early" in outcome.out
+    assert "three chucks, not in one line: 1 see up to 3 combinations less" in outcome.out
+    assert "three spheres" not in outcome.out
     assert json.loads(run(*arguments, "--max-iterations", 1, "--json").out)["status"] == "max_iterations"
 
 

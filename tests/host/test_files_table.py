@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from truearm.errors import TableError
 from truearm.files.table import check_against_rig, concatenate, format_table, parse_table, read_table, write_table
-from truearm.types import BallBar, ObservationTable, Point, Rig
+from truearm.types import BallBar, ObservationTable, Point, Rig, SocketDistance
 
 GOOD = "kind,q1_rad,q2_deg,length_mm,sigma_mm,bar,chuck,sphere,shell\nball_bar,0.5,90,460.25,0.1,b46,c1,s1,low\n"
 SEAT = "kind,q1_rad,place,socket\nseat,0.5,front,0\n"
@@ -158,6 +158,16 @@ def test_rows_that_name_what_the_rig_lacks_are_told() -> None:
     with pytest.raises(TableError, match=r"column chuck: 'c7' is not in the rig \(it has c1\)"):
         check_against_rig(parse_table(GOOD.replace("c1", "c7"), "t.csv"), rig)
     check_against_rig(parse_table(SEAT, "t.csv"), Rig())
+
+
+def test_seats_that_do_not_fit_the_rig_are_told() -> None:
+    seats = parse_table(SEAT + "seat,0.5,front,1\nseat,0.5,back,2\n", "t.csv")
+    balls = {name: Point(name, (0.0, 0.0, 0.0)) for name in ("s1", "s2")}
+    with pytest.raises(TableError, match=r"row 2 column sphere: is empty; name one of the rig's \(s1, s2\)"):
+        check_against_rig(seats, Rig(spheres=balls))
+    check_against_rig(seats, Rig(socket_distances=(SocketDistance(("0", "1"), 0.05, 1e-4),)))
+    with pytest.raises(TableError, match="socket distance 0 to 2 is of no use: the seats are in sockets 0, 1, 2"):
+        check_against_rig(seats, Rig(socket_distances=(SocketDistance(("0", "2"), 0.05, 1e-4),)))
 
 
 def test_files_that_are_no_text_are_refused(tmp_path: Path) -> None:

@@ -22,6 +22,8 @@ BORDER = {"m": ("mm", 1e3, 4), "rad": ("deg", 180.0 / math.pi, 5), "1": ("", 1.0
 MAX_DIRECTIONS = 6
 MAX_TERMS = 4
 SMALLEST_WEIGHT = 0.005  # below it "0.00" would be shown
+# How many combinations that few chucks (or spheres) lose (Goswami 1993, Table I).
+LOST_WITH = {1: 3, 2: 1}
 CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
 
 
@@ -123,6 +125,7 @@ def advice(document: Document, out: Path | None) -> list[str]:
             f"Residuals are {factor:.1f} times what the declared sigmas allow: the robot has errors that these "
             "parameters do not model, or the sigmas are too small. The sigmas above are too small by as much."
         )
+    lines += _missing_points(document)
     if document["held_out"] is None:
         lines.append(
             "Next: judge the result on rows that it has not seen, with --hold-out shell=..., place=... or 0.2."
@@ -132,3 +135,13 @@ def advice(document: Document, out: Path | None) -> list[str]:
     else:
         lines.append(f"Written: {one_line(str(out))}")
     return lines
+
+
+def _missing_points(document: Document) -> list[str]:
+    """Chucks and spheres that would let a ball-bar see more."""
+    return [
+        f"Next: measure with three {what}, not in one line: {kind[what]} see up to {LOST_WITH[kind[what]]} combinations less."
+        for kind in document["observations"]
+        for what in ("chucks", "spheres")
+        if kind["kind"] == "ball_bar" and kind[what] in LOST_WITH
+    ]

@@ -24,6 +24,7 @@ from truearm.types import Estimate, Floats, HeldOut, ObservationTable
 FORMAT = "truearm-result"
 FORMAT_VERSION = 1
 MAX_BYTES = 64 * 2**20
+COUNTED = ("chuck", "sphere", "place")  # how many of these the fitted rows of a kind name
 
 
 class Input(NamedTuple):
@@ -128,9 +129,14 @@ def _counts(estimate: Estimate, table: ObservationTable) -> list[dict[str, Any]]
             "kind": str(kind),
             "fitted": int(np.sum((table.kind == kind) & estimate.fitted)),
             "held_out": int(np.sum((table.kind == kind) & ~estimate.fitted)),
+            **{f"{what}s": _distinct(table, what, (table.kind == kind) & estimate.fitted) for what in COUNTED},
         }
         for kind in np.unique(table.kind)
     ]
+
+
+def _distinct(table: ObservationTable, what: str, rows: NDArray[np.bool_]) -> int:
+    return sum(name != "" for name in np.unique(getattr(table, what)[rows]))
 
 
 def _parameters(estimate: Estimate) -> list[dict[str, Any]]:

@@ -274,6 +274,10 @@ def check_against_rig(table: ObservationTable, rig: Rig) -> None:
                     f"{source} column {column}: {_shown(str(identifier))} is not in the rig (it has {names})"
                 )
     seats = table.kind == "seat"
+    nameless = np.flatnonzero(seats & (table.sphere == ""))
+    if nameless.size and len(rig.spheres) > 1:
+        names = ", ".join(sorted(rig.spheres))
+        raise TableError(f"{table.source[nameless[0]]} column sphere: is empty; name one of the rig's ({names})")
     used = set(zip(table.place[seats].tolist(), table.socket[seats].tolist(), strict=True))
     for distance in rig.socket_distances if used else ():
         if not any({(place, socket) for socket in distance.sockets} <= used for place, _ in used):

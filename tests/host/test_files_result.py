@@ -1,0 +1,121 @@
+"""result.json from any estimate: strict JSON, and what was written is read back."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from truearm.errors import InputError
+from truearm.files.result import RobotFrames, document_of, format_document, input_of, parse_result, write_result
+from truearm.files.table import parse_table
+from truearm.types import Estimate, HeldOut, NullDirection
+
+ROBOT = RobotFrames("arm", "base", "tip", ("rad",))
+TABLE = parse_table("kind,q1_rad,place,socket\nseat,0,a,0\nseat,1,a,0\nseat,2,b,0\n", "t.csv")
+
+numbers = st.floats(allow_nan=True, allow_infinity=True)
+finite = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@st.composite
+def estimates(draw: st.DrawFn) -> Estimate:
+    p = draw(st.integers(1, 5))
+
+    def vector(values: st.SearchStrategy[float]) -> np.ndarray:
+        return np.array(draw(st.lists(values, min_size=p, max_size=p)))
+
+    free = np.array(draw(st.lists(st.booleans(), min_size=p, max_size=p)))
+    held_out = st.none() | st.builds(HeldOut, numbers, numbers, numbers, st.integers(1, 9))
+    return Estimate(
+        status=draw(st.sampled_from(["converged", "max_iterations", "stalled"])),
+        message=draw(st.text(max_size=20)),
+        solver="lm",
+        iterations=draw(st.integers(0, 50)),
+        parameter_names=tuple(f"link{i}.x" for i in range(p)),
+        units=tuple(draw(st.lists(st.sampled_from(["m", "rad", "1"]), min_size=p, max_size=p))),
+        nominal=vector(finite),
+        value=vector(numbers),
+        sigma=vector(numbers),
+        free=free,
+        identifiable=free & np.array(draw(st.lists(st.booleans(), min_size=p, max_size=p))),
+        covariance=np.outer(vector(finite), np.ones(p)),
+        n_robot_parameters=draw(st.integers(0, p)),
+        n_observations=2,
+        rank=1,
+        rank_gap=draw(numbers),
+        null_space=(NullDirection(("link0.x",), (1.0,)),),
+        rms_before=draw(numbers),
+        rms_after=draw(numbers),
+        rms_history=(1.0, draw(numbers)),
+        chi2_reduced=draw(numbers),
+        held_out=draw(held_out),
+        held_out_before=draw(held_out),
+        residual=np.zeros(3),
+        residual_before=np.zeros(3),
+        fitted=np.array([True, True, False]),
+        seconds=0.1,
+    )
+
+
+def refuse(constant: str) -> None:
+    raise AssertionError(constant)
+
+
+@settings(max_examples=80, deadline=None)
+@given(estimates())
+def test_any_estimate_is_strict_json_and_comes_back(estimate: Estimate) -> None:
+    text = format_document(document_of(estimate, TABLE, ROBOT, []))
+    document = json.loads(text, parse_constant=refuse)
+    stored = parse_result(text, "r.json")
+    assert stored.document == document
+    assert stored.robot == ROBOT
+    assert stored.parameter_names == estimate.parameter_names
+    np.testing.assert_array_equal(stored.nominal, estimate.nominal)
+    np.testing.assert_array_equal(stored.value, np.where(np.isfinite(estimate.value), estimate.value, math.nan))
+    shown = estimate.free & estimate.identifiable & np.isfinite(estimate.sigma)
+    np.testing.assert_array_equal(stored.sigma, np.where(shown, estimate.sigma, math.nan))
+    np.testing.assert_array_equal(stored.covariance, estimate.covariance[np.ix_(estimate.free, estimate.free)])
+    np.testing.assert_array_equal(stored.of_robot, np.arange(len(estimate.units)) < estimate.n_robot_parameters)
+
+
+@settings(max_examples=20, deadline=None)
+@given(estimates())
+def test_rows_are_counted_by_kind(estimate: Estimate) -> None:
+    counts = document_of(estimate, TABLE, ROBOT, [])["observations"]
+    assert counts == [{"kind": "seat", "fitted": 2, "held_out": 1, "chucks": 0, "spheres": 0, "places": 1}]
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | finite | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=4),
+)
+
+
+@given(json_values)
+def test_the_layout_changes_nothing(value: object) -> None:
+    assert json.loads(format_document(value)) == value
+
+
+def test_a_result_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
+    path = tmp_path / "r.json"
+    path.write_text("old")
+    with pytest.raises(ValueError, match="JSON"):
+        write_result(path, {"a": math.nan})
+    assert path.read_text() == "old"
+    write_result(path, {"a": 1.5})
+    assert json.loads(path.read_text()) == {"a": 1.5}
+    assert [p.name for p in tmp_path.iterdir()] == ["r.json"]
+    with pytest.raises(InputError, match="cannot be written"):
+        write_result(tmp_path / "none" / "r.json", {})
+
+
+def test_inputs_are_known_by_name_and_hash(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_bytes(b"abc")
+    # FIPS 180-2, B.1
+    digest = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    assert input_of("observations", path) == ("observations", "t.csv", digest)
