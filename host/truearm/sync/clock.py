@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog  # type: ignore[attr-defined]
 
-from truearm.sync.blocks import Exchange
+from truearm.sync.frames import Exchange
 from truearm.sync.hull import lower_hull
 from truearm.types import Floats
 

@@ -43,7 +43,7 @@ class Bins:
 
 @dataclass(frozen=True)
 class JointStream:
-    """What the robot sent. ``step``: smallest change of each joint that was seen, its quantisation."""
+    """What the robot sent. ``step``: smallest change (or change of a change) of each joint, its quantisation."""
 
     readings: int
     malformed: int
@@ -154,7 +154,8 @@ class JointReader:
     def _bin(self, t: Floats, q: Floats) -> None:
         if self._carried is not None:
             t, q = np.concatenate([self._carried[0], t]), np.concatenate([self._carried[1], q])
-        change = np.abs(np.diff(q, axis=0))
+        # At constant speed all changes are large; how they differ still shows the step.
+        change = np.abs(np.concatenate([np.diff(q, axis=0), np.diff(q, n=2, axis=0)]))
         smallest = np.min(np.where(change > FINEST_STEP, change, np.inf), axis=0, initial=np.inf)
         self._step = np.minimum(self._step, smallest)
         key = np.floor((t - self._arrivals[-1].t_ref_s) / self._bin_s)
