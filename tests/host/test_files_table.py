@@ -120,6 +120,7 @@ WRONG = {
     "escape sequence": (SEAT.replace("front", "\x1b[31m"), "no identifier"),
     "open quote": (SEAT + '"seat,0.5,front,0\n', "is not CSV"),
     "wide": (",".join(["kind", *(f"x_{i}" for i in range(300))]) + "\n", "301 columns"),
+    "tall": ("kind,q1_rad\n" + "a,1\n" * 200_001, "more than 200000 rows"),
     "long cell": ("kind,q1_rad,x_a\nseat,0," + "9" * 200_000 + "\n", "is not CSV"),
     "long number": (SEAT.replace("0.5", "9" * 5000), "is not a number"),
 }

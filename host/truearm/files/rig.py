@@ -7,7 +7,6 @@ errors.
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -18,6 +17,7 @@ from truearm.files.disk import parse_toml, read_text, write_atomic
 from truearm.types import BallBar, Point, Rig, SocketDistance
 
 MAX_BYTES = 2**20
+HUGE = 1e12
 LARGEST = 100.0  # m; a longer one was written in mm
 
 _NAME = re.compile(r"[\w-]{1,64}")
@@ -143,8 +143,11 @@ def _coordinates(table: Mapping[str, Any], where: str) -> list[float]:
 
 
 def _number(value: object, key: str, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or abs(value) > 1e12 or not math.isfinite(value):
-        raise RigError(f"{where}: {key} must be a finite number, is {str(value)[:40]!r}")
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        shown = repr(value[:40]) if isinstance(value, str) else f"of type {type(value).__name__}"
+        raise RigError(f"{where}: {key} must be a number, is {shown}")
+    if not abs(value) <= HUGE:  # NaN too; an integer of a thousand digits has no float and no text
+        raise RigError(f"{where}: {key} must be a finite number of reasonable size")
     return float(value)
 
 

@@ -14,6 +14,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import fields
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,6 +25,7 @@ from truearm.files.disk import read_text, write_atomic
 from truearm.types import Floats, ObservationTable, Rig
 
 MAX_BYTES = 16 * 2**20
+MAX_ROWS = 200_000  # 250 times the paper's grid of 800 poses
 MAX_COLUMNS = 200
 MAX_CELL = 200
 
@@ -84,7 +86,9 @@ def _cells(text: str, name: str) -> tuple[list[str], list[_Row]]:
     """Header and rows as stripped text, all of one width; blank lines are passed over."""
     reader = csv.reader(io.StringIO(text, newline=None), strict=True)
     try:
-        rows = [_Row(reader.line_num, [cell.strip() for cell in cells]) for cells in reader if cells]
+        rows = [
+            _Row(reader.line_num, [cell.strip() for cell in cells]) for cells in islice(reader, MAX_ROWS + 2) if cells
+        ]
     except csv.Error as exc:
         raise TableError(f"{name} row {reader.line_num}: is not CSV: {exc}") from exc
     if not rows:
@@ -94,6 +98,8 @@ def _cells(text: str, name: str) -> tuple[list[str], list[_Row]]:
         raise TableError(f"{name}: columns are separated by ';' or tabs; separate them by commas")
     if len(header) > MAX_COLUMNS:
         raise TableError(f"{name}: has {len(header)} columns; the most is {MAX_COLUMNS}")
+    if len(rows) > MAX_ROWS + 1:
+        raise TableError(f"{name}: has more than {MAX_ROWS} rows; split it or thin it out")
     for row in rows[1:]:
         if len(row.cells) != len(header):
             raise TableError(f"{name} row {row.number}: has {len(row.cells)} cells, the header has {len(header)}")
