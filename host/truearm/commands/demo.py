@@ -143,12 +143,11 @@ def record_virtually(out: Path, plan: Plan, world: World, box: SimulatedBox, osr
 
 def observe(out: Path) -> SyncResult:
     """The observations of session.mcap, also written as observations.csv."""
-    from truearm.commands.identify import observations_of_session
-    from truearm.files.rig import read_rig
+    from truearm.commands.session import observations_of_session
     from truearm.files.robot import joint_units, load_robot
     from truearm.files.table import write_table
 
-    result = observations_of_session(out / "session.mcap", read_rig(out / "rig.toml"))
+    result = observations_of_session(out / "session.mcap")
     write_table(out / "observations.csv", result.table, joint_units(load_robot("puma560").chain))
     return result
 

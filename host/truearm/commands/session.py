@@ -1,0 +1,56 @@
+"""From a session file to observations: the border between the file (record) and what is made of it (sync)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from truearm.errors import RigError, SessionError
+
+if TYPE_CHECKING:
+    from truearm.record.session import Session
+    from truearm.sync.pipeline import SyncResult
+    from truearm.types import Message, Rig
+
+SUFFIX = ".mcap"
+RIG = "rig.toml"
+
+
+def attached_rig(session: Session, path: Path) -> Rig | None:
+    """The rig that the recorder was given, None if it was given none. Raises RigError if it is no rig."""
+    from truearm.files.rig import parse_rig
+
+    data = session.attachments.get(RIG)
+    if data is None:
+        return None
+    try:
+        return parse_rig(data.decode(), f"{path}: {RIG}")
+    except UnicodeDecodeError as exc:
+        raise RigError(f"{path}: {RIG} is not UTF-8") from exc
+
+
+def messages_of(session: Session) -> Callable[[Collection[str] | None], Iterator[Message]]:
+    """What sync reads: it may be called several times."""
+    return lambda topics: session.messages(topics)
+
+
+def observations_of_session(path: Path, rig: Rig | None = None, allow_truncated: bool = False) -> SyncResult:
+    """Hops 4 and 5 of a session file. ``rig`` stands in for the one that was recorded.
+
+    Raises SessionError for a file that is none or gave no observation, RigError if there is no rig.
+    """
+    from truearm.record.session import open_session
+    from truearm.sync.pipeline import observations
+
+    session = open_session(path, allow_truncated)
+    rig = rig or attached_rig(session, path)
+    if rig is None:
+        raise RigError(f"{path}: was recorded without a rig; give one with --rig")
+    result = observations(messages_of(session), rig, name=path.name)
+    if not len(result.table):
+        reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(result.reasons.items()))
+        raise SessionError(
+            f"{path}: no dwell gave an observation ({reasons or 'none was found'}); see truearm inspect {path}"
+        )
+    return result
