@@ -20,7 +20,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Metadata
+from mcap.records import Attachment, Channel, Chunk, Metadata, Statistics
 from mcap.writer import MCAP0_MAGIC
 
 from truearm.errors import SessionError
@@ -123,12 +123,15 @@ def _scan(path: Path, file: BinaryIO) -> Session:
     attachments: dict[str, bytes] = {}
     end = len(MCAP0_MAGIC)
     last_chunk: tuple[int, int] | None = None
-    for opcode, at, length in _records(file, size):
+    n_chunks = 0
+    records = _records(file, size)
+    for opcode, at, length in records:
         if opcode == Opcode.DATA_END:
-            whole = _has_footer(file, size)
-            return Session(path, metadata, attachments, not whole, end)
+            _check_chunks(path, file, records, n_chunks)
+            return Session(path, metadata, attachments, not _has_footer(file, size), end)
         if opcode == Opcode.CHUNK:
             last_chunk = at, length
+            n_chunks += 1
         elif opcode == Opcode.METADATA:
             name, entries = _metadata(path, _body(path, file, at, length, MAX_METADATA_BYTES), at)
             metadata[name] = entries
@@ -141,6 +144,19 @@ def _scan(path: Path, file: BinaryIO) -> Session:
     if last_chunk is not None:
         end = _without_torn_chunk(path, file, last_chunk, end)
     return Session(path, metadata, attachments, True, end)
+
+
+def _check_chunks(path: Path, file: BinaryIO, summary: Iterator[tuple[int, int, int]], n_chunks: int) -> None:
+    """Hold the chunks that were found against the file's statistics: a damaged head would hide one."""
+    for opcode, at, length in summary:
+        if opcode == Opcode.STATISTICS:
+            body = _body(path, file, at, length, MAX_METADATA_BYTES)
+            try:
+                counted = Statistics.read(ReadDataStream(io.BytesIO(body))).chunk_count
+            except _UNREADABLE:
+                _damaged(path, at)
+            if counted != n_chunks:
+                raise SessionError(f"{path}: is damaged: {n_chunks} of {counted} chunks were found; copy it again")
 
 
 def _has_footer(file: BinaryIO, size: int) -> bool:

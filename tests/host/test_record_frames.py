@@ -1,0 +1,159 @@
+"""Splitting: nothing is lost whatever comes in whatever pieces; frames are found, and only frames."""
+
+import cbor2
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from record_box import N, array, data, frame, heartbeat, run_of, u32, u64
+
+from truearm.record.frames import (
+    MAX_RUN,
+    FrameSplitter,
+    Runs,
+    data_head,
+    data_stream,
+    frame_seq,
+    frame_type,
+    payload_of,
+)
+
+payloads = st.binary(max_size=247).map(lambda tail: b"\x85\x10" + tail + b"\0").filter(lambda p: 3 <= len(p) <= 250)
+junk = st.binary(max_size=40).map(lambda raw: raw.replace(b"\0", b"."))
+
+
+def cut(stream: bytes, lengths: list[int]) -> list[bytes]:
+    """The stream in pieces of the given lengths, over and over."""
+    pieces, at, k = [], 0, 0
+    while at < len(stream):
+        pieces.append(stream[at : at + lengths[k % len(lengths)]])
+        at += len(pieces[-1])
+        k += 1
+    return pieces
+
+
+def split(pieces: list[bytes]) -> list[tuple[bool, bytes]]:
+    splitter = FrameSplitter()
+    items = [item for piece in pieces for item in splitter.push(piece)]
+    return [*items, (False, rest)] if (rest := splitter.flush()) else items
+
+
+def rejoined(items: list[tuple[bool, bytes]]) -> bytes:
+    return b"".join(run_of(item) if is_frame else item for is_frame, item in items)
+
+
+class TestSplitter:
+    @given(
+        st.lists(st.binary(max_size=200) | payloads.map(frame), max_size=30).map(b"".join),
+        st.lists(st.integers(1, 300), min_size=1, max_size=5),
+    )
+    def test_what_goes_in_comes_out(self, stream, lengths):
+        items = split(cut(stream, lengths))
+        assert rejoined(items) == stream.replace(b"\0", b"")
+        assert items == split([stream])
+
+    @settings(max_examples=20)
+    @given(st.integers(1, 3 * MAX_RUN), st.lists(st.integers(1, 2 * MAX_RUN), min_size=1, max_size=3))
+    def test_long_runs_come_in_the_same_pieces_however_cut(self, n, lengths):
+        stream = b"a" * n + frame(data(1, 0, 0)) + b"b" * (MAX_RUN + 1)
+        items = split(cut(stream, lengths))
+        assert items == split([stream])
+        assert rejoined(items) == stream.replace(b"\0", b"")
+        assert max(len(item) for _, item in items) <= MAX_RUN
+        assert (True, data(1, 0, 0)) in items
+
+    @given(
+        st.lists(st.tuples(payloads, junk, st.sampled_from([b"", b"\0", b"\0\0\0"])), min_size=1, max_size=20),
+        st.lists(st.integers(1, 100), min_size=1, max_size=5),
+    )
+    def test_frames_among_junk_all_come_out(self, parts, lengths):
+        stream = b"".join(text + frame(payload) + extra for payload, text, extra in parts)
+        items = split(cut(stream, lengths))
+        assert [item for is_frame, item in items if is_frame] == [payload for payload, _, _ in parts]
+        assert b"".join(item for is_frame, item in items if not is_frame) == b"".join(text for _, text, _ in parts)
+
+    def test_a_shared_delimiter(self):
+        one, two = data(1, 0, 0), heartbeat(2, 7, 8, 0)
+        assert split([b"\0" + run_of(one) + b"\0" + run_of(two) + b"\0"]) == [(True, one), (True, two)]
+
+    def test_memory_is_bounded_without_delimiters(self):
+        runs = Runs(b"\0", MAX_RUN)
+        n_out = 0
+        for _ in range(1000):
+            n_out += sum(len(piece) for _, piece in runs.push(b"x" * 1000))
+        assert n_out + len(runs.flush()) == 1_000_000
+        assert 1_000_000 - n_out <= MAX_RUN
+
+    def test_the_tail_of_an_overlong_run_is_no_frame(self):
+        run = run_of(data(1, 0, 0))
+        stream = b"x" * MAX_RUN + run + b"\0"
+        assert not any(is_frame for is_frame, _ in split([stream]))
+
+
+class TestPayload:
+    def test_every_flipped_bit_is_noticed(self):
+        """CRC-32 finds every single flipped bit; one that makes a delimiter leaves two runs that are no frames."""
+        raw = frame(data(77, 120, 123_456))
+        for bit in range(8, 8 * (len(raw) - 1)):
+            flipped = bytearray(raw)
+            flipped[bit // 8] ^= 1 << bit % 8
+            assert not any(is_frame for is_frame, _ in split([bytes(flipped)])), bit
+
+    @pytest.mark.parametrize(
+        "payload",
+        [
+            cbor2.dumps("not an array"),
+            cbor2.dumps({16: 1}),
+            b"\x80\x00\x00",  # an empty array
+            b"\x9f\x10\x01\xff",  # of indefinite length
+            array(-1, 2, 3),
+            array("16", 2, 3),
+            array(b"\xf9\x3c\x00", 2, 3),  # 1.0
+            array(256, 2, 3),
+            b"\x98\x00\x10\x01",
+        ],
+        ids=lambda p: p.hex(),
+    )
+    def test_a_good_crc_around_no_frame(self, payload):
+        assert payload_of(run_of(payload)) is None
+
+    @pytest.mark.parametrize("payload", [b"\x82\x10", b"\x81\x10" + b"\0" * 249], ids=["short", "long"])
+    def test_lengths_beyond_the_specification(self, payload):
+        assert payload_of(run_of(payload)) is None
+
+    @pytest.mark.parametrize("payload", [b"\x82\x10\x01", b"\x81\x10" + b"\0" * 248, b"\x98\x02\x10\x01"], ids=len)
+    def test_lengths_within(self, payload):
+        assert payload_of(run_of(payload)) == payload
+
+    @given(st.integers(0, 255), st.integers(0, 2**32 - 1), st.sampled_from([0, 1, 2, 4, 8]))
+    def test_type_and_seq_in_any_width(self, kind, seq, width):
+        wide = {0: cbor2.dumps(seq), 4: u32(seq), 8: u64(seq)}
+        payload = array(kind, wide.get(width, cbor2.dumps(seq)), "more")
+        assert frame_type(payload) == kind
+        assert frame_seq(payload) == seq
+
+    @given(st.binary(max_size=12))
+    def test_any_bytes_are_looked_at_safely(self, raw):
+        for look in (payload_of, frame_type, frame_seq, data_head, data_stream):
+            look(raw)
+
+
+class TestDataHead:
+    @given(st.integers(0, 2**32 - 1), st.integers(0, 23), st.integers(0, 2**40), st.integers(0, 13))
+    def test_against_a_cbor_decoder(self, seq, stream, n0, n):
+        payload = data(seq, n0 % 1000, n0, n, stream)
+        values = cbor2.loads(payload)
+        assert data_head(payload) == (values[1], values[2], len(values[6].value))
+
+    def test_other_widths_are_left_to_the_slow_way(self):
+        usual = data(1, 0, 0)
+        unusual = array(16, 1, 0, 0, 5, 983_040, cbor2.dumps(cbor2.CBORTag(78, b"\0" * 16 * N)), 0)
+        offsets = array(16, u32(1), 3, u64(0), u64(5), cbor2.dumps(cbor2.CBORTag(69, b"\0" * 20)), b"\xd8\x4e\x40", 0)
+        assert data_head(usual) is not None
+        assert data_head(unusual) is None
+        assert data_stream(unusual) == 0
+        assert data_head(offsets) is None
+        assert data_stream(offsets) == 3
+
+    def test_no_other_frame_is_taken_for_data(self):
+        assert data_head(b"\x88\x11" + data(1, 0, 0)[2:]) is None
+        assert data_head(heartbeat(1, 2, 3, 0)) is None

@@ -1,0 +1,260 @@
+"""Session files: what is written is read back, by us and by the mcap library; damage is one clear line."""
+
+import io
+import json
+import os
+import random
+import subprocess
+import sys
+from pathlib import Path
+
+import mcap.records
+import pytest
+import zstandard
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.reader import NonSeekingReader, SeekingReader
+from mcap.records import Chunk
+from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
+from record_box import MS, SECOND, Lab
+
+from truearm.errors import InputError, SessionError, TruearmError
+from truearm.record.session import MAX_CHUNK_BYTES, open_session
+from truearm.record.session_writer import CHUNK_NS, SessionWriter
+from truearm.types import Message
+
+
+def written(path: Path, n: int = 500, finish: bool = True) -> list[Message]:
+    """A session of ``n`` steps of 10 ms; not finished, it lacks its last chunk and its end."""
+    lab = Lab()
+    writer = SessionWriter(path, lab, overwrite=True)
+    writer.attach("rig.toml", "application/toml", b"x = 1\n")
+    writer.metadata("box", {"ident": "{}"})
+    messages = []
+    for k in range(n):
+        t_ns = lab.now + 10 * MS * k
+        messages.append(Message("/box/adc", t_ns, bytes([k % 256]) * 150))
+        if k % 7 == 0:
+            messages.append(Message("/sync", t_ns, json.dumps({"id": k, "t0_ns": t_ns}).encode()))
+        if k % 50 == 3:
+            messages.append(Message("/box/console", t_ns, b"Traceback\xff\n"))
+    for message in messages:
+        writer.add(*message)
+    if finish:
+        writer.close({"reason": "test"})
+    return messages
+
+
+class TestRoundTrip:
+    def test_ours(self, tmp_path):
+        messages = written(tmp_path / "s.mcap")
+        session = open_session(tmp_path / "s.mcap")
+        assert not session.truncated
+        assert list(session.messages()) == messages
+        assert list(session.messages()) == messages  # as often as one likes
+        assert list(session.messages({"/sync"})) == [m for m in messages if m.topic == "/sync"]
+        assert list(session.messages([])) == []
+        assert session.attachments == {"rig.toml": b"x = 1\n"}
+        assert session.metadata["session"]["clock"] == "virtual"
+        assert session.metadata["session-end"]["reason"] == "test"
+        assert int(session.metadata["session"]["utc_ns"]) == 1_700_000_000 * SECOND
+
+    @pytest.mark.parametrize("reader", [SeekingReader, NonSeekingReader])
+    def test_the_mcap_library_reads_it(self, tmp_path, reader):
+        messages = written(tmp_path / "s.mcap")
+        with (tmp_path / "s.mcap").open("rb") as file:
+            read = [
+                (c.topic, m.log_time, m.data)
+                for _, c, m in reader(file, validate_crcs=True).iter_messages(log_time_order=False)
+            ]
+        assert read == messages
+
+    def test_summary_schemas_and_sequences(self, tmp_path):
+        messages = written(tmp_path / "s.mcap")
+        with (tmp_path / "s.mcap").open("rb") as file:
+            reader = SeekingReader(file, validate_crcs=True)
+            summary = reader.get_summary()
+            sequences = [m.sequence for _, c, m in reader.iter_messages(["/box/adc"])]
+        assert summary.statistics.message_count == len(messages)
+        assert summary.statistics.attachment_count == 1
+        encodings = {c.topic: c.message_encoding for c in summary.channels.values()}
+        assert encodings == {"/box/adc": "cbor", "/sync": "json", "/box/console": "application/octet-stream"}
+        (schema,) = summary.schemas.values()
+        assert set(json.loads(schema.data)["properties"]) == {"id", "t0_ns", "t1_us", "t2_us", "t3_ns"}
+        assert sequences == list(range(500))
+
+    def test_a_file_without_chunks(self, tmp_path):
+        with (tmp_path / "s.mcap").open("wb") as file:
+            writer = Writer(file, use_chunking=False)
+            writer.start()
+            channel = writer.register_channel("/x", "json", 0)
+            writer.add_message(channel, 5, b"{}", 5)
+            writer.finish()
+        assert list(open_session(tmp_path / "s.mcap").messages()) == [("/x", 5, b"{}")]
+
+
+class TestCrash:
+    def test_cut_anywhere_a_prefix_remains(self, tmp_path):
+        messages = written(tmp_path / "s.mcap", 300)
+        whole = (tmp_path / "s.mcap").read_bytes()
+        for size in [*range(8, 400), *range(400, len(whole) - 1, 97), len(whole) - 1]:
+            (tmp_path / "cut.mcap").write_bytes(whole[:size])
+            with pytest.raises(SessionError, match="ends in the middle"):
+                open_session(tmp_path / "cut.mcap")
+            session = open_session(tmp_path / "cut.mcap", allow_truncated=True)
+            read = list(session.messages())
+            assert session.truncated
+            assert read == messages[: len(read)]
+
+    def test_a_tail_of_zeros(self, tmp_path):
+        """A power cut may leave a file's length on the disk without its last bytes."""
+        messages = written(tmp_path / "s.mcap", 300)
+        whole = (tmp_path / "s.mcap").read_bytes()
+        for kept in (len(whole) // 4, len(whole) // 3, len(whole) // 2):
+            (tmp_path / "cut.mcap").write_bytes(whole[:kept] + bytes(20_000))
+            read = list(open_session(tmp_path / "cut.mcap", allow_truncated=True).messages())
+            assert 0 < len(read) < len(messages)
+            assert read == messages[: len(read)]
+
+    def test_killed_it_keeps_all_but_the_last_second(self, tmp_path):
+        path = tmp_path / "s.mcap"
+        code = (
+            "import os, signal, sys; sys.path.insert(0, sys.argv[2]); from pathlib import Path\n"
+            "from test_session import written; written(Path(sys.argv[1]), 1000, finish=False)\n"
+            "os.kill(os.getpid(), signal.SIGKILL)\n"
+        )
+        done = subprocess.run([sys.executable, "-c", code, path, str(Path(__file__).parent)], check=False)
+        assert done.returncode == -9
+        messages = written(tmp_path / "same.mcap", 1000)
+        read = list(open_session(path, allow_truncated=True).messages())
+        assert read == messages[: len(read)]
+        assert messages[-1].t_host_ns - read[-1].t_host_ns < SECOND
+        with path.open("rb") as file:
+            records = StreamReader(file, validate_crcs=True).records
+            by_library = []
+            with pytest.raises(McapError):  # for the library the file just ends
+                by_library.extend(record.data for record in records if isinstance(record, mcap.records.Message))
+        assert by_library == [message.data for message in read]
+
+    def test_slow_data_does_not_wait_for_a_full_chunk(self, tmp_path):
+        lab = Lab()
+        writer = SessionWriter(tmp_path / "s.mcap", lab)
+        writer.add("/box/adc", lab.now, b"lonely")
+        writer.tick(lab.now + CHUNK_NS - 1)
+        assert list(open_session(tmp_path / "s.mcap", allow_truncated=True).messages()) == []
+        writer.tick(lab.now + CHUNK_NS)
+        assert [m.data for m in open_session(tmp_path / "s.mcap", allow_truncated=True).messages()] == [b"lonely"]
+
+
+class TestStrangers:
+    def test_random_damage_is_an_error_or_unseen(self, tmp_path):
+        """Whatever bytes change: messages as written, or a SessionError. Every chunk has a CRC."""
+        messages = written(tmp_path / "s.mcap", 250)
+        whole = (tmp_path / "s.mcap").read_bytes()
+        rng = random.Random(1)
+        outcomes = set()
+        for _ in range(600):
+            damaged = bytearray(whole)
+            for _ in range(rng.choice([1, 1, 4])):
+                damaged[rng.randrange(len(damaged))] = rng.randrange(256)
+            (tmp_path / "d.mcap").write_bytes(damaged)
+            try:
+                read = list(open_session(tmp_path / "d.mcap", allow_truncated=True).messages())
+            except SessionError:
+                outcomes.add("error")
+            else:
+                outcomes.add("read")
+                assert read == messages[: len(read)]
+        assert outcomes == {"error", "read"}
+
+    def test_a_chunk_that_lost_its_head_is_missed(self, tmp_path):
+        written(tmp_path / "s.mcap", 300)
+        whole = bytearray((tmp_path / "s.mcap").read_bytes())
+        with (tmp_path / "s.mcap").open("rb") as file:
+            second = SeekingReader(file).get_summary().chunk_indexes[1].chunk_start_offset
+        assert whole[second] == Opcode.CHUNK
+        whole[second] = 0x7F
+        (tmp_path / "s.mcap").write_bytes(whole)
+        with pytest.raises(SessionError, match="3 of 4 chunks"):
+            open_session(tmp_path / "s.mcap")
+
+    @pytest.mark.parametrize(
+        ("content", "says"), [(b"", "no MCAP"), (b"kind,q1_rad\n", "no MCAP"), (None, "no such file")]
+    )
+    def test_no_session(self, tmp_path, content, says):
+        if content is not None:
+            (tmp_path / "s.mcap").write_bytes(content)
+        with pytest.raises(SessionError, match=says):
+            open_session(tmp_path / "s.mcap")
+
+    def test_a_folder(self, tmp_path):
+        with pytest.raises(SessionError, match="not a regular file"):
+            open_session(tmp_path)
+
+    @pytest.mark.parametrize("claim", ["small", "honest"])
+    def test_a_bomb_is_not_unpacked(self, tmp_path, claim):
+        size = MAX_CHUNK_BYTES * 4
+        compressor = zstandard.ZstdCompressor().compressobj(size=size)
+        body = b"".join(compressor.compress(bytes(1 << 20)) for _ in range(size >> 20)) + compressor.flush()
+        chunk = Chunk(
+            compression="zstd",
+            data=body,
+            message_start_time=0,
+            message_end_time=0,
+            uncompressed_crc=0,
+            uncompressed_size=size if claim == "honest" else 100,
+        )
+        path = tmp_path / "s.mcap"
+        path.write_bytes(with_chunk(chunk))
+        with pytest.raises(SessionError, match="to a size, that is not read"):
+            list(open_session(path).messages())
+
+    def test_absurd_metadata(self, tmp_path):
+        with (tmp_path / "s.mcap").open("wb") as file:
+            writer = Writer(file)
+            writer.start()
+            writer.add_metadata("big", {"x": "y" * (2 << 20)})
+            writer.finish()
+        with pytest.raises(SessionError, match="at most"):
+            open_session(tmp_path / "s.mcap")
+
+
+def with_chunk(chunk: Chunk) -> bytes:
+    """A complete MCAP file that holds this chunk."""
+    from mcap.data_stream import RecordBuilder
+
+    stream = io.BytesIO()
+    writer = Writer(stream, use_statistics=False)
+    writer.start()
+    head = stream.tell()
+    writer.finish()
+    builder = RecordBuilder()
+    chunk.write(builder)
+    whole = stream.getvalue()
+    return whole[:head] + builder.end() + whole[head:]
+
+
+class TestWriterErrors:
+    def test_no_overwriting_unless_told(self, tmp_path):
+        written(tmp_path / "s.mcap", 3)
+        before = (tmp_path / "s.mcap").read_bytes()
+        with pytest.raises(InputError, match="--force"):
+            SessionWriter(tmp_path / "s.mcap", Lab())
+        assert (tmp_path / "s.mcap").read_bytes() == before
+
+    def test_no_folder(self, tmp_path):
+        with pytest.raises(InputError, match="cannot be written"):
+            SessionWriter(tmp_path / "none" / "s.mcap", Lab())
+
+    @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs Linux's full disk")
+    def test_a_full_disk_is_one_line(self):
+        with pytest.raises(TruearmError, match="No space left"):
+            SessionWriter(Path("/dev/full"), Lab(), overwrite=True)
+
+    def test_closing_twice(self, tmp_path):
+        with SessionWriter(tmp_path / "s.mcap", Lab()) as writer:
+            writer.close({"reason": "first"})
+            size = writer.path.stat().st_size
+        assert (tmp_path / "s.mcap").stat().st_size == size
+        assert open_session(tmp_path / "s.mcap").metadata["session-end"]["reason"] == "first"
