@@ -2,9 +2,9 @@
 
 Every move is straight in joint space along the quintic s(τ) = 10τ³ − 15τ⁴ + 6τ⁵, the shortest that keeps all joints within
 their speeds and accelerations (its peaks are 15/8·Δq/T and 10/√3·Δq/T²). A dwell is counted from the end of the commanded
-motion. The joints then stand where the servo holds them, an error of its own at each pose, and ring for some tenths of a
+motion. The joints then stand where the servo holds them, an error of its own at each stop, and ring for some tenths of a
 second about it. Where the ball-bar has to be taken off (between two pairings, or because it would run out of travel on
-the way) the robot waits for the operator before the dwell is counted.
+the way) the robot stops with its last joint turned back by MOUNTING, waits there for the operator, and goes the rest.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ ACCELERATION = np.array([4.0, 4.0, 6.0, 15.0, 15.0, 15.0])  # rad/s²
 STEP = 2.0 * np.pi / 2**17  # rad, what a joint reading is a multiple of: 4.8e-5
 SERVO_SIGMA = 5e-5  # rad, where a joint comes to rest about its command
 DWELL = 2.0  # s
-PAUSE = 4.0  # s, for the operator to take the bar off and on
+MOUNTING = 0.05  # rad; moves a sphere by a few millimetres, yet no one takes the pause for a dwell of the plan
+PAUSE = 4.0  # s, for the operator to put the bar on
 READY = 0.5  # s, of the pause: the bar is on, hands are off
 RING_HZ = 9.0
 RING_DECAY = 0.05  # s
@@ -33,22 +34,24 @@ SETTLED = 10.0 * RING_DECAY  # s; what is left then moves the endpoint by at mos
 
 @dataclass(frozen=True)
 class Controller:
-    """The motion of a whole plan, as arrays over its n poses; all times are true time [s].
+    """The motion of a whole plan, as arrays over its m stops; all times are true time [s].
 
-    Pose i is approached from ``move_start[i]`` to ``arrive[i]``; its dwell lasts from ``dwell_start[i]`` to
-    ``dwell_end[i]``. Where ``remount[i]``, the bar is off from the end of the dwell before until READY before this one.
+    Stop i is approached from ``move_start[i]`` to ``arrive[i]`` and left at ``leave[i]``. It is the dwell at a pose of
+    the plan or, where ``mounting[i]``, the wait before it, with the bar off from ``move_start[i]`` until READY before
+    ``leave[i]``.
     """
 
     plan: Plan
     clock: Clock
     rate: float  # readings per controller second
-    remount: NDArray[np.bool_]
-    move_start: Floats
-    arrive: Floats
-    dwell_start: Floats
-    dwell_end: Floats
-    q_held: Floats  # (n, j) where the servo holds each pose
-    ring: Floats  # (n, j) amplitude after arrival
+    pose: NDArray[np.int64]  # (m,) index in the plan
+    mounting: NDArray[np.bool_]  # (m,)
+    move_start: Floats  # (m,)
+    arrive: Floats  # (m,)
+    leave: Floats  # (m,)
+    q: Floats  # (m, j) commanded
+    q_held: Floats  # (m, j) where the servo holds the joints
+    ring: Floats  # (m, j) amplitude after arrival
 
     @classmethod
     def from_plan(
@@ -60,64 +63,68 @@ class Controller:
         remount: NDArray[np.bool_] | None = None,
     ) -> Controller:
         """The motion of ``plan``; ``remount`` (n,) adds poses before which the bar is taken off to new pairings."""
-        n, j = plan.q.shape
-        rng = np.random.default_rng([seed, 0x5E120])
         off = new_pairing(plan) if remount is None else remount | new_pairing(plan)
-        delta = np.diff(plan.q, axis=0, prepend=plan.q[:1])
-        travel = move_durations(delta)
-        stay = DWELL + PAUSE * off
-        dwell_end = np.cumsum(travel + stay)
+        pose = np.repeat(np.arange(len(plan)), 1 + off)
+        mounting = np.concatenate([pose[1:] == pose[:-1], [False]])
+        q = plan.q[pose]
+        q[mounting, -1] -= MOUNTING
+        delta = np.diff(q, axis=0, prepend=q[:1])
+        durations = move_durations(delta)
+        stay = np.where(mounting, PAUSE, DWELL)
+        leave = np.cumsum(durations + stay)
+        servo = np.random.default_rng([seed, 0x5E120]).standard_normal(q.shape)
         return cls(
             plan=plan,
             clock=clock or Clock(),
             rate=rate,
-            remount=off,
-            move_start=dwell_end - stay - travel,
-            arrive=dwell_end - stay,
-            dwell_start=dwell_end - DWELL,
-            dwell_end=dwell_end,
-            q_held=plan.q + SERVO_SIGMA * rng.standard_normal((n, j)),
-            ring=ring_amplitudes(delta, travel),
+            pose=pose,
+            mounting=mounting,
+            move_start=leave - stay - durations,
+            arrive=leave - stay,
+            leave=leave,
+            q=q,
+            q_held=q + SERVO_SIGMA * servo,
+            ring=ring_amplitudes(delta, durations),
         )
 
     @property
     def duration(self) -> float:
         """End of the last dwell [s]."""
-        return float(self.dwell_end[-1])
+        return float(self.leave[-1])
 
     @property
-    def dwells(self) -> tuple[Floats, Floats, NDArray[np.int64]]:
-        """Start and end (n,) [s] and pose index (n,) of the dwells, with the bar on and hands off."""
-        return self.dwell_start, self.dwell_end, np.arange(len(self.plan))
+    def dwells(self) -> NDArray[np.int64]:
+        """The stops (n,) that are the dwells at the plan's n poses."""
+        return np.flatnonzero(~self.mounting)
 
-    def pose_index(self, t: Floats) -> NDArray[np.int64]:
-        """Index of the pose that the robot goes to or stands at, at each time t (m,)."""
-        return np.clip(np.searchsorted(self.move_start, t, side="right") - 1, 0, len(self.plan) - 1)
+    def stop_index(self, t: Floats) -> NDArray[np.int64]:
+        """Index of the stop that the robot goes to or stands at, at each time t (k,)."""
+        return np.clip(np.searchsorted(self.move_start, t, side="right") - 1, 0, len(self.pose) - 1)
 
     def bar_is_on(self, t: Floats) -> NDArray[np.bool_]:
-        """Whether the bar connects chuck and sphere at each time t (m,)."""
-        i = self.pose_index(t)
-        return ~self.remount[i] | (t >= self.dwell_start[i] - READY)
+        """Whether the bar connects chuck and sphere at each time t (k,)."""
+        i = self.stop_index(t)
+        return ~self.mounting[i] | (t >= self.leave[i] - READY)
 
     def is_settled(self, t: Floats) -> NDArray[np.bool_]:
-        """Whether the joints stand at ``q_held`` of their pose, to 30 nm at the endpoint, at each time t (m,)."""
-        return np.asarray(t >= self.arrive[self.pose_index(t)] + SETTLED)
+        """Whether the joints stand at ``q_held`` of their stop, to 30 nm at the endpoint, at each time t (k,)."""
+        return np.asarray(t >= self.arrive[self.stop_index(t)] + SETTLED)
 
     def q_commanded(self, t: Floats) -> Floats:
-        """Commanded joints (m, j) at times t (m,)."""
-        return self._between(self.plan.q, t)
+        """Commanded joints (k, j) at times t (k,)."""
+        return self._between(self.q, t)
 
     def q_true(self, t: Floats) -> Floats:
-        """Joints as they are (m, j) at times t (m,): servo error and ringing included."""
-        i = self.pose_index(t)
+        """Joints as they are (k, j) at times t (k,): servo error and ringing included."""
+        i = self.stop_index(t)
         since = np.maximum(t - self.arrive[i], 0.0)
         wave = np.exp(-since / RING_DECAY) * np.sin(2.0 * np.pi * RING_HZ * since)
         wave[since > SETTLED] = 0.0
         return np.asarray(self._between(self.q_held, t) + self.ring[i] * wave[:, None])
 
     def _between(self, q: Floats, t: Floats) -> Floats:
-        """Where the quintics between the rows of q (n, j) are at times t (m,)."""
-        i = self.pose_index(t)
+        """Where the quintics between the rows of q (m, j) are at times t (k,)."""
+        i = self.stop_index(t)
         before = np.maximum(i - 1, 0)
         share = (t - self.move_start[i]) / np.maximum(self.arrive[i] - self.move_start[i], 1e-9)
         return np.asarray(q[before] + quintic(np.clip(share, 0.0, 1.0))[:, None] * (q[i] - q[before]))
@@ -129,12 +136,12 @@ class Controller:
         return ticks / self.rate, ticks - numbers[0]
 
     def readings(self, t0: float, t1: float) -> tuple[Floats, Floats]:
-        """Controller times (m,) [s] and joint readings (m, j) [rad] with t0 ≤ true time < t1, any chunks alike."""
+        """Controller times (k,) [s] and joint readings (k, j) [rad] with t0 ≤ true time < t1, any chunks alike."""
         t_robot, _ = self.ticks(t0, t1)
         return t_robot, quantised(self.q_true(self.clock.true(t_robot)))
 
     def reading_lines(self, t0: float, t1: float) -> tuple[Floats, list[bytes]]:
-        """True times (m,) [s] and JSON lines, each ending with a line feed, as the controller sends them.
+        """True times (k,) [s] and JSON lines, each ending with a line feed, as the controller sends them.
 
         ``t`` is controller time [s], ``seq`` counts from the start, ``q`` is measured, ``q_cmd`` commanded [rad].
         """

@@ -92,15 +92,14 @@ class World:
         self.chain: Chain = robot.chain
         self.params = robot.parameter_sets[TRUTH] if params is None else params
         self.clocks = clocks or draw_clocks(seed)
+        bars = [self.rig.bars[name] for name in plan.bar]
         self._p_chuck = np.array([self.rig.chucks[name].xyz for name in plan.chuck])
         self._p_sphere = np.array([self.rig.spheres[name].xyz for name in plan.sphere])
-        self._zero = np.array([self.rig.bars[name].zero for name in plan.bar])
-        self._gain = np.array([self.rig.bars[name].gain for name in plan.bar])
-        self._travel = np.array([self.rig.bars[name].travel for name in plan.bar])
-        self._scatter = sensors.repeatability(seed, len(plan)) * [self.rig.bars[name].sigma for name in plan.bar]
+        self._zero, self._gain, self._travel = np.array([(bar.zero, bar.gain, bar.travel) for bar in bars]).T
+        self._scatter = sensors.repeatability(seed, len(plan)) * [bar.sigma for bar in bars]
         self.controller = Controller.from_plan(plan, self.clocks.robot, seed, robot_rate, self._runs_out(plan))
-        poses = np.arange(len(plan))
-        self._settled_length = self._distance(self.controller.q_held, poses) + self._scatter
+        pose = self.controller.pose
+        self._settled_length = self._distance(self.controller.q_held, pose) + self._scatter[pose]
         self._kept: tuple[tuple[int, ...], NDArray[np.int32]] | None = None
 
     @property
@@ -110,8 +109,8 @@ class World:
 
     @property
     def truth(self) -> Truth:
-        start, end, _ = self.controller.dwells
-        return Truth(self.params, self.clocks, start, end, self._settled_length)
+        robot, dwells = self.controller, self.controller.dwells
+        return Truth(self.params, self.clocks, robot.arrive[dwells], robot.leave[dwells], self._settled_length[dwells])
 
     def _distance(self, q: Floats, poses: NDArray[np.int64]) -> Floats:
         """Centre to centre (m,) [m] at true joints q (m, j), with the chuck and sphere of each pose."""
@@ -130,11 +129,11 @@ class World:
 
     def length(self, t: Floats) -> Floats:
         """True length of the bar (m,) [m] at true times t (m,), repeatability included; NaN while it is off."""
-        poses = self.controller.pose_index(t)
-        length = self._settled_length[poses]
+        stop = self.controller.stop_index(t)
+        length = self._settled_length[stop]
         moving = ~self.controller.is_settled(t)
-        q = self.controller.q_true(t[moving])
-        length[moving] = self._distance(q, poses[moving]) + self._scatter[poses[moving]]
+        pose = self.controller.pose[stop[moving]]
+        length[moving] = self._distance(self.controller.q_true(t[moving]), pose) + self._scatter[pose]
         return np.where(self.controller.bar_is_on(t), length, np.nan)
 
     def samples(
@@ -163,8 +162,8 @@ class World:
             k = np.arange(block * sensors.BLOCK, (block + 1) * sensors.BLOCK, dtype=np.int64)
             shown_ns = t_start_device_ns + k * period - sensors.group_delay_ns(period // sensors.MODULATOR_NS)
             t = self.clocks.device.true(1e-9 * shown_ns)
-            poses = self.controller.pose_index(t)
-            extension = (self.length(t) - self._zero[poses]) / self._gain[poses]
+            pose = self.controller.pose[self.controller.stop_index(t)]
+            extension = (self.length(t) - self._zero[pose]) / self._gain[pose]
             self._kept = (key, sensors.sample_counts(extension, self.seed, block))
         return self._kept[1]
 

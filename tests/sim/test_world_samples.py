@@ -73,17 +73,16 @@ def test_resting_channels_have_their_level_and_noise():
 
 
 def test_the_host_reads_the_true_length_in_a_dwell():
-    start, end, poses = WORLD.controller.dwells
+    truth = WORLD.truth
     zero = np.where(PLAN.bar == "bar46", 0.46, 0.61)
-    for i in poses[::9]:
-        k0, k1 = (
-            int((WORLD.device_clock.from_true_ns(int(1e9 * t)) - START) / PERIOD) for t in (start[i] + 0.6, end[i])
-        )
+    for i in range(0, len(PLAN), 9):
+        interval = (truth.dwell_start[i] + 0.6, truth.dwell_end[i])
+        k0, k1 = (int((WORLD.device_clock.from_true_ns(int(1e9 * t)) - START) / PERIOD) for t in interval)
         counts, _ = WORLD.samples(k0, k1 - 1, START, PERIOD)
         extension = extension_of(counts)
         n = len(extension)
         assert n > 1400
-        error = extension.mean() - (WORLD.truth.length[i] - zero[i])
+        error = extension.mean() - (truth.length[i] - zero[i])
         # Mean of the sample noise; settling's rest and a count are below 40 nm.
         assert abs(error) < 5 * sensors.SAMPLE_SIGMA / np.sqrt(n) + 4e-8
         assert extension.std() == pytest.approx(sensors.SAMPLE_SIGMA, rel=5 / np.sqrt(2 * n))
@@ -91,7 +90,7 @@ def test_the_host_reads_the_true_length_in_a_dwell():
 
 def test_the_length_in_motion_joins_the_dwells_without_a_jump_but_for_the_scatter():
     controller = WORLD.controller
-    calm = np.flatnonzero(~controller.remount)
+    calm = np.flatnonzero(~controller.mounting)[1:]
     before, after = (WORLD.length(controller.arrive[calm] + 0.5 + dt) for dt in (-1e-6, 1e-6))
     assert np.abs(after - before).max() < 30e-9 + 1e-9  # what SETTLED leaves, and the ringing in 2 µs
     # At the start of a move the bar's scatter changes to that of the next dwell: 84 µm · √2, 5 σ.
@@ -114,7 +113,8 @@ def test_the_worlds_scatter_is_the_declared_repeatability():
     p_sphere = np.array([rig.spheres[name].xyz for name in PLAN.sphere])
     p_chuck = np.array([rig.chucks[name].xyz for name in PLAN.chuck])
     exact = np.linalg.norm(
-        point_forward(world.chain, world.params, world.controller.q_held, p_sphere) - p_chuck, axis=1
+        point_forward(world.chain, world.params, world.controller.q_held[world.controller.dwells], p_sphere) - p_chuck,
+        axis=1,
     )
     scatter = (world.truth.length - exact) / 84e-6
     assert np.allclose(scatter, sensors.repeatability(5, len(PLAN)), rtol=0, atol=1e-9)
@@ -161,7 +161,7 @@ def test_periods_and_delays_are_those_that_the_firmware_says():
 
 
 def test_a_sample_shows_what_was_a_group_delay_earlier():
-    t = np.arange(0.0, WORLD.controller.dwell_end[8], 1e-3)  # the first pairing
+    t = np.arange(0.0, WORLD.truth.dwell_end[2], 1e-3)  # the first pairing
     t_ns = int(1e6 * np.nanargmax(np.abs(np.gradient(WORLD.length(t)))))  # where the bar moves fastest
     counts, _ = WORLD.samples(0, 1, WORLD.device_clock.from_true_ns(t_ns), sensors.period_ns(16384))
     length = WORLD.length(np.array([1e-9 * (t_ns - sensors.group_delay_ns(16384))]))

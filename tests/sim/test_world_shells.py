@@ -125,13 +125,13 @@ def test_the_true_bar_keeps_travel_in_reserve_at_every_dwell(plan):
 def test_the_true_bar_stays_within_its_travel_on_every_way_that_it_is_on(plan):
     world = World(3, plan)
     t = np.arange(0.0, world.duration, 0.02)
-    zero = np.where(plan.bar == "bar46", 0.46, 0.61)[world.controller.pose_index(t)]
+    zero = np.where(plan.bar == "bar46", 0.46, 0.61)[world.controller.pose[world.controller.stop_index(t)]]
     extension = world.length(t) - zero
     # The way is checked at 33 points: between two, a path whose bulge is 37.5 mm hides less than 37.5 mm · 4 / 64² / 2;
     # servo errors, ringing and repeatability add less than 0.5 mm.
     assert np.nanmax(np.abs(extension)) < 0.0375 + 0.0005 + 0.00005
     # Few ways need the bar off beside the 18 new pairings, or the plan's order is poor.
-    assert 18 <= world.controller.remount.sum() <= 18 + 0.01 * len(plan)
+    assert 18 <= world.controller.mounting.sum() <= 18 + 0.01 * len(plan)
 
 
 def test_same_seed_same_plan_other_seed_other_plan():
