@@ -17,11 +17,12 @@ import typer
 
 from truearm import __version__
 from truearm.commands.identify import identify
+from truearm.commands.inspect import inspect
 from truearm.commands.record import record
 from truearm.commands.terminal import one_line
 from truearm.errors import TruearmError
 
-COMMANDS = (record, identify)
+COMMANDS = (record, inspect, identify)
 
 # Options and arguments that typer rejects raise a UsageError. That class lives in click or, in later versions, inside
 # typer, which exports only its subclass BadParameter.

@@ -151,7 +151,9 @@ def session(
         box.heartbeat(t)
     seq_less = sorted(box.messages[len(wire.pages(cbor2.dumps(ident_document()))) :], key=lambda m: m.t_host_ns)
     times = np.arange(2 * 10**9, end_ns, PERIOD_NS)
-    readings = np.interp(times - 1_500_000, corners, np.repeat(length - 0.46, 2)) + noise * rng.standard_normal(times.size)
+    readings = np.interp(times - 1_500_000, corners, np.repeat(length - 0.46, 2)) + noise * rng.standard_normal(
+        times.size
+    )
     counts = np.zeros((times.size, CHANNELS), np.int64)
     counts[:, 0] = counts_of(readings)
     ident_frames = [m for m in box.messages if m.topic == "/box/ident"]
@@ -180,7 +182,9 @@ def _robot(
     arrival = times + 400e3 + rng.exponential(200e3, times.size)
     arrival = np.maximum.accumulate(arrival).astype(np.int64)
     stamps = 1000.0 + 1e-9 * times * (1.0 - 20e-6)
-    lines = [{"t": t, "seq": i, "q": row} for i, (t, row) in enumerate(zip(stamps.tolist(), path.tolist(), strict=True))]
+    lines = [
+        {"t": t, "seq": i, "q": row} for i, (t, row) in enumerate(zip(stamps.tolist(), path.tolist(), strict=True))
+    ]
     return [Message("/robot/joints", int(t), json.dumps(line).encode()) for t, line in zip(arrival, lines, strict=True)]
 
 

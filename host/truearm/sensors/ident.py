@@ -7,6 +7,7 @@ number as a whole rounds once and correctly.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -61,6 +62,14 @@ def parse_ident(document: object) -> Ident:
         boot_id=_unsigned(table.get("boot_id"), "boot_id", 2**32),
         streams={stream.id: stream for stream in streams},
     )
+
+
+def parse_ident_json(text: str) -> Ident:
+    """The ident document as a session's metadata hold it. Raises SessionError where it is none."""
+    try:
+        return parse_ident(json.loads(text))
+    except (ValueError, RecursionError) as exc:
+        raise SessionError("the box's ident in the session's metadata is no JSON") from exc
 
 
 def find_channel(ident: Ident, name: str) -> tuple[Stream, int] | None:

@@ -74,9 +74,29 @@ class Segment:
 class _Stream:
     """Where a stream stands: the index of its next sample, frames lost when its last block came."""
 
-    next_n0: int | None
-    frames_lost: int
-    run: int
+    next_n0: int | None = None
+    frames_lost: int = 0
+    run: int = 0
+    pieces: int = 0
+    samples: int = 0
+    period_ns: int = 0
+    last: tuple[int, int] | None = None  # t0_us and n of the last block
+    whole_us: int = 0  # device time between blocks without a gap, and the samples that fill it
+    whole_samples: int = 0
+
+
+@dataclass(frozen=True)
+class StreamReport:
+    """A stream as it came. ``period_ns`` is what its last block says, ``measured_ns`` the mean period by the box's stamps
+    where nothing is missing (NaN where that is nowhere)."""
+
+    id: int
+    name: str
+    channels: tuple[str, ...]
+    samples: int
+    pieces: int  # that are whole in themselves: 1 where no sample is missing
+    period_ns: int
+    measured_ns: float
 
 
 class BoxReader:
@@ -95,6 +115,7 @@ class BoxReader:
         self._times: dict[int, int] = {}
         self._streams: dict[int, _Stream] = {}
         self._pages: dict[int, bytes] = {}
+        self._document: tuple[int, int] | None = None  # req_id and number of pages of the document being joined
         self._heartbeats: dict[int, list[int]] = {}  # segment → last counters
         self._worst: dict[str, int] = {}
 
@@ -129,6 +150,20 @@ class BoxReader:
         )
         known = {name: self._count[name] for name in Losses.__dataclass_fields__ if name != "box"}
         return Losses(**known, box=box)
+
+    def streams(self) -> tuple[StreamReport, ...]:
+        """The streams so far."""
+        return tuple(self._report(k, stream) for k, stream in sorted(self._streams.items()))
+
+    def _report(self, stream_id: int, stream: _Stream) -> StreamReport:
+        # A stream is only counted while an ident describes it, but the last boot may have said it without.
+        idents = [s.ident for s in self.segments if s.ident is not None and stream_id in s.ident.streams]
+        described = idents[-1].streams[stream_id]
+        channels = tuple(channel.name for channel in described.channels)
+        measured = 1000.0 * stream.whole_us / stream.whole_samples if stream.whole_samples else float("nan")
+        return StreamReport(
+            stream_id, described.name, channels, stream.samples, stream.pieces, stream.period_ns, measured
+        )
 
     # ------------------------------------------------------------------------------------------------ frames
 
@@ -207,6 +242,7 @@ class BoxReader:
         self._count.update(blocks=1, samples=n, converter_faults=flags >> 1 & 1)
         gap, run = self._place(stream_id, n0, n, flags)
         period_ns = timing if uniform else 0
+        self._measure(self._streams[stream_id], gap, t0_us, n, period_ns)
         return Block(
             self.segment.index, run, stream_id, seq, n0, t0_us, period_ns, offsets, n, channels, samples.value, gap, flags, t_host_ns
         )  # fmt: skip
@@ -214,7 +250,7 @@ class BoxReader:
     def _place(self, stream_id: int, n0: int, n: int, flags: int) -> tuple[bool, int]:
         """Account for ``n0``: whether samples are missing before it, and the run it belongs to."""
         lost = self._count["frames_lost"]
-        stream = self._streams.setdefault(stream_id, _Stream(None, 0, 0))
+        stream = self._streams.setdefault(stream_id, _Stream())
         with_frames = lost != stream.frames_lost
         if stream.next_n0 is None:
             # Joined, or restarted. Without a frame lost the box had been sampling before the session began.
@@ -230,6 +266,15 @@ class BoxReader:
         self._count["samples_lost" if with_frames else "samples_overrun"] += missing
         stream.next_n0, stream.frames_lost = n0 + n, lost
         return gap, stream.run
+
+    def _measure(self, stream: _Stream, gap: bool, t0_us: int, n: int, period_ns: int) -> None:
+        if gap:
+            stream.pieces += 1
+        elif stream.last is not None:
+            stream.whole_us += t0_us - stream.last[0]
+            stream.whole_samples += stream.last[1]
+        stream.samples += n
+        stream.last, stream.period_ns = (t0_us, n), period_ns
 
     def _heartbeat(self, frame: list[Any]) -> None:
         values = frame[2 : 1 + len(_COUNTERS)]
@@ -260,10 +305,11 @@ class BoxReader:
         if len(frame) < 6 or any(type(v) is not int for v in frame[2:5]) or type(frame[5]) is not bytes:
             self._count["frames_malformed"] += 1
             return None
-        page, pages, data = frame[3:6]
+        req_id, page, pages, data = frame[2:6]
         if page == 0:
             self._pages.clear()
-        if page != len(self._pages) or not page < pages <= wire.PAGES_MAX:
+            self._document = (req_id, pages)
+        if (req_id, pages) != self._document or page != len(self._pages) or not page < pages <= wire.PAGES_MAX:
             return None
         self._pages[page] = data
         return b"".join(self._pages.values()) if page == pages - 1 else None

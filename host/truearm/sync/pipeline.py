@@ -15,7 +15,7 @@ import numpy as np
 from truearm.errors import RigError
 from truearm.sensors.ident import Ident
 from truearm.sensors.lvdt import bar_length, extension, out_of_travel, railed
-from truearm.sync.blocks import Block, BoxReader
+from truearm.sync.blocks import Block, BoxReader, StreamReport
 from truearm.sync.clock import ClockReport, DeviceClock, fit_clock
 from truearm.sync.dwell import Dwell, DwellRules, find_dwells
 from truearm.sync.gather import Taken, gather
@@ -38,6 +38,7 @@ class Survey:
     """What the first pass says. ``idents``: of each segment that has one; ``clocks``: of each segment with exchanges."""
 
     losses: Losses
+    streams: tuple[StreamReport, ...]
     idents: dict[int, Ident]
     boot_ids: tuple[int | None, ...]
     clocks: dict[int, DeviceClock]
@@ -91,6 +92,7 @@ def survey(messages: Messages, ident: Ident | None = None, rules: DwellRules | N
     joints = robot.finish()
     return Survey(
         losses=box.losses(),
+        streams=box.streams(),
         idents={s.index: s.ident for s in box.segments if s.ident is not None},
         boot_ids=tuple(s.boot_id for s in box.segments),
         clocks={index: clock for index, (clock, _) in fits.items()},
@@ -109,14 +111,15 @@ def observations(
     rules: DwellRules | None = None,
     name: str = "session",
     channel: str = "lvdt",
+    found: Survey | None = None,
 ) -> SyncResult:
-    """Observations of the ball-bar on ``channel``; ``messages`` is called twice.
+    """Observations of the ball-bar on ``channel``; ``messages`` is called twice, once if ``found`` is its survey.
 
     ``name`` stands for the session in the table's ``source``. Raises RigError where a dwell's bar, chuck or sphere is
     not in the rig, SessionError where the box has no such channel or no calibration of it.
     """
     rules = rules or DwellRules()
-    found = survey(messages, ident, rules)
+    found = found or survey(messages, ident, rules)
     dwells = _pair(found, rig, rules)
     good = sorted((d.start_host_ns, d.end_host_ns, i) for i, d in enumerate(dwells) if not d.reason)
     intervals = _disjoint([(i, start, end) for start, end, i in good])

@@ -1,0 +1,214 @@
+"""``truearm inspect``: what is in a session file."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from truearm.commands.terminal import one_line
+from truearm.errors import InputError, SessionError
+
+if TYPE_CHECKING:
+    from truearm.record.session import Session
+    from truearm.sensors.ident import Ident
+    from truearm.sync.pipeline import Survey
+    from truearm.types import Message
+
+MAX_TOPICS = 1000
+CONSOLE_RUNS = 10  # shown of what the box printed
+CONSOLE_BYTES = 400  # shown of each
+
+
+def inspect(
+    session: Annotated[Path, typer.Argument(metavar="SESSION", help="Session file (.mcap) of truearm record.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON and nothing else.")] = False,
+    allow_truncated: Annotated[
+        bool, typer.Option("--allow-truncated", help="Read what there is of a file whose recorder was killed.")
+    ] = False,
+) -> None:
+    """Say what is in a session: rates, gaps, losses, clock quality, dwells.
+
+    Example: truearm inspect session.mcap
+    """
+    from truearm.commands.inspect_text import lines
+    from truearm.record.session import open_session
+
+    document = describe(open_session(session, allow_truncated))
+    if as_json:
+        typer.echo(json.dumps(document, indent=2, allow_nan=False))
+    else:
+        for line in lines(document):
+            typer.echo(line)
+
+
+@dataclass
+class Topic:
+    """Arrivals of one topic."""
+
+    messages: int
+    bytes: int
+    first_ns: int
+    last_ns: int
+    longest_silence_ns: int = 0
+
+
+class Contents:
+    """Counts messages as they pass, and keeps the first words of the box."""
+
+    def __init__(self) -> None:
+        self.topics: dict[str, Topic] = {}
+        self.console: list[bytes] = []
+
+    def watched(self, messages: Iterator[Message]) -> Iterator[Message]:
+        """The same messages."""
+        for message in messages:
+            self._count(message)
+            yield message
+
+    def _count(self, message: Message) -> None:
+        topic, t = self.topics.get(message.topic), message.t_host_ns
+        if topic is None:
+            if len(self.topics) >= MAX_TOPICS:
+                raise SessionError(f"the session has more than {MAX_TOPICS} topics; truearm record writes a dozen")
+            topic = self.topics[message.topic] = Topic(0, 0, t, t)
+        topic.messages += 1
+        topic.bytes += len(message.data)
+        topic.longest_silence_ns = max(topic.longest_silence_ns, t - topic.last_ns)
+        topic.last_ns = t
+        if message.topic == "/box/console" and len(self.console) < CONSOLE_RUNS:
+            self.console.append(message.data[:CONSOLE_BYTES])
+
+
+def describe(session: Session) -> dict[str, Any]:
+    """The content of a session as a document fit for JSON; what is not known is None.
+
+    Raises SessionError where the file is damaged.
+    """
+    from truearm.sync.pipeline import survey
+
+    contents, ident = Contents(), ident_of(session)
+    found = survey(lambda topics: contents.watched(session.messages(topics)), ident)
+    times = [t for topic in contents.topics.values() for t in (topic.first_ns, topic.last_ns)]
+    document = {
+        "file": str(session.path),
+        "truncated": session.truncated,
+        "duration_s": 1e-9 * (max(times) - min(times)) if times else 0.0,
+        "metadata": {key: session.metadata.get(key, {}) for key in ("session", "session-end")},
+        "attachments": sorted(session.attachments),
+        "topics": {name: _topic(topic) for name, topic in sorted(contents.topics.items())},
+        "firmware": sorted({ident.firmware for ident in found.idents.values()}),
+        "streams": [_stream(stream, found) for stream in found.streams],
+        "losses": asdict(found.losses),
+        "console": [shown(data) for data in contents.console],
+        "clock": [asdict(report) for report in found.clock_reports],
+        "robot": _robot(found),
+        "events": found.marks.kinds,
+        "plan_poses": len(found.marks.poses),
+        "dwells": _dwells(session, found, ident),
+    }
+    return _without_nan(document)  # type: ignore[no-any-return]
+
+
+def ident_of(session: Session) -> Ident | None:
+    """What the session's metadata say of the box; None where they say nothing."""
+    from truearm.sensors.ident import parse_ident_json
+
+    text = session.metadata.get("box", {}).get("ident")
+    return None if text is None else parse_ident_json(text)
+
+
+def shown(data: bytes) -> str:
+    """Bytes of a stranger as printable text; what is no text as \\x.. escapes."""
+    text = data.decode(errors="backslashreplace").replace("\r\n", "\n")
+    return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
+
+
+def _topic(topic: Topic) -> dict[str, Any]:
+    span = 1e-9 * (topic.last_ns - topic.first_ns)
+    return {
+        "messages": topic.messages,
+        "bytes": topic.bytes,
+        "rate_hz": (topic.messages - 1) / span if span > 0.0 else None,
+        "longest_silence_s": 1e-9 * topic.longest_silence_ns,
+    }
+
+
+def _stream(stream: Any, found: Survey) -> dict[str, Any]:
+    """Rates by the box's own stamps; and by the host's clock, where the exchanges tell how the two relate."""
+    ppm = found.clock_reports[-1].rate_ppm if found.clock_reports else math.nan
+    by_host = 1e9 / (stream.measured_ns * (1.0 + 1e-6 * ppm))
+    return {
+        **asdict(stream),
+        "rate_nominal_hz": 1e9 / stream.period_ns if stream.period_ns else None,
+        "rate_measured_hz": 1e9 / stream.measured_ns,
+        "rate_by_host_hz": by_host,
+    }
+
+
+def _robot(found: Survey) -> dict[str, Any]:
+    joints = found.joints
+    names = ("readings", "malformed", "duplicated", "late", "lost", "gaps", "restarts", "rate_hz")
+    return {
+        **{name: getattr(joints, name) for name in names},
+        "joints": len(joints.step),
+        "quantisation_rad": joints.step.tolist(),
+        "clock": [asdict(report) for report in joints.reports],
+        "note": "a constant latency from controller to host cannot be seen from arrivals",
+    }
+
+
+def _dwells(session: Session, found: Survey, ident: Ident | None) -> dict[str, Any]:
+    """Dwells by the joint readings; with a rig also what became of them."""
+    rejected = [dwell.reason for dwell in found.dwells if dwell.reason]
+    document: dict[str, Any] = {
+        "found": len(found.dwells),
+        "rejected": _tally(rejected),
+        "observations": None,
+        "samples_used": None,
+        "not_paired": None,
+    }
+    attached = session.attachments.get("rig.toml")
+    if attached is None:
+        return document | {"not_paired": "no rig is attached"}
+    try:
+        return document | _observations(session.messages, attached, found, ident)
+    except InputError as exc:  # says what is in the file, so it says this too; the file itself was read to its end
+        return document | {"not_paired": one_line(str(exc))}
+
+
+def _observations(
+    messages: Callable[[Collection[str] | None], Iterator[Message]], attached: bytes, found: Survey, ident: Ident | None
+) -> dict[str, Any]:
+    from truearm.files.rig import parse_rig
+    from truearm.sync.pipeline import observations
+
+    try:
+        text = attached.decode()
+    except UnicodeDecodeError as exc:
+        raise InputError("the attached rig.toml is no UTF-8 text") from exc
+    result = observations(messages, parse_rig(text, "rig.toml"), ident, found=found)
+    bounds = [dwell.clock_bound_ns for dwell in result.dwells if not dwell.reason]
+    return {
+        "rejected": result.reasons,
+        "observations": len(result.table),
+        "samples_used": result.samples_used,
+        "clock_bound_ns": max(bounds, default=None),
+    }
+
+
+def _tally(words: list[str]) -> dict[str, int]:
+    return {word: words.count(word) for word in sorted(set(words))}
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_nan(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,146 @@
+"""A session's content as a person reads it; everything is taken from the document that ``--json`` prints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from truearm.commands.terminal import one_line
+
+LOSSES = (
+    ("frames_lost", "frames lost on the link"),
+    ("frames_duplicated", "frames doubled"),
+    ("frames_malformed", "frames malformed"),
+    ("frames_unknown", "frames of unknown types"),
+    ("samples_lost", "samples lost with frames"),
+    ("samples_overrun", "samples overrun in the box"),
+    ("blocks_without_ident", "blocks that no ident describes"),
+    ("converter_faults", "blocks with a converter fault"),
+    ("console_runs", "runs of bytes that are no frame"),
+    ("restarts", "restarts of the box"),
+    ("sync_unanswered", "clock requests unanswered"),
+)
+BOX = (
+    ("dropped", "frames dropped by the box"),
+    ("short_writes", "short writes of the box"),
+    ("overruns", "overruns by the box's count"),
+    ("bad_frames", "bad frames received by the box"),
+)
+
+
+def lines(document: Mapping[str, Any]) -> Iterator[str]:
+    """The lines to print. Names from the file have their control characters made visible."""
+    state = ", cut off at its end" if document["truncated"] else ""
+    yield f"{one_line(document['file'])}: {document['duration_s']:.1f} s{state}"
+    yield from _session(document)
+    yield from _topics(document["topics"])
+    yield from _streams(document["streams"])
+    yield from _losses(document["losses"])
+    yield from _console(document)
+    yield from _clock(document["clock"])
+    yield from _robot(document["robot"])
+    yield from _dwells(document)
+
+
+def _session(document: Mapping[str, Any]) -> Iterator[str]:
+    session = document["metadata"]["session"]
+    said = [f"truearm {session['version']}"] if "version" in session else []
+    said += [f"{session['clock']} clock"] if "clock" in session else []
+    said += [f"firmware {', '.join(document['firmware'])}"] if document["firmware"] else []
+    said += [f"attached {', '.join(document['attachments'])}"] if document["attachments"] else []
+    if said:
+        yield "  " + one_line("; ".join(said))
+
+
+def _topics(topics: Mapping[str, Any]) -> Iterator[str]:
+    yield f"{'topic':24} {'messages':>9} {'rate/Hz':>9} {'silent/s':>9} {'bytes':>11}"
+    for name, topic in topics.items():
+        rate = _number(topic["rate_hz"], ".2f")
+        silence = f"{topic['longest_silence_s']:.3f}"
+        yield f"{one_line(name):24} {topic['messages']:>9} {rate:>9} {silence:>9} {topic['bytes']:>11}"
+
+
+def _streams(streams: list[Mapping[str, Any]]) -> Iterator[str]:
+    for stream in streams:
+        yield (
+            f"stream {one_line(stream['name'])} ({one_line(', '.join(stream['channels']))}): {stream['samples']} samples, "
+            f"{_number(stream['rate_nominal_hz'], '.4f')} Hz nominal, {_number(stream['rate_measured_hz'], '.4f')} by the "
+            f"box's stamps, {_number(stream['rate_by_host_hz'], '.4f')} by the host's clock; whole pieces: {stream['pieces']}"
+        )
+
+
+def _losses(losses: Mapping[str, Any]) -> Iterator[str]:
+    yield f"frames: {losses['frames']} received, {losses['samples']} samples in {losses['blocks']} blocks"
+    counts = [(losses[key], text) for key, text in LOSSES] + [(losses["box"][key], text) for key, text in BOX]
+    wrong = [f"  {count:>6} {text}" for count, text in counts if count]
+    yield from wrong or ["  nothing lost, nothing doubled, no restart"]
+    box = losses["box"]
+    if box["heartbeats"]:
+        yield (
+            f"  {box['heartbeats']} heartbeats: longest loop {box['loop_max_us']} µs, longest collection "
+            f"{box['gc_max_us']} µs, least free heap {box['heap_free_min']} bytes"
+        )
+
+
+def _console(document: Mapping[str, Any]) -> Iterator[str]:
+    losses = document["losses"]
+    if not losses["console_runs"]:
+        return
+    yield (
+        f"not frames: {losses['console_runs']} runs, {losses['console_bytes']} bytes; "
+        f"{losses['console_text_runs']} of them text"
+    )
+    for run in document["console"]:
+        for line in run.splitlines():
+            yield "  | " + one_line(line)
+    if losses["console_runs"] > len(document["console"]):
+        yield f"  | … {losses['console_runs'] - len(document['console'])} more"
+
+
+def _clock(reports: list[Mapping[str, Any]]) -> Iterator[str]:
+    if not reports:
+        yield "clock: no exchange was answered; samples cannot be placed in time"
+    for report in reports:
+        yield (
+            f"clock, segment {report['segment']}: {report['exchanges']} exchanges ({report['rejected']} rejected) in "
+            f"{report['windows']} windows; host − device {1e-9 * report['offset_ns']:.6f} s, {report['rate_ppm']:+.3f} ppm "
+            f"(range {report['rate_range_ppm']:.3f})"
+        )
+        yield (
+            f"  error at most {1e-3 * report['bound_ns']:.1f} µs, of which ±{1e-3 * report['half_asymmetry_ns']:.1f} µs no "
+            f"exchange can show; spread {_number(report['spread_ns'], '.2f', 1e-3)} µs; round trip "
+            f"{1e-3 * report['rtt_min_ns']:.1f} µs at least, median {1e-3 * report['rtt_median_ns']:.1f}"
+        )
+
+
+def _robot(robot: Mapping[str, Any]) -> Iterator[str]:
+    if not robot["readings"]:
+        yield "robot: no joint readings"
+        return
+    yield (
+        f"robot: {robot['readings']} readings of {robot['joints']} joints at {_number(robot['rate_hz'], '.2f')} Hz; "
+        f"{robot['lost']} lost, {robot['gaps']} gaps, {robot['late']} late, {robot['duplicated']} doubled, "
+        f"{robot['malformed']} malformed, {robot['restarts']} restarts"
+    )
+    for report in robot["clock"]:
+        yield (
+            f"  clock: {report['rate_ppm']:+.3f} ppm, spread {_number(report['spread_ns'], '.1f', 1e-3)} µs, arrivals "
+            f"{1e-3 * report['jitter_ns']:.0f} µs above the fastest on average; a constant latency cannot be seen"
+        )
+
+
+def _dwells(document: Mapping[str, Any]) -> Iterator[str]:
+    dwells = document["dwells"]
+    became = f", {dwells['observations']} observations" if dwells["observations"] is not None else ""
+    planned = f" ({document['plan_poses']} poses planned)" if document["plan_poses"] else ""
+    yield f"dwells: {dwells['found']} found{planned}{became}"
+    for reason, count in dwells["rejected"].items():
+        yield f"  {count:>6} rejected: {reason}"
+    if dwells["not_paired"]:
+        yield f"  not paired with bars: {dwells['not_paired']}"
+    if document["events"]:
+        yield "events: " + one_line(", ".join(f"{count} {kind}" for kind, count in document["events"].items()))
+
+
+def _number(value: float | None, form: str, factor: float = 1.0) -> str:
+    return "-" if value is None else format(factor * value, form)
