@@ -164,7 +164,7 @@ def _identified(request: _Request) -> dict[str, Any]:
 
     estimate = _with_fair_before(fit(free), fit)
     frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, units)
-    files = _hashed(request.inputs, request.robot, request.rig)
+    files = hashed_inputs(request.inputs, request.robot, request.rig)
     return document_of(estimate, table, frames, files, request.hold_out, prior.value)
 
 
@@ -201,7 +201,8 @@ def _read_input(path: Path, joint_units: tuple[str, ...]) -> ObservationTable:
     return read_table(path, joint_units)
 
 
-def _hashed(inputs: list[Path], robot: str, rig: Path | None) -> list[Input]:
+def hashed_inputs(inputs: list[Path], robot: str, rig: Path | None) -> list[Input]:
+    """Name and SHA-256 of every file that an identification read."""
     from truearm.files.result import input_of
     from truearm.files.robot import robot_file
 
