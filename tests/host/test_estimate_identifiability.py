@@ -1,0 +1,71 @@
+"""Rank, gap and readable null directions on matrices whose answer is known."""
+
+import numpy as np
+import pytest
+
+from truearm.estimate.identifiability import identifiability, project_out
+
+
+def test_everything_seen():
+    seen = identifiability(np.diag([3.0, 1e-6]), 2, ["a", "b"])  # a small unit is no missing information
+    assert (seen.rank, seen.null_space) == (2, ())
+    assert seen.identifiable.all()
+    assert np.isinf(seen.gap)
+
+
+def test_a_difference_that_nobody_sees_and_a_column_of_zeros():
+    rows = np.array([[1.0, 2.0, 0.0, 0.0], [3.0, 6.0, 0.0, 1.0], [0.0, 0.0, 0.0, 5.0]])
+    seen = identifiability(np.linalg.qr(np.vstack([rows, np.zeros((1, 4))]), mode="r"), 4, ["a", "b", "c", "d"])
+    assert seen.rank == 2
+    assert seen.identifiable.tolist() == [False, False, False, True]
+    found = {d.names: d.weights for d in seen.null_space}
+    assert set(found) == {("a", "b"), ("c",)}
+    assert found[("a", "b")] == pytest.approx((1.0, -0.5))
+    assert found[("c",)] == (1.0,)
+
+
+def test_each_direction_has_a_parameter_of_its_own():
+    rng = np.random.default_rng(0)
+    names = [f"p{i}" for i in range(9)]
+    root = np.linalg.qr(rng.normal(size=(20, 5)) @ rng.normal(size=(5, 9)), mode="r")
+    seen = identifiability(root, 9, names)
+    assert (seen.rank, len(seen.null_space)) == (5, 4)
+    assert seen.gap > 1e8
+    table = np.array([[dict(zip(d.names, d.weights)).get(n, 0.0) for n in names] for d in seen.null_space])
+    np.testing.assert_allclose(root @ table.T, 0.0, atol=1e-12)
+    assert np.linalg.matrix_rank(table) == 4
+    own = [n for n in names if np.count_nonzero(table[:, names.index(n)]) == 1]
+    assert len(own) >= 4
+
+
+def test_what_the_rig_explains_is_not_seen_of_the_robot():
+    """Robot a, b; rig c: the column of a is that of c, so only b is left. Without the rig both are seen."""
+    rng = np.random.default_rng(1)
+    c, b = rng.normal(size=(2, 30))
+    root = np.linalg.qr(np.column_stack([2.0 * c, b, c]), mode="r")
+    seen = identifiability(root, 2, ["a", "b", "c"])
+    assert seen.rank == 1
+    assert seen.null_space[0].names == ("a",)
+    assert seen.identifiable.tolist() == [False, True, False]
+    assert identifiability(root[:2, :2], 2, ["a", "b"]).rank == 2
+
+
+def test_an_unknown_of_the_rig_alone():
+    root = np.diag([1.0, 1.0, 0.0])
+    seen = identifiability(root, 1, ["robot", "seen", "unseen"])
+    assert seen.rank == 1
+    assert [d.names for d in seen.null_space] == [("unseen",)]
+    assert seen.identifiable.tolist() == [True, True, False]
+
+
+def test_projection_is_orthogonal_even_when_nearly_parallel():
+    rng = np.random.default_rng(2)
+    rig = rng.normal(size=(20, 3))
+    robot = rig @ rng.normal(size=(3, 2)) + 1e-7 * rng.normal(size=(20, 2))
+    rest = project_out(robot, np.column_stack([rig, rig[:, 0]]))
+    np.testing.assert_allclose(rig.T @ rest, 0.0, atol=1e-15 * 20)
+    assert 1e-8 < np.linalg.norm(rest) < 1e-5
+
+
+def test_nothing_free():
+    assert identifiability(np.zeros((0, 0)), 0, []).rank == 0

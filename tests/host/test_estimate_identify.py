@@ -1,0 +1,296 @@
+"""Identification from end to end on made-up tables: unknown rigs, priors, seats, held-out rows, odd ends."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from puma_bench import (
+    BARS,
+    CHAIN,
+    CHUCKS,
+    DESIGN,
+    FREE,
+    RIG,
+    SIGMA,
+    SPHERES,
+    TRUTH,
+    lengths,
+    random_poses,
+    random_table,
+)
+from puma_bench import table as ball_bar_table
+
+from truearm.estimate import problem as problem_module
+from truearm.estimate.identify import identify
+from truearm.estimate.prior import free_without_gains, weak_prior
+from truearm.model.chain import forward, point_jacobians
+from truearm.types import BallBar, ObservationTable, Point, Rig, SocketDistance
+
+AT = {name: i for i, name in enumerate(CHAIN.parameter_names)}
+
+
+def parameter(e, name):
+    return e.value[e.parameter_names.index(name)]
+
+
+def test_a_fourth_chuck_of_which_nothing_is_known():
+    rng = np.random.default_rng(0)
+    truth = {**CHUCKS, "new": Point("new", (0.2, 0.3, 0.1))}
+    q = random_poses(600, rng)
+    pairs = [(("c0", "c1", "c2", "new")[i % 4], f"s{i % 3}") for i in range(600)]
+    t = ball_bar_table(q, lengths(TRUTH, q, pairs, truth), pairs)
+    rig = Rig({**CHUCKS, "new": Point("new", (0.25, 0.26, 0.08), None)}, SPHERES, BARS)
+    e = identify(CHAIN, rig, t, free=FREE)
+    assert (e.status, e.rank, e.null_space) == ("converged", 36, ())
+    np.testing.assert_allclose(e.value[:54], TRUTH, atol=1e-10)
+    np.testing.assert_allclose(e.value[54:], [0.2, 0.3, 0.1], atol=1e-10)
+    assert (e.sigma[54:] > 0).all()
+
+
+def test_with_all_chucks_unknown_the_base_cannot_be_placed():
+    rig = Rig({k: Point(k, p.xyz, None) for k, p in CHUCKS.items()}, SPHERES, BARS)
+    e = identify(CHAIN, rig, random_table(600, np.random.default_rng(1)), free=FREE)
+    assert e.rank == 30  # 36 − the pose of the base
+    assert e.rms_after < 1e-10
+    base = [AT[f"link1.{k}"] for k in ("x", "y", "z", "alpha", "beta", "gamma")]
+    assert not e.identifiable[base].any()
+    assert np.isnan(e.sigma[base]).all()
+    assert len(e.null_space) == 6
+    assert e.identifiable[AT["link3.x"]]
+    assert e.value[AT["link3.x"]] == pytest.approx(TRUTH[AT["link3.x"]], abs=1e-10)
+
+
+def test_zero_and_gain_of_a_bar_from_many_lengths():
+    rng = np.random.default_rng(2)
+    exact = random_table(600, rng)
+    # The bar's true law is 0.4602 + 1.003·e; the table was made with the declared 0.46 + 1.0·e.
+    t = replace(exact, value=0.46 + (exact.value - 0.4602) / 1.003)
+    bar = BallBar("short", 0.46, 1.0, 0.075, SIGMA, zero_sigma=1.0, gain_sigma=1.0)
+    e = identify(CHAIN, Rig(CHUCKS, SPHERES, {"short": bar}), t, free=FREE)
+    # Priors of 1 m and 1 pull by (σ/prior)² of the offset: far below 1e-9 here.
+    assert parameter(e, "bar.short.zero") == pytest.approx(0.4602, abs=1e-9)
+    assert parameter(e, "bar.short.gain") == pytest.approx(1.003, abs=1e-9)
+    assert e.rank == 36
+
+
+def test_a_prior_ends_where_the_gradient_vanishes():
+    """Jᵀ r/σ² + (nominal − x)/prior² = 0 for every unknown, with J by central differences of plain distances."""
+    rng = np.random.default_rng(3)
+    t = random_table(90, rng, SIGMA)
+    bar = BallBar("short", 0.46, 1.0, 0.075, SIGMA, zero_sigma=2e-4)
+    prior = np.where(FREE, weak_prior(CHAIN), np.inf)
+    e = identify(CHAIN, Rig(CHUCKS, SPHERES, {"short": bar}), t, free=FREE, prior_sigma=prior)
+    pairs = list(zip(t.chuck, t.sphere, strict=True))
+    unknown = [*np.flatnonzero(FREE), 54]
+    sigma = np.append(prior, 2e-4)
+
+    def residual(x):  # predicted = 0.46 + (d − zero)
+        return t.value - (0.46 + lengths(x[:54], t.q, pairs) - x[54])
+
+    for i in unknown:
+        unit = np.eye(55)[i] * 1e-6
+        jac = -(residual(e.value + unit) - residual(e.value - unit)) / 2e-6
+        pull = jac @ residual(e.value) / SIGMA**2
+        back = (e.nominal[i] - e.value[i]) / sigma[i] ** 2
+        # The end is within 1e-6 of ‖f‖ = sqrt(χ²) ~ 10 of flat, in units of the column's norm.
+        assert abs(pull + back) < 1e-4 * np.hypot(np.linalg.norm(jac) / SIGMA, 1 / sigma[i])
+
+
+def test_without_information_a_parameter_keeps_prior_and_says_so():
+    """No row sees the gain of joint 1 and the base's turn apart when joint 1 stands still."""
+    rng = np.random.default_rng(4)
+    t = random_table(400, rng)
+    q = t.q.copy()
+    q[:, 0] = 0.5
+    t = replace(t, q=q, value=lengths(TRUTH, q, list(zip(t.chuck, t.sphere, strict=True))))
+    free = FREE & ~np.isin(np.arange(54), [AT["link1.alpha"]])
+    prior = {"joint1.gain": 1e-3, "link1.x": 0.1}
+    seen = identify(CHAIN, RIG, t, free=FREE)
+    assert seen.rank < 36
+    assert not seen.identifiable[AT["joint1.gain"]]
+    alone = np.zeros(54, dtype=bool)
+    alone[[AT["joint1.gain"], AT["joint1.offset"]]] = True
+    e = identify(CHAIN, RIG, t, free=alone, prior_sigma={"joint1.gain": 1e-3, "joint1.offset": 1e-3})
+    assert e.rank == 1
+    assert np.isnan(e.sigma[[AT["joint1.gain"], AT["joint1.offset"]]]).all()
+    # θ = offset + gain·0.5: along (1, −0.5)·t the posterior is the prior alone.
+    c = e.covariance[np.ix_([AT["joint1.offset"], AT["joint1.gain"]], [AT["joint1.offset"], AT["joint1.gain"]])]
+    along = np.array([-0.5, 1.0])
+    across = np.array([1.0, 0.5])
+    assert along @ np.linalg.solve(c, along) == pytest.approx(along @ along / 1e-6, rel=1e-6)
+    assert across @ c @ across < 1e-3 * 1.25e-6
+    assert identify(CHAIN, RIG, t, free=free, prior_sigma=prior).status == "converged"
+
+
+def test_covariance_is_the_inverse_of_the_information():
+    t = random_table(200, np.random.default_rng(5), SIGMA)
+    e = identify(CHAIN, RIG, t, free=FREE)
+    rows = []
+    for q, chuck, sphere in zip(t.q, t.chuck, t.sphere, strict=True):
+        p, jac, _ = point_jacobians(CHAIN, e.value, q, np.array(SPHERES[sphere].xyz))
+        bar = p - np.array(CHUCKS[chuck].xyz)
+        rows.append(bar / np.linalg.norm(bar) @ jac)
+    information = np.array(rows)[:, FREE]
+    expected = np.linalg.inv(information.T @ information / SIGMA**2)
+    # The condition of the normal matrix, 1e8 or so in SI units, costs its half of the digits.
+    np.testing.assert_allclose(e.covariance[np.ix_(FREE, FREE)], expected, rtol=1e-5, atol=1e-6 * expected.max())
+    assert not e.covariance[~FREE].any()
+    np.testing.assert_allclose(e.sigma[FREE], np.sqrt(np.diag(expected)), rtol=1e-5)
+    assert np.isnan(e.sigma[~FREE]).all()
+
+
+def test_block_size_does_not_matter(monkeypatch):
+    t = random_table(300, np.random.default_rng(6), SIGMA)
+    whole = identify(CHAIN, RIG, t, free=FREE)
+    monkeypatch.setattr(problem_module.blocks, "__defaults__", (7,))
+    parts = identify(CHAIN, RIG, t, free=FREE)
+    # Other order of rounding, eps times a condition of 1e4.
+    np.testing.assert_allclose(parts.value, whole.value, atol=1e-11)
+    np.testing.assert_allclose(parts.residual, whole.residual, atol=1e-12)
+
+
+def test_the_result_is_complete():
+    t = random_table(200, np.random.default_rng(7), SIGMA)
+    held = np.arange(200) % 4 == 0
+    heard = []
+    e = identify(CHAIN, RIG, t, free=FREE, hold_out=held, progress=lambda i, rms: heard.append((i, rms)))
+    assert (e.n_robot_parameters, e.n_observations, e.solver) == (54, 150, "lm")
+    assert e.parameter_names == CHAIN.parameter_names
+    np.testing.assert_array_equal(e.nominal, DESIGN)
+    np.testing.assert_array_equal(e.fitted, ~held)
+    np.testing.assert_array_equal(e.value[~FREE], DESIGN[~FREE])
+    assert e.rms_after == pytest.approx(np.sqrt(np.mean(e.residual[~held] ** 2)))
+    assert e.held_out.rms == pytest.approx(np.sqrt(np.mean(e.residual[held] ** 2)))
+    assert e.held_out.mean == pytest.approx(np.abs(e.residual[held]).mean())
+    assert e.held_out.max == np.abs(e.residual[held]).max()
+    assert e.held_out_before.rms == pytest.approx(np.sqrt(np.mean(e.residual_before[held] ** 2)))
+    assert e.held_out_before.rms > 10 * e.held_out.rms
+    assert heard == list(zip(range(1, e.iterations + 1), e.rms_history[1:], strict=True))
+    assert e.rms_history[0] == e.rms_before
+    assert e.rms_history[-1] == e.rms_after
+
+
+def test_max_iterations_is_a_status():
+    e = identify(CHAIN, RIG, random_table(200, np.random.default_rng(8)), free=FREE, max_iterations=1)
+    assert (e.status, e.iterations) == ("max_iterations", 1)
+    assert "1 iteration" in e.message
+
+
+def test_nothing_free_is_a_measurement_of_the_nominal_robot():
+    e = identify(CHAIN, RIG, random_table(50, np.random.default_rng(9)), free=np.zeros(54, bool))
+    assert (e.status, e.iterations, e.rank) == ("converged", 0, 0)
+    assert e.rms_after == e.rms_before
+
+
+# --- seats ---------------------------------------------------------------------------------------------------------
+
+
+def seat_table(rng, n_each, places, noise):
+    """A ball on sphere s0 in two sockets 80 mm apart at each place, seated by inverse kinematics of the true robot."""
+    q_all, place_all, socket_all = [], [], []
+    for place in places:
+        centre = rng.uniform([0.3, -0.3, 0.2], [0.6, 0.3, 0.6])
+        across = rng.normal(size=3)
+        across *= 0.04 / np.linalg.norm(across)
+        for socket, point in (("a", centre - across), ("b", centre + across)):
+            q = seated(point, n_each, rng, noise)
+            q_all.append(q)
+            place_all += [place] * len(q)
+            socket_all += [socket] * len(q)
+    q = np.concatenate(q_all)
+    n = len(q)
+    empty, nan = np.full(n, ""), np.full(n, np.nan)
+    where = np.array([f"row {i + 1}" for i in range(n)])
+    return ObservationTable(
+        *(q, np.full(n, "seat"), nan, nan, empty, empty, np.full(n, "s0")),
+        *(np.array(socket_all), np.array(place_all), empty, where),
+    )
+
+
+def seated(point, n, rng, noise):
+    """(n, 6) readings with the true robot's ball within ``noise`` of a point."""
+    kept = np.zeros((0, 6))
+    goal = point + noise * rng.normal(size=(6 * n, 3))
+    while len(kept) < n:
+        q = random_poses(6 * n, rng)
+        for _ in range(60):
+            p, _, jac = point_jacobians(CHAIN, TRUTH, q, np.array(SPHERES["s0"].xyz))
+            square = jac @ jac.swapaxes(1, 2) + 1e-6 * np.eye(3)
+            step = (jac.swapaxes(1, 2) @ np.linalg.solve(square, (goal - p)[..., None]))[..., 0]
+            q = q + np.clip(step, -0.3, 0.3)
+        p = (forward(CHAIN, TRUTH, q) @ np.array([*SPHERES["s0"].xyz, 1.0]))[:, :3]
+        kept = np.concatenate([kept, q[np.linalg.norm(p - goal, axis=1) < 1e-13]])
+    return kept[:n]
+
+
+DISTANCE = SocketDistance(("a", "b"), 0.08, 1e-5)
+SEAT_RIG = Rig(spheres=SPHERES, socket_distances=(DISTANCE,), seat_sigma=1e-4)
+
+
+@pytest.fixture(scope="module")
+def seated_clean():
+    return seat_table(np.random.default_rng(10), 25, ("p1", "p2", "p3", "p4", "p5"), 0.0)
+
+
+def test_seats_without_noise(seated_clean):
+    """36 − the base's pose (6) − the tool's orientation (3) = 27, residuals to nothing, new places to nothing."""
+    held = seated_clean.place == "p5"
+    e = identify(CHAIN, SEAT_RIG, seated_clean, free=FREE, hold_out=held)
+    assert e.rank == 27
+    assert e.rank_gap > 1e6
+    assert e.rms_before > 1e-3
+    assert e.rms_after < 1e-9
+    assert e.held_out_before.mean > 1e-3
+    assert e.held_out.max < 1e-9
+    assert not any(name.startswith("socket.p5") for name in e.parameter_names)
+    assert len([n for n in e.parameter_names if n.startswith("socket.")]) == 4 * 2 * 3
+    at = [e.parameter_names.index(f"socket.p1.{s}.{k}") for s in "ab" for k in "xyz"]
+    assert np.linalg.norm(e.value[at[:3]] - e.value[at[3:]]) == pytest.approx(0.08, abs=1e-9)
+
+
+def test_seats_with_noise_keep_the_rank_and_chi2():
+    """A residual must not pass for information: the base's turn stays unseen (see seat.settle)."""
+    t = seat_table(np.random.default_rng(11), 25, ("p1", "p2", "p3", "p4"), 1e-4)
+    e = identify(CHAIN, SEAT_RIG, t, free=FREE, prior_sigma=weak_prior(CHAIN) * 10)
+    assert e.status == "converged"
+    assert e.rank == 27
+    assert e.rank_gap > 1e4
+    # 600 coordinates and 4 distances; 27 + 24 unknowns are seen.
+    assert (
+        abs(e.chi2_reduced - 1.0) < 3 * np.sqrt(2 / (604 - 51)) + 0.02
+    )  # the prior's own residuals: some of 36 of 640
+
+
+def test_held_out_seats_of_a_fitted_place_are_judged_by_the_fitted_socket(seated_clean):
+    held = np.arange(len(seated_clean)) % 5 == 0
+    e = identify(CHAIN, SEAT_RIG, seated_clean, free=np.zeros(54, bool), hold_out=held)
+    rows = (seated_clean.place == "p2") & (seated_clean.socket == "b")
+    ball = (forward(CHAIN, DESIGN, seated_clean.q[rows]) @ np.array([*SPHERES["s0"].xyz, 1.0]))[:, :3]
+    at = e.parameter_names.index("socket.p2.b.x")
+    spread = np.linalg.norm(ball - e.value[at : at + 3], axis=1)
+    np.testing.assert_allclose(e.residual[rows], spread, atol=1e-12)
+
+
+def test_held_out_places_are_judged_by_the_spread_about_their_mean(seated_clean):
+    held = seated_clean.place == "p1"
+    e = identify(CHAIN, SEAT_RIG, seated_clean, free=np.zeros(54, bool), hold_out=held)
+    expected = []
+    for socket in "ab":
+        rows = held & (seated_clean.socket == socket)
+        ball = (forward(CHAIN, DESIGN, seated_clean.q[rows]) @ np.array([*SPHERES["s0"].xyz, 1.0]))[:, :3]
+        expected.append(np.linalg.norm(ball - ball.mean(axis=0), axis=1))
+    assert e.held_out.mean == pytest.approx(np.concatenate(expected).mean(), rel=1e-9)
+    assert e.held_out_before == e.held_out
+    assert e.held_out.n == held.sum()
+
+
+def test_the_distance_between_sockets_brings_the_scale(seated_clean):
+    """Without it the lengths follow their prior; the true arm is shorter or longer by the declared distance."""
+    longer = replace(SEAT_RIG, socket_distances=(SocketDistance(("a", "b"), 0.08 * 1.002, 1e-7),))
+    prior = np.where([p.unit == "m" for p in CHAIN.parameters], 0.01, 0.05)
+    upper = AT["link3.x"]
+    found = {
+        rig: identify(CHAIN, rig_, seated_clean, free=FREE & free_without_gains(CHAIN), prior_sigma=prior).value[upper]
+        for rig, rig_ in (("true", SEAT_RIG), ("longer", longer))
+    }
+    assert found["longer"] / found["true"] == pytest.approx(1.002, abs=5e-4)

@@ -1,0 +1,116 @@
+"""The solver alone: NIST's certified values, known valleys, redundant unknowns, and every way to end."""
+
+import numpy as np
+import pytest
+
+from truearm.estimate.information import Information, covariance, fold, spectrum, with_prior
+from truearm.estimate.lm import RANK_TOLERANCE, minimise
+
+# NIST StRD, nonlinear regression, Misra1a (lower difficulty) and its certified values.
+MISRA_Y = [10.07, 14.73, 17.94, 23.93, 29.61, 35.18, 40.02, 44.82, 50.76, 55.05, 61.01, 66.40, 75.47, 81.78]
+MISRA_X = [77.6, 114.9, 141.1, 190.8, 239.9, 289.0, 332.8, 378.4, 434.8, 477.3, 536.8, 593.1, 689.1, 760.0]
+
+
+def linearised(residual, jacobian):
+    """A problem for ``minimise`` from f(x) = measured − predicted and ∂predicted/∂x."""
+
+    def at(x):
+        f, j = residual(x), jacobian(x)
+        k = x.size
+        triangle = fold(np.zeros((k + 1, k + 1)), np.column_stack([j, f]))
+        return Information(triangle[:k, :k], triangle[:k, k], float(f @ f), f.size, f)
+
+    return at
+
+
+@pytest.mark.parametrize("start", [(500.0, 1e-4), (250.0, 5e-4)])
+def test_misra1a(start):
+    x, y = np.array(MISRA_X), np.array(MISRA_Y)
+
+    def jacobian(b):
+        return np.column_stack([1 - np.exp(-b[1] * x), b[0] * x * np.exp(-b[1] * x)])
+
+    found = minimise(linearised(lambda b: y - b[0] * (1 - np.exp(-b[1] * x)), jacobian), np.array(start), 100)
+    assert found.status == "converged"
+    np.testing.assert_allclose(found.x, [2.3894212918e02, 5.5015643181e-04], rtol=1e-7)
+    assert found.information.chi2 == pytest.approx(1.2455138894e-01, rel=1e-10)
+    variance = found.information.chi2 / (14 - 2)
+    sigma = np.sqrt(np.diag(covariance(spectrum(found.information.root), RANK_TOLERANCE)) * variance)
+    np.testing.assert_allclose(sigma, [2.7070075241, 7.2668688436e-06], rtol=1e-6)
+
+
+def test_rosenbrock():
+    found = minimise(
+        linearised(
+            lambda x: -np.array([10 * (x[1] - x[0] ** 2), 1 - x[0]]),
+            lambda x: np.array([[-20 * x[0], 10.0], [-1.0, 0.0]]),
+        ),
+        np.array([-1.2, 1.0]),
+        100,
+    )
+    assert found.status == "converged"
+    np.testing.assert_allclose(found.x, [1.0, 1.0], atol=1e-9)
+
+
+def test_scaling_of_the_unknowns_changes_nothing():
+    x = np.linspace(0, 1, 20)
+    y = 3.0 * np.exp(-2.0 * x) + 0.01 * np.cos(20 * x)
+
+    def solved(unit):
+        at = linearised(
+            lambda b: y - b[0] * np.exp(-b[1] * unit * x),
+            lambda b: np.column_stack([np.exp(-b[1] * unit * x), -b[0] * unit * x * np.exp(-b[1] * unit * x)]),
+        )
+        return minimise(at, np.array([1.0, 0.5 / unit]), 50)
+
+    plain, scaled = solved(1.0), solved(1e6)
+    assert plain.iterations == scaled.iterations
+    np.testing.assert_allclose(plain.x, scaled.x * [1.0, 1e6], rtol=1e-9)
+
+
+def test_redundant_unknowns_do_not_move():
+    """x0 + x1 is all that is seen: the step shares it evenly, by the columns' scale, and leaves x2 alone."""
+    a = np.array([[1.0, 1.0, 0.0], [2.0, 2.0, 0.0]])
+    found = minimise(linearised(lambda x: np.array([1.0, 2.0]) - a @ x, lambda x: a), np.array([0.0, 0.4, 7.0]), 20)
+    assert found.status == "converged"
+    np.testing.assert_allclose(found.x, [0.3, 0.7, 7.0], atol=1e-9)
+
+
+def test_the_ways_to_end():
+    hard = linearised(lambda x: -np.array([np.exp(x[0]) - 2.0]), lambda x: np.array([[np.exp(x[0])]]))
+    found = minimise(hard, np.array([5.0]), 2)
+    assert (found.status, found.iterations) == ("max_iterations", 2)
+    assert minimise(hard, np.array([5.0]), 50).status == "converged"
+    lying = linearised(lambda x: np.array([1.0 + x[0] ** 2]), lambda x: np.array([[1.0]]))
+    assert minimise(lying, np.array([0.0]), 50).status == "stalled"
+    assert minimise(hard, np.log([2.0]), 50).iterations == 0
+
+
+def test_steps_are_reported_in_order_and_descend():
+    heard = []
+    hard = linearised(lambda x: -np.array([np.exp(x[0]) - 2.0]), lambda x: np.array([[np.exp(x[0])]]))
+    found = minimise(hard, np.array([3.0]), 50, lambda i, information: heard.append((i, information.chi2)))
+    assert [i for i, _ in heard] == list(range(1, found.iterations + 1))
+    assert (np.diff([c for _, c in heard]) < 0).all()
+
+
+def test_folding_in_blocks_is_folding_at_once():
+    rows = np.random.default_rng(0).normal(size=(50, 4))
+    whole, parts = fold(np.zeros((4, 4)), rows), np.zeros((4, 4))
+    for block in np.split(rows, [7, 8, 30]):
+        parts = fold(parts, block)
+    np.testing.assert_allclose(parts.T @ parts, rows.T @ rows, atol=1e-12)
+    np.testing.assert_allclose(parts.T @ parts, whole.T @ whole, atol=1e-12)
+
+
+def test_a_prior_is_a_row():
+    rng = np.random.default_rng(1)
+    j, f = rng.normal(size=(10, 3)), rng.normal(size=10)
+    data = linearised(lambda x: f, lambda x: j)(np.zeros(3))
+    both = with_prior(data, np.array([0.3, 9.0, -0.2]), np.array([0.5, np.inf, 2.0]))
+    normal = j.T @ j + np.diag([4.0, 0.0, 0.25])
+    np.testing.assert_allclose(both.root.T @ both.root, normal, atol=1e-12)
+    np.testing.assert_allclose(both.root.T @ both.rhs, j.T @ f + [0.3 * 4.0, 0.0, -0.2 * 0.25], atol=1e-12)
+    assert both.chi2 == pytest.approx(f @ f + 0.36 + 0.01)
+    assert both.n_residuals == 12
+    np.testing.assert_allclose(covariance(spectrum(both.root), 1e-10), np.linalg.inv(normal), atol=1e-12)

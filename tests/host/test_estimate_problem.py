@@ -1,0 +1,107 @@
+"""Tables and rigs that do not make a problem are refused with one line that names the row."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from puma_bench import BARS, CHAIN, CHUCKS, RIG, SPHERES, random_table
+
+from truearm.errors import ProblemError
+from truearm.estimate.identify import identify
+from truearm.estimate.problem import build_problem, robot_prior
+from truearm.types import BallBar, Point, Rig
+
+TABLE = random_table(18, np.random.default_rng(0))
+
+
+def with_cell(column, row, value):
+    cells = getattr(TABLE, column).astype(object)
+    cells[row] = value
+    kind = float if column in ("value", "sigma") else str
+    return replace(TABLE, **{column: cells.astype(kind)})
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "says"),
+    [
+        ("chuck", "c9", "row 5: chuck 'c9' is not in the rig, which has c0, c1, c2"),
+        ("sphere", "x", "row 5: sphere 'x' is not in the rig"),
+        ("bar", "medium", "row 5: bar 'medium' is not in the rig, which has long, short"),
+        ("bar", "", "row 5: bar '' is not in the rig"),
+        ("kind", "lidar", "row 5: kind 'lidar' is not known"),
+        ("value", np.nan, "row 5: a ball_bar row needs a length"),
+        ("sigma", 0.0, "row 5: sigma must be positive"),
+        ("sigma", -1e-4, "row 5: sigma must be positive"),
+        ("sigma", np.inf, "row 5: sigma must be positive"),
+    ],
+)
+def test_a_bad_cell(column, value, says):
+    with pytest.raises(ProblemError, match=says) as caught:
+        build_problem(CHAIN, RIG, with_cell(column, 4, value))
+    assert "\n" not in str(caught.value)
+
+
+def test_bad_joint_readings():
+    with pytest.raises(ProblemError, match="the table has 5 joints, robot puma560 has 6"):
+        build_problem(CHAIN, RIG, replace(TABLE, q=TABLE.q[:, :5]))
+    q = TABLE.q.copy()
+    q[7, 2] = np.nan
+    with pytest.raises(ProblemError, match="row 8: a joint reading is not a finite number"):
+        build_problem(CHAIN, RIG, replace(TABLE, q=q))
+
+
+def test_an_empty_name_means_the_only_one():
+    one = Rig(CHUCKS, SPHERES, {"b": BARS["short"]})
+    problem = build_problem(CHAIN, one, replace(TABLE, bar=np.full(18, "")))
+    assert problem.groups[0].sigma == pytest.approx(BARS["short"].sigma)
+
+
+def test_sigma_of_the_row_comes_before_the_bars():
+    problem = build_problem(CHAIN, RIG, with_cell("sigma", 3, 2e-3))
+    assert problem.groups[0].sigma[3] == 2e-3
+    assert problem.groups[0].sigma[4] == BARS["short"].sigma
+
+
+def test_only_what_is_used_and_not_known_becomes_a_parameter():
+    rig = Rig(
+        {**CHUCKS, "c1": Point("c1", CHUCKS["c1"].xyz, None), "spare": Point("spare", (1.0, 1.0, 1.0), None)},
+        {**SPHERES, "s2": Point("s2", SPHERES["s2"].xyz, 1e-4)},
+        {**BARS, "short": BallBar("short", 0.46, 1.0, 0.075, 84e-6, zero_sigma=1e-3)},
+    )
+    problem = build_problem(CHAIN, rig, TABLE)
+    rest = [f"{p}.{k}" for p in ("chuck.c1", "sphere.s2") for k in "xyz"]
+    assert list(problem.names[54:]) == [*rest, "bar.short.zero"]
+    np.testing.assert_array_equal(problem.prior_sigma[54:], [np.inf] * 3 + [1e-4] * 3 + [1e-3])
+    assert np.isinf(problem.prior_sigma[:54]).all()
+    assert problem.units[54:] == ("m",) * 7
+
+
+def test_priors_by_name_and_by_array():
+    by_name = robot_prior(CHAIN, {"link3.x": 1e-3})
+    assert by_name[CHAIN.parameter_names.index("link3.x")] == 1e-3
+    assert np.isinf(by_name).sum() == 53
+    with pytest.raises(ProblemError, match=r"'link9\.x', which robot puma560 does not have"):
+        robot_prior(CHAIN, {"link9.x": 1e-3})
+    for bad in (np.ones(53), np.zeros(54), np.full(54, np.nan), {"link3.x": -1.0}):
+        with pytest.raises(ProblemError, match="54 positive numbers"):
+            robot_prior(CHAIN, bad)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"free": np.ones(53, bool)}, "free must be 54 booleans"),
+        ({"free": np.ones(54)}, "free must be 54 booleans, is float64"),
+        ({"hold_out": np.zeros(17, bool)}, "hold_out must be 18 booleans"),
+        ({"hold_out": np.ones(18, bool)}, "no observations are left"),
+        ({"solver": "magic"}, "solver 'magic' is not known; use lm"),
+    ],
+)
+def test_arguments_that_do_not_fit(arguments, says):
+    with pytest.raises(ProblemError, match=says):
+        identify(CHAIN, RIG, TABLE, **arguments)
+
+
+def test_an_empty_table():
+    with pytest.raises(ProblemError, match="no observations"):
+        identify(CHAIN, RIG, TABLE.select(np.zeros(18, bool)))

@@ -1,0 +1,157 @@
+"""Each kind of observation: its sign, and its derivatives by every unknown, against central differences."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from puma_bench import BARS, CHAIN, CHUCKS, SPHERES, TRUTH, all_pairs, lengths, random_poses, table
+
+from truearm.estimate.problem import blocks, build_problem, evaluate
+from truearm.model.chain import forward, point_forward
+from truearm.observe import seat
+from truearm.observe.rows import take
+from truearm.types import BallBar, ObservationTable, Point, Rig, SocketDistance
+
+UNKNOWN_RIG = Rig(
+    chucks={k: Point(k, p.xyz, None) for k, p in CHUCKS.items()},
+    spheres={k: Point(k, p.xyz, 1e-3) for k, p in SPHERES.items()},
+    bars={"short": BallBar("short", 0.46, 1.01, 0.075, 84e-6, zero_sigma=1e-4, gain_sigma=1e-3)},
+    socket_distances=(SocketDistance(("left", "right"), 0.05, 1e-5),),
+    seat_sigma=5e-5,
+)
+
+
+def seats(n, rng, sphere="s1", places=("here", "there")):
+    text = {name: np.full(n, "") for name in ("bar", "chuck", "shell")}
+    return ObservationTable(
+        q=random_poses(n, rng),
+        kind=np.full(n, "seat"),
+        value=np.full(n, np.nan),
+        sigma=np.full(n, np.nan),
+        sphere=np.full(n, sphere),
+        socket=np.array([("left", "right")[i % 2] for i in range(n)]),
+        place=np.array([places[(i // 2) % len(places)] for i in range(n)]),
+        source=np.array([f"row {i + 1}" for i in range(n)]),
+        **text,
+    )
+
+
+def both_kinds(rng):
+    q, pairs = random_poses(12, rng), all_pairs(12)
+    bar, ball = table(q, lengths(TRUTH, q, pairs), pairs), seats(9, rng)
+    return ObservationTable(
+        **{f: np.concatenate([getattr(bar, f), getattr(ball, f)]) for f in bar.__dataclass_fields__}
+    )
+
+
+def test_derivatives_of_every_kind_by_every_unknown():
+    rng = np.random.default_rng(0)
+    problem = build_problem(CHAIN, UNKNOWN_RIG, both_kinds(rng))
+    # 54 + three chucks, three spheres, the bar's zero and gain, two sockets at each of two places
+    assert len(problem.names) == 54 + 9 + 9 + 2 + 12
+    # somewhere away from the start, where residuals are not small and gain and zero not as declared
+    x = problem.start + 0.01 * rng.normal(size=problem.start.size)
+    h = 1e-5  # truncation h²/6 · 10 m = 2e-10 (curvature 1/d of a short bar), rounding eps · 3 m/h = 7e-11
+    kinds = list(blocks(problem))
+    assert [type(b).__name__ for b in kinds] == ["BallBarRows", "SeatRows", "SocketDistanceRows"]
+    for block in kinds:
+        jac = evaluate(problem, block, x).jac_params
+        for i, unit in enumerate(np.eye(x.size)):
+            up, down = (evaluate(problem, block, x + s * h * unit).residual for s in (1, -1))
+            np.testing.assert_allclose(jac[:, i], -(up - down) / (2 * h), atol=1e-8, err_msg=problem.names[i])
+
+
+def test_derivatives_by_the_joint_readings():
+    rng = np.random.default_rng(1)
+    t = both_kinds(rng)
+    x = build_problem(CHAIN, UNKNOWN_RIG, t).start
+    h = 1e-5
+    for i, unit in enumerate(np.eye(6)):
+        sides = []
+        for s in (1, -1):
+            moved = replace(t, q=t.q + s * h * unit)
+            problem = build_problem(CHAIN, UNKNOWN_RIG, moved)
+            sides.append(np.concatenate([evaluate(problem, b, x).residual for b in blocks(problem)]))
+        problem = build_problem(CHAIN, UNKNOWN_RIG, t)
+        jac = np.concatenate([evaluate(problem, b, x).jac_joints[:, i] for b in blocks(problem)])
+        np.testing.assert_allclose(jac, -(sides[0] - sides[1]) / (2 * h), atol=1e-8)
+
+
+def test_residual_is_measured_minus_predicted():
+    q, pairs = random_poses(9, np.random.default_rng(2)), all_pairs(9)
+    t = table(q, lengths(TRUTH, q, pairs) + 1e-3, pairs)
+    problem = build_problem(CHAIN, Rig(CHUCKS, SPHERES, BARS), t)
+    (block,) = blocks(problem)
+    # Two roundings of metres.
+    np.testing.assert_allclose(evaluate(problem, block, TRUTH).residual, 1e-3, atol=1e-15)
+
+
+def test_a_bar_with_other_zero_and_gain():
+    """The reading e stays; length was declared z0 + k0·e; truth is z + k·e."""
+    zero, gain, extension = 0.4603, 1.02, np.linspace(-0.03, 0.03, 9)
+    q, pairs = random_poses(9, np.random.default_rng(3)), all_pairs(9)
+    d = lengths(TRUTH, q, pairs)
+    rig = Rig(CHUCKS, SPHERES, UNKNOWN_RIG.bars)
+    problem = build_problem(CHAIN, rig, table(q, 0.46 + 1.01 * extension, pairs))
+    x = np.concatenate([TRUTH, [zero, gain]])
+    assert problem.names[-2:] == ("bar.short.zero", "bar.short.gain")
+    (block,) = blocks(problem)
+    by_hand = (zero + gain * extension - d) * 1.01 / gain  # the true length minus the bar's, in the declared scale
+    np.testing.assert_allclose(evaluate(problem, block, x).residual, by_hand, atol=1e-15)
+
+
+def test_a_sphere_in_the_chucks_centre_has_no_direction():
+    q = random_poses(1, np.random.default_rng(4))
+    centre = point_forward(CHAIN, CHAIN.params_nominal, q, np.array(SPHERES["s0"].xyz))[0]
+    rig = Rig({"c": Point("c", tuple(centre))}, SPHERES, BARS)
+    problem = build_problem(CHAIN, rig, table(q, np.array([0.1]), [("c", "s0")]))
+    (block,) = blocks(problem)
+    found = evaluate(problem, block, problem.start)
+    np.testing.assert_array_equal(found.jac_params, 0.0)
+    np.testing.assert_allclose(found.residual, 0.1)
+
+
+def test_sockets_start_at_the_mean_of_the_predicted_ball():
+    t = seats(40, np.random.default_rng(5))
+    problem = build_problem(CHAIN, UNKNOWN_RIG, t)
+    rows = (t.place == "there") & (t.socket == "right")
+    pose = forward(CHAIN, CHAIN.params_nominal, t.q[rows])
+    ball = (pose @ np.array([*SPHERES["s1"].xyz, 1.0]))[:, :3]
+    at = problem.names.index("socket.there.right.x")
+    np.testing.assert_allclose(problem.start[at : at + 3], ball.mean(axis=0), atol=1e-14)
+
+
+def test_the_ball_is_the_end_frames_origin_when_the_rig_has_no_sphere():
+    t = seats(8, np.random.default_rng(6), sphere="")
+    problem = build_problem(CHAIN, Rig(), t)
+    (block,) = blocks(problem)
+    found = evaluate(problem, block, problem.start).residual.reshape(-1, 3)
+    ends = forward(CHAIN, CHAIN.params_nominal, t.q)[:, :3, 3]
+    socket = {key: ends[(t.place == key[0]) & (t.socket == key[1])].mean(axis=0) for key in zip(t.place, t.socket)}
+    by_hand = np.array([socket[key] for key in zip(t.place, t.socket, strict=True)]) - ends
+    np.testing.assert_allclose(found, by_hand, atol=1e-14)
+
+
+def test_settled_seats_have_no_residual():
+    rng = np.random.default_rng(7)
+    q = np.radians([10.0, -60.0, 100.0, 20.0, 60.0, 30.0]) + 1e-3 * rng.normal(size=(6, 6))
+    t = replace(seats(6, rng, sphere=""), q=q)
+    problem = build_problem(CHAIN, Rig(), t)
+    (block,) = blocks(problem)
+    before = evaluate(problem, block, problem.start).residual
+    settled = seat.settle(CHAIN, block, problem.start)
+    after = evaluate(problem, settled, problem.start).residual
+    assert np.abs(before).max() > 1e-4
+    # Newton squares the error, in radians, three times: 1e-3 → 1e-6 → 1e-12 → rounding.
+    assert np.abs(after).max() < 1e-14
+    assert np.abs(settled.q - q).max() < 0.01
+
+
+@pytest.mark.parametrize("size", [1, 5, 100])
+def test_blocks_cover_every_row_once(size):
+    t = both_kinds(np.random.default_rng(8))
+    problem = build_problem(CHAIN, UNKNOWN_RIG, t)
+    parts = [b for b in blocks(problem, size) if hasattr(b, "row")]
+    assert sorted(np.concatenate([b.row for b in parts])) == list(range(len(t)))
+    assert max(b.row.size for b in parts) <= size
+    assert take(parts[0], slice(0, 1)).row.tolist() == [0]
