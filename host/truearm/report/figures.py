@@ -1,0 +1,254 @@
+"""The pictures of a calibration: what Goswami 1993 shows in Fig. 3 and 4, and what else tells a good fit from a bad one.
+
+Lengths are in mm and angles in deg here: this is the border.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.report import svg
+from truearm.report.rows import Rows, law_of, rms
+from truearm.report.text import counted, figures, number
+from truearm.types import Estimate, Floats
+
+MAX_TIPS = 3000  # points with a tooltip each (about 120 B); beyond, points are bare
+MAX_POINTS = 12000  # points drawn at all; beyond, the largest tenth and an even choice of the others
+MAX_GROUPS = 24
+FINEST_BIN = 1e-6  # mm; noise-free residuals are rounding, or exactly zero
+LONGITUDE_BIN_DEG = 30.0
+FEWEST_IN_BIN = 5
+
+
+class Figure(NamedTuple):
+    """A picture with its title and caption, both plain text."""
+
+    title: str
+    caption: str
+    drawing: str
+    wide: bool = False
+
+
+def figures_of(rows: Rows) -> list[Figure]:
+    """All pictures of the rows of one kind; those that the data do not allow are left out."""
+    makers: tuple[Callable[[Rows], Figure | None], ...] = (histogram, by_longitude, before_after, by_group, quantiles)
+    if not rows.fitted.any():
+        makers = (before_after, by_group)
+    return [figure for figure in (make(rows) for make in makers) if figure is not None]
+
+
+def histogram(rows: Rows) -> Figure:
+    """Residuals of the fitting rows with the fitted law (Goswami 1993, Fig. 4)."""
+    r, law = rows.residual[rows.fitted], law_of(rows)
+    # Half of Scott's rule, rounded up to between 0.5 and 1.25 of it; 60 bins at most, should one row lie far out.
+    scott = 3.49 * r.std() * r.size ** (-1 / 3)
+    width = svg.round_step(max(0.5 * scott, np.ptp(r) / 60.0, 1e-3 * np.abs(r).max(), FINEST_BIN))
+    first = math.floor(r.min() / width + 1e-9)
+    edges = width * np.arange(first, math.floor(r.max() / width + 1e-9) + 2)
+    count, _ = np.histogram(r, edges)
+    count[-1] += r.size - count.sum()  # what rounding puts beyond the last edge
+    scale = r.size * width
+    plain = law.sigma < width / 50.0  # noise-free data: a curve would be a needle
+    top = max(float(count.max()), 0.0 if plain else float(scale * law.density(_grid(edges)).max()))
+    plot = svg.Plot(svg.linear_axis(rows.name, edges[0], edges[-1]), svg.linear_axis("observations", 0.0, top * 1.05))
+    tips = [f"{figures(a)} to {figures(b)} mm: {n}" for a, b, n in zip(edges[:-1], edges[1:], count, strict=True)]
+    parts = [svg.axes(plot), svg.bars(plot, edges, count, "fit bar", tips)]
+    if not plain:
+        parts.append(svg.line(plot, _grid(edges), scale * law.density(_grid(edges)), "law line"))
+    what = "Gaussian" if law.signed else "Maxwell law"
+    note = ([f"mean {number(law.mean, 4)} mm"] if law.signed else []) + [f"σ {number(law.sigma, 4)} mm", f"n {r.size}"]
+    for k, text in enumerate(note):
+        parts.append(svg.label(plot.width - plot.right - 6, plot.top + 17 + 18 * k, text, "end note"))
+    parts.append(svg.legend(plot, [("fit", "fitting rows"), ("law line", what)]))
+    caption = f"{counted(r.size, 'fitting row')} and the {what} fitted to them: {', '.join(note)}."
+    if not rows.signed:
+        caption += " Norms of 3-vectors have no sign; σ is that of one coordinate."
+    return _figure(plot, "Residuals after calibration", caption, parts)
+
+
+def _grid(edges: Floats) -> Floats:
+    return np.linspace(edges[0], edges[-1], 161)
+
+
+def by_longitude(rows: Rows) -> Figure | None:
+    """Residual against the longitude of the sphere about its chuck (Goswami 1993, Fig. 3)."""
+    known = np.isfinite(rows.longitude)
+    if not (known & rows.fitted).any():
+        return None
+    x, y = rows.longitude, rows.residual
+    low, high = _deg_range(x[known])
+    plot = svg.Plot(svg.linear_axis("longitude [deg]", low, high, 60.0), svg.linear_axis(rows.name, *_reach(y[known])))
+    parts, entries = [svg.axes(plot)], []
+    for css, name, chosen in _sets(rows):
+        at = _drawn(y, known & chosen)
+        parts.append(_points(plot, x[at], y[at], css, rows.source[at]))
+        entries.append((css, name))
+    means = _bin_means(x[known & rows.fitted], y[known & rows.fitted])
+    for centre, mean, error in means:
+        parts.append(svg.line(plot, [centre, centre], [mean - 2 * error, mean + 2 * error], "mean line"))
+    parts.append(svg.line(plot, [m[0] for m in means], [m[1] for m in means], "mean line"))
+    parts.append(svg.legend(plot, [*entries, ("mean line", "mean ± 2 s.e.")]))
+    caption = (
+        "Longitude of the sphere about its chuck. Errors of measurement do not depend on it: a mean that swings beyond "
+        "its bars (two standard errors) tells of errors that the parameters do not model."
+    )
+    return _figure(plot, "Residual against longitude", caption, parts)
+
+
+def _deg_range(longitude: Floats) -> tuple[float, float]:
+    return 60.0 * math.floor(longitude.min() / 60.0), 60.0 * math.ceil(longitude.max() / 60.0)
+
+
+def _reach(values: Floats) -> tuple[float, float]:
+    """Zero in the middle for signed values, else at the bottom."""
+    top = 1.02 * float(np.abs(values).max())
+    return (-top if values.min() < 0.0 else 0.0), top
+
+
+def _bin_means(x: Floats, y: Floats) -> list[tuple[float, float, float]]:
+    """Centre, mean and standard error of the mean for each bin of longitude with enough rows."""
+    number_of_bin = np.floor(x / LONGITUDE_BIN_DEG)
+    found = []
+    for k in np.unique(number_of_bin):
+        inside = y[number_of_bin == k]
+        if inside.size >= FEWEST_IN_BIN:
+            error = inside.std(ddof=1) / math.sqrt(inside.size)
+            found.append(((k + 0.5) * LONGITUDE_BIN_DEG, float(inside.mean()), float(error)))
+    return found
+
+
+def _sets(rows: Rows) -> list[tuple[str, str, NDArray[np.bool_]]]:
+    """Class, name and mask of the fitting and the validation rows, as far as there are any."""
+    sets = [("fit", "fitting rows", rows.fitted), ("val", "validation rows", ~rows.fitted)]
+    return [entry for entry in sets if entry[2].any()]
+
+
+def _drawn(values: Floats, chosen: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Indices of the chosen rows; of very many the largest tenth of MAX_POINTS and an even choice of the others."""
+    index = np.flatnonzero(chosen)
+    if index.size <= MAX_POINTS:
+        return index
+    index = index[np.argsort(-np.abs(values[index]), kind="stable")]
+    keep = MAX_POINTS // 10
+    stride = math.ceil((index.size - keep) / (MAX_POINTS - keep))
+    return np.concatenate([index[:keep], index[keep::stride]])
+
+
+def _points(plot: svg.Plot, x: Floats, y: Floats, css: str, source: NDArray[np.str_]) -> str:
+    if x.size > MAX_TIPS:
+        return svg.dots(plot, x, y, css)
+    tips = (f"{s[:60]}: {figures(v)} mm at {number(a, 0)}°" for s, v, a in zip(source, y, x, strict=True))
+    return svg.scatter(plot, x, y, css, tips)
+
+
+def before_after(rows: Rows) -> Figure:
+    """Share of the rows whose |residual| is below a length, before and after."""
+    lines = [(css, name + ", after", rows.residual[at]) for css, name, at in _sets(rows)]
+    lines = [("old", "all rows, before", rows.before), *lines]
+    size = np.abs(np.concatenate([rows.before, rows.residual]))
+    # A residual near zero by chance would stretch the axis by decades; the lowest rows are drawn at its end.
+    reach = np.percentile(size, [2.0, 100.0])
+    plot = svg.Plot(svg.log_axis("|residual| [mm]", reach), svg.linear_axis("share of rows [%]", 0.0, 100.0, 20.0))
+    parts = [svg.axes(plot)]
+    share = np.linspace(0.0, 100.0, 201)
+    for css, _, values in lines:
+        parts.append(svg.line(plot, np.percentile(np.abs(values), share), share, css + " line"))
+    parts.append(svg.legend(plot, [(css + " line", name.replace(" rows", "")) for css, name, _ in lines]))
+    p95 = [f"{figures(float(np.percentile(np.abs(values), 95.0)))} mm ({name})" for _, name, values in lines]
+    return _figure(plot, "Before and after", f"95 % of the rows lie below {', '.join(p95)}.", parts)
+
+
+def by_group(rows: Rows) -> Figure | None:
+    """Quartile boxes for each pairing of chuck and sphere, or each place: does one stand out?"""
+    names, inverse = np.unique(rows.group, return_inverse=True)
+    if names.size < 2:
+        return None
+    worst = sorted(range(names.size), key=lambda g: -rms(rows.residual[inverse == g]))
+    shown = sorted(worst[:MAX_GROUPS])
+    height = max(300.0, 90.0 + 30.0 * len(shown))
+    values = svg.linear_axis(rows.name, *_reach(rows.residual[np.isin(inverse, shown)]))
+    plot = svg.Plot(values, svg.category_axis("", [str(names[g]) for g in shown[::-1]]), height, left=104.0, right=66.0)
+    parts = [svg.axes(plot), svg.label(plot.width - 4, 18, "RMS [mm]", "end")]
+    parts.append(svg.legend(plot, [(css, name) for css, name, _ in _sets(rows)]))
+    for k, g in enumerate(shown[::-1]):
+        sets = [(css, name, rows.residual[at & (inverse == g)]) for css, name, at in _sets(rows)]
+        sets = [entry for entry in sets if entry[2].size]
+        for i, (css, name, inside) in enumerate(sets):
+            offset = 0.0 if len(sets) == 1 else (0.21, -0.21)[i]
+            parts.append(_box(plot, k + offset, inside, css, f"{names[g]}, {name}"))
+    place = "pairing of chuck and sphere" if rows.signed else "place"
+    sizes = [rms(rows.residual[inverse == g]) for g in worst]
+    # Variance of an RMS: σ²/(2·degrees of freedom).
+    spread = 100.0 / math.sqrt(2.0 * (1 if rows.signed else 3) * float(np.median(np.bincount(inverse))))
+    caption = "Box: quartiles and median; whisker: 5 % to 95 %; beyond it, points. Largest RMS over all rows: "
+    caption += f"{names[worst[0]]}, {figures(sizes[0])} mm; smallest: {names[worst[-1]]}, {figures(sizes[-1])} mm. "
+    caption += f"By chance alone these vary by {figures(spread, 2)} % (one σ)."
+    if len(shown) < names.size:
+        caption += f" The {len(shown)} with the largest RMS of {names.size} are shown."
+    return _figure(plot, f"By {place}", caption, parts)
+
+
+def _box(plot: svg.Plot, row: float, values: Floats, css: str, name: str) -> str:
+    p05, p25, p50, p75, p95 = np.percentile(values, [5.0, 25.0, 50.0, 75.0, 95.0])
+    x25, x75 = plot.px([p25, p75])
+    y = float(plot.py(row))
+    tip = f"{name}: {counted(values.size, 'row')}, median {figures(p50)} mm, RMS {figures(rms(values))} mm"
+    outside = values[(values < p05) | (values > p95)]
+    return "".join(
+        (
+            svg.dots(plot, outside, np.full(outside.size, row), css),
+            svg.line(plot, [p05, p95], [row, row], css + " whisker"),
+            svg.rect(x25, y - 4, max(x75 - x25, 1.0), 8, css + " box", tip),
+            svg.line(plot, [p50, p50], [row - 0.16, row + 0.16], css + " median"),
+            svg.label(plot.width - 4, y + 4, figures(rms(values)), "end small " + css),
+        )
+    )
+
+
+def quantiles(rows: Rows) -> Figure | None:
+    """Sorted residuals against the quantiles of the law (normal probability plot)."""
+    r, law = np.sort(rows.residual[rows.fitted]), law_of(rows)
+    if r.size < 10 or law.sigma < svg.SMALLEST:
+        return None
+    expected = law.quantile((np.arange(r.size) + 0.5) / r.size)
+    what = "Gaussian" if law.signed else "Maxwell law"
+    both = np.concatenate([r, expected])
+    low, high = _reach(both)
+    plot = svg.Plot(svg.linear_axis(f"quantile of the {what} [mm]", low, high), svg.linear_axis(rows.name, low, high))
+    at = np.unique(np.linspace(0, r.size - 1, min(r.size, MAX_POINTS)).astype(int))
+    parts = [svg.axes(plot), svg.line(plot, [low, high], [low, high], "law")]
+    parts.append(svg.dots(plot, expected[at], r[at], "fit"))
+    parts.append(svg.legend(plot, [("fit", "fitting rows"), ("law line", what)]))
+    beyond = int(np.sum(np.abs(r - law.mean) > 3.0 * law.sigma)) if law.signed else None
+    caption = "On the line, the errors follow the law; ends that bend away are rows too far out."
+    if beyond is not None:
+        caption += f" Beyond 3σ: {counted(beyond, 'row')}; a Gaussian would put {figures(0.0027 * r.size, 2)} there."
+    return _figure(plot, "Quantiles" if not law.signed else "Normal probability", caption, parts)
+
+
+def convergence(estimate: Estimate) -> Figure:
+    """RMS after every iteration of the solver."""
+    history = 1e3 * np.array(estimate.rms_history)
+    history = history[np.isfinite(history)]
+    steps = np.arange(history.size)
+    last = max(history.size - 1, 1)
+    plot = svg.Plot(
+        svg.linear_axis("iteration", 0, last, max(svg.round_step(last / 10.0), 1.0)), svg.log_axis("RMS [mm]", history)
+    )
+    tips = [f"iteration {k}: {figures(v, 4)} mm" for k, v in zip(steps, history, strict=True)]
+    parts = [
+        svg.axes(plot),
+        svg.line(plot, steps, history, "fit line"),
+        svg.scatter(plot, steps, history, "fit", tips, 4),
+    ]
+    caption = f"RMS of the fitting rows; {estimate.status} after {counted(estimate.iterations, 'iteration')}."
+    return _figure(plot, "Convergence", caption, parts)
+
+
+def _figure(plot: svg.Plot, title: str, caption: str, parts: Sequence[str]) -> Figure:
+    return Figure(title, caption, svg.drawing(plot.width, plot.height, parts, f"{title}. {caption}"))

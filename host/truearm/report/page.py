@@ -1,0 +1,196 @@
+"""One HTML page about one calibration: the verdict, the pictures, the parameters, what was not seen, how it was made.
+
+The page is a single file: style and pictures are inside, there is no script, and a Content-Security-Policy forbids the
+browser to load anything. It opens from a disk without a network, follows the reader's light or dark setting, prints,
+and fits a phone. Names and notes may come from strangers' files; all text passes ``truearm.report.text.escape``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+
+from truearm.report.correlation import correlation
+from truearm.report.figures import Figure, convergence, figures_of
+from truearm.report.rows import KIND_NAMES, rows_by_kind
+from truearm.report.tables import fact_list, parameter_table, step_table, visibility
+from truearm.report.text import counted, escape, figures, millimetres
+from truearm.types import Estimate, Floats, HeldOut, ObservationTable
+
+CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
+HELD_OUT_DOUBTFUL = 1.5  # held-out RMS over fitted RMS
+POLICY = "default-src 'none'; style-src 'unsafe-inline'"
+
+
+@dataclass(frozen=True)
+class CalibrationPage:
+    """Everything that stands on the page.
+
+    ``estimate`` was made from ``table``, whose n rows are fitting and held-out ones. ``longitude`` (n,) [rad] is that
+    of the sphere about its chuck, NaN where a row has none. ``facts`` are labels and values about the recording,
+    ``steps`` names and seconds, ``command`` what to type to make the page again. ``validation`` is the error on rows
+    that were not fitted; None: the estimate's own ``held_out``. ``notes`` are sentences for the reader.
+
+    Raises ValueError where the rows of table, longitude and estimate differ in number.
+    """
+
+    title: str
+    subtitle: str
+    estimate: Estimate
+    table: ObservationTable
+    longitude: Floats  # (n,) rad
+    facts: tuple[tuple[str, str], ...] = ()
+    steps: tuple[tuple[str, float], ...] = ()
+    command: str = ""
+    validation: HeldOut | None = None
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        n = len(self.table)
+        shapes = (self.longitude.shape, self.estimate.residual.shape, self.estimate.fitted.shape)
+        if any(shape != (n,) for shape in shapes):
+            raise ValueError(f"longitude, residual and fitted must be ({n},) as the table, are {shapes}")
+
+    @property
+    def judged(self) -> HeldOut | None:
+        """The held-out error that the verdict quotes."""
+        return self.validation or self.estimate.held_out
+
+
+def render(page: CalibrationPage) -> str:
+    """The page as HTML text, to be written as UTF-8."""
+    sections = (
+        _verdict(page),
+        _pictures(page),
+        _parameters(page.estimate),
+        _section("What the data cannot see", visibility(page.estimate)),
+        _section("The recording", fact_list(page.facts)) if page.facts else "",
+        _making(page),
+    )
+    style = files("truearm.report").joinpath("page.css").read_text(encoding="utf-8")
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        '<meta name="color-scheme" content="light dark">\n'
+        f"<title>{escape(page.title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
+        f"{_header(page)}<main>\n{''.join(sections)}</main>\n</body>\n</html>\n"
+    )
+
+
+def _header(page: CalibrationPage) -> str:
+    return (
+        f'<header><p class="brand">truearm</p><h1>{escape(page.title)}</h1>'
+        f'<p class="subtitle">{escape(page.subtitle, 400)}</p></header>\n'
+    )
+
+
+def _section(title: str, content: str) -> str:
+    return f"<section><h2>{title}</h2>{content}</section>\n"
+
+
+def _verdict(page: CalibrationPage) -> str:
+    e, judged = page.estimate, page.judged
+    tiles = [
+        _tile("before", e.rms_before, f"{counted(e.n_observations, 'observation')}, nominal parameters", "old"),
+        _tile("after", e.rms_after, "the same observations, identified parameters", "fit"),
+    ]
+    if judged:
+        more = f"mean {millimetres(judged.mean)}, largest {millimetres(judged.max)} mm"
+        tiles.append(
+            _tile("validation", judged.rms, f"{counted(judged.n, 'observation')} not used to fit; {more}", "val")
+        )
+    remarks = _list(doubts(page), "remarks doubts") + _list(page.notes, "remarks")
+    line = f'<h2 class="verdict">{escape(verdict(page), 400)}</h2>'
+    return f'<section>{line}<div class="tiles">{"".join(tiles)}</div>{remarks}</section>\n'
+
+
+def _list(sentences: Sequence[str], css: str) -> str:
+    items = "".join(f"<li>{escape(text, 600)}</li>" for text in sentences)
+    return f'<ul class="{css}">{items}</ul>' if items else ""
+
+
+def verdict(page: CalibrationPage) -> str:
+    """The result in one line of plain text."""
+    e, judged = page.estimate, page.judged
+    kinds = " and ".join(KIND_NAMES.get(str(kind), str(kind)) for kind in sorted(set(page.table.kind)))
+    factor = e.rms_before / e.rms_after if e.rms_after > 0.0 else math.inf
+    better = f"{figures(factor, 2)} times smaller" if factor >= 1.0 and math.isfinite(factor) else "changed"
+    line = (
+        f"The {kinds} error is {better}: {millimetres(e.rms_before)} mm RMS before, {millimetres(e.rms_after)} mm after"
+    )
+    return line + (f", {millimetres(judged.rms)} mm on observations not used to fit." if judged else ".")
+
+
+def doubts(page: CalibrationPage) -> list[str]:
+    """Reasons not to trust the figures, a sentence each."""
+    e, judged, found = page.estimate, page.judged, []
+    if e.status != "converged":
+        found.append(f"The solver stopped early ({e.status}): {e.message}.")
+    if judged is None:
+        found.append("Nothing was held out: the error after is not an independent judgement.")
+    elif judged.rms > HELD_OUT_DOUBTFUL * e.rms_after:
+        ratio = figures(judged.rms / e.rms_after, 2) if e.rms_after > 0.0 else "many"
+        found.append(
+            f"The held-out error is {ratio} times the fitted one: too few observations for so many parameters, or "
+            "errors that the parameters do not model."
+        )
+    if e.chi2_reduced > CHI2_DOUBTFUL:
+        found.append(
+            f"Residuals are {figures(math.sqrt(e.chi2_reduced), 2)} times what the declared sigmas allow; the σ of the "
+            "parameters are too small by as much."
+        )
+    return found
+
+
+def _tile(name: str, metres: float, note: str, css: str) -> str:
+    figure = f'<p class="figure">{millimetres(metres)}<span> mm</span></p>'
+    return f'<div class="tile {css}"><p class="name">RMS {name}</p>{figure}<p class="small">{escape(note)}</p></div>'
+
+
+def _pictures(page: CalibrationPage) -> str:
+    kinds = rows_by_kind(page.estimate, page.table, page.longitude)
+    shown = [_figure(figure, rows.kind if len(kinds) > 1 else "") for rows in kinds for figure in figures_of(rows)]
+    shown.append(_figure(convergence(page.estimate)))
+    return _section("Residuals", f'<div class="pictures">{"".join(shown)}</div>')
+
+
+def _figure(figure: Figure, kind: str = "") -> str:
+    """A <figure>; ``kind`` is added to its title where there are several."""
+    title = escape(figure.title + (f" · {KIND_NAMES.get(kind, kind)}" if kind else ""))
+    # A wide picture scrolls on a phone, so it must be reachable by keyboard.
+    scroll = f'<div class="scroll" tabindex="0" role="region" aria-label="{title}">'
+    picture = f"{scroll}{figure.drawing}</div>" if figure.wide else figure.drawing
+    caption = f"<figcaption>{escape(figure.caption, 800)}</figcaption>"
+    css = ' class="wide"' if figure.wide else ""
+    return f"<figure{css}><h3>{title}</h3>{picture}{caption}</figure>\n"
+
+
+def _parameters(e: Estimate) -> str:
+    robot, rig = range(e.n_robot_parameters), range(e.n_robot_parameters, len(e.parameter_names))
+    parts = [
+        "<p>A single parameter may differ from the drawing because of how the fixtures are mounted, or because it takes "
+        "over the error of one held fixed; judge the arm by its predictions.</p>",
+        parameter_table(e, robot),
+    ]
+    if rig:
+        summary = f"{counted(len(rig), 'parameter')} of the rig"
+        parts.append(f"<details><summary>{summary}</summary>{parameter_table(e, rig)}</details>")
+    picture = correlation(e)
+    return _section("Parameters", "".join(parts) + (_figure(picture) if picture else ""))
+
+
+def _making(page: CalibrationPage) -> str:
+    e = page.estimate
+    facts = [
+        ("solver", e.solver),
+        ("iterations", str(e.iterations)),
+        ("status", f"{e.status}: {e.message}" if e.message else e.status),
+        ("reduced χ²", figures(e.chi2_reduced)),
+        ("solver's time", f"{figures(e.seconds, 2)} s"),
+    ]
+    command = f'<pre tabindex="0"><code>{escape(page.command, 2000)}</code></pre>' if page.command else ""
+    steps = step_table(page.steps) if page.steps else ""
+    return _section("How it was made", command + fact_list(facts) + steps)

@@ -1,0 +1,185 @@
+"""Small SVG plots: axes with round ticks, points, lines, bars. Colours come from the page's style sheet by class.
+
+Written by hand instead of taken from a plotting library: a figure is some ten times smaller, follows the page's light
+and dark colours, and every mark can carry a tooltip (``<title>``) without a script. Arguments named ``css`` are class
+names of page.css; labels and tooltips are plain text and escaped here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from truearm.report.text import MINUS, SUPERSCRIPT, escape
+from truearm.types import Floats
+
+SMALLEST = 1e-15  # of what a log axis shows; noise-free residuals are rounding or exactly zero
+
+
+@dataclass(frozen=True)
+class Axis:
+    """What an axis shows, unit in the label: ``low`` to ``high`` of the data, and where it is marked with what."""
+
+    label: str
+    low: float
+    high: float
+    ticks: tuple[float, ...]
+    tick_labels: tuple[str, ...]
+    log: bool = False
+
+    def fraction(self, values: ArrayLike) -> Floats:
+        """Values as fractions of the axis; what lies outside is moved to its ends."""
+        v = np.clip(np.asarray(values, dtype=float), self.low, self.high)
+        low, high = self.low, self.high
+        if self.log:
+            v, low, high = np.log(v), math.log(low), math.log(high)
+        return np.asarray((v - low) / (high - low))
+
+
+def linear_axis(label: str, low: float, high: float, step: float = 0.0) -> Axis:
+    """An axis over [low, high], widened to round ticks; ``step`` overrides the distance of the ticks."""
+    if not high > low:
+        low, high = low - 0.5 * (abs(low) or 1.0), high + 0.5 * (abs(high) or 1.0)
+    step = step or round_step((high - low) / 6.0)
+    first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
+    decimals = max(0, -math.floor(math.log10(step) + 1e-9))
+    ticks = tuple(k * step + 0.0 for k in range(first, last + 1))
+    plain = decimals <= 6 and max(map(abs, ticks)) < 1e6
+    labels = tuple((f"{t:.{decimals}f}" if plain else f"{t:.3g}").replace("-", MINUS) for t in ticks)
+    return Axis(label, first * step, last * step, ticks, labels)
+
+
+def round_step(rough: float) -> float:
+    """The smallest of 1, 2, 5 times a power of ten that is not below ``rough``."""
+    power = 10.0 ** math.floor(math.log10(rough))
+    return next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= rough * (1.0 - 1e-9))
+
+
+def log_axis(label: str, values: ArrayLike) -> Axis:
+    """A logarithmic axis over whole decades around the values that are not zero."""
+    v = np.asarray(values, dtype=float)
+    v = v[v > SMALLEST]
+    first = math.floor(math.log10(v.min(initial=1.0 if v.size == 0 else np.inf)) + 1e-9)
+    last = max(math.ceil(math.log10(v.max(initial=SMALLEST)) - 1e-9), first + 1)
+    every = math.ceil((last - first) / 6)
+    mantissas = (1.0, 2.0, 5.0) if last - first <= 2 else (1.0,)
+    marks = [(m, k) for k in range(first, last, every) for m in mantissas] + [(1.0, last)] * (
+        (last - first) % every == 0
+    )
+    ticks, labels = tuple(m * 10.0**k for m, k in marks), tuple(_power_label(m, k) for m, k in marks)
+    return Axis(label, 10.0**first, 10.0**last, ticks, labels, log=True)
+
+
+def _power_label(mantissa: float, exponent: int) -> str:
+    if -3 <= exponent <= 4:
+        return f"{mantissa * 10.0**exponent:g}"
+    return ("" if mantissa == 1.0 else f"{mantissa:g}·") + "10" + str(exponent).translate(SUPERSCRIPT)
+
+
+def category_axis(label: str, names: Sequence[str]) -> Axis:
+    """An axis with a unit's space for every name, centred at 0, 1, 2…"""
+    labels = tuple(name if len(name) <= 16 else name[:15] + "…" for name in names)
+    return Axis(label, -0.5, len(names) - 0.5, tuple(float(k) for k in range(len(names))), labels)
+
+
+@dataclass(frozen=True)
+class Plot:
+    """Two axes and the room they have, in the drawing's units (about a pixel); y points up."""
+
+    x: Axis
+    y: Axis
+    height: float = 300.0
+    width: float = 480.0
+    left: float = 62.0
+    right: float = 14.0
+    top: float = 30.0
+    bottom: float = 46.0
+
+    def px(self, values: ArrayLike) -> Floats:
+        return self.left + self.x.fraction(values) * (self.width - self.left - self.right)
+
+    def py(self, values: ArrayLike) -> Floats:
+        return self.height - self.bottom - self.y.fraction(values) * (self.height - self.top - self.bottom)
+
+
+def num(value: float) -> str:
+    """A coordinate to a tenth of a unit, as short as it goes."""
+    text = f"{value:.1f}"
+    return text[:-2] if text.endswith(".0") else text
+
+
+def label(x: float, y: float, text: str, css: str = "", extra: str = "") -> str:
+    return f'<text x="{num(x)}" y="{num(y)}" class="{css}"{extra}>{escape(text, 80)}</text>'
+
+
+def axes(plot: Plot) -> str:
+    """Grid lines, tick labels and axis labels."""
+    right, floor, middle = (
+        plot.width - plot.right,
+        plot.height - plot.bottom,
+        (plot.top + plot.height - plot.bottom) / 2,
+    )
+    parts = []
+    for at, text in zip(plot.px(plot.x.ticks), plot.x.tick_labels, strict=True):
+        parts.append(f'<path class="grid" d="M{num(at)} {num(plot.top)}V{num(floor)}"/>')
+        parts.append(label(at, floor + 17, text, "mid"))
+    for at, text in zip(plot.py(plot.y.ticks), plot.y.tick_labels, strict=True):
+        parts.append(f'<path class="grid" d="M{num(plot.left)} {num(at)}H{num(right)}"/>')
+        parts.append(label(plot.left - 7, at + 4, text, "end"))
+    parts.append(f'<path class="axis" d="M{num(plot.left)} {num(plot.top)}V{num(floor)}H{num(right)}"/>')
+    parts.append(label((plot.left + right) / 2, plot.height - 8, plot.x.label, "mid name"))
+    parts.append(label(0, 0, plot.y.label, "mid name", f' transform="translate(14 {num(middle)}) rotate(-90)"'))
+    return "".join(parts)
+
+
+def line(plot: Plot, x: ArrayLike, y: ArrayLike, css: str) -> str:
+    points = " ".join(f"{num(a)},{num(b)}" for a, b in zip(plot.px(x), plot.py(y), strict=True))
+    return f'<polyline class="{css}" points="{points}"/>'
+
+
+def scatter(plot: Plot, x: ArrayLike, y: ArrayLike, css: str, tips: Iterable[str], radius: float = 2.2) -> str:
+    """A circle with a tooltip for every point."""
+    circles = (
+        f'<circle cx="{num(a)}" cy="{num(b)}" r="{radius}"><title>{escape(tip)}</title></circle>'
+        for a, b, tip in zip(plot.px(x), plot.py(y), tips, strict=True)
+    )
+    return f'<g class="{css}">{"".join(circles)}</g>'
+
+
+def dots(plot: Plot, x: ArrayLike, y: ArrayLike, css: str) -> str:
+    """Points without tooltips, as the round ends of strokes without length: a tenth of the size of circles."""
+    points = "".join(f"M{num(a)} {num(b)}h0" for a, b in zip(plot.px(x), plot.py(y), strict=True))
+    return f'<path class="{css} dots" d="{points}"/>'
+
+
+def rect(x: float, y: float, width: float, height: float, css: str, tip: str, extra: str = "") -> str:
+    place = f'x="{num(x)}" y="{num(y)}" width="{num(width)}" height="{num(height)}"'
+    return f'<rect class="{css}" {place}{extra}><title>{escape(tip)}</title></rect>'
+
+
+def bars(plot: Plot, edges: ArrayLike, heights: ArrayLike, css: str, tips: Iterable[str]) -> str:
+    """Bars between neighbouring edges, from the bottom of the plot."""
+    x, y, floor = plot.px(edges), plot.py(heights), plot.height - plot.bottom
+    spans = zip(x[:-1], x[1:], y, tips, strict=True)
+    return "".join(rect(a, top, b - a, floor - top, css, tip) for a, b, top, tip in spans)
+
+
+def legend(plot: Plot, entries: Sequence[tuple[str, str]]) -> str:
+    """Entries (css, text) in a row above the plot."""
+    parts, x = [], plot.left
+    for css, text in entries:
+        # A line that is as long as it is thick, with round ends, is a dot: for what is drawn as points.
+        length = 14.0 if css.endswith("line") else 0.0
+        parts.append(f'<path class="{css} key" d="M{num(x + 5)} 14h{num(length)}"/>' + label(x + length + 13, 18, text))
+        x += length + 27 + 7.2 * len(text)
+    return "".join(parts)
+
+
+def drawing(width: float, height: float, parts: Iterable[str], description: str) -> str:
+    """The SVG element; ``description`` is what a screen reader says instead of the picture."""
+    box = f'viewBox="0 0 {num(width)} {num(height)}"'
+    return f'<svg {box} role="img" aria-label="{escape(description, 400)}">{"".join(parts)}</svg>'

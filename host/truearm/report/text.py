@@ -1,0 +1,52 @@
+"""Numbers and strangers' strings as text of a page: units of the border (mm, deg), everything escaped."""
+
+from __future__ import annotations
+
+import html
+import math
+
+BORDER = {"m": ("mm", 1e3, 4), "rad": ("deg", 180.0 / math.pi, 5), "1": ("1", 1.0, 6)}  # unit, factor, decimals
+ABSENT = "–"
+MINUS = "\u2212"
+SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def escape(text: str, limit: int = 200) -> str:
+    """``text`` for HTML content and attributes: markup escaped, what cannot be printed replaced, cut at ``limit``.
+
+    Replacing takes care of control characters, of marks that reverse the writing direction, and of lone surrogates
+    (from file names), which UTF-8 cannot hold.
+    """
+    short = text if len(text) <= limit else text[: limit - 1] + "…"
+    return html.escape("".join(c if c.isprintable() else " " if c.isspace() else "\ufffd" for c in short))
+
+
+def number(value: float, decimals: int, sign: bool = False) -> str:
+    """A fixed number of decimals with a true minus, none before zero; a dash where the number does not exist."""
+    if not math.isfinite(value):
+        return ABSENT
+    value = round(value, decimals) + 0.0  # no minus before a zero
+    return f"{value:{'+' if sign and value else ''}.{decimals}f}".replace("-", MINUS)
+
+
+def figures(value: float, count: int = 3) -> str:
+    """``count`` significant figures, with a power of ten below 1e-4 and from 1e6: 10.2, 0.0821, 2.8·10¹²."""
+    if not math.isfinite(value):
+        return ABSENT
+    if value == 0.0:
+        return "0"
+    exponent = math.floor(math.log10(abs(value)))
+    if not -4 <= exponent < 6:
+        mantissa = number(value / 10.0**exponent, count - 1)
+        return f"{mantissa}·10{str(exponent).translate(SUPERSCRIPT)}"
+    return number(value, max(count - 1 - exponent, 0))
+
+
+def millimetres(metres: float, count: int = 3) -> str:
+    """A length as millimetres with ``count`` significant figures, without the unit."""
+    return figures(1e3 * metres, count)
+
+
+def counted(count: int, one: str, many: str = "") -> str:
+    """ "1 row", "7 rows"."""
+    return f"{count} {one if count == 1 else many or one + 's'}"
