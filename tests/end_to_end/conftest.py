@@ -1,0 +1,95 @@
+"""Sessions from the simulated lab: the firmware in a real MicroPython, the recorder in virtual time."""
+
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from truearm.commands.record import plan_rows
+from truearm.files.rig import format_rig
+from truearm.record.recorder import RecordSummary, record
+from truearm.record.session_writer import SessionWriter
+from truearm_sim import micropython
+from truearm_sim.lab import Lab
+from truearm_sim.simbox import Fault, SimulatedBox
+from truearm_sim.world import World, standard_plan
+
+
+@dataclass
+class Recorded:
+    """A recorded session and the truth behind it."""
+
+    path: Path
+    summary: RecordSummary
+    world: World
+    lab: Lab
+    sent: list[bytes]  # every piece that the link delivered to the recorder
+
+
+def truearm(*arguments: object, timeout_s: float = 120) -> subprocess.CompletedProcess[str]:
+    """Run the command line in a process of its own."""
+    command = [sys.executable, "-m", "truearm.cli", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=timeout_s)
+
+
+def interpreter():
+    found = micropython.find()
+    assert found is not None, "no MicroPython: run make micropython"
+    return found
+
+
+class TappedLink:
+    """The box's link, with a copy of what it delivered."""
+
+    def __init__(self, link):
+        self.name, self._link, self.delivered = link.name, link, []
+
+    def read(self, timeout_s):
+        arrivals = self._link.read(timeout_s)
+        self.delivered += [data for _, data in arrivals]
+        return arrivals
+
+    def write(self, data):
+        return self._link.write(data)
+
+    def close(self):
+        self._link.close()
+
+
+def record_session(
+    path: Path,
+    poses: int,
+    *,
+    faults: Sequence[Fault] = (),
+    seed: int = 1,
+    osr: int = 4096,
+    duration_s: float | None = None,
+) -> Recorded:
+    plan = standard_plan(poses, seed)
+    world = World(seed, plan)
+    box = SimulatedBox(world, interpreter(), faults=faults, seed=seed)
+    lab = Lab(world, box, seed)
+    link = TappedLink(lab.box_link)
+    try:
+        summary = record(
+            link,
+            SessionWriter(path, lab.clock, overwrite=True),
+            lab.clock,
+            robot=lab.robot_link,
+            plan=plan_rows(plan),
+            rig_toml=format_rig(world.rig).encode(),
+            osr=osr,
+            duration_s=duration_s,
+        )
+    finally:
+        box.close()
+    return Recorded(path, summary, world, lab, link.delivered)
+
+
+@pytest.fixture(scope="session")
+def short_session(tmp_path_factory) -> Recorded:
+    """Ninety dwells with each bar at 254 Hz, nothing goes wrong."""
+    return record_session(tmp_path_factory.mktemp("session") / "short.mcap", 90, osr=16384)

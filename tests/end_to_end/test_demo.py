@@ -1,0 +1,61 @@
+"""The demo's claims, each against its theory. One run of the real thing with 800 poses a bar, as `make demo` does it."""
+
+import json
+import math
+import re
+
+import pytest
+from tests.end_to_end.conftest import truearm
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory):
+    out = tmp_path_factory.mktemp("demo")
+    done = truearm("demo", "--out", out, timeout_s=600)
+    assert done.returncode == 0, done.stderr
+    return out, done.stdout, json.loads((out / "result.json").read_text())
+
+
+def test_firmware_ran_in_micropython(demo):
+    assert "Firmware in MicroPython" in demo[1]
+
+
+def test_residual_is_what_noise_leaves(demo):
+    """0.084 mm drawn once a dwell, 36 parameters: 0.084·√(1 − 36/n), with a standard error of 0.084/√(2 (n − 36))."""
+    _, _, result = demo
+    n = sum(kind["fitted"] for kind in result["observations"])
+    assert n == 800
+    expected, error = 0.084 * math.sqrt(1 - 36 / n), 0.084 / math.sqrt(2 * (n - 36))
+    assert abs(result["rms_after_mm"] - expected) <= 3 * error
+
+
+def test_rank_and_iterations(demo):
+    _, stdout, result = demo
+    assert result["status"] == "converged"
+    assert result["iterations"] <= 10
+    assert result["rank"] == 36
+    assert "rank 36 of 54" in stdout
+
+
+def test_validation_on_the_other_shells(demo):
+    held_out = demo[2]["held_out"]
+    assert held_out["n"] == 800
+    assert held_out["rms_mm"] <= 0.097
+
+
+def test_nothing_was_lost_and_the_clock_kept_its_bound(demo):
+    assert re.search(r"recorded, 0 lost", demo[1])
+    assert "within its reported bound" in demo[1]
+
+
+def test_every_step_has_its_time(demo):
+    assert len(re.findall(r"\d+\.\d s$", demo[1], re.M)) >= 6
+
+
+def test_the_session_identifies_to_the_same_result(demo):
+    out, _, result = demo
+    done = truearm("identify", out / "session.mcap", "--robot", "puma560", "--hold-out", "bar=bar61", "--json")
+    assert done.returncode == 0, done.stderr
+    again = json.loads(done.stdout)
+    assert again["rms_after_mm"] == pytest.approx(result["rms_after_mm"], rel=1e-9)
+    assert again["held_out"]["rms_mm"] == pytest.approx(result["held_out"]["rms_mm"], rel=1e-9)
