@@ -30,6 +30,13 @@ def test_seat_rows_have_no_length_and_prismatic_joints_are_in_metres() -> None:
     assert math.isnan(table.sigma[0])
 
 
+def test_blank_lines_do_not_count_as_rows() -> None:
+    # Every row after them is still there, and numbered as an editor numbers it.
+    table = parse_table(SEAT + "\n" * 250_000 + "seat,0.7,front,1\n", "t.csv")
+    assert table.q[:, 0].tolist() == [0.5, 0.7]
+    assert table.source[1] == "t.csv row 250003"
+
+
 def test_blank_lines_byte_order_mark_notes_and_windows_line_ends_are_passed_over(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_bytes(b'\xef\xbb\xbf kind ,q1_rad,place,socket,note,x_temp\r\n\r\nseat, 1 ,a,0,"two\r\nlines",warm\r\n')

@@ -1,14 +1,13 @@
 """Tables of observations: CSV with the units in the column names, one row an observation (docs/table-format.md).
 
 A table is checked in three layers: the text is CSV of equal rows (``_cells``), its header names known quantities with
-units (``_header``), its cells are what their column and the row's kind demand (``parse_table``). Every complaint names
+units (``read_header``), its cells are what their column and the row's kind demand (``parse_table``). Every complaint names
 the file, the row (as an editor or a spreadsheet counts, the header being row 1) and the column.
 """
 
 from __future__ import annotations
 
 import csv
-import difflib
 import io
 import math
 import re
@@ -21,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.errors import TableError
+from truearm.files.columns import IDS, Column, base_unit, joint_columns, read_header, shown
 from truearm.files.disk import read_text, write_atomic
 from truearm.types import Floats, ObservationTable, Rig
 
@@ -30,8 +30,6 @@ MAX_COLUMNS = 200
 MAX_CELL = 200
 
 SCALE = {"rad": 1.0, "deg": math.pi / 180.0, "m": 1.0, "mm": 1e-3}
-UNITS = {"q": ("rad", "deg", "m", "mm"), "length": ("m", "mm"), "sigma": ("m", "mm")}
-IDS = ("bar", "chuck", "sphere", "socket", "place", "shell")
 # What a kind must have and must leave empty; place and shell are groups that any row may carry.
 NEEDS = {"ball_bar": ("bar", "chuck", "sphere"), "seat": ("place", "socket")}
 LEAVES = {"ball_bar": ("socket",), "seat": ("bar", "chuck", "length")}
@@ -39,19 +37,14 @@ LEAVES = {"ball_bar": ("socket",), "seat": ("bar", "chuck", "length")}
 LARGEST = {"rad": 20.0 * math.pi, "m": 100.0}
 LARGEST_SIGMA = 0.1
 
-_QUANTITY = re.compile(r"(q[1-9][0-9]{0,2}|length|sigma)(?:_(\w*))?")
 # No dots: the names of parameters, socket.<place>.<socket>.x, are made of identifiers.
 _ID = re.compile(r"[\w-]{1,64}")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
-class _Column(NamedTuple):
-    name: str
-    position: int
-    unit: str  # "" for identifiers
-
-
 class _Row(NamedTuple):
+    """A row that is not blank, and where an editor shows it; the header is row 1."""
+
     number: int
     cells: list[str]
 
@@ -68,8 +61,8 @@ def read_table(path: Path, joint_units: Sequence[str] | None = None) -> Observat
 def parse_table(text: str, name: str, joint_units: Sequence[str] | None = None) -> ObservationTable:
     """Parse the text of a table; ``name`` stands for the file in messages and in ``source``. See ``read_table``."""
     header, rows = _cells(text, name)
-    columns = _header(header, name)
-    joints = _joint_columns(columns, joint_units, name)
+    columns = read_header(header, name)
+    joints = joint_columns(columns, joint_units, name)
     if not rows:
         raise TableError(f"{name}: has a header but no rows of observations")
     kind = _kinds(rows, columns["kind"], name)
@@ -77,7 +70,7 @@ def parse_table(text: str, name: str, joint_units: Sequence[str] | None = None) 
     value = _numbers(rows, columns.get("length"), name, LARGEST["m"], positive=True)
     sigma = _numbers(rows, columns.get("sigma"), name, LARGEST_SIGMA, positive=True)
     _check_kinds(rows, kind, {**ids, "length": ~np.isnan(value)}, name)
-    q = [_numbers(rows, joint, name, LARGEST[_base_unit(joint.unit)], required=True) for joint in joints]
+    q = [_numbers(rows, joint, name, LARGEST[base_unit(joint.unit)], required=True) for joint in joints]
     source = np.array([f"{name} row {row.number}" for row in rows])
     return ObservationTable(np.stack(q, axis=1), kind, value, sigma, source=source, **ids)
 
@@ -85,10 +78,9 @@ def parse_table(text: str, name: str, joint_units: Sequence[str] | None = None) 
 def _cells(text: str, name: str) -> tuple[list[str], list[_Row]]:
     """Header and rows as stripped text, all of one width; blank lines are passed over."""
     reader = csv.reader(io.StringIO(text, newline=None), strict=True)
+    filled = (_Row(reader.line_num, [cell.strip() for cell in cells]) for cells in reader if cells)
     try:
-        rows = [
-            _Row(reader.line_num, [cell.strip() for cell in cells]) for cells in islice(reader, MAX_ROWS + 2) if cells
-        ]
+        rows = list(islice(filled, MAX_ROWS + 2))
     except csv.Error as exc:
         raise TableError(f"{name} row {reader.line_num}: is not CSV: {exc}") from exc
     if not rows:
@@ -106,94 +98,24 @@ def _cells(text: str, name: str) -> tuple[list[str], list[_Row]]:
     return header, rows[1:]
 
 
-def _header(header: list[str], name: str) -> dict[str, _Column]:
-    """Columns by quantity (``kind``, ``q1``, ``length``, ``bar`` …); columns x_… and note are passed over."""
-    columns: dict[str, _Column] = {}
-    seen: set[str] = set()
-    for position, title in enumerate(header):
-        where = f"{name} column {position + 1} ({_shown(title)})"
-        if title in seen:
-            raise TableError(f"{where}: stands twice in the header; keep one")
-        seen.add(title)
-        if title == "note" or title.startswith("x_"):
-            continue
-        quantity, unit = _quantity(title, where)
-        if quantity in columns:
-            raise TableError(f"{where}: {quantity} is given twice, as {columns[quantity].name} too; keep one")
-        columns[quantity] = _Column(title, position, unit)
-    if "kind" not in columns:
-        raise TableError(f"{name}: has no column 'kind' (ball_bar or seat); is the first row a header?")
-    return columns
-
-
-def _quantity(title: str, where: str) -> tuple[str, str]:
-    """Quantity and unit of a column's title, or TableError with the title that was probably meant."""
-    if title == "kind" or title in IDS:
-        return title, ""
-    match = _QUANTITY.fullmatch(title)
-    if match is None:
-        raise TableError(f"{where}: is no known column; {_suggestion(title)}")
-    quantity, unit = match.groups()
-    known = UNITS[quantity.rstrip("0123456789")]
-    if unit is None:
-        raise TableError(f"{where}: has no unit; name it {' or '.join(f'{quantity}_{u}' for u in known)}")
-    if unit not in known:
-        raise TableError(f"{where}: unit {_shown(unit)} is not known; use one of {', '.join(known)}")
-    return quantity, unit
-
-
-def _suggestion(title: str) -> str:
-    known = ["kind", *IDS, "length_mm", "length_m", "sigma_mm", "sigma_m", *(f"q{i}_rad" for i in range(1, 8))]
-    close = difflib.get_close_matches(title[:MAX_CELL].lower(), known, n=1)
-    return f"did you mean {close[0]}?" if close else "begin its name with x_ if it is to be ignored"
-
-
-def _joint_columns(columns: dict[str, _Column], joint_units: Sequence[str] | None, name: str) -> list[_Column]:
-    """The joint columns in joint order, checked against the robot."""
-    numbers = sorted(int(quantity[1:]) for quantity in columns if _is_joint(quantity))
-    if not numbers:
-        raise TableError(f"{name}: has no joint columns; name them q1_rad, q2_rad, ... (or q1_deg, ...)")
-    missing = set(range(1, numbers[-1] + 1)) - set(numbers)
-    if missing:
-        raise TableError(f"{name}: has columns up to q{numbers[-1]} but none for q{min(missing)}")
-    joints = [columns[f"q{number}"] for number in numbers]
-    if joint_units is None:
-        return joints
-    if len(joints) != len(joint_units):
-        raise TableError(f"{name}: has {len(joints)} joint columns, the robot has {len(joint_units)} joints")
-    for joint, unit in zip(joints, joint_units, strict=True):
-        if _base_unit(joint.unit) != unit:
-            allowed = "rad or deg (it turns)" if unit == "rad" else "m or mm (it slides)"
-            raise TableError(f"{name} column {joint.name}: the robot's joint is measured in {allowed}")
-    return joints
-
-
-def _is_joint(quantity: str) -> bool:
-    return quantity[0] == "q"
-
-
-def _base_unit(unit: str) -> str:
-    return "rad" if unit in ("rad", "deg") else "m"
-
-
-def _kinds(rows: list[_Row], column: _Column, name: str) -> np.ndarray:
+def _kinds(rows: list[_Row], column: Column, name: str) -> np.ndarray:
     for row in rows:
         if row.cells[column.position] not in NEEDS:
             raise TableError(
-                f"{name} row {row.number} column kind: {_shown(row.cells[column.position])} is no kind of observation; "
+                f"{name} row {row.number} column kind: {shown(row.cells[column.position])} is no kind of observation; "
                 f"use {' or '.join(NEEDS)}"
             )
     return np.array([row.cells[column.position] for row in rows])
 
 
-def _identifiers(rows: list[_Row], column: _Column | None, name: str) -> np.ndarray:
+def _identifiers(rows: list[_Row], column: Column | None, name: str) -> np.ndarray:
     if column is None:
         return np.full(len(rows), "", dtype="U1")
     for row in rows:
         cell = row.cells[column.position]
         if cell and not _ID.fullmatch(cell):
             raise TableError(
-                f"{name} row {row.number} column {column.name}: {_shown(cell)} is no identifier; "
+                f"{name} row {row.number} column {column.name}: {shown(cell)} is no identifier; "
                 "use up to 64 letters, digits, '-' and '_'"
             )
     return np.array([row.cells[column.position] for row in rows])
@@ -201,7 +123,7 @@ def _identifiers(rows: list[_Row], column: _Column | None, name: str) -> np.ndar
 
 def _numbers(
     rows: list[_Row],
-    column: _Column | None,
+    column: Column | None,
     name: str,
     largest: float,
     *,
@@ -218,9 +140,9 @@ def _numbers(
         where = f"{name} row {row.number} column {column.name}"
         numbers[i] = np.nan if not cell and not required else scale * _number(cell, where)
         if abs(numbers[i]) > largest:
-            raise TableError(f"{where}: {_shown(cell)} is too large for {column.unit}; is the column in another unit?")
+            raise TableError(f"{where}: {shown(cell)} is too large for {column.unit}; is the column in another unit?")
         if positive and numbers[i] <= 0.0:
-            raise TableError(f"{where}: {_shown(cell)} must be greater than 0")
+            raise TableError(f"{where}: {shown(cell)} must be greater than 0")
     return numbers
 
 
@@ -231,7 +153,7 @@ def _number(cell: str, where: str) -> float:
         raise TableError(f"{where}: {cell} is not a finite number; leave out rows without a reading")
     # float() would take "1_000" and digits of other scripts; a table with them was not written as numbers.
     if len(cell) > MAX_CELL or not _NUMBER.fullmatch(cell):
-        raise TableError(f"{where}: {_shown(cell)} is not a number")
+        raise TableError(f"{where}: {shown(cell)} is not a number")
     return float(cell)
 
 
@@ -250,10 +172,6 @@ def _check_kinds(rows: list[_Row], kind: np.ndarray, cells: dict[str, np.ndarray
 
 def _titled(quantity: str) -> str:
     return "length_mm or length_m" if quantity == "length" else f"a {quantity}"
-
-
-def _shown(text: str) -> str:
-    return repr(text if len(text) <= 40 else text[:37] + "...")
 
 
 def concatenate(tables: Sequence[ObservationTable]) -> ObservationTable:
@@ -277,7 +195,7 @@ def check_against_rig(table: ObservationTable, rig: Rig) -> None:
             if identifier and identifier not in known:
                 names = ", ".join(sorted(known)) or "none; give it with --rig"
                 raise TableError(
-                    f"{source} column {column}: {_shown(str(identifier))} is not in the rig (it has {names})"
+                    f"{source} column {column}: {shown(str(identifier))} is not in the rig (it has {names})"
                 )
     seats = table.kind == "seat"
     nameless = np.flatnonzero(seats & (table.sphere == ""))
