@@ -148,8 +148,9 @@ class Controller:
         t_robot, numbers = self.ticks(t0, t1)
         t = self.clock.true(t_robot)
         measured, commanded = quantised(self.q_true(t)), self.q_commanded(t)
-        vector = "[" + ",".join(["%.9f"] * measured.shape[1]) + "]"
-        line = '{"t":%.6f,"seq":%d,"q":' + vector + ',"q_cmd":' + vector + "}\n"
+        j = measured.shape[1]
+        # Digits enough for the readings' step to be seen in differences of differences of what is printed.
+        line = '{"t":%.6f,"seq":%d,"q":[' + ",".join(["%.12f"] * j) + '],"q_cmd":[' + ",".join(["%.9f"] * j) + "]}\n"
         rows = zip(t_robot.tolist(), numbers.tolist(), measured.tolist(), commanded.tolist(), strict=True)
         return t, [(line % (when, number, *q, *q_cmd)).encode() for when, number, q, q_cmd in rows]
 

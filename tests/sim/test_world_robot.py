@@ -168,9 +168,9 @@ def test_lines_hold_the_readings():
     assert all(line.endswith(b"}\n") for line in lines)
     assert len(rows) == len(t) == 750
     assert np.all((t >= 3.0) & (t < 9.0))
-    # %.6f and %.9f round by half a last digit.
+    # %.6f, %.9f and %.12f round by half a last digit.
     assert np.allclose([row["t"] for row in rows], t_robot, rtol=0, atol=5.1e-7)
-    assert np.allclose([row["q"] for row in rows], q, rtol=0, atol=5.1e-10)
+    assert np.allclose([row["q"] for row in rows], q, rtol=0, atol=5.1e-13)
     assert np.allclose([row["q_cmd"] for row in rows], controller.q_commanded(t), rtol=0, atol=5.1e-10)
     assert np.array_equal(np.diff([row["seq"] for row in rows]), np.ones(749))
     assert json.loads(controller.reading_lines(0.0, 0.1)[1][0])["seq"] == 0
