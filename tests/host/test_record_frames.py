@@ -1,5 +1,8 @@
 """Splitting: nothing is lost whatever comes in whatever pieces; frames are found, and only frames."""
 
+import json
+from pathlib import Path
+
 import cbor2
 import pytest
 from hypothesis import given, settings
@@ -16,6 +19,8 @@ from truearm.record.frames import (
     frame_type,
     payload_of,
 )
+
+VECTORS = Path(__file__).parents[2] / "protocol" / "vectors"
 
 payloads = st.binary(max_size=247).map(lambda tail: b"\x85\x10" + tail + b"\0").filter(lambda p: 3 <= len(p) <= 250)
 junk = st.binary(max_size=40).map(lambda raw: raw.replace(b"\0", b"."))
@@ -157,3 +162,24 @@ class TestDataHead:
     def test_no_other_frame_is_taken_for_data(self):
         assert data_head(b"\x88\x11" + data(1, 0, 0)[2:]) is None
         assert data_head(heartbeat(1, 2, 3, 0)) is None
+
+
+class TestVectors:
+    """The golden frames of protocol/vectors, and the corrupted ones."""
+
+    @pytest.mark.parametrize("entry", json.loads((VECTORS / "frames.json").read_text()), ids=lambda e: e["name"])
+    def test_golden(self, entry):
+        raw = (VECTORS / entry["file"]).read_bytes()
+        ((is_frame, payload),) = split([raw])
+        assert is_frame
+        assert frame(payload) == raw
+        assert frame_type(payload) == entry["values"][0]
+        if entry["values"][0] < 32:
+            assert frame_seq(payload) == entry["values"][1]
+
+    @pytest.mark.parametrize("entry", json.loads((VECTORS / "corrupted.json").read_text()), ids=lambda e: e["name"])
+    def test_corrupted(self, entry):
+        raw = (VECTORS / entry["file"]).read_bytes()
+        items = split([raw])
+        assert not any(is_frame for is_frame, _ in items)
+        assert b"".join(item for _, item in items) == raw.replace(b"\0", b"")
