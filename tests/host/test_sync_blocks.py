@@ -1,0 +1,377 @@
+"""Exact accounting: what was injected is what is counted, nothing else."""
+
+import json
+from dataclasses import asdict
+
+import cbor2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sync_stream import CHANNELS, PERIOD_NS, Box, ident_document
+
+from truearm.errors import SessionError
+from truearm.sensors.ident import parse_ident
+from truearm.sync.blocks import BoxReader
+from truearm.sync.losses import Losses
+from truearm.types import Message
+from truearm_wire import messages as wire
+from truearm_wire.cbor import Tag
+
+BLOCK_NS = 13 * PERIOD_NS
+COUNTS = np.arange(13 * CHANNELS).reshape(13, CHANNELS)
+
+
+def box_with(blocks=20, seq=0):
+    """A box that says its ident, then streams, with a heartbeat and a clock exchange in the middle."""
+    box = Box(seq=seq)
+    box.ident(0)
+    for k in range(blocks):
+        box.data(k * BLOCK_NS + BLOCK_NS, COUNTS + k)
+        if k == blocks // 2:
+            box.heartbeat(box.messages[-1].t_host_ns)
+            box.sync(box.messages[-1].t_host_ns, 1e5, 1e5)
+    return box
+
+
+def read(messages, ident=None):
+    reader = BoxReader(ident)
+    blocks = [block for message in messages if (block := reader.feed(message)) is not None]
+    return blocks, reader
+
+
+def account(messages):
+    """The account as a plain dict of what is not zero, without what is always there."""
+    losses = asdict(read(messages)[1].losses())
+    del losses["box"]
+    for name in ("frames", "blocks", "samples", "sync_requests"):
+        del losses[name]
+    return {name: count for name, count in losses.items() if count}
+
+
+def data_places(box):
+    return [i for i, m in enumerate(box.messages) if m.topic == "/box/adc"]
+
+
+def test_a_clean_stream_has_no_losses():
+    box = box_with()
+    blocks, reader = read(box.messages)
+    assert account(box.messages) == {}
+    assert reader.losses().samples == 20 * 13
+    assert [block.gap for block in blocks] == [True] + [False] * 19
+    assert np.array_equal(blocks[3].counts, COUNTS + 3)
+    assert [block.n0 for block in blocks] == list(range(0, 260, 13))
+    assert reader.segment.boot_id == 7
+    assert len(reader.segment.exchanges) == 1
+    (stream,) = reader.streams()
+    assert (stream.name, stream.samples, stream.pieces, stream.period_ns) == ("adc", 260, 1, PERIOD_NS)
+    # 19 blocks between stamps that are cut to 1 µs each
+    assert stream.measured_ns == pytest.approx(PERIOD_NS, abs=1000.0 / (19 * 13))
+
+
+def test_flipped_bit_is_a_lost_frame_and_a_console_run():
+    box = box_with()
+    place = data_places(box)[5]
+    broken = bytearray(box.messages[place].data)
+    broken[40] ^= 0x10
+    box.messages[place] = Message("/box/console", box.messages[place].t_host_ns, bytes(broken))
+    assert account(box.messages) == {
+        "frames_lost": 1,
+        "loss_events": 1,
+        "samples_lost": 13,
+        "console_runs": 1,
+        "console_bytes": len(broken),
+    }
+    blocks, _ = read(box.messages)
+    assert [block.gap for block in blocks].count(True) == 2
+
+
+def test_traceback_in_the_stream_loses_nothing():
+    box = box_with()
+    text = b'Traceback (most recent call last):\r\n  File "main.py", line 3, in <module>\r\nMemoryError: \xc2\xb5\r\n'
+    box.messages.insert(9, Message("/box/console", 5, text))
+    expected = {"console_runs": 1, "console_text_runs": 1, "console_bytes": len(text)}
+    assert account(box.messages) == expected
+
+
+def test_lost_frame():
+    box = box_with()
+    del box.messages[data_places(box)[7]]
+    assert account(box.messages) == {"frames_lost": 1, "loss_events": 1, "samples_lost": 13}
+
+
+def test_lost_heartbeat_costs_no_samples():
+    box = box_with()
+    del box.messages[next(i for i, m in enumerate(box.messages) if m.topic == "/box/heartbeat")]
+    assert account(box.messages) == {"frames_lost": 1, "loss_events": 1}
+    blocks, _ = read(box.messages)
+    assert not any(block.gap for block in blocks[1:])
+
+
+@pytest.mark.parametrize("later", [1, 2, 10])
+def test_doubled_frame_is_ignored(later):
+    box = box_with()
+    place = data_places(box)[7]
+    box.messages.insert(place + later, box.messages[place])
+    assert account(box.messages) == {"frames_duplicated": 1}
+    assert len(read(box.messages)[0]) == 20
+
+
+def test_short_write_is_the_boxs_own_count():
+    box = box_with()
+    box.heartbeat(10**9, short_writes=1, sent=99, overruns=4, dropped=2, bad_frames=3, loop_max_us=700, heap_free=9000)
+    box.heartbeat(
+        2 * 10**9, short_writes=1, sent=120, overruns=4, dropped=2, bad_frames=3, loop_max_us=300, heap_free=9999
+    )
+    counters = read(box.messages)[1].losses().box
+    assert (counters.heartbeats, counters.sent, counters.short_writes) == (3, 120, 1)
+    assert (counters.overruns, counters.dropped, counters.bad_frames) == (4, 2, 3)
+    assert (counters.loop_max_us, counters.heap_free_min) == (700, 0)
+    assert account(box.messages) == {}
+
+
+def test_reboot_in_mid_session():
+    box = box_with()
+    box.heartbeat(10**9, sent=30)
+    box.reboot(2 * 10**9)
+    box.ident(2 * 10**9 + 10)
+    for k in range(5):
+        box.data(2 * 10**9 + k * BLOCK_NS, COUNTS)
+    box.sync(3 * 10**9, 1e5, 1e5)
+    box.heartbeat(3 * 10**9, sent=9)
+    blocks, reader = read(box.messages)
+    assert account(box.messages) == {"restarts": 1}
+    assert [segment.boot_id for segment in reader.segments] == [7, 8]
+    assert [len(segment.exchanges) for segment in reader.segments] == [1, 1]
+    assert [block.segment for block in blocks] == [0] * 20 + [1] * 5
+    assert [block.gap for block in blocks] == [True] + [False] * 19 + [True] + [False] * 4
+    assert reader.losses().box.sent == 30 + 9  # counters run since boot: summed over the boots
+
+
+def test_frames_lost_at_the_beginning_of_a_boot_are_known():
+    box = box_with()
+    box.reboot(2 * 10**9)
+    box.ident(2 * 10**9)
+    for k in range(5):
+        box.data(2 * 10**9 + k * BLOCK_NS, COUNTS)
+    first = next(i for i, m in enumerate(box.messages) if i > 30 or m.t_host_ns >= 2 * 10**9)
+    pages = len(wire.pages(cbor2.dumps(ident_document())))
+    del box.messages[first : first + pages + 1]  # the ident's pages and a block
+    assert account(box.messages) == {"restarts": 1, "frames_lost": pages + 1, "loss_events": 1, "samples_lost": 13}
+
+
+def test_a_restart_that_only_the_boot_id_shows():
+    """The host missed so much of the new boot that seq and time are ahead of the old one's."""
+    box = box_with(blocks=3)
+    box.reboot(0)
+    box.seq, box.n0 = 1000, 13_000
+    box.heartbeat(60 * 10**9)
+    box.data(61 * 10**9, COUNTS)
+    blocks, reader = read(box.messages)
+    assert reader.losses().restarts == 1
+    assert [segment.boot_id for segment in reader.segments] == [7, 8]
+    assert blocks[-1].segment == 1
+
+
+def test_device_time_backward_is_a_restart_although_seq_goes_on():
+    box = box_with(blocks=4)
+    box.reboot(50 * BLOCK_NS)
+    box.seq, box.n0 = sum(m.topic != "/sync" for m in box.messages), 52
+    box.data(50 * BLOCK_NS, COUNTS)
+    _, reader = read(box.messages)
+    assert reader.losses().restarts == 1
+
+
+def test_overrun_is_a_jump_of_n0_alone():
+    box = box_with(blocks=4)
+    box.data(10 * BLOCK_NS, COUNTS, flags=wire.FLAG_OVERRUN, skip=65)
+    blocks, _ = read(box.messages)
+    assert account(box.messages) == {"samples_overrun": 65}
+    assert blocks[-1].gap
+
+
+def test_start_begins_a_run_in_the_same_segment():
+    box = box_with(blocks=4)
+    box.n0 = 0
+    box.data(10 * BLOCK_NS, COUNTS)
+    blocks, _ = read(box.messages)
+    assert account(box.messages) == {"starts": 1}
+    assert (blocks[-1].segment, blocks[-1].run, blocks[-1].gap) == (0, 1, True)
+
+
+def test_joined_in_mid_stream_counts_nothing_as_lost():
+    box = box_with()
+    ident = parse_ident(ident_document())
+    messages = box.messages[data_places(box)[4] :]
+    blocks, reader = read(messages, ident)
+    assert reader.losses() == Losses(
+        frames=len([m for m in messages if m.topic != "/sync"]), blocks=16, samples=16 * 13, sync_requests=1,
+        box=reader.losses().box,
+    )  # fmt: skip
+    assert blocks[0].gap
+
+
+def test_seq_wraps():
+    box = box_with(seq=2**32 - 10)
+    assert account(box.messages) == {}
+    del box.messages[9]  # about where it wraps
+    del box.messages[9]
+    lost = account(box.messages)
+    assert (lost["frames_lost"], lost["loss_events"]) == (2, 1)
+
+
+def test_unanswered_clock_requests():
+    nothing = {"id": 1, "t0_ns": 5, "t1_us": None, "t2_us": None, "t3_ns": None}
+    box = box_with()
+    box.messages += [Message("/sync", 9, json.dumps(nothing).encode()), Message("/sync", 9, b"{")]
+    assert account(box.messages) == {"sync_unanswered": 2}
+
+
+def test_data_without_ident_is_counted_not_guessed():
+    box = box_with()
+    messages = [m for m in box.messages if m.topic != "/box/ident"]
+    blocks, reader = read(messages)
+    assert blocks == []
+    assert reader.losses().blocks_without_ident == 20
+    assert reader.losses().frames_lost == 0
+
+
+def test_offsets_instead_of_a_period():
+    box = box_with(blocks=0)
+    offsets = np.array([0, 980, 1970], "<u2").tobytes()
+    samples = Tag(78, COUNTS[:3].astype("<i4").tobytes())
+    box.frame("adc", 5, wire.DATA, 0, 0, 77, Tag(69, offsets), samples, 0)
+    box.frame("adc", 5, wire.DATA, 0, 3, 99, Tag(69, offsets[:4]), samples, 0)  # too few
+    blocks, reader = read(box.messages)
+    assert [(block.period_ns, block.offsets_us, block.n) for block in blocks] == [(0, offsets, 3)]
+    assert reader.losses().frames_malformed == 1
+
+
+KINDS = st.sampled_from(["data", "data", "data", "heartbeat", "sync", "overrun", "reboot"])
+FATES = st.sampled_from(["kept", "kept", "kept", "kept", "lost", "doubled", "broken"])
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(st.tuples(KINDS, FATES, st.integers(1, 40)), min_size=1, max_size=60), st.integers(0, 2**32 - 1))
+def test_any_mixture_of_faults_is_counted_exactly(plan, seq):
+    """A stream with known faults. Each boot ends with a block that arrives, so that every gap before it shows."""
+    box = Box(seq=seq)
+    box.ident(0)
+    received = list(box.messages)
+    expected = dict.fromkeys(
+        ("frames_lost", "frames_duplicated", "console_runs", "restarts", "samples_lost", "samples_overrun"), 0
+    )
+    missing = {"link": 0, "samples": 0, "frames": 0}
+    t = 10**6
+
+    def emit(kind, fate, skip):
+        nonlocal t
+        t += BLOCK_NS + skip * PERIOD_NS
+        before = len(box.messages)
+        skip = skip if kind == "overrun" else 0
+        if kind in ("data", "overrun"):
+            box.data(t, COUNTS, skip=skip)
+        elif kind == "heartbeat":
+            box.heartbeat(t)
+        else:
+            box.sync(t, 1e5, 1e5)
+        new = box.messages[before:]
+        is_data = kind in ("data", "overrun")
+        missing["samples"] += skip
+        if fate in ("lost", "broken"):
+            missing["frames"] += 1
+            missing["link"] += 1
+            missing["samples"] += 13 * is_data
+            if fate == "broken":
+                expected["console_runs"] += 1
+                received.append(new[0]._replace(topic="/box/console"))
+            return
+        received.extend(new)
+        expected["frames_lost"] += missing["frames"]
+        missing["frames"] = 0
+        if fate == "doubled":
+            expected["frames_duplicated"] += 1
+            received.append(new[0])
+        if is_data:
+            expected["samples_lost" if missing["link"] else "samples_overrun"] += missing["samples"]
+            missing["link"] = missing["samples"] = 0
+
+    emit("data", "kept", 1)
+    for kind, fate, skip in plan:
+        if kind != "reboot":
+            emit(kind, fate, skip)
+            continue
+        emit("data", "kept", 1)
+        box.reboot(t := t + 10**7)
+        expected["restarts"] += 1
+        before = len(box.messages)
+        box.ident(t)
+        received.extend(box.messages[before:])
+        emit("data", "kept", 1)
+    emit("data", "kept", 1)
+
+    losses = asdict(read(received)[1].losses())
+    assert {name: losses[name] for name in expected} == expected
+    assert losses["frames_malformed"] == losses["starts"] == 0
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.lists(st.binary(max_size=260), max_size=20))
+def test_arbitrary_bytes_are_counted_as_malformed(payloads):
+    reader = BoxReader(parse_ident(ident_document()))
+    for payload in payloads:
+        reader.feed(Message("/box/adc", 0, payload))
+        reader.feed(Message("/sync", 0, payload))
+    losses = reader.losses()
+    assert losses.frames + losses.frames_duplicated + losses.frames_malformed >= len(payloads)
+
+
+ELEMENT = st.one_of(
+    st.integers(-(2**64), 2**64 - 1), st.binary(max_size=12), st.text(max_size=4), st.none(), st.booleans(),
+    st.builds(cbor2.CBORTag, st.sampled_from([69, 78, 1000]), st.binary(max_size=24)),
+)  # fmt: skip
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.lists(st.tuples(st.sampled_from([16, 17, 18, 19, 33, 64, 65, 99]), st.lists(ELEMENT, max_size=14)), max_size=8)
+)
+def test_frames_of_wrong_elements_end_nowhere_but_in_the_account(frames):
+    reader = BoxReader(parse_ident(ident_document()))
+    for seq, (kind, elements) in enumerate(frames):
+        payload = cbor2.dumps([kind, seq, *elements])
+        reader.feed(Message("/box/other", 0, payload))
+    assert reader.losses().blocks + reader.losses().frames_malformed <= 2 * len(frames)
+
+
+def test_a_wrong_ident_is_malformed_and_a_later_one_is_taken():
+    box = Box()
+    wrong = cbor2.dumps({**ident_document(), "streams": 5})
+    for page, pages, data in wire.pages(wrong):
+        box.frame("ident", 0, wire.IDENT, 0, page, pages, data)
+    box.ident(1)
+    box.data(10**7, COUNTS)
+    blocks, reader = read(box.messages)
+    assert reader.losses().frames_malformed == 1
+    assert len(blocks) == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"streams": [{"id": 0, "name": "adc", "period_ns": 1, "channels": []}]}, "channels"),
+        ({"boot_id": -1}, "boot_id"),
+        ({"firmware": 7}, "firmware"),
+        (
+            {"streams": [{"id": 0, "name": "a", "period_ns": 1, "channels": [{"name": "x", "scale": [1, 400]}]}]},
+            "range",
+        ),
+        (
+            {"streams": [{"id": 0, "name": "a", "period_ns": 1, "channels": [{"name": "x", "scale": [True, 1]}]}]},
+            "scale",
+        ),
+    ],
+)
+def test_ident_says_what_is_wrong(change, says):
+    with pytest.raises(SessionError, match=says):
+        parse_ident({**ident_document(), **change})
