@@ -16,13 +16,15 @@ from typing import Annotated, cast
 import typer
 
 from truearm import __version__
+from truearm.commands.demo import demo
 from truearm.commands.identify import identify
 from truearm.commands.inspect import inspect
 from truearm.commands.record import record
+from truearm.commands.simulate import simulate
 from truearm.commands.terminal import one_line
 from truearm.errors import TruearmError
 
-COMMANDS = (record, inspect, identify)
+COMMANDS = (demo, simulate, record, inspect, identify)
 
 # Options and arguments that typer rejects raise a UsageError. That class lives in click or, in later versions, inside
 # typer, which exports only its subclass BadParameter.
@@ -30,8 +32,8 @@ _UsageError = cast(type[typer.BadParameter], typer.BadParameter.__mro__[1])
 
 app = typer.Typer(
     name="truearm",
-    help="Identify a robot arm's kinematic parameters from a ball-bar or a ball in sockets.",
-    epilog="Example: truearm identify poses.csv --robot puma560 --rig rig.toml",
+    help="Record a sensor box and a robot, identify the robot's kinematic parameters, see what was gained.",
+    epilog="Example: truearm demo",
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     add_completion=False,

@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from truearm.errors import InputError
+
 if TYPE_CHECKING:
     from truearm.commands.choice import Mask
     from truearm.files.result import Input
-    from truearm.types import Estimate, ObservationTable
+    from truearm.types import Estimate, ObservationTable, Rig
 
 
 class Prior(StrEnum):
@@ -40,11 +42,12 @@ class _Request:
     prior: Prior | None
     max_iterations: int
     save_table: Path | None
+    allow_truncated: bool
 
 
 def identify(
     inputs: Annotated[
-        list[Path], typer.Argument(metavar="INPUT", help="Tables of observations (.csv); several are read as one.")
+        list[Path], typer.Argument(metavar="INPUT", help="Sessions (.mcap) and tables (.csv); all are read as one.")
     ],
     robot: Annotated[
         str, typer.Option(metavar="ROBOT", help="Built-in robot (puma560), robot file (.toml) or URDF (.urdf).")
@@ -86,6 +89,9 @@ def identify(
     save_table: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write all observations as one table (CSV).")
     ] = None,
+    allow_truncated: Annotated[
+        bool, typer.Option("--allow-truncated", help="Use what is whole of a session whose recorder was killed.")
+    ] = False,
 ) -> None:
     """Identify a robot's parameters from observations.
 
@@ -115,6 +121,7 @@ def identify(
         prior=prior,
         max_iterations=max_iterations,
         save_table=save_table,
+        allow_truncated=allow_truncated,
     )
     document = _identified(request)
     if out is not None:
@@ -140,8 +147,8 @@ def _identified(request: _Request) -> dict[str, Any]:
 
     robot = load_robot(request.robot, request.base, request.tip)
     chain, units = robot.chain, joint_units(robot.chain)
-    rig = read_rig(request.rig) if request.rig else Rig()
-    table = read_inputs(request.inputs, units)
+    rig = read_rig(request.rig) if request.rig else rig_of_sessions(request.inputs) or Rig()
+    table = read_inputs(request.inputs, units, rig, request.allow_truncated)
     check_against_rig(table, rig)
     held_out = held_out_rows(table, request.hold_out, request.seed)
     # A URDF says nothing of what to hold; its constants are redundant, which the weak prior settles.
@@ -188,17 +195,36 @@ def _with_fair_before(estimate: Estimate, fit: Callable[[Mask], Estimate]) -> Es
     )
 
 
-def read_inputs(paths: list[Path], joint_units: tuple[str, ...]) -> ObservationTable:
+def read_inputs(
+    paths: list[Path], joint_units: tuple[str, ...], rig: Rig, allow_truncated: bool = False
+) -> ObservationTable:
     """The observations of all inputs, one after the other."""
     from truearm.files.table import concatenate
 
-    return concatenate([_read_input(path, joint_units) for path in paths])
+    return concatenate([_read_input(path, joint_units, rig, allow_truncated) for path in paths])
 
 
-def _read_input(path: Path, joint_units: tuple[str, ...]) -> ObservationTable:
+def _read_input(path: Path, joint_units: tuple[str, ...], rig: Rig, allow_truncated: bool) -> ObservationTable:
+    from truearm.commands.session import is_session, observations_of_session
     from truearm.files.table import read_table
 
-    return read_table(path, joint_units)
+    if not is_session(path):
+        return read_table(path, joint_units)
+    table = observations_of_session(path, rig, allow_truncated).table
+    if table.q.shape[1] != len(joint_units):
+        raise InputError(f"{path}: its robot has {table.q.shape[1]} joints, the robot given has {len(joint_units)}")
+    return table
+
+
+def rig_of_sessions(paths: list[Path]) -> Rig | None:
+    """The rig that all sessions among the inputs were recorded with. Raises InputError if they differ."""
+    from truearm.commands.session import attached_rig, is_session
+    from truearm.record.session import open_session
+
+    rigs = [attached_rig(open_session(path, allow_truncated=True), path) for path in paths if is_session(path)]
+    if any(rig != rigs[0] for rig in rigs):
+        raise InputError("the sessions were recorded with different rigs; say with --rig which one holds")
+    return rigs[0] if rigs else None
 
 
 def hashed_inputs(inputs: list[Path], robot: str, rig: Path | None) -> list[Input]:

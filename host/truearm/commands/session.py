@@ -17,6 +17,11 @@ SUFFIX = ".mcap"
 RIG = "rig.toml"
 
 
+def is_session(path: Path) -> bool:
+    """Whether a file's name says that it is a session."""
+    return path.suffix.lower() == SUFFIX
+
+
 def attached_rig(session: Session, path: Path) -> Rig | None:
     """The rig that the recorder was given, None if it was given none. Raises RigError if it is no rig."""
     from truearm.files.rig import parse_rig
