@@ -222,7 +222,7 @@ def _table(dwells: list[Dwell], joints: JointStream, name: str) -> ObservationTa
 
     return ObservationTable(
         q=np.array([dwell.q for _, dwell in rows]).reshape(len(rows), len(joints.step)),
-        kind=np.full(len(rows), "ball_bar", dtype=np.str_),
+        kind=np.array(["ball_bar"] * len(rows), dtype=np.str_),  # np.full would keep one letter
         value=np.array([dwell.value for _, dwell in rows], dtype=np.float64),
         sigma=np.array([dwell.sigma for _, dwell in rows], dtype=np.float64),
         bar=words("bar"),
