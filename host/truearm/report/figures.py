@@ -1,4 +1,4 @@
-"""The pictures of a calibration: what Goswami 1993 shows in Fig. 3 and 4, and what else tells a good fit from a bad one.
+"""The pictures of a calibration: Fig. 3 and 4 of Goswami 1993, and what else tells a good fit from a bad one.
 
 Lengths are in mm and angles in deg here: this is the border.
 """

@@ -59,7 +59,8 @@ def visibility(estimate: Estimate) -> str:
         else ""
     )
     words = [
-        f"The observations see <strong>{estimate.rank} of {of}</strong> combinations of the robot's free parameters.{gap}"
+        f"The observations see <strong>{estimate.rank} of {of}</strong> combinations of the robot's free parameters."
+        f"{gap}"
     ]
     if held:
         words.append(f"{counted(held, 'parameter is', 'parameters are')} held fixed at the nominal value.")
@@ -67,8 +68,8 @@ def visibility(estimate: Estimate) -> str:
         words.append("No free parameter is left undetermined.")
         return f"<p>{' '.join(words)}</p>"
     words.append(
-        "The changes listed here (in m, rad and 1) alter no prediction; the values of their parameters are one choice of "
-        "many that predict alike, and mean something only together."
+        "The changes listed here (in m, rad and 1) alter no prediction; the values of their parameters are one choice "
+        "of many that predict alike, and mean something only together."
     )
     items = [f"<li>{escape(direction_words(d), 600)}</li>" for d in estimate.null_space[:MAX_DIRECTIONS]]
     if len(estimate.null_space) > MAX_DIRECTIONS:
