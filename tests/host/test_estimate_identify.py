@@ -284,6 +284,18 @@ def test_held_out_places_are_judged_by_the_spread_about_their_mean(seated_clean)
     assert e.held_out.n == held.sum()
 
 
+def test_a_socket_is_the_mean_weighted_by_each_seats_sigma(seated_clean):
+    sigma = np.random.default_rng(12).uniform(1e-4, 1e-3, len(seated_clean))
+    t = replace(seated_clean, sigma=sigma)
+    e = identify(CHAIN, Rig(spheres=SPHERES), t, free=np.zeros(54, bool))
+    rows = (t.place == "p3") & (t.socket == "a")
+    ball = (forward(CHAIN, DESIGN, t.q[rows]) @ np.array([*SPHERES["s0"].xyz, 1.0]))[:, :3]
+    weight = sigma[rows] ** -2.0
+    at = e.parameter_names.index("socket.p3.a.x")
+    np.testing.assert_allclose(e.value[at : at + 3], weight @ ball / weight.sum(), atol=1e-9)
+    np.testing.assert_allclose(e.sigma[at : at + 3], weight.sum() ** -0.5, rtol=1e-9)
+
+
 def test_the_distance_between_sockets_brings_the_scale(seated_clean):
     """Without it the lengths follow their prior; the true arm is shorter or longer by the declared distance."""
     longer = replace(SEAT_RIG, socket_distances=(SocketDistance(("a", "b"), 0.08 * 1.002, 1e-7),))

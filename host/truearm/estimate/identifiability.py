@@ -58,8 +58,7 @@ def project_out(wanted: Floats, unwanted: Floats) -> Floats:
         return wanted
     u, singular, _ = np.linalg.svd(unwanted, full_matrices=False)
     basis = u[:, singular > RANK_TOLERANCE * singular.max(initial=0.0)]
-    rest = wanted - basis @ (basis.T @ wanted)
-    return rest - basis @ (basis.T @ rest)  # twice: what the first pass leaves of U is rounding of the whole
+    return np.asarray(wanted - basis @ (basis.T @ wanted))
 
 
 def _null_basis(matrix: Floats) -> tuple[Floats, Floats]:
