@@ -315,7 +315,7 @@ def test_any_mixture_of_faults_is_counted_exactly(plan, seq):
     assert losses["frames_malformed"] == losses["starts"] == 0
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.lists(st.binary(max_size=260), max_size=20))
 def test_arbitrary_bytes_are_counted_as_malformed(payloads):
     reader = BoxReader(parse_ident(ident_document()))
@@ -332,7 +332,7 @@ ELEMENT = st.one_of(
 )  # fmt: skip
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(
     st.lists(st.tuples(st.sampled_from([16, 17, 18, 19, 33, 64, 65, 99]), st.lists(ELEMENT, max_size=14)), max_size=8)
 )

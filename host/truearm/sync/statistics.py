@@ -16,6 +16,7 @@ import numpy as np
 from truearm.types import Floats
 
 SOKAL = 5.0
+LEAST_LAGS = 8  # noise that alternates (a high-passed converter's) has a small τ after one lag
 
 
 class MeanOfSamples(NamedTuple):
@@ -59,7 +60,7 @@ def mean_variance(deviation: Floats, fitted: int = 1) -> tuple[float, float]:
         return 0.0, 0.0
     tau = np.cumsum(gamma) / gamma[0] - 0.5  # τ(W), 1/2 for white noise
     lags = np.arange(tau.size)
-    enough = np.flatnonzero(lags >= np.maximum(1.0, SOKAL * tau))
+    enough = np.flatnonzero(lags >= np.maximum(LEAST_LAGS, SOKAL * tau))
     window = int(enough[0]) if enough.size else tau.size - 1
     total = 2.0 * gamma[0] * max(float(tau[window]), 0.0)
     bias = fitted * total / n

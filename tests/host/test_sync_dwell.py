@@ -1,0 +1,200 @@
+"""Dwells from joint readings, the mean of correlated samples, the pairing with the plan."""
+
+import json
+from itertools import combinations, pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import lfilter
+
+from truearm.sync.dwell import DwellRules, find_dwells
+from truearm.sync.joints import JointReader
+from truearm.sync.pairing import Marks, Plan, match_plan
+from truearm.sync.statistics import mean_of
+from truearm.types import Message
+
+HZ = 125.0
+
+
+def dwells_of(path, noise=0.0, step=0.0, rules=None, drop=(), seed=0):
+    """Dwells of a robot whose first joint follows (t, q) corners; readings between ``drop`` times are missing."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, path[-1][0], 1.0 / HZ)
+    q = np.stack([np.interp(t, *np.array(path).T), 0.3 + 0.0 * t], axis=1) + noise * rng.standard_normal((t.size, 2))
+    q = step * np.rint(q / step) if step else q
+    reader = JointReader()
+    for k, (at, row) in enumerate(zip(t.tolist(), q.tolist(), strict=True)):
+        if not any(a < at < b for a, b in drop):
+            line = json.dumps({"t": at, "seq": k, "q": row}).encode()
+            reader.feed(Message("/robot/joints", round(1e9 * at), line))
+    return find_dwells(reader.finish(), rules or DwellRules())
+
+
+TWO_STOPS = [(0, 0.0), (2, 0.0), (3, 1.0), (5, 1.0), (6, 0.5), (6.6, 0.5), (8, 1.5), (10, 1.5)]
+
+
+@pytest.mark.parametrize(("noise", "step"), [(0.0, 0.0), (0.0, 1e-4), (2e-5, 0.0), (2e-5, 1e-5), (3e-4, 0.0)])
+def test_stops_are_found_at_any_noise_and_quantisation(noise, step):
+    dwells = dwells_of(TWO_STOPS, noise, step)
+    assert [dwell.reason for dwell in dwells] == ["", "", "too short", ""]
+    good = [dwell for dwell in dwells if not dwell.reason]
+    assert np.allclose([dwell.q[0] for dwell in good], [0.0, 1.0, 1.5], atol=5 * noise / 10 + step + 1e-12)
+    for dwell, (start, end) in zip(good, [(0, 2), (3, 5), (8, 10)], strict=True):
+        # settling 0.5 s and guard 0.1 s are left out; bins of 50 ms and windows of four decide to within 0.2 s
+        assert start + 0.5 <= dwell.start_s + 1e-9
+        assert dwell.start_s < start + 0.7
+        assert end - 0.35 < dwell.end_s <= end - 0.1 + 1e-9
+
+
+def test_nothing_of_the_settling_enters_the_mean():
+    """The arm reaches its pose with a tail of 5e-4 rad that is gone after 0.4 s: within the settling time."""
+    path = [(0, 0.0), (1, 0.0), (2, 1.0), (2.4, 1.0005), (5, 1.0005)]
+    last = dwells_of(path, noise=1e-6)[-1]
+    assert last.reason == ""
+    assert last.q[0] == pytest.approx(1.0005, abs=1e-6)
+
+
+def test_a_creep_is_no_dwell():
+    """1e-5 rad in each window of 0.2 s passes the window's threshold of 7e-5, 1.4e-4 rad over the dwell does not."""
+    creep = [(0, 0.0), (3, 0.0), (4, 1.0), (10, 1.0003)]
+    assert [dwell.reason for dwell in dwells_of(creep, noise=5e-6)] == ["", "still moving"]
+
+
+def test_missing_readings_end_a_dwell():
+    dwells = dwells_of([(0, 0.0), (6, 0.0)], drop=[(2.5, 3.1)])
+    assert [dwell.reason for dwell in dwells] == ["", ""]
+    assert dwells[0].end_s <= 2.5
+    assert dwells[1].start_s >= 3.1 + 0.5
+    assert len(dwells_of([(0, 0.0), (6, 0.0)], drop=[(2.5, 2.6)])) == 1
+
+
+def test_a_robot_that_never_rests_has_no_dwell():
+    assert [dwell.reason for dwell in dwells_of([(0, 0.0), (20, 3.0)], noise=1e-6) if not dwell.reason] == []
+
+
+def test_a_long_stop_is_used_in_part():
+    (dwell,) = dwells_of([(0, 0.0), (30, 0.0)], rules=DwellRules(longest_s=10.0))
+    assert dwell.end_s - dwell.start_s < 10.0
+
+
+def test_quantisation_is_part_of_the_covariance():
+    dwell = dwells_of(TWO_STOPS, step=1e-4)[0]
+    assert dwell.q_cov[0, 0] == pytest.approx(1e-8 / 12, rel=1e-6)
+
+
+# ------------------------------------------------------------------------------------------------------- statistics
+
+
+def ar1(rng, n, phi, sigma=1.0):
+    """Stationary AR(1) noise of standard deviation sigma."""
+    kicks = rng.standard_normal(n + 500) * sigma * np.sqrt(1.0 - phi**2)
+    return lfilter([1.0], [1.0, -phi], kicks)[500:]
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.5, 0.9, -0.4])
+def test_variance_of_the_mean_is_what_the_means_do(phi):
+    """z² = mean²/variance over 600 dwells. If the variances were exact Σz² would be χ² with 600 degrees: mean 1 ± 3·0.058.
+    An estimate v of relative spread s raises E[1/v] by s²; s² = 2(2W + 1)/n with W ≈ 5τ + 1, at least 8
+    (Wolff eq. 42)."""
+    rng = np.random.default_rng(17)
+    n, runs = 1400, 600
+    results = [mean_of(5.0 + ar1(rng, n, phi)) for _ in range(runs)]
+    z2 = np.mean([(r.mean - 5.0) ** 2 / r.variance for r in results])
+    tau = 0.5 * (1.0 + phi) / (1.0 - phi)
+    expected = 1.0 + 2.0 * (2.0 * max(8.0, 5.0 * tau + 1.0) + 1.0) / n
+    assert abs(z2 - expected) < 3.0 * np.sqrt(2.0 / runs) * expected
+    # Three standard errors of the mean of the estimates, and the e^-5 of C that the window leaves out.
+    tolerance = 3.0 * np.sqrt((expected - 1.0) / runs) + np.exp(-5.0)
+    assert np.mean([r.variance for r in results]) == pytest.approx(2.0 * tau / n, rel=tolerance)
+    assert all(r.n_eff == pytest.approx(r.noise**2 / r.variance) for r in results)
+    assert np.mean([r.noise for r in results]) == pytest.approx(1.0, rel=0.02)
+
+
+def test_drift_is_seen_against_its_own_noise():
+    rng = np.random.default_rng(3)
+    line = np.linspace(-0.5, 0.5, 1400)
+    results = [mean_of(ar1(rng, 1400, 0.6)) for _ in range(400)]
+    z2 = np.mean([(r.drift / r.drift_sigma) ** 2 for r in results])
+    assert abs(z2 - 1.0) < 3.0 * np.sqrt(2.0 / 400) + 0.03  # and the s² of the test above
+    drifting = mean_of(ar1(rng, 1400, 0.6) + 3.0 * line)
+    assert drifting.drift == pytest.approx(3.0, abs=5 * drifting.drift_sigma)
+    assert drifting.noise == pytest.approx(1.0, rel=0.15)  # the drift is not taken for noise
+
+
+def test_constant_samples_have_no_variance():
+    r = mean_of(np.full(100, 0.46))
+    assert r.mean == pytest.approx(0.46, abs=1e-15)
+    assert r.variance < 1e-30
+    assert abs(r.drift) < 1e-14
+
+
+# ------------------------------------------------------------------------------------------------------- pairing
+
+
+def plan_of(q):
+    fittings = {"bar": "b", "chuck": "c", "sphere": "s"}
+    return Plan(np.asarray(q, dtype=float).reshape(len(q), -1), tuple(dict(fittings) for _ in q))
+
+
+def matched(q, plan, tolerance=0.017, said=None):
+    q = np.asarray(q, dtype=float).reshape(len(q), -1)
+    return match_plan(q, plan, tolerance, said or [{}] * len(q))
+
+
+def test_missing_and_extra_dwells():
+    plan = plan_of([0.0, 1.0, 2.0, 3.0, 4.0])
+    assert matched([0.001, 1.5, 2.001, 2.002, 4.0], plan) == [0, None, 2, None, 4]
+
+
+def test_a_pose_that_returns_in_the_plan():
+    plan = plan_of([0.0, 1.0, 0.0, 2.0, 0.0])
+    assert matched([0.0, 1.0, 0.0, 2.0, 0.0], plan) == [0, 1, 2, 3, 4]
+    assert matched([1.0, 0.0, 2.0], plan) == [1, 2, 3]
+
+
+def test_of_equal_chains_the_nearer_wins():
+    assert matched([0.005], plan_of([0.0, 0.006, 0.001])) == [1]
+    assert matched([0.004, 0.0041], plan_of([0.0, 0.004])) == [0, 1]
+
+
+def test_each_joint_keeps_the_tolerance():
+    plan = plan_of([[0.0, 0.0]])
+    assert matched([[0.016, -0.016]], plan) == [0]
+    assert matched([[0.0, 0.018]], plan) == [None]
+    assert matched([[0.0, 0.0, 0.0]], plan) == [None]  # another number of joints
+
+
+def test_what_was_mounted_may_not_contradict():
+    plan = Plan(np.zeros((2, 1)), ({"bar": "b46", "chuck": "c1"}, {"bar": "b46", "chuck": "c2"}))
+    assert matched([0.0], plan, said=[{"chuck": "c2"}]) == [1]
+    assert matched([0.0], plan, said=[{"chuck": "c3"}]) == [None]
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(st.integers(0, 4), max_size=6), st.lists(st.integers(0, 4), min_size=1, max_size=6))
+def test_no_chain_is_longer(dwells, poses):
+    """Against all chains, one by one."""
+    found = matched(dwells, plan_of(poses), tolerance=0.1) if dwells else []
+    pairs = [(i, p) for i, p in enumerate(found) if p is not None]
+    assert all(dwells[i] == poses[p] for i, p in pairs)
+    assert all(a < b for (_, a), (_, b) in pairwise(pairs))
+    for size in range(len(pairs) + 1, min(len(dwells), len(poses)) + 1):
+        for some in combinations(dwells, size):
+            assert some not in set(combinations(poses, size))
+
+
+def test_marks_of_a_stranger():
+    marks = Marks()
+    for data in (b"", b"[]", b'{"q":"x"}', b'{"q":[]}', b'{"q":[1e9]}', b'{"q":[NaN]}', b'{"q":[true]}', b"[" * 2000):
+        marks.feed("/plan", 0, data)
+    assert marks.malformed == 8
+    marks.feed("/plan", 0, b'{"q":[1,2],"bar":"b","chuck":7}')
+    marks.feed("/plan", 0, b'{"q":[1,2,3]}')
+    assert marks.plan().mounted == ({"bar": "b"},)
+    assert marks.malformed == 9
+    marks.feed("/events", 5, b'{"kind":"mounted","bar":"b1"}')
+    marks.feed("/events", 9, b'{"kind":"mounted","bar":"b2"}')
+    assert [marks.mounted_at(t) for t in (4, 5, 8, 9)] == [{}, {"bar": "b1"}, {"bar": "b1"}, {"bar": "b2"}]
+    assert marks.kinds == {"mounted": 2}

@@ -1,0 +1,178 @@
+"""Joint readings: parsing, accounting, the robot's clock, and the bins that dwells are found in."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from truearm.sync import joints as joints_module
+from truearm.sync.dwell import DwellRules, find_dwells
+from truearm.sync.joints import JointReader, parse_lines
+from truearm.types import Message
+
+
+def message(t, seq, q, arrival_ns=None):
+    line = json.dumps({"t": t, "seq": seq, "q": list(q)}).encode()
+    return Message("/robot/joints", round(1e9 * t) if arrival_ns is None else arrival_ns, line)
+
+
+def read(messages):
+    reader = JointReader()
+    for m in messages:
+        reader.feed(m)
+    return reader.finish()
+
+
+def still(n=500, t0=10.0, hz=125.0, q=(0.1, -0.2)):
+    return [message(t0 + k / hz, k, q) for k in range(n)]
+
+
+def test_a_clean_stream():
+    stream = read(still())
+    assert (stream.readings, stream.lost, stream.duplicated, stream.late, stream.malformed) == (500, 0, 0, 0, 0)
+    assert (stream.gaps, stream.restarts) == (0, 0)
+    assert stream.rate_hz == pytest.approx(125.0, abs=1e-9)
+    assert stream.bins.n.sum() == 500
+    assert np.allclose(stream.bins.mean, (0.1, -0.2), atol=1e-15)
+    assert list(np.flatnonzero(stream.bins.gap)) == [0]
+
+
+def test_no_readings():
+    stream = read([])
+    assert stream.bins is None
+    assert find_dwells(stream, DwellRules()) == []
+
+
+@pytest.mark.parametrize("chunk", [1, 7, 100])
+def test_chunks_change_nothing(chunk, monkeypatch):
+    rng = np.random.default_rng(1)
+    lines = [message(10.0 + k / 125.0, k, rng.normal(0, 1e-5, 2)) for k in range(700)]
+    lines[300:300] = [lines[299]]
+    del lines[500:560]
+    whole = read(lines)
+    monkeypatch.setattr(joints_module, "CHUNK", chunk)
+    # the period, and with it the bins, are taken from the first chunk; a chunk of one has none and gets the default
+    parts = read(lines)
+    for name in ("readings", "lost", "duplicated", "gaps", "rate_hz"):
+        assert getattr(parts, name) == getattr(whole, name)
+    for name in ("t_first_s", "n", "low", "high", "gap"):
+        assert np.array_equal(getattr(parts.bins, name), getattr(whole.bins, name))
+    assert np.allclose(parts.bins.scatter, whole.bins.scatter, rtol=1e-6, atol=0)
+    assert repr(parts.reports) == repr(whole.reports)  # NaN is not equal to itself
+
+
+def test_bins_hold_the_scatter_of_the_readings():
+    rng = np.random.default_rng(2)
+    q = 2.0 + rng.normal(0, 1e-4, (400, 3)) @ np.array([[1, 0.5, 0], [0, 1, 0], [0, 0, 2]])
+    (dwell,) = find_dwells(read([message(k / 125.0, k, row) for k, row in enumerate(q)]), DwellRules(settle_s=0.0))
+    assert dwell.n_readings == 400
+    assert np.allclose(dwell.q, q.mean(axis=0), atol=1e-14)
+    # single precision of the bins' scatter: 6e-8 of the variances, and the smallest step seen, next to nothing
+    assert np.allclose(dwell.q_cov, np.cov(q.T), rtol=1e-4, atol=1e-14)
+
+
+def test_losses_of_the_robot_are_counted_apart():
+    lines = still()
+    late = lines.pop(200)
+    lines.insert(202, late)  # a datagram overtaken by two others
+    lines.insert(300, lines[299])  # doubled
+    del lines[400:403]  # lost
+    lines += [Message("/robot/joints", 0, b"{}"), Message("/robot/joints", 0, b"nonsense")]
+    stream = read(lines)
+    assert (stream.late, stream.duplicated, stream.lost, stream.malformed) == (1, 1, 3, 2)
+    assert stream.readings == 496
+
+
+def test_controller_restart_is_another_segment():
+    stream = read(still(t0=500.0) + [m._replace(t_host_ns=m.t_host_ns + 510 * 10**9) for m in still(t0=1.0)])
+    assert stream.restarts == 1
+    assert len(stream.clocks) == 2
+    dwells = find_dwells(stream, DwellRules())
+    assert [dwell.segment for dwell in dwells] == [0, 1]
+    assert [len(set(stream.bins.segment[a:b])) for a, b in ((0, 79), (81, 160))] == [1, 1]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"",
+        b"[]",
+        b'{"t":1,"seq":2}',
+        b'{"t":NaN,"seq":2,"q":[1,2]}',
+        b'{"t":1e300,"seq":2,"q":[1,2]}',
+        b'{"t":-5,"seq":2,"q":[1,2]}',
+        b'{"t":1,"seq":2,"q":[1,Infinity]}',
+        b'{"t":1,"seq":2,"q":["1","2"]}',
+        b'{"t":1,"seq":2.5,"q":[1,2]}',
+        b'{"t":1,"seq":2,"q":[1,2,3]}',
+        b'{"t":1,"seq":2,"q":[]}',
+        b'{"t":1,"seq":2,"q":[[1],[2]]}',
+        b'{"t":1,"seq":' + b"9" * 400 + b',"q":[1,2]}',
+        b"[" * 2000,
+        b'{"t":1,"seq":2,"q":[1,2]},{"t":1,"seq":2,"q":[1,2]}',
+        b"\xff\xfe",
+    ],
+)
+def test_malformed_lines_are_counted_among_good_ones(line):
+    good = still(40)
+    stream = read([*good[:20], Message("/robot/joints", 0, line), *good[20:]])
+    assert stream.malformed == 1
+    assert stream.readings == 40
+    assert read([Message("/robot/joints", 0, line)]).readings in (0, 1)  # alone, three joints are as good as two
+
+
+READING = st.tuples(st.floats(0, 1e9), st.integers(-(2**40), 2**40), st.lists(st.floats(-7, 7), min_size=2, max_size=2))
+
+
+@given(st.lists(READING, min_size=1, max_size=20))
+def test_lines_are_parsed_alike_together_and_alone(rows):
+    lines = [json.dumps({"t": t, "seq": seq, "q": q}).encode() for t, seq, q in rows]
+    together = parse_lines(lines, None)
+    alone = parse_lines([*lines, b"nonsense"], None)  # forces the careful way
+    for a, b in zip(together, alone, strict=True):
+        assert np.array_equal(a, b)
+    assert np.array_equal(together[1], [t for t, _, _ in rows])
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.tuples(st.floats(0, 4e9, exclude_max=True), st.integers(-9, 9)), max_size=30))
+def test_arbitrary_times_end_in_a_result(rows):
+    messages = [message(t, seq, (0.0, 1.0), arrival_ns=k) for k, (t, seq) in enumerate(rows)]
+    stream = read(messages)
+    assert stream.readings + stream.late + stream.duplicated == len(rows)
+    find_dwells(stream, DwellRules())
+
+
+def test_quantisation_is_seen_although_the_robot_moves_fast():
+    step = 9.6e-5
+    path = np.interp(np.arange(600) / 125.0, [0, 1, 2.3, 5], [0.0, 0.0, 1.37, 1.37])
+    stream = read([message(k / 125.0, k, [step * np.rint(x / step)]) for k, x in enumerate(path)])
+    assert stream.step[0] == pytest.approx(step, rel=1e-9)
+
+
+def test_robot_clock_follows_the_fastest_packets():
+    """Mean-square distance to truth: n packets a window with an exponential tail leave tail·(a few)/n; latency floor apart."""
+    rng = np.random.default_rng(4)
+    floor, tail, hz, rate = 350e3, 400e3, 250.0, 45e-6
+    t = 7000.0 + np.arange(int(200 * hz)) / hz
+    sent = 3e15 + 1e9 * (t - 7000.0) * (1.0 + rate)
+    queued = (rng.random(t.size) < 0.02) * rng.pareto(1.2, t.size) * 2e6
+    arrival = np.maximum.accumulate(sent + floor + rng.exponential(tail, t.size) + queued).astype(np.int64)
+    stream = read([message(a, k, (0.0,), int(b)) for k, (a, b) in enumerate(zip(t, arrival, strict=True))])
+    (report,) = stream.reports
+    error = stream.clocks[0].to_host_ns(t[::50]) - (sent[::50] + floor)
+    # 15000 packets a window; the line stands on two or three corners, so tail/n times ten is ample: 0.3 µs
+    assert np.sqrt(np.mean(np.square(error))) < 10 * tail / 15_000
+    assert report.rate_ppm == pytest.approx(45.0, abs=0.1)
+    assert report.spread_ns < 10 * tail / 15_000
+    assert report.windows == 6
+    half = np.floor((t - 7000.0) / 30.0)
+    means = [np.mean((arrival - sent - floor)[half == k]) for k in np.unique(half)]
+    assert report.jitter_ns == pytest.approx(np.median(means), abs=10 * tail / 15_000)
+
+
+def test_robot_clock_of_one_reading():
+    stream = read([message(5.0, 0, (0.0,), 10**15)])
+    assert stream.clocks[0].to_host_ns(np.array([5.0, 6.0])).tolist() == [10**15, 10**15 + 10**9]
