@@ -139,7 +139,7 @@ class Box:
         self.lab = lab
         self.link = link(lab, "box in memory")
         self.link.on_write = lambda data: lab.at(lab.now + LATENCY, lambda: self._hear(data))
-        self.sent = b""
+        self._sent: list[bytes] = []
         self.frames = 0
         self.blocks = 0
         self.commands: list[list[object]] = []
@@ -149,6 +149,10 @@ class Box:
         self.protocol: tuple[int, ...] = (1, 0)
         self.refuse: dict[int, tuple[int, str]] = {}
         self.boot(0x1111)
+
+    @property
+    def sent(self) -> bytes:
+        return b"".join(self._sent)
 
     def boot(self, boot_id: int) -> None:
         self.boot_id = boot_id
@@ -169,7 +173,7 @@ class Box:
         self.send_raw(self.mangle(self.frames, raw))
 
     def send_raw(self, raw: bytes) -> None:
-        self.sent += raw
+        self._sent.append(raw)
         if raw:
             self.lab.at(self.lab.now + LATENCY, lambda: self.link.deliver(raw))
 

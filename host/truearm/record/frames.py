@@ -4,7 +4,7 @@ The stream is cut at the delimiters. A run between two delimiters is a frame whe
 it is an array that begins with a frame type; any other run is console text: a traceback, a frame that was damaged.
 That a frame's delimiters may be shared or doubled needs no code: empty runs are dropped.
 
-About 2 µs a frame of 190 bytes; a box at 4 kHz sends 310 a second.
+About 1.5 µs a frame of 200 bytes; a box at 4 kHz sends 310 a second.
 """
 
 from __future__ import annotations

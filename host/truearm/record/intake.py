@@ -1,7 +1,7 @@
 """What a box sends: stored first, in order and exactly, then looked at.
 
 Looked at is only what the recording itself needs: the ident (for the streams' names and the boot id), answers to
-commands and clock exchanges, and ``seq`` for a count of losses. About 5 µs a data frame, of which 3 are the file's.
+commands and clock exchanges, and ``seq`` for a count of losses. About 8 µs a data frame, of which 5 are the file's.
 
 A box that restarts shows a new boot id in its ident or heartbeat, or counts frames backwards; the last may also be a
 frame that was delivered late, so ``suspect`` asks the recorder to have the box identify itself, and its boot id decides.

@@ -1,8 +1,8 @@
 """Reading a session file, complete or cut off in the middle, within bounds.
 
 The records' layout is the mcap library's; the walk over them is ours for two reasons: a stranger's file may claim any
-size, which the library would allocate, and messages are wanted as they stand in the file, a dozen times faster than
-through its indices (0.6 µs a message).
+size, which the library would allocate, and messages are wanted as they stand in the file, several times faster
+than through its indices (1.3 µs a message of 200 bytes).
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 The mcap library gathers messages in a chunk and writes it when it is full, which at slow data would be half a minute.
 Here a chunk also ends when its first message is ``CHUNK_NS`` old, and is handed to the operating system then; once a
 second of real time the disk is told to keep it (fsync). A killed recorder therefore loses less than a second. About
-3.5 µs a message of 200 bytes.
+5 µs a message of 200 bytes at 100 a second, of which the chunks' compression and index take 2.
 """
 
 from __future__ import annotations

@@ -1,0 +1,255 @@
+"""``truearm record`` in real time: over a socket and a pseudo-terminal, ended by time, by the robot, by a signal."""
+
+import json
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from record_box import Box, Lab
+
+from truearm.cli import main
+from truearm.commands.record import MODULATOR_HZ, describe, nearest_osr, parse_mounted, plan_rows
+from truearm.errors import InputError
+from truearm.files.plan import Plan, write_plan
+from truearm.record.session import open_session
+from truearm.record.status import Counters, Status
+
+posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals or a pseudo-terminal")
+PATIENCE_S = 20.0  # only a broken recorder takes so long
+
+RIG = """
+[[chuck]]
+name = "c1"
+xyz_mm = [0, 0, 0]
+[[sphere]]
+name = "s1"
+xyz_mm = [0, 0, 100]
+[[bar]]
+name = "bar46"
+zero_mm = 460
+travel_mm = 75
+sigma_mm = 0.084
+"""
+
+
+def play(box, lab, receive_fd, stop):
+    """Let a box in memory live in real time behind a descriptor."""
+    while not stop.is_set():
+        ready, _, _ = select.select([receive_fd], [], [], 0.005)
+        try:
+            data = os.read(receive_fd, 4096) if ready else b""
+            if ready and not data:
+                return
+            now = time.monotonic_ns()
+            while lab.now < now:
+                lab.step(now)
+            if data:
+                box.link.on_write(data)
+            arrived, box.link.arrived = box.link.arrived, []
+            for _, raw in arrived:
+                os.write(receive_fd, raw)
+        except OSError:
+            return
+
+
+def real_time_box():
+    lab = Lab()
+    lab.now = time.monotonic_ns()
+    return lab, Box(lab)
+
+
+@contextmanager
+def box_on_a_socket():
+    """A box behind ``socket://``; yields it and the device."""
+    listener = socket.create_server(("127.0.0.1", 0))
+    stop = threading.Event()
+    lab, box = real_time_box()
+
+    def serve():
+        peer, _ = listener.accept()
+        with peer:
+            play(box, lab, peer.fileno(), stop)
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    yield box, f"socket://127.0.0.1:{listener.getsockname()[1]}"
+    stop.set()
+    thread.join(PATIENCE_S)
+    listener.close()
+
+
+def serve_robot(seconds):
+    listener = socket.create_server(("127.0.0.1", 0))
+
+    def serve():
+        peer, _ = listener.accept()
+        with peer, listener:
+            end = time.monotonic() + seconds
+            seq = 0
+            while time.monotonic() < end:
+                peer.sendall(json.dumps({"t": 0.02 * seq, "seq": seq, "q": [0.1, 0.2]}).encode() + b"\n")
+                seq += 1
+                time.sleep(0.02)
+
+    threading.Thread(target=serve, daemon=True).start()
+    return f"tcp://127.0.0.1:{listener.getsockname()[1]}"
+
+
+def test_a_recording_ended_by_time(tmp_path, capsys):
+    out = tmp_path / "s.mcap"
+    (tmp_path / "rig.toml").write_text(RIG)
+    plan = Plan(np.array([[0.1, 0.2]]), *(np.array([name]) for name in ("a", "bar46", "c1", "s1")))
+    write_plan(tmp_path / "plan.csv", plan)
+    with box_on_a_socket() as (box, device):
+        options = ["--duration", "0.5", "--rate", "2000", "--mounted", "bar=bar46,chuck=c1"]
+        files = ["--out", str(out), "--rig", str(tmp_path / "rig.toml"), "--plan", str(tmp_path / "plan.csv")]
+        assert main(["record", "--device", device, *options, *files]) == 0
+    assert not box.streaming
+    session = open_session(out)
+    found = {}
+    for message in session.messages():
+        found.setdefault(message.topic, []).append(message)
+    assert len(found["/box/adc"]) == box.blocks
+    assert [json.loads(m.data) for m in found["/plan"]] == plan_rows(plan)
+    assert session.attachments["rig.toml"] == RIG.encode()
+    assert session.metadata["session"]["clock"] == "monotonic"
+    assert json.loads(session.metadata["box"]["ident"])["streams"][0]["osr"] == 2048
+    for row in (json.loads(m.data) for m in found["/sync"]):
+        assert box.born + 1000 * row["t1_us"] >= row["t0_ns"] - 1000
+        assert box.born + 1000 * row["t2_us"] <= row["t3_ns"]
+    assert "ended: duration" in capsys.readouterr().out
+
+
+def test_a_recording_ended_by_the_robot(tmp_path, capsys):
+    with box_on_a_socket() as (_, device):
+        out = str(tmp_path / "s.mcap")
+        assert main(["record", "--device", device, "--robot", serve_robot(0.5), "--out", out]) == 0
+    lines = list(open_session(out).messages({"/robot/joints"}))
+    assert [json.loads(m.data)["seq"] for m in lines] == list(range(len(lines)))
+    assert f"{len(lines)} robot lines; ended: robot closed" in capsys.readouterr().out
+
+
+@posix
+def test_a_pseudo_terminal(tmp_path):
+    import tty
+
+    master, device = os.openpty()
+    tty.setraw(device)
+    stop = threading.Event()
+    lab, box = real_time_box()
+    thread = threading.Thread(target=play, args=(box, lab, master, stop), daemon=True)
+    thread.start()
+    out = tmp_path / "s.mcap"
+    assert main(["record", "--device", os.ttyname(device), "--duration", "0.4", "--out", str(out)]) == 0
+    stop.set()
+    thread.join(PATIENCE_S)
+    os.close(device)
+    os.close(master)
+    assert len(list(open_session(out).messages({"/box/adc"}))) == box.blocks
+
+
+@posix
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_completes_the_file(tmp_path, number):
+    out = tmp_path / "s.mcap"
+    with box_on_a_socket() as (box, device):
+        command = [sys.executable, "-m", "truearm.cli", "record", "--device", device, "--out", str(out)]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        deadline = time.monotonic() + PATIENCE_S
+        while box.blocks < 10 and time.monotonic() < deadline:
+            time.sleep(0.01)
+        process.send_signal(number)
+        said, complaint = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 130
+    assert complaint == ""
+    assert "samples" in said
+    assert "ended: interrupted" in said
+    assert not box.streaming
+    assert len(list(open_session(out).messages({"/box/adc"}))) == box.blocks
+
+
+class TestRefused:
+    @pytest.mark.parametrize(
+        ("options", "says"),
+        [
+            (["--rate", "5"], "--rate 5 Hz is not within"),
+            (["--rate", "nan"], "--rate nan Hz is not within"),
+            (["--duration", "-1"], "--duration -1 is no time"),
+            (["--duration", "inf"], "--duration inf is no time"),
+            (["--mounted", "bar46"], "is not KEY=NAME"),
+            (["--mounted", "bar=a,bar=b"], "names a bar twice"),
+            (["--plan", "none.csv"], "no such file"),
+            (["--rig", "none.toml"], "no such file"),
+            (["--device", "ftp://x"], "is no device"),
+            (["--robot", "x:1"], "is no address"),
+        ],
+        ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+    )
+    def test_options(self, tmp_path, monkeypatch, capsys, options, says):
+        monkeypatch.chdir(tmp_path)
+        with box_on_a_socket() as (_, device):
+            assert main(["record", "--device", device, "--out", "s.mcap", *options]) == 2
+            socket.create_connection(("127.0.0.1", int(device.rsplit(":", 1)[1]))).close()
+        complaint = capsys.readouterr().err
+        assert says in complaint
+        assert complaint.count("\n") == 1
+        assert not (tmp_path / "s.mcap").exists()
+
+    def test_names_that_the_rig_does_not_have(self, tmp_path, capsys):
+        (tmp_path / "rig.toml").write_text(RIG)
+        files = ["--rig", str(tmp_path / "rig.toml"), "--out", str(tmp_path / "s.mcap")]
+        assert main(["record", "--device", "/dev/none", "--mounted", "chuck=c9", *files]) == 2
+        assert "'c9' is not in" in capsys.readouterr().err
+
+    def test_an_existing_file(self, tmp_path, capsys):
+        (tmp_path / "s.mcap").write_text("precious")
+        assert main(["record", "--device", "/dev/none", "--out", str(tmp_path / "s.mcap")]) == 2
+        assert "--force" in capsys.readouterr().err
+        assert (tmp_path / "s.mcap").read_text() == "precious"
+
+    def test_nothing_there(self, tmp_path, capsys):
+        (tmp_path / "s.mcap").write_text("precious")
+        arguments = ["--device", str(tmp_path / "none"), "--out", str(tmp_path / "s.mcap"), "--force"]
+        assert main(["record", *arguments]) == 1
+        assert "is the box plugged in?" in capsys.readouterr().err
+        assert (tmp_path / "s.mcap").read_text() == "precious"
+
+    def test_a_box_that_says_nothing_leaves_no_file(self, tmp_path, capsys, monkeypatch):
+        monkeypatch.setattr("truearm.record.recorder.RETRY_NS", 30_000_000)
+        with socket.create_server(("127.0.0.1", 0)) as listener:
+            device = f"socket://127.0.0.1:{listener.getsockname()[1]}"
+            assert main(["record", "--device", device, "--out", str(tmp_path / "s.mcap")]) == 1
+        assert "no answer to 'identify'" in capsys.readouterr().err
+        assert not (tmp_path / "s.mcap").exists()
+
+
+@pytest.mark.parametrize(
+    ("rate", "osr"), [(1000, 4096), (1017.25, 4096), (250, 16384), (32_000, 128), (1500, 4096), (1600, 2048)]
+)
+def test_the_nearest_rate(rate, osr):
+    assert nearest_osr(rate) == osr
+
+
+def test_the_rate_of_the_design():
+    assert pytest.approx(1e9 / 983_040, rel=1e-12) == MODULATOR_HZ / 4096
+
+
+def test_mounted():
+    assert parse_mounted("bar=bar46, chuck=c1 ,sphere=s1") == {"bar": "bar46", "chuck": "c1", "sphere": "s1"}
+    for wrong in ("", "bar=", "=x", "arm=x", "bar=a,,"):
+        with pytest.raises(InputError):
+            parse_mounted(wrong)
+
+
+def test_a_status_line():
+    status = Status(2.0, "recording", 312.4, False, Counters(samples=2034, lost_frames=1, robot_lines=250))
+    assert describe(status) == "2034 samples, 1017.0 Hz, 1 frames lost, rtt 312 µs, robot gone, 250 lines"
+    assert describe(Status(0.0, "identifying", None, None, Counters())) == "0 samples, 0.0 Hz, 0 frames lost"
