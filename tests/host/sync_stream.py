@@ -160,7 +160,7 @@ def session(
     box.messages = []
     for k in range(0, times.size - BLOCK, BLOCK):
         box.data(int(times[k]), counts[k : k + BLOCK])
-    frames = _renumber(ident_frames + sorted(seq_less + box.messages, key=lambda m: m.t_host_ns))
+    frames = renumber(ident_frames + sorted(seq_less + box.messages, key=lambda m: m.t_host_ns))
     robot = _robot(rng, q, corners, end_ns, joint_noise, step, robot_hz)
     said = [_plan(i, row) for i, row in enumerate(q)] if plan else []
     everything = said + sorted(frames + robot, key=lambda m: m.t_host_ns)
@@ -188,7 +188,7 @@ def _robot(
     return [Message("/robot/joints", int(t), json.dumps(line).encode()) for t, line in zip(arrival, lines, strict=True)]
 
 
-def _renumber(frames: list[Message]) -> list[Message]:
+def renumber(frames: list[Message]) -> list[Message]:
     """The same frames with seq in the order of their arrival."""
     result, seq = [], 0
     for message in frames:

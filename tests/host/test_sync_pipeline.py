@@ -1,0 +1,259 @@
+"""Whole sessions from a known truth: one observation a dwell, and no sample across a gap."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sync_stream import PERIOD_NS, RIG, Box, counts_of, ident_document, renumber, session, stream_of
+
+from truearm.errors import RigError, SessionError
+from truearm.sensors.ident import parse_ident
+from truearm.sync.blocks import BoxReader
+from truearm.sync.clock import fit_clock
+from truearm.sync.dwell import REASONS, DwellRules
+from truearm.sync.frames import Exchange
+from truearm.sync.gather import gather
+from truearm.sync.pipeline import observations, survey
+from truearm.types import Message
+
+
+def synced(messages, rig=RIG, **options):
+    return observations(stream_of(messages), rig, **options)
+
+
+def blocks_between(messages, start_ns, end_ns):
+    return [i for i, m in enumerate(messages) if m.topic == "/box/adc" and start_ns <= m.t_host_ns < end_ns]
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return session(np.random.default_rng(1), dwells=10)
+
+
+def test_every_dwell_gives_its_length(clean):
+    messages, truth = clean
+    result = synced(messages, name="s.mcap")
+    table = result.table
+    assert result.reasons == {}
+    assert len(table) == 10
+    error = table.value - truth.length
+    deviation = np.sqrt([dwell.value_var for dwell in result.dwells])
+    assert np.all(np.abs(error) < 5.0 * deviation)  # five: one in two million
+    assert np.allclose(table.sigma, np.sqrt(deviation**2 + 84e-6**2), rtol=1e-12)
+    assert np.max(np.abs(table.q - truth.q)) <= 0.5e-4 + 1e-12  # half a step of the readings
+    assert set(table.kind) == {"ball_bar"}
+    assert (set(table.bar), set(table.chuck), set(table.sphere), set(table.shell)) == ({"b46"}, {"c1"}, {"s1"}, {"s46"})
+    assert list(table.source[:2]) == ["s.mcap dwell 1", "s.mcap dwell 2"]
+    assert result.samples_seen == result.losses.samples
+    assert result.samples_used == sum(dwell.n_samples for dwell in result.dwells) > 10 * 1000
+
+
+def test_variance_of_the_mean_matches_the_spread():
+    """z² over 60 dwells: χ² with 60 degrees, 1 ± 3·sqrt(2/60), plus the 3 % that the estimates' own spread adds."""
+    z2 = []
+    for seed in range(3):
+        messages, truth = session(np.random.default_rng(50 + seed), dwells=20, noise=5e-6)
+        result = synced(messages)
+        z2 += [(d.value - x) ** 2 / d.value_var for d, x in zip(result.dwells, truth.length, strict=True)]
+    assert abs(np.mean(z2) - 1.0) < 3.0 * np.sqrt(2.0 / 60) + 0.03
+
+
+def test_a_short_gap_leaves_the_longest_whole_piece(clean):
+    messages, truth = clean
+    lost = blocks_between(messages, truth.start_ns[3] + 6.3e8, truth.end_ns[3] - 1.3e9)[:2]
+    result = synced([m for i, m in enumerate(messages) if i not in lost])
+    whole = synced(messages)
+    assert result.losses.frames_lost == len(lost) == 2
+    assert result.losses.samples_lost == 26
+    assert result.reasons == {}
+    before, after = whole.dwells[3], result.dwells[3]
+    assert after.n_samples < before.n_samples - 26
+    assert [d.n_samples for i, d in enumerate(result.dwells) if i != 3] == [
+        d.n_samples for i, d in enumerate(whole.dwells) if i != 3
+    ]
+
+
+def test_a_dwell_cut_in_two_short_pieces_is_rejected(clean):
+    messages, truth = clean
+    lost = blocks_between(messages, truth.start_ns[3] + 1.2e9, truth.start_ns[3] + 1.25e9)
+    result = synced([m for i, m in enumerate(messages) if i not in lost])
+    assert result.reasons == {"gap": 1}
+    assert result.dwells[3].reason == "gap"
+    assert len(result.table) == 9
+    assert "session dwell 4" not in result.table.source
+
+
+def test_overrun_inside_a_dwell_cuts_it_too(clean):
+    """n0 jumps although no frame is lost: every later frame says n0 + 13, as after an overrun."""
+    messages, truth = clean
+    first = blocks_between(messages, truth.start_ns[3] + 1.2e9, truth.end_ns[3])[0]
+    moved = []
+    for i, m in enumerate(messages):
+        if i >= first and m.topic == "/box/adc":
+            at = 8  # after the array, the type, seq (5 bytes) and the stream
+            assert m.data[at] == 0x1B
+            n0 = int.from_bytes(m.data[at + 1 : at + 9], "big") + 13
+            m = m._replace(data=m.data[: at + 1] + n0.to_bytes(8, "big") + m.data[at + 9 :])
+        moved.append(m)
+    result = synced(moved)
+    assert (result.losses.frames_lost, result.losses.samples_overrun) == (0, 13)
+    assert result.reasons == {"gap": 1}
+
+
+def test_reboot_inside_a_dwell(clean):
+    """Two sessions of one box, the second after a reboot: its clock is another, no dwell spans both."""
+    messages, truth = clean
+    cut = int(truth.start_ns[5] + 1.2e9)
+    box = Box(ppm=-44.0, boot_host_ns=cut, boot_id=99)
+    box.ident(cut + 10)
+    times = np.arange(cut + 10**8, truth.end_ns[-1] + 4e8, PERIOD_NS).astype(np.int64)
+    corners = np.stack([truth.start_ns, truth.end_ns], axis=1).ravel()
+    counts = np.zeros((times.size, 4), np.int64)
+    counts[:, 0] = counts_of(np.interp(times - 1_500_000, corners, np.repeat(truth.length - 0.46, 2)))
+    next_probe = cut + 10**8
+    for k in range(0, times.size - 13, 13):
+        box.data(int(times[k]), counts[k : k + 13])
+        if times[k] > next_probe:
+            box.sync(int(times[k]) + 13 * PERIOD_NS, 95e3, 95e3)
+            next_probe += 250_000_000
+    old = [m for m in messages if m.t_host_ns < cut or m.topic.startswith("/robot")]
+    new = renumber(sorted(box.messages, key=lambda m: m.t_host_ns))
+    result = synced(sorted(old + new, key=lambda m: m.t_host_ns))
+    assert result.losses.restarts == 1
+    assert result.survey.boot_ids == (7, 99)
+    assert [report.segment for report in result.clock_reports] == [0, 1]
+    assert [dwell.reason for dwell in result.dwells] == [""] * 5 + ["gap"] + [""] * 4
+    # noise-free in the second segment: half a count is 2.5 nm
+    assert np.allclose(result.table.value[5:], truth.length[6:], rtol=0, atol=5e-9)
+
+
+def test_doubled_frames_change_nothing(clean):
+    messages, _ = clean
+    doubled = [
+        copy for i, m in enumerate(messages) for copy in ([m, m] if m.topic == "/box/adc" and i % 7 == 0 else [m])
+    ]
+    result = synced(doubled)
+    assert result.losses.frames_duplicated == len(doubled) - len(messages)
+    whole = synced(messages)
+    assert np.array_equal(result.table.value, whole.table.value)
+    assert result.samples_used == whole.samples_used
+
+
+def with_lvdt(messages, start_ns, end_ns, change):
+    """The same session with other LVDT counts in the blocks of an interval."""
+    result = list(messages)
+    for i in blocks_between(messages, start_ns, end_ns):
+        at = messages[i].data.index(b"\xd8\x4e") + 2
+        header = 2 if messages[i].data[at] == 0x58 else 1
+        counts = np.frombuffer(messages[i].data[at + header : -1], "<i4").reshape(-1, 4).copy()
+        counts[:, 0] = change(counts[:, 0])
+        data = messages[i].data
+        result[i] = messages[i]._replace(data=data[: at + header] + counts.tobytes() + data[-1:])
+    return result
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda counts: np.where(np.arange(counts.size) == 5, 2**23 - 1, counts), "rail"),
+        (lambda counts: np.full(counts.size, -(2**23)), "rail"),
+        (lambda counts: counts_of(np.full(counts.size, 0.0376)), "out of travel"),
+        (lambda counts: counts + np.where(np.arange(counts.size) % 2, 40_000, -40_000), "noisy"),
+    ],
+)
+def test_readings_that_cannot_be_trusted(clean, change, reason):
+    messages, truth = clean
+    start = truth.start_ns[4]
+    result = synced(with_lvdt(messages, start + 9e8, start + 1.3e9, change))
+    assert result.reasons == {reason: 1}
+    assert result.dwells[4].reason == reason
+    assert set(result.reasons) <= set(REASONS)
+
+
+def test_a_sensor_that_still_moves(clean):
+    """0.5 mm in the dwell, six times the declared repeatability, while the joints stand still."""
+    messages, truth = clean
+    start = truth.start_ns[4]
+    ramp = iter(np.linspace(0.0, 0.5e-3, 400))
+    result = synced(with_lvdt(messages, start, start + 2e9, lambda counts: counts + round(next(ramp) / 0.035 / 143e-9)))
+    assert result.reasons == {"still moving": 1}
+
+
+def test_mounted_events_serve_without_a_plan():
+    messages, truth = session(np.random.default_rng(3), dwells=4, plan=False)
+    assert synced(messages).reasons == {"no plan match": 4}
+    first = {"kind": "mounted", "bar": "b46", "chuck": "c1", "sphere": "s1", "shell": "a"}
+    at = int(truth.end_ns[1] + 3e8)
+    events = [Message("/events", 1, json.dumps(first).encode())]
+    events.append(Message("/events", at, json.dumps({**first, "chuck": "c2", "shell": "b"}).encode()))
+    result = synced(sorted(messages + events, key=lambda m: m.t_host_ns))
+    assert list(result.table.chuck) == ["c1", "c1", "c2", "c2"]
+    assert list(result.table.shell) == ["a", "a", "b", "b"]
+
+
+@pytest.mark.parametrize("key", ["bars", "chucks", "spheres"])
+def test_a_rig_that_lacks_what_the_plan_names(clean, key):
+    with pytest.raises(RigError, match="which the rig does not have"):
+        synced(clean[0], replace(RIG, **{key: {}}))
+
+
+def test_no_exchange_is_no_clock(clean):
+    result = synced([m for m in clean[0] if m.topic not in ("/sync", "/box/sync")])
+    assert result.reasons == {"no clock": 10}
+    assert len(result.table) == 0
+    assert result.table.q.shape == (0, 6)
+
+
+def test_no_samples_and_no_robot(clean):
+    messages, _ = clean
+    assert synced([m for m in messages if m.topic != "/box/adc"]).reasons == {"no samples": 10}
+    nothing = synced([m for m in messages if m.topic != "/robot/joints"])
+    assert (nothing.dwells, len(nothing.table)) == ((), 0)
+    assert len(synced([]).table) == 0
+
+
+def test_a_channel_that_the_box_has_not(clean):
+    with pytest.raises(SessionError, match="no channel 'probe'"):
+        synced(clean[0], channel="probe")
+
+
+def test_ident_from_elsewhere_serves_where_the_session_has_none(clean):
+    messages = [m for m in clean[0] if m.topic != "/box/ident"]
+    assert synced(messages).reasons == {"no samples": 10}
+    assert len(synced(messages, ident=parse_ident(ident_document())).table) == 10
+
+
+def test_rules_are_obeyed(clean):
+    messages, _ = clean
+    assert synced(messages, rules=DwellRules(shortest_s=1.6)).reasons["too short"] >= 8
+    short = synced(messages, rules=DwellRules(settle_s=1.0, shortest_s=0.5))
+    assert short.reasons == {}
+    assert max(dwell.n_samples for dwell in short.dwells[1:-1]) < 1000
+
+
+def test_survey_is_the_first_half(clean):
+    found = survey(stream_of(clean[0]))
+    result = synced(clean[0], found=found)
+    assert result.survey is found
+    assert np.array_equal(result.table.value, synced(clean[0]).table.value)
+
+
+def test_samples_are_those_of_the_interval_by_signal_time():
+    """Counts that tell their index; the signal lies the group delay before the stamp."""
+    box = Box()
+    box.ident(0)
+    for k in range(400):
+        index = np.arange(13 * k, 13 * k + 13)
+        box.data(10**9 + 13 * k * PERIOD_NS, np.stack([index] * 4, axis=1))
+    exchanges = [Exchange(t, t // 1000 + 1, t // 1000 + 1, t + 2000) for t in range(0, 8 * 10**9, 250_000_000)]
+    clocks = {0: fit_clock(0, exchanges)[0]}
+    reader = BoxReader()
+    blocks = [(b, reader.segment.ident) for m in box.messages if (b := reader.feed(m)) is not None]
+    intervals = [(0, 2 * 10**9, 3 * 10**9), (1, 3_000_000_001, 3_000_500_000), (2, 4 * 10**9, 60 * 10**9)]
+    signal = 10**9 + np.arange(13 * 400) * PERIOD_NS - 1_500_000
+    for taken, (_, start, end) in zip(gather(iter(blocks), clocks, intervals, "lvdt"), intervals, strict=True):
+        # stamps are cut to 1 µs: a sample within 2 µs of an end may fall on either side, and none does here
+        assert np.min(np.abs(signal - start)) > 2000 or start == 3_000_000_001
+        expected = np.flatnonzero((signal >= start) & (signal <= end))
+        assert np.array_equal(taken.longest, expected)
