@@ -34,7 +34,7 @@ def bar_vectors(plan, params, q=None):
 def test_every_pose_lies_on_its_shell_of_the_design_model(plan):
     zero = np.where(plan.bar == "bar46", 0.46, 0.61)
     vectors, _ = bar_vectors(plan, DESIGN)
-    # Inverse kinematics stops at 1e-7 in units of LEVER (0.45 m) and radians, at a sphere 0.11 m from the end.
+    # Inverse kinematics stops at 1e-7 in units of LEVER (0.45 m) and radians, at a sphere 0.13 m from the end.
     assert np.abs(np.linalg.norm(vectors, axis=1) - zero).max() < 1e-7
     assert np.all(vectors[:, 2] > 0.0)
     for name, chuck, bar in zip(plan.shell, plan.chuck, plan.bar, strict=True):
@@ -64,7 +64,7 @@ def test_tool_orientation_is_varied_and_faces_the_chuck(plan):
     vectors, axes = bar_vectors(plan, DESIGN)
     facing = -np.einsum("ni,ni->n", vectors, axes[:, :, 2]) / np.linalg.norm(vectors, axis=1)
     angle = np.rad2deg(np.arccos(facing))
-    assert angle.max() < 35.0 + 1e-3
+    assert angle.max() < 55.0 + 1e-3
     for chuck in RIG.chucks:
         for sphere in RIG.spheres:
             rows = (plan.chuck == chuck) & (plan.sphere == sphere)
