@@ -1,0 +1,165 @@
+"""``truearm inspect`` as a user meets it."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sync_stream import PERIOD_NS, RIG, ident_document, session
+
+from truearm import cli
+from truearm.commands.inspect import shown
+from truearm.files.rig import write_rig
+from truearm.record.links import HostClock
+from truearm.record.session_writer import SessionWriter
+from truearm.types import Message
+
+EVIL = b'Traceback:\r\n  File "\x1b]0;owned\x07\x1b[2J\xff\x9b31m"\r\nline two\n'
+
+
+@pytest.fixture
+def run(capsys):
+    """The real main(): exit code, standard output, standard error."""
+
+    def call(*arguments):
+        code = cli.main([str(a) for a in arguments])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def stream():
+    return session(np.random.default_rng(2), dwells=5)[0]
+
+
+def write(path: Path, messages: list[Message], rig: bytes | None = None, box: object = None) -> Path:
+    with SessionWriter(path, HostClock()) as writer:
+        if rig is not None:
+            writer.attach("rig.toml", "application/toml", rig)
+        if box is not None:
+            writer.metadata("box", {"ident": json.dumps(box)})
+        for message in messages:
+            writer.add(message.topic, message.t_host_ns, message.data)
+    return path
+
+
+def rig_toml(folder: Path) -> bytes:
+    write_rig(folder / "rig.toml", RIG)
+    return (folder / "rig.toml").read_bytes()
+
+
+def test_json_says_what_was_put_in(stream, tmp_path, run):
+    spoilt = list(stream)
+    places = [i for i, m in enumerate(spoilt) if m.topic == "/box/adc"]
+    spoilt.insert(places[40], Message("/box/console", 5 * 10**9, EVIL))
+    spoilt.insert(places[30], spoilt[places[30]])
+    del spoilt[places[20]]
+    code, out, err = run("inspect", write(tmp_path / "s.mcap", spoilt, rig_toml(tmp_path)), "--json")
+    assert (code, err) == (0, "")
+    said = json.loads(out)
+    losses = {key: value for key, value in said["losses"].items() if value}
+    assert (losses["frames_lost"], losses["samples_lost"], losses["frames_duplicated"]) == (1, 13, 1)
+    assert (losses["console_runs"], losses["console_bytes"]) == (1, len(EVIL))
+    assert not {"restarts", "samples_overrun", "frames_malformed", "sync_unanswered"} & set(losses)
+    assert said["topics"]["/box/adc"]["messages"] == len(places)
+    (adc,) = said["streams"]
+    assert adc["rate_nominal_hz"] == pytest.approx(1e9 / PERIOD_NS)
+    assert adc["rate_by_host_hz"] == pytest.approx(1e9 / PERIOD_NS, rel=1e-6)  # stamps are cut to 1 µs over 15 s
+    assert adc["rate_measured_hz"] / adc["rate_by_host_hz"] == pytest.approx(1.0 - 31e-6, abs=1e-6)
+    (clock,) = said["clock"]
+    assert clock["rate_ppm"] == pytest.approx(-31.0, abs=2.0)
+    assert clock["half_asymmetry_ns"] <= clock["bound_ns"]
+    assert clock["spread_ns"] is None  # one window
+    assert said["robot"]["rate_hz"] == pytest.approx(125.0, abs=0.1)
+    assert (said["dwells"]["found"], said["dwells"]["observations"], said["dwells"]["rejected"]) == (5, 5, {})
+
+
+def test_text_has_no_control_characters_of_the_file(stream, tmp_path, run):
+    names = [Message("/odd\x1b[31m\x07topic", 1, b"x"), Message("/events", 2, b'{"kind":"a\\u001b[2Jb"}')]
+    console = [Message("/box/console", 3, EVIL)] * 12
+    code, out, err = run("inspect", write(tmp_path / "s.mcap", [*names, *console, *stream]))
+    assert (code, err) == (0, "")
+    assert all(c.isprintable() or c == "\n" for c in out)
+    for words in ("\\x1b]0;owned\\x07", "line two", "2 more", "5 found", "no rig is attached", "0 lost", "\\x1b[31m"):
+        assert words in out
+
+
+def test_a_clean_session_says_so(stream, tmp_path, run):
+    code, out, _ = run("inspect", write(tmp_path / "s.mcap", stream, rig_toml(tmp_path)))
+    assert code == 0
+    assert "nothing lost, nothing doubled, no restart" in out
+    assert "5 observations" in out
+
+
+@pytest.mark.parametrize(
+    ("rig", "says"),
+    [
+        (b"[[bar]]\nname=1", "rig.toml"),
+        (b"\xff", "UTF-8"),
+        (b"", "which the rig does not have"),
+        (b"x = [" * 9999, "rig.toml"),
+    ],
+)
+def test_a_wrong_rig_hides_nothing_of_the_session(stream, tmp_path, run, rig, says):
+    code, out, err = run("inspect", write(tmp_path / "s.mcap", stream, rig), "--json")
+    assert (code, err) == (0, "")
+    dwells = json.loads(out)["dwells"]
+    assert says in dwells["not_paired"]
+    assert dwells["found"] == 5
+
+
+def test_ident_of_the_metadata_serves(stream, tmp_path, run):
+    without = [m for m in stream if m.topic != "/box/ident"]
+    document = {**ident_document(), "uid": "0102"}
+    code, out, _ = run("inspect", write(tmp_path / "s.mcap", without, rig_toml(tmp_path), document), "--json")
+    assert code == 0
+    assert json.loads(out)["dwells"]["observations"] == 5
+
+
+def test_an_empty_session(tmp_path, run):
+    path = write(tmp_path / "s.mcap", [])
+    code, out, err = run("inspect", path)
+    assert (code, err) == (0, "")
+    assert "0 found" in out
+    code, out, _ = run("inspect", path, "--json")
+    assert json.loads(out)["duration_s"] == 0.0
+
+
+def test_bad_files_are_one_line_and_exit_2(stream, tmp_path, run):
+    whole = write(tmp_path / "whole.mcap", stream).read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "no.mcap").write_bytes(b"not a session")
+    wrong_ident = write(tmp_path / "ident.mcap", stream, box=["no", "map"])
+    for path in (tmp_path / "missing.mcap", tmp_path / "cut.mcap", tmp_path / "no.mcap", tmp_path, wrong_ident):
+        code, out, err = run("inspect", path)
+        assert (code, out) == (2, ""), path
+        assert err.startswith("truearm: ")
+        assert err.count("\n") == 1
+        assert "Traceback" not in err
+
+
+def test_truncated_session_on_request(stream, tmp_path, run):
+    whole = write(tmp_path / "whole.mcap", stream).read_bytes()
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(whole[: len(whole) * 3 // 4])
+    code, out, err = run("inspect", path, "--allow-truncated", "--json")
+    assert (code, err) == (0, "")
+    said = json.loads(out)
+    assert said["truncated"] is True
+    assert 0 < said["losses"]["frames"] < sum(m.topic.startswith("/box/") for m in stream)
+    assert said["losses"]["frames_lost"] == 0
+
+
+@pytest.mark.parametrize(
+    ("data", "text"),
+    [
+        (b"plain\r\ntext", "plain\ntext"),
+        (b"\x00\x1b[1m", "\\x00\\x1b[1m"),
+        (b"\xff\xfe", "\\xff\\xfe"),
+        ("µ\u202e\u2028".encode(), "µ\\u202e\\u2028"),
+    ],
+)
+def test_shown(data, text):
+    assert shown(data) == text
