@@ -16,6 +16,7 @@ import pytest
 from scipy import integrate, stats
 
 from truearm.report import svg
+from truearm.report.correlation import correlation
 from truearm.report.figures import MAX_POINTS, figures_of
 from truearm.report.page import CalibrationPage, doubts, render, verdict
 from truearm.report.rows import Law, law_of, rows_by_kind
@@ -309,6 +310,27 @@ def test_histogram_heights_follow_the_gaussian():
     assert heights.max() == pytest.approx(300.0 - 46.0 - top, rel=0.12)
 
 
+@pytest.mark.parametrize("residual_mm", [[-0.2, 0.0, 0.1, 0.3], [0.1, 0.3, 0.5, 0.7], [-0.3, -0.1], [0.05]])
+def test_histogram_counts_residuals_on_the_edges(residual_mm):
+    page = make_page(len(residual_mm))
+    residual = 1e-3 * np.array(residual_mm)
+    estimate = replace(page.estimate, residual=residual, fitted=np.ones(residual.size, dtype=bool))
+    histogram = drawings(render(replace(page, estimate=estimate)))[0]
+    assert sum(int(tip.text.rpartition(": ")[2]) for tip in histogram.iterfind("rect/title")) == residual.size
+
+
+def test_correlation_of_two():
+    page = make_page(20)
+    free = np.arange(54) < 2
+    covariance = np.zeros((54, 54))
+    covariance[:2, :2] = [[4e-8, -1e-8], [-1e-8, 1e-8]]
+    figure = correlation(replace(page.estimate, free=free, identifiable=free, covariance=covariance))
+    (cell,) = [r for r in ElementTree.fromstring(figure.drawing).iterfind("rect") if "link1" in r.find("title").text]
+    assert cell.find("title").text == "link1.y, link1.x: −0.50"
+    assert (cell.get("class"), cell.get("fill-opacity")) == ("negative", "0.50")
+    assert "link1.y and link1.x −0.50" in figure.caption
+
+
 def test_a_seat_is_a_norm_and_has_no_gaussian():
     text = render(make_page(400, "seat"))
     assert "Gaussian" not in text
@@ -508,45 +530,42 @@ QUIET = (
     "--disable-component-update",
     "--disable-sync",
 )
-# Runs in the page and writes what the browser made of it into the document's last element.
-PROBE = """
-const box = e => e.getBoundingClientRect(), out = [];
-for (const svg of document.querySelectorAll('svg')) {
-  const s = box(svg);
-  const texts = [...svg.querySelectorAll('text')].filter(t => t.textContent);
-  const cut = texts.filter(t => { const b = box(t);
-    return b.left < s.left - 1 || b.right > s.right + 1 || b.top < s.top - 1 || b.bottom > s.bottom + 1; });
-  out.push({width: s.width, height: s.height, texts: texts.length, cut: cut.map(t => t.textContent)});
-}
-const p = document.createElement('pre'); p.id = 'probe';
-p.textContent = JSON.stringify({inner: innerWidth, scroll: document.documentElement.scrollWidth, svgs: out,
-  paper: getComputedStyle(document.body).backgroundColor, ink: getComputedStyle(document.body).color,
-  loaded: performance.getEntriesByType('resource').length});
-document.body.append(p);
-"""
+# A browser's window is at least 500 px wide; a frame of any width is laid out as a window of that width. The page
+# inside is the unchanged one; the script stands in the frame around it, since the page's own policy would stop it.
+AROUND = """<!DOCTYPE html><meta name="color-scheme" content="light dark"><iframe id="page" width="WIDTH" height="900"
+style="border:0" srcdoc="PAGE"></iframe><pre id="probe"></pre><script>
+onload = () => {
+  const frame = document.getElementById('page'), w = frame.contentWindow, d = frame.contentDocument;
+  const box = e => e.getBoundingClientRect();
+  const svgs = [...d.querySelectorAll('svg')].map(svg => {
+    const s = box(svg), texts = [...svg.querySelectorAll('text')].filter(t => t.textContent);
+    const cut = texts.filter(t => { const b = box(t);
+      return b.left < s.left - 1 || b.right > s.right + 1 || b.top < s.top - 1 || b.bottom > s.bottom + 1; });
+    const over = [];
+    texts.forEach((t, i) => texts.slice(0, i).forEach(u => { const a = box(t), b = box(u);
+      // boxes of text are higher than its ink: a third of the height may be shared
+      if (Math.min(a.right, b.right) - Math.max(a.left, b.left) > 1 &&
+          Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > Math.min(a.height, b.height) / 3)
+        over.push(t.textContent + ' | ' + u.textContent); }));
+    return {width: s.width, height: s.height, texts: texts.length, cut: cut.map(t => t.textContent), over};
+  });
+  const style = w.getComputedStyle(d.body), root = d.documentElement;
+  document.getElementById('probe').textContent = JSON.stringify({inner: w.innerWidth, client: root.clientWidth,
+    scroll: root.scrollWidth, paper: style.backgroundColor, ink: style.color,
+    loaded: w.performance.getEntriesByType('resource').length, svgs});
+};
+</script>"""
 
 
 def look(page, folder, width, dark):
     """The page laid out by the browser: what the probe found."""
-    policy = "style-src 'unsafe-inline'"
-    text = render(page)
-    assert policy in text
-    probed = text.replace(policy, policy + "; script-src 'unsafe-inline'").replace(
-        "</main>", f"</main><script>{PROBE}</script>"
-    )
-    path = folder / "page.html"
-    path.write_text(probed, encoding="utf-8")
+    path = folder / "around.html"
+    whole = AROUND.replace("WIDTH", str(width)).replace("PAGE", html.escape(render(page)))
+    path.write_text(whole, encoding="utf-8")
     theme = ("--blink-settings=preferredColorScheme=0",) if dark else ()
+    profile = f"--user-data-dir={folder / 'profile'}"
     run = subprocess.run(
-        [
-            CHROMIUM,
-            *QUIET,
-            *theme,
-            f"--user-data-dir={folder / 'profile'}",
-            f"--window-size={width},900",
-            "--dump-dom",
-            path.as_uri(),
-        ],
+        [CHROMIUM, *QUIET, *theme, profile, "--window-size=1400,1000", "--dump-dom", path.as_uri()],
         capture_output=True,
         text=True,
         timeout=120,
@@ -569,7 +588,8 @@ def luminance(colour):
 @pytest.mark.parametrize("width", [1280, 390])
 def test_in_a_browser(tmp_path, width, dark):
     seen = look(make_page(400), tmp_path, width, dark)
-    assert seen["scroll"] <= seen["inner"]  # the page itself never scrolls sideways
+    assert seen["inner"] == width
+    assert seen["scroll"] <= seen["client"]  # the page itself never scrolls sideways
     assert seen["loaded"] == 0
     assert len(seen["svgs"]) == 7
     for drawing in seen["svgs"]:
@@ -577,6 +597,7 @@ def test_in_a_browser(tmp_path, width, dark):
         assert drawing["height"] >= 150
         assert drawing["texts"] >= 8
         assert drawing["cut"] == []  # no label leaves its picture
+        assert drawing["over"] == []  # nor hides another
     paper, ink = luminance(seen["paper"]), luminance(seen["ink"])
     assert (paper < ink) == dark
     assert (max(paper, ink) + 0.05) / (min(paper, ink) + 0.05) >= 7.0  # WCAG 2 contrast, level AAA

@@ -48,10 +48,9 @@ def histogram(rows: Rows) -> Figure:
     # Half of Scott's rule, rounded up to between 0.5 and 1.25 of it; 60 bins at most, should one row lie far out.
     scott = 3.49 * r.std() * r.size ** (-1 / 3)
     width = svg.round_step(max(0.5 * scott, np.ptp(r) / 60.0, 1e-3 * np.abs(r).max(), FINEST_BIN))
-    first = math.floor(r.min() / width + 1e-9)
+    first = math.floor(r.min() / width - 1e-9)
     edges = width * np.arange(first, math.floor(r.max() / width + 1e-9) + 2)
     count, _ = np.histogram(r, edges)
-    count[-1] += r.size - count.sum()  # what rounding puts beyond the last edge
     scale = r.size * width
     plain = law.sigma < width / 50.0  # noise-free data: a curve would be a needle
     top = max(float(count.max()), 0.0 if plain else float(scale * law.density(_grid(edges)).max()))
