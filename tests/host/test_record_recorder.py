@@ -194,6 +194,23 @@ class TestFaults:
         assert [m.data for m in topics(path)["/box/console"]] == [text]
         assert summary.counters.lost_frames == 0
 
+    @pytest.mark.parametrize("speaks_again", [True, False])
+    def test_a_traceback_bears_the_time_of_its_end(self, lab, path, speaks_again):
+        """It may wait long for a delimiter: for the next boot, or for ever."""
+        box = Box(lab)
+
+        def crash():
+            box.streaming = False
+            box.send_raw(b"Traceback")
+            box.mangle = lambda i, raw: b""
+
+        lab.at(HOST_0 + SECOND, crash)
+        if speaks_again:
+            lab.at(HOST_0 + 3 * SECOND, lambda: setattr(box, "mangle", lambda i, raw: raw))
+        run(lab, box, path, 5.0)
+        (message,) = topics(path)["/box/console"]
+        assert message == ("/box/console", HOST_0 + SECOND + LATENCY, b"Traceback")
+
     @settings(max_examples=15, deadline=None)
     @given(
         st.dictionaries(st.integers(1, 250), st.binary(max_size=300), max_size=20), st.randoms(use_true_random=False)

@@ -63,18 +63,21 @@ class Intake:
 
     def take(self, t_host_ns: int, data: bytes) -> None:
         """Store and look at bytes that arrived. Raises ProtocolError for an ident that cannot be used."""
+        # A traceback waits for the next delimiter, which may come with the next boot: its time is that of its own end.
+        t_console_ns = t_host_ns if self.heard_ns is None or data[:1] != b"\0" else self.heard_ns
         self.heard_ns = t_host_ns
         for is_frame, item in self._splitter.push(data):
             if is_frame:
                 self._take_frame(t_host_ns, item)
             else:
-                self._take_console(t_host_ns, item)
+                self._take_console(t_console_ns, item)
+            t_console_ns = t_host_ns
 
-    def flush(self, t_host_ns: int) -> None:
+    def flush(self) -> None:
         """Store what came behind the last delimiter: the stream has ended or was cut."""
         rest = self._splitter.flush()
-        if rest:
-            self._take_console(t_host_ns, rest)
+        if rest and self.heard_ns is not None:
+            self._take_console(self.heard_ns, rest)
 
     def cleared(self) -> None:
         """The box was asked and has not restarted: count its frames from the next one on."""

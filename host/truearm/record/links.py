@@ -186,14 +186,19 @@ class SerialLink:
             port.close()
 
     def _open(self) -> None:
+        selects = os.name == "posix" or self.name.startswith("socket://")
         try:
             port = serial.serial_for_url(
-                self.name, timeout=_POLL_S, write_timeout=_WRITE_TIMEOUT_S, exclusive=True, baudrate=115200
+                self.name,
+                timeout=0 if selects else _POLL_S,
+                write_timeout=_WRITE_TIMEOUT_S,
+                exclusive=True,
+                baudrate=115200,
             )
         except (serial.SerialException, OSError, ValueError) as exc:
             raise LinkError(_why_not_open(self.name, exc)) from exc
         self._port = port
-        receive = _polled(port, self.name) if _can_select(self.name) else _blocking(port, self.name)
+        receive = _selecting(port, self.name) if selects else _blocking(port, self.name)
         self._reader = _Reader(receive, self._clock)
 
 
@@ -205,13 +210,8 @@ def _check_device(device: str) -> None:
         host_and_port(device, "socket")
 
 
-def _can_select(device: str) -> bool:
-    return os.name == "posix" or device.startswith("socket://")
-
-
-def _polled(port: serial.SerialBase, name: str) -> Callable[[], bytes]:
-    """One system call a piece, whatever its length; pyserial's ``in_waiting`` of a socket says only 0 or 1."""
-    port.timeout = 0
+def _selecting(port: serial.SerialBase, name: str) -> Callable[[], bytes]:
+    """One read a piece, whatever its length; pyserial's ``in_waiting`` of a socket says only 0 or 1."""
 
     def receive() -> bytes:
         try:

@@ -65,7 +65,7 @@ def record(
     """Identify, configure and start the box, then record until the end; completes and closes the session file.
 
     The end: ``duration_s`` after the start, the robot closing its stream, ``until()`` or ``interrupted()`` turning
-    true (both asked every 50 ms), KeyboardInterrupt, or a lost link that cannot be opened again. ``plan``: one mapping
+    true (both asked at least every 50 ms), KeyboardInterrupt, or a lost link that cannot be opened again. ``plan``: one mapping
     a pose, as ``/plan`` holds them. ``osr`` is configured on every stream that has one; None leaves them.
     ``progress`` is called four times a second. The links stay open.
 
@@ -205,7 +205,7 @@ class _Recorder:
 
     def _reconnect(self, error: LinkError) -> None:
         now_ns = self._clock.now_ns()
-        self._box.flush(now_ns)
+        self._box.flush()
         if self._box.ident is None:
             raise error  # it never answered: there is nothing to wait for
         self._state = "link lost"
@@ -233,7 +233,7 @@ class _Recorder:
             pass  # what came is kept; the next recorder stops the box first
         finally:
             now_ns = self._clock.now_ns()
-            self._box.flush(now_ns)
+            self._box.flush()
             if self._robot is not None:
                 self._robot.flush(now_ns)
             self._probes.expire(now_ns, 0)
