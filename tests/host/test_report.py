@@ -392,6 +392,22 @@ def test_what_is_not_seen_is_marked_and_said():
     assert f"{name}: not seen at all" in text
 
 
+def test_parameters_of_the_rig_stand_apart():
+    page = make_page(50)
+    text = render(replace(page, estimate=replace(page.estimate, n_robot_parameters=48)))
+    robot, rig = re.findall(r"<tbody>(.*?)</tbody>", text.split("<h2>Parameters</h2>")[1])[:2]
+    assert (robot.count("<tr"), rig.count("<tr")) == (48, 6)
+    assert "<summary>6 parameters of the rig</summary>" in text
+
+
+def test_notes_steps_and_facts_are_shown():
+    text = render(make_page(50, notes=("The robot is simulated.",)))
+    assert '<ul class="remarks"><li>The robot is simulated.</li></ul>' in text
+    assert "<dt>dwells</dt><dd>50</dd>" in text
+    assert '<th scope="row">total</th><td>12.5 s</td>' in text
+    assert "<code>truearm demo --seed 1</code>" in text
+
+
 def test_tiles_and_verdict_are_of_this_estimate():
     page = make_page(validation=HeldOut(9.19e-5, 7.3e-5, 3.39e-4, 800))
     estimate = replace(page.estimate, rms_before=1.06463e-2, rms_after=8.018e-5)

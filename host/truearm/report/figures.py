@@ -45,12 +45,9 @@ def figures_of(rows: Rows) -> list[Figure]:
 def histogram(rows: Rows) -> Figure:
     """Residuals of the fitting rows with the fitted law (Goswami 1993, Fig. 4)."""
     r, law = rows.residual[rows.fitted], law_of(rows)
-    # Half of Scott's rule, rounded up to between 0.5 and 1.25 of it; 60 bins at most, should one row lie far out.
-    scott = 3.49 * r.std() * r.size ** (-1 / 3)
-    width = svg.round_step(max(0.5 * scott, np.ptp(r) / 60.0, 1e-3 * np.abs(r).max(), FINEST_BIN))
-    first = math.floor(r.min() / width - 1e-9)
-    edges = width * np.arange(first, math.floor(r.max() / width + 1e-9) + 2)
+    edges = _bin_edges(r)
     count, _ = np.histogram(r, edges)
+    width = edges[1] - edges[0]
     scale = r.size * width
     plain = law.sigma < width / 50.0  # noise-free data: a curve would be a needle
     top = max(float(count.max()), 0.0 if plain else float(scale * law.density(_grid(edges)).max()))
@@ -68,6 +65,15 @@ def histogram(rows: Rows) -> Figure:
     if not rows.signed:
         caption += " Norms of 3-vectors have no sign; σ is that of one coordinate."
     return _figure(plot, "Residuals after calibration", caption, parts)
+
+
+def _bin_edges(r: Floats) -> Floats:
+    """Edges at round multiples of a round width, the first below and the last above all values."""
+    # Half of Scott's rule, rounded up to between 0.5 and 1.25 of it; 60 bins at most, should one row lie far out.
+    scott = 3.49 * r.std() * r.size ** (-1 / 3)
+    width = svg.round_step(max(0.5 * scott, np.ptp(r) / 60.0, 1e-3 * np.abs(r).max(), FINEST_BIN))
+    first = math.floor(r.min() / width - 1e-9)
+    return width * np.arange(first, math.floor(r.max() / width + 1e-9) + 2)
 
 
 def _grid(edges: Floats) -> Floats:
