@@ -8,8 +8,9 @@ from puma_bench import BARS, CHAIN, CHUCKS, RIG, SPHERES, random_table
 
 from truearm.errors import ProblemError
 from truearm.estimate.identify import identify
-from truearm.estimate.problem import build_problem, robot_prior
-from truearm.types import BallBar, Point, Rig
+from truearm.estimate.prior import robot_prior
+from truearm.estimate.problem import build_problem
+from truearm.types import BallBar, ObservationTable, Point, Rig, SocketDistance
 
 TABLE = random_table(18, np.random.default_rng(0))
 
@@ -105,3 +106,36 @@ def test_arguments_that_do_not_fit(arguments, says):
 def test_an_empty_table():
     with pytest.raises(ProblemError, match="no observations"):
         identify(CHAIN, RIG, TABLE.select(np.zeros(18, bool)))
+
+
+def seat_rows(*labels):
+    n = len(labels)
+    empty, nan = np.full(n, ""), np.full(n, np.nan)
+    place, socket = (np.array(names) for names in zip(*labels, strict=True))
+    q = np.random.default_rng(1).uniform(-1, 1, (n, 6))
+    kind, source = np.full(n, "seat"), np.array([f"row {i + 1}" for i in range(n)])
+    return ObservationTable(q, kind, nan, nan, empty, empty, empty, socket, place, empty, source)
+
+
+def test_socket_distances_go_by_place_and_socket_not_by_spelling():
+    rig = Rig(socket_distances=(SocketDistance(("x.0", "1"), 0.05, 1e-4),))
+    table = seat_rows(("p.q", "x.0"), ("p.q", "1"), ("r", "x.0"), ("", "x.0"), ("", "1"))
+    distances = build_problem(CHAIN, rig, table).groups[1]
+    assert len(distances.distance) == 2  # at p.q and at the place without a name
+
+
+def test_sockets_that_would_share_a_name_are_refused():
+    with pytest.raises(ProblemError, match=r"two sockets would both be called socket\.a\.b\.c"):
+        build_problem(CHAIN, Rig(), seat_rows(("a.b", "c"), ("a", "b.c")))
+
+
+def test_points_go_by_the_rigs_key():
+    """Two entries may carry the same name inside; the key is what a table writes."""
+    same = {k: Point("same", p.xyz, None) for k, p in CHUCKS.items()}
+    assert len(build_problem(CHAIN, Rig(same, SPHERES, BARS), TABLE).names) == 54 + 9
+
+
+def test_a_socket_distance_needs_a_sigma():
+    rig = Rig(socket_distances=(SocketDistance(("0", "1"), 0.05, 0.0),))
+    with pytest.raises(ProblemError, match="positive sigma"):
+        build_problem(CHAIN, rig, seat_rows(("p", "0"), ("p", "1")))

@@ -7,13 +7,11 @@ from hypothesis import strategies as st
 
 from truearm.errors import RobotError
 from truearm.model.chain import (
-    MOTIONS,
     Chain,
     Element,
     Joint,
     Parameter,
     along,
-    elementary,
     forward,
     joint_frames,
     joint_jacobian,
@@ -21,6 +19,7 @@ from truearm.model.chain import (
     point_jacobians,
     trace_point,
 )
+from truearm.model.transforms import MOTIONS, elementary
 
 AMOUNT = st.floats(-3.0, 3.0, allow_nan=False)
 

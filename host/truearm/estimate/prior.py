@@ -5,14 +5,18 @@ two reasons. Its six constants a joint are redundant. And the spread of a ball a
 robot shrunk by a tenth spreads a tenth less. Held-out spreads do not warn of that either, they shrink alike (on real
 data, with 10 mm on lengths and no known distance between sockets, the arm shrank by 20 % and "improved" by 10 %). So
 the prior says what every maker's drawing says, that lengths are right to a millimetre and angles to some milliradians;
-a known distance between two sockets says it better. Encoder gains stay fixed: an encoder counts whole turns.
+a known distance between two sockets says it better. Without a prior the solver creeps along what is hardly seen, and
+says so (max_iterations), while the predictions stand still. Encoder gains stay fixed: an encoder counts whole turns.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.errors import ProblemError
 from truearm.model.chain import Chain
 from truearm.types import Floats
 
@@ -27,3 +31,22 @@ def weak_prior(chain: Chain) -> Floats:
 def free_without_gains(chain: Chain) -> NDArray[np.bool_]:
     """(p,) True for all but joint gains: encoders count whole turns of the joint, their gain is 1."""
     return np.array([p.unit != "1" for p in chain.parameters])
+
+
+def robot_prior(chain: Chain, prior_sigma: Mapping[str, float] | Floats | None) -> Floats:
+    """(p,) standard deviations, inf for none. Raises ProblemError for unknown names or values that are not positive."""
+    n = len(chain.parameters)
+    if prior_sigma is None:
+        return np.full(n, np.inf)
+    if isinstance(prior_sigma, Mapping):
+        unknown = sorted(set(prior_sigma) - set(chain.parameter_names))
+        if unknown:
+            raise ProblemError(f"prior for {unknown[0]!r}, which robot {chain.name} does not have")
+        out = np.array([prior_sigma.get(name, np.inf) for name in chain.parameter_names], dtype=float)
+    else:
+        out = np.asarray(prior_sigma, dtype=float)
+    if out.shape != (n,) or not (out > 0.0).all():
+        raise ProblemError(
+            f"prior σ must be {n} positive numbers, inf for no prior; to hold a parameter do not free it"
+        )
+    return out

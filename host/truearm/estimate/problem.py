@@ -8,23 +8,23 @@ start at the mean of the ball's positions that the nominal robot predicts.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from truearm.errors import ProblemError
+from truearm.estimate.layout import Layout, Used, enumerate_labels, unknown_point, use
+from truearm.estimate.prior import robot_prior
 from truearm.model.chain import Chain, point_forward
 from truearm.observe import ball_bar, seat, socket_distance
 from truearm.observe.ball_bar import BallBarRows
 from truearm.observe.rows import Indices, Linearised, take
 from truearm.observe.seat import SeatRows
 from truearm.observe.socket_distance import SocketDistanceRows
-from truearm.types import BallBar, Floats, ObservationTable, Point, Rig, Strings
+from truearm.types import Floats, ObservationTable, Point, Rig
 
 BLOCK = 2048  # observations evaluated at once: a Jacobian of 54 columns fills 1 MB, about the second-level cache
-XYZ = ("x", "y", "z")
 Group = BallBarRows | SeatRows | SocketDistanceRows
 
 
@@ -45,22 +45,6 @@ class Problem:
         return len(self.chain.parameters)
 
 
-class _Unknown(NamedTuple):
-    """A number of the rig: known exactly (sigma 0), with a prior, or without (inf)."""
-
-    name: str
-    unit: str
-    value: float
-    sigma: float
-
-
-class _Used(NamedTuple):
-    """What a set of rows uses: the distinct things and, a row, which of them."""
-
-    values: list[list[_Unknown]]  # one inner list a thing
-    which: Indices  # (n,)
-
-
 def build_problem(
     chain: Chain, rig: Rig, table: ObservationTable, prior_sigma: Mapping[str, float] | Floats | None = None
 ) -> Problem:
@@ -75,12 +59,12 @@ def build_problem(
     if len(bars) + len(seats) < len(table):
         row = int(np.flatnonzero(~np.isin(table.kind, ("ball_bar", "seat")))[0])
         raise ProblemError(f"{table.source[row]}: kind {str(table.kind[row])!r} is not known; use ball_bar or seat")
-    chucks = _use(table, bars, table.chuck, rig.chucks, "chuck")
-    spheres = _use(table, bars, table.sphere, rig.spheres, "sphere")
-    balls = _use(table, seats, table.sphere, rig.spheres or {"": Point("", (0.0, 0.0, 0.0))}, "sphere")
-    scales = _use(table, bars, table.bar, rig.bars, "bar")
+    chucks = use(table, bars, table.chuck, rig.chucks, "chuck")
+    spheres = use(table, bars, table.sphere, rig.spheres, "sphere")
+    balls = use(table, seats, table.sphere, rig.spheres or {"": Point("", (0.0, 0.0, 0.0))}, "sphere")
+    scales = use(table, bars, table.bar, rig.bars, "bar")
     sockets = _sockets(chain, table, seats, balls)
-    layout = _Layout(len(chain.parameters), [chucks, spheres, balls, scales, sockets])
+    layout = Layout(len(chain.parameters), [chucks, spheres, balls, scales, sockets])
     groups: list[Group] = []
     if bars.size:
         groups.append(_ball_bar_rows(table, rig, bars, chucks, spheres, scales, layout))
@@ -93,25 +77,6 @@ def build_problem(
     names = (*chain.parameter_names, *(u.name for u in free))
     units = (*(p.unit for p in chain.parameters), *(u.unit for u in free))
     return Problem(chain, names, units, start, prior, tuple(groups), len(table))
-
-
-def robot_prior(chain: Chain, prior_sigma: Mapping[str, float] | Floats | None) -> Floats:
-    """(p,) standard deviations, inf for none. Raises ProblemError for unknown names or values that are not positive."""
-    n = len(chain.parameters)
-    if prior_sigma is None:
-        return np.full(n, np.inf)
-    if isinstance(prior_sigma, Mapping):
-        unknown = sorted(set(prior_sigma) - set(chain.parameter_names))
-        if unknown:
-            raise ProblemError(f"prior for {unknown[0]!r}, which robot {chain.name} does not have")
-        out = np.array([prior_sigma.get(name, np.inf) for name in chain.parameter_names], dtype=float)
-    else:
-        out = np.asarray(prior_sigma, dtype=float)
-    if out.shape != (n,) or not (out > 0.0).all():
-        raise ProblemError(
-            f"prior σ must be {n} positive numbers, inf for no prior; to hold a parameter do not free it"
-        )
-    return out
 
 
 def blocks(problem: Problem, size: int = BLOCK) -> Iterator[Group]:
@@ -136,22 +101,6 @@ def settled(problem: Problem, x: Floats) -> Problem:
     return replace(problem, groups=tuple(groups))
 
 
-class _Layout:
-    """Where each number of the rig stands: unknowns follow the robot's p, constants follow the unknowns."""
-
-    def __init__(self, n_robot: int, used: Sequence[_Used]) -> None:
-        every = {u.name: u for group in used for thing in group.values for u in thing}
-        self.unknown = [u for u in every.values() if u.sigma > 0.0]
-        known = [u for u in every.values() if u.sigma == 0.0]
-        self.constants = np.array([u.value for u in known])
-        self._at = {u.name: n_robot + i for i, u in enumerate([*self.unknown, *known])}
-
-    def index(self, used: _Used) -> Indices:
-        """(n, c) indices of what each row uses."""
-        table = np.array([[self._at[u.name] for u in thing] for thing in used.values], dtype=np.intp)
-        return np.asarray(table[used.which])
-
-
 def _check_joints(chain: Chain, table: ObservationTable) -> None:
     if table.q.shape[1] != len(chain.joints):
         raise ProblemError(f"the table has {table.q.shape[1]} joints, robot {chain.name} has {len(chain.joints)}")
@@ -160,75 +109,31 @@ def _check_joints(chain: Chain, table: ObservationTable) -> None:
         raise ProblemError(f"{table.source[bad[0]]}: a joint reading is not a finite number")
 
 
-def _number(labels: Sequence[Hashable]) -> tuple[list[Hashable], Indices]:
-    """Distinct labels in order of appearance, and which of them each row has."""
-    order: dict[Hashable, int] = {}
-    which = np.array([order.setdefault(label, len(order)) for label in labels], dtype=np.intp)
-    return list(order), which
-
-
-def _use(
-    table: ObservationTable,
-    rows: Indices,
-    column: Strings,
-    known: Mapping[str, Point] | Mapping[str, BallBar],
-    what: str,
-) -> _Used:
-    """Look a column's names up in the rig; an empty name means the only one there is."""
-    names, which = _number(column[rows].tolist())
-    values = []
-    for i, name in enumerate(names):
-        found: Point | BallBar | None = known.get(str(name))
-        if found is None and not name and len(known) == 1:
-            (found,) = known.values()
-        if found is None:
-            source = table.source[rows[int(np.argmax(which == i))]]
-            have = ", ".join(sorted(known)) or "none"
-            raise ProblemError(f"{source}: {what} {str(name)!r} is not in the rig, which has {have}")
-        values.append(_bar(found) if isinstance(found, BallBar) else _point(found, what))
-    return _Used(values, which)
-
-
-def _point(point: Point, what: str) -> list[_Unknown]:
-    sigma = np.inf if point.sigma is None else point.sigma
-    return [_Unknown(f"{what}.{point.name}.{k}", "m", v, sigma) for k, v in zip(XYZ, point.xyz, strict=True)]
-
-
-def _bar(bar: BallBar) -> list[_Unknown]:
-    return [
-        _Unknown(f"bar.{bar.name}.zero", "m", bar.zero, bar.zero_sigma),
-        _Unknown(f"bar.{bar.name}.gain", "1", bar.gain, bar.gain_sigma),
-    ]
-
-
-def _sockets(chain: Chain, table: ObservationTable, rows: Indices, balls: _Used) -> _Used:
-    """The sockets of the seat rows, each at the mean of the ball's predicted positions."""
-    labels = list(zip(table.place[rows].tolist(), table.socket[rows].tolist(), strict=True))
-    names, which = _number(labels)
+def _sockets(chain: Chain, table: ObservationTable, rows: Indices, balls: Used) -> Used:
+    """The sockets of the seat rows, by (place, socket), each at the mean of the ball's predicted positions."""
+    labels, which = enumerate_labels(list(zip(table.place[rows].tolist(), table.socket[rows].tolist(), strict=True)))
     if not labels:
-        return _Used([], which)
-    p_end_ball = np.array([[u.value for u in ball] for ball in balls.values])[balls.which]
+        return Used([], [], which)
+    names = [".".join(("socket", *(part for part in label if part))) for label in labels if isinstance(label, tuple)]
+    if len(set(names)) < len(names):
+        raise ProblemError(f"two sockets would both be called {max(names, key=names.count)}; rename places or sockets")
+    p_end_ball = np.array([[number.value for number in ball] for ball in balls.numbers])[balls.which]
     p_base_ball = point_forward(chain, chain.params_nominal, table.q[rows], p_end_ball)
     total = np.zeros((len(names), 3))
     np.add.at(total, which, p_base_ball)
     mean = total / np.bincount(which)[:, None]
-    values = []
-    for label, xyz in zip(dict.fromkeys(labels), mean, strict=True):
-        name = ".".join(("socket", *(part for part in label if part)))
-        values.append([_Unknown(f"{name}.{k}", "m", float(v), np.inf) for k, v in zip(XYZ, xyz, strict=True)])
-    return _Used(values, which)
+    return Used(labels, [unknown_point(name, xyz) for name, xyz in zip(names, mean, strict=True)], which)
 
 
 def _ball_bar_rows(
-    table: ObservationTable, rig: Rig, rows: Indices, chucks: _Used, spheres: _Used, scales: _Used, layout: _Layout
+    table: ObservationTable, rig: Rig, rows: Indices, chucks: Used, spheres: Used, scales: Used, layout: Layout
 ) -> BallBarRows:
     length = table.value[rows]
     bad = np.flatnonzero(~np.isfinite(length))
     if bad.size:
         raise ProblemError(f"{table.source[rows[bad[0]]]}: a ball_bar row needs a length")
-    declared = np.array([[u.value for u in bar] for bar in scales.values])[scales.which]
-    by_name = {f"bar.{bar.name}.zero": bar.sigma for bar in rig.bars.values()}
-    sigma = np.array([by_name[bar[0].name] for bar in scales.values])[scales.which]
+    declared = np.array([[number.value for number in bar] for bar in scales.numbers])[scales.which]
+    sigma = np.array([rig.bars[str(label)].sigma for label in scales.labels])[scales.which]
     return BallBarRows(
         row=rows,
         sigma=_sigma(table, rows, sigma),
@@ -243,29 +148,29 @@ def _ball_bar_rows(
 
 
 def _seat_rows(
-    table: ObservationTable, rig: Rig, rows: Indices, balls: _Used, sockets: _Used, layout: _Layout
+    table: ObservationTable, rig: Rig, rows: Indices, balls: Used, sockets: Used, layout: Layout
 ) -> SeatRows:
     sigma = _sigma(table, rows, np.full(len(rows), rig.seat_sigma))
     return SeatRows(rows, sigma, table.q[rows], layout.index(balls), layout.index(sockets), layout.constants)
 
 
-def _distance_rows(rig: Rig, sockets: _Used, layout: _Layout) -> list[SocketDistanceRows]:
+def _distance_rows(rig: Rig, sockets: Used, layout: Layout) -> list[SocketDistanceRows]:
     """A row for every place where both sockets of a declared distance were used."""
-    names = {thing[0].name.removesuffix(".x"): i for i, thing in enumerate(sockets.values)}
-    places = {name.removeprefix("socket").rpartition(".")[0] for name in names}
+    at = {label: i for i, label in enumerate(sockets.labels)}
+    places = dict.fromkeys(label[0] for label in sockets.labels if isinstance(label, tuple))
     pairs = []
     for known in rig.socket_distances:
-        for place in sorted(places):
-            a, b = (f"socket{place}.{socket}" for socket in known.sockets)
-            if a in names and b in names:
-                pairs.append((names[a], names[b], known.distance, known.sigma))
+        for place in places:
+            first, second = ((place, socket) for socket in known.sockets)
+            if first in at and second in at:
+                pairs.append((at[first], at[second], known.distance, known.sigma))
     if not pairs:
         return []
-    first, second = (layout.index(_Used(sockets.values, np.array([p[k] for p in pairs]))) for k in (0, 1))
-    distance, sigma = np.array([p[2:] for p in pairs]).T
+    ends = [layout.index(sockets._replace(which=np.array([pair[k] for pair in pairs]))) for k in (0, 1)]
+    distance, sigma = np.array([pair[2:] for pair in pairs]).T
     if not (sigma > 0.0).all():
         raise ProblemError("a socket distance needs a positive sigma")
-    return [SocketDistanceRows(sigma, distance, first, second, layout.constants)]
+    return [SocketDistanceRows(sigma, distance, ends[0], ends[1], layout.constants)]
 
 
 def _sigma(table: ObservationTable, rows: Indices, default: Floats) -> Floats:

@@ -29,9 +29,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from truearm.errors import RobotError
+from truearm.model.transforms import MOTIONS, apply, axis_of, cross, elementary, move, turn
 from truearm.types import Floats
-
-MOTIONS = ("tx", "ty", "tz", "rx", "ry", "rz")
 
 
 @dataclass(frozen=True)
@@ -168,7 +167,7 @@ def joint_jacobian(chain: Chain, params: Floats, q: Floats) -> Floats:
     p_end = frames[-1][..., :3, 3]
     columns = []
     for mover, frame in zip(chain.movers, frames, strict=False):
-        axis = frame[..., :3, "xyz".index(mover.motion[1])] * _amount(params, mover.gain, 1.0)
+        axis = frame[..., :3, axis_of(mover.motion)] * _amount(params, mover.gain, 1.0)
         if mover.motion[0] == "t":
             columns.append(np.concatenate([axis, np.zeros_like(axis)], axis=-1))
         else:
@@ -209,9 +208,9 @@ def trace_point(chain: Chain, params: Floats, q: Floats, p_end_point: Floats) ->
     point = np.asarray(p_end_point).reshape(-1, 3).T
     p_links = [point]
     for i in reversed(range(len(chain.joints))):
-        point = _move(chain.movers[i].motion, amounts[i], cos_sin[i], _apply(links[i + 1].transform, point))
+        point = move(chain.movers[i].motion, amounts[i], cos_sin[i], apply(links[i + 1].transform, point))
         p_links.append(point)
-    p_base = np.broadcast_to(_apply(links[0].transform, point), (3, q.shape[0])).T
+    p_base = np.broadcast_to(apply(links[0].transform, point), (3, q.shape[0])).T
     return PointTrace(chain, links, q, gains, cos_sin, tuple(reversed(p_links)), p_base)
 
 
@@ -227,12 +226,12 @@ def along(trace: PointTrace, direction: Floats) -> Rows:
     jac_joints = np.zeros((len(chain.joints), n), dtype)
     for i, link in enumerate(trace.links):
         u = link.transform[:3, :3].T @ u
-        moment = _cross(trace.p_links[i], u)
+        moment = cross(trace.p_links[i], u)
         jac_params[list(link.columns)] = link.twists.T @ np.concatenate([u, moment])
         if i == len(chain.joints):
             break
         mover = chain.movers[i]
-        on_axis = (u if mover.motion[0] == "t" else moment)["xyz".index(mover.motion[1])]
+        on_axis = (u if mover.motion[0] == "t" else moment)[axis_of(mover.motion)]
         if mover.parameter is not None:
             jac_params[mover.parameter] = on_axis
         if mover.gain is not None:
@@ -240,24 +239,8 @@ def along(trace: PointTrace, direction: Floats) -> Rows:
         jac_joints[i] = on_axis * trace.gains[i]
         if mover.motion[0] == "r":
             cos, sin = trace.cos_sin[i]
-            u = _turn(mover.motion, cos, -sin, u)
+            u = turn(mover.motion, cos, -sin, u)
     return Rows(jac_params.T, jac_joints.T, u.T)
-
-
-def elementary(motion: str, amount: Any) -> Floats:
-    """The transform (…, 4, 4) that moves along or turns about one axis by amount (…) [m or rad]."""
-    amount = np.asarray(amount)
-    out = np.zeros((*amount.shape, 4, 4), dtype=np.result_type(amount, float))
-    out[..., range(4), range(4)] = 1.0
-    k = "xyz".index(motion[1])
-    if motion[0] == "t":
-        out[..., k, 3] = amount
-        return out
-    a, b = (k + 1) % 3, (k + 2) % 3
-    out[..., a, a] = out[..., b, b] = np.cos(amount)
-    out[..., b, a] = np.sin(amount)
-    out[..., a, b] = -out[..., b, a]
-    return out
 
 
 def fold_link(run: tuple[Element, ...], params: Floats) -> FoldedLink:
@@ -275,7 +258,7 @@ def fold_link(run: tuple[Element, ...], params: Floats) -> FoldedLink:
 
 def _twist_beyond(motion: str, beyond: Floats) -> Floats:
     """Ad(B⁻¹)ξ for a unit motion: w' = Rᵀw, v' = Rᵀ(v − t × w) with B = (R, t)."""
-    k = "xyz".index(motion[1])
+    k = axis_of(motion)
     rot, shift = beyond[:3, :3], beyond[:3, 3]
     if motion[0] == "t":
         return np.concatenate([rot[k], np.zeros(3)])
@@ -321,32 +304,3 @@ def _check_motions(chain: Chain) -> None:
 
 def _amount(params: Floats, index: int | None, fixed: float) -> Any:
     return fixed if index is None else params[index]
-
-
-def _apply(transform: Floats, points: Floats) -> Floats:
-    return transform[:3, :3] @ points + transform[:3, 3:]
-
-
-def _move(motion: str, amount: Floats, cos_sin: tuple[Floats, Floats], points: Floats) -> Floats:
-    """A joint's motion of points (3, n)."""
-    if motion[0] == "r":
-        return _turn(motion, *cos_sin, points)
-    moved = np.array(np.broadcast_to(points, (3, amount.size)), dtype=np.result_type(points, amount))
-    moved["xyz".index(motion[1])] += amount
-    return moved
-
-
-def _turn(motion: str, cos: Floats, sin: Floats, vectors: Floats) -> Floats:
-    """Rotate vectors (3, n) about one coordinate axis."""
-    k = "xyz".index(motion[1])
-    a, b = (k + 1) % 3, (k + 2) % 3
-    out = np.empty((3, cos.size), dtype=np.result_type(cos, vectors))
-    out[k] = vectors[k]
-    out[a] = cos * vectors[a] - sin * vectors[b]
-    out[b] = sin * vectors[a] + cos * vectors[b]
-    return out
-
-
-def _cross(a: Floats, b: Floats) -> Floats:
-    """a × b for (3, n); numpy's cross moves axes about and takes four times as long."""
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
