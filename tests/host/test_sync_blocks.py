@@ -13,6 +13,7 @@ from sync_stream import CHANNELS, PERIOD_NS, Box, ident_document
 from truearm.errors import SessionError
 from truearm.sensors.ident import parse_ident
 from truearm.sync.blocks import BoxReader
+from truearm.sync.frames import data_of, decode, usual_data
 from truearm.sync.losses import Losses
 from truearm.types import Message
 from truearm_wire import messages as wire
@@ -60,7 +61,7 @@ def test_a_clean_stream_has_no_losses():
     assert reader.losses().samples == 20 * 13
     assert [block.gap for block in blocks] == [True] + [False] * 19
     assert np.array_equal(blocks[3].counts, COUNTS + 3)
-    assert [block.n0 for block in blocks] == list(range(0, 260, 13))
+    assert [block.data.n0 for block in blocks] == list(range(0, 260, 13))
     assert reader.segment.boot_id == 7
     assert len(reader.segment.exchanges) == 1
     (stream,) = reader.streams()
@@ -243,7 +244,7 @@ def test_offsets_instead_of_a_period():
     box.frame("adc", 5, wire.DATA, 0, 0, 77, Tag(69, offsets), samples, 0)
     box.frame("adc", 5, wire.DATA, 0, 3, 99, Tag(69, offsets[:4]), samples, 0)  # too few
     blocks, reader = read(box.messages)
-    assert [(block.period_ns, block.offsets_us, block.n) for block in blocks] == [(0, offsets, 3)]
+    assert [(block.data.period_ns, block.data.offsets_us, block.n) for block in blocks] == [(0, offsets, 3)]
     assert reader.losses().frames_malformed == 1
 
 
@@ -324,6 +325,27 @@ def test_arbitrary_bytes_are_counted_as_malformed(payloads):
         reader.feed(Message("/sync", 0, payload))
     losses = reader.losses()
     assert losses.frames + losses.frames_duplicated + losses.frames_malformed >= len(payloads)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.integers(0, 30),
+    st.integers(0, 2**64 - 1),
+    st.integers(0, 2**54),
+    st.integers(0, 2**32 - 1),
+    st.binary(max_size=212),
+    st.integers(0, 30),
+    st.integers(0, 40),
+)
+def test_the_short_cut_for_data_frames_agrees_with_the_decoder(seq, stream, n0, t0_us, period, samples, flags, cut):
+    payload = bytes(wire.encode_payload([wire.DATA, seq, stream, n0, t0_us, period, Tag(78, samples), flags]))
+    for data in (payload, payload[:cut], payload + b"\x00"):
+        quick, frame = usual_data(data), decode(data)
+        slow = None if frame is None or frame[0] != wire.DATA else data_of(frame)
+        assert quick is None or quick == slow
+    usual = stream < 24 and flags < 24 and len(samples) >= 24 and period and t0_us < 2**53 and n0 < 2**62
+    assert (usual_data(payload) is not None) == bool(usual and len(payload) <= 250)
 
 
 ELEMENT = st.one_of(

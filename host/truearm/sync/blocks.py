@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from truearm.errors import SessionError
 from truearm.sensors.ident import Ident, parse_ident
-from truearm.sync.frames import Exchange, decode, device_time, is_data, is_text, parse_exchange
+from truearm.sync.frames import Data, Exchange, data_of, decode, device_time, is_text, parse_exchange, usual_data
 from truearm.sync.losses import BoxCounters, Losses
 from truearm.types import Message
 from truearm_wire import messages as wire
@@ -37,27 +37,20 @@ _SUMMED = ("sent", "dropped", "short_writes", "overruns", "bad_frames")
 
 
 class Block(NamedTuple):
-    """The samples of one data frame."""
+    """The samples of one data frame: ``n`` of ``channels`` channels. ``gap``: samples before this block are missing."""
 
     segment: int
     run: int
-    stream: int
-    seq: int
-    n0: int
-    t0_us: int  # device time of the first sample
-    period_ns: int  # 0: offsets_us says
-    offsets_us: bytes  # uint16 a sample, little endian
+    gap: bool
     n: int
     channels: int
-    samples: bytes  # int32, little endian, row-major (n, channels)
-    gap: bool  # samples before this block are missing
-    flags: int
     t_host_ns: int
+    data: Data
 
     @property
     def counts(self) -> NDArray[np.int32]:
         """The samples as (n, channels)."""
-        return np.frombuffer(self.samples, "<i4").reshape(self.n, self.channels)
+        return np.frombuffer(self.data.samples, "<i4").reshape(self.n, self.channels)
 
 
 @dataclass
@@ -107,7 +100,8 @@ class BoxReader:
     """
 
     def __init__(self, ident: Ident | None = None, keep_exchanges: bool = True) -> None:
-        self.segments = [Segment(0, ident=ident)]
+        self._segment = Segment(0, ident=ident)
+        self.segments = [self._segment]
         self._keep_exchanges = keep_exchanges
         self._count: Counter[str] = Counter()
         self._last_seq: int | None = None
@@ -122,7 +116,7 @@ class BoxReader:
     @property
     def segment(self) -> Segment:
         """The segment that the last message belongs to."""
-        return self.segments[-1]
+        return self._segment
 
     def feed(self, message: Message) -> Block | None:
         """Account for one message; the block of samples if it is one. Messages of other topics are ignored."""
@@ -168,18 +162,18 @@ class BoxReader:
     # ------------------------------------------------------------------------------------------------ frames
 
     def _frame(self, message: Message) -> Block | None:
+        data = usual_data(message.data)
+        if data is not None:
+            return self._data(data, message) if self._new(data.seq, (data.stream, data.t0_us), message.data) else None
         frame = decode(message.data)
         if frame is None:
             self._count["frames_malformed"] += 1
             return None
-        kind, seq = frame[0], frame[1]
-        stamp = device_time(frame) if kind in (wire.DATA, wire.HEARTBEAT, wire.SYNC_REPLY) else None
-        if not self._advance(seq, stamp, message.data):
-            self._count["frames_duplicated"] += 1
+        kind = frame[0]
+        if not self._new(frame[1], device_time(frame), message.data):
             return None
-        self._count["frames"] += 1
         if kind == wire.DATA:
-            return self._data(frame, message.t_host_ns)
+            return self._data(data_of(frame), message)
         if kind == wire.HEARTBEAT:
             self._heartbeat(frame)
         elif kind == wire.IDENT:
@@ -187,6 +181,12 @@ class BoxReader:
         elif kind not in wire.LAYOUT:
             self._count["frames_unknown"] += 1
         return None
+
+    def _new(self, seq: int, stamp: tuple[int, int] | None, data: bytes) -> bool:
+        """Account for a frame; False for a doubled one."""
+        new = self._advance(seq, stamp, data)
+        self._count["frames" if new else "frames_duplicated"] += 1
+        return new
 
     def _advance(self, seq: int, stamp: tuple[int, int] | None, data: bytes) -> bool:
         """Account for ``seq`` and device time; False for a doubled frame."""
@@ -209,7 +209,8 @@ class BoxReader:
 
     def _restart(self) -> None:
         self._count["restarts"] += 1
-        self.segments.append(Segment(len(self.segments), ident=self.segment.ident))
+        self._segment = Segment(len(self.segments), ident=self.segment.ident)
+        self.segments.append(self._segment)
         self._times.clear()
         self._pages.clear()
         self._recent = [b""] * REMEMBERED
@@ -223,29 +224,25 @@ class BoxReader:
 
     # ------------------------------------------------------------------------------------------------ contents
 
-    def _data(self, frame: list[Any], t_host_ns: int) -> Block | None:
-        if not is_data(frame):
+    def _data(self, data: Data | None, message: Message) -> Block | None:
+        if data is None:
             self._count["frames_malformed"] += 1
             return None
-        _, seq, stream_id, n0, t0_us, timing, samples, flags = frame[:8]
-        described = self.segment.ident and self.segment.ident.streams.get(stream_id)
+        described = self.segment.ident and self.segment.ident.streams.get(data.stream)
         if not described:
             self._count["blocks_without_ident"] += 1
             return None
         channels = len(described.channels)
-        n, rest = divmod(len(samples.value), 4 * channels)
-        uniform = type(timing) is int
-        offsets = b"" if uniform else timing.value
-        if rest or n == 0 or not (uniform or len(offsets) == 2 * n):
+        n, rest = divmod(len(data.samples), 4 * channels)
+        if rest or n == 0 or not (data.period_ns or len(data.offsets_us) == 2 * n):
             self._count["frames_malformed"] += 1
             return None
-        self._count.update(blocks=1, samples=n, converter_faults=flags >> 1 & 1)
-        gap, run = self._place(stream_id, n0, n, flags)
-        period_ns = timing if uniform else 0
-        self._measure(self._streams[stream_id], gap, t0_us, n, period_ns)
-        return Block(
-            self.segment.index, run, stream_id, seq, n0, t0_us, period_ns, offsets, n, channels, samples.value, gap, flags, t_host_ns
-        )  # fmt: skip
+        self._count["blocks"] += 1
+        self._count["samples"] += n
+        self._count["converter_faults"] += data.flags >> 1 & 1
+        gap, run = self._place(data.stream, data.n0, n, data.flags)
+        self._measure(self._streams[data.stream], gap, data.t0_us, n, data.period_ns)
+        return Block(self.segment.index, run, gap, n, channels, message.t_host_ns, data)
 
     def _place(self, stream_id: int, n0: int, n: int, flags: int) -> tuple[bool, int]:
         """Account for ``n0``: whether samples are missing before it, and the run it belongs to."""

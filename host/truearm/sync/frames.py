@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 from typing import Any, NamedTuple
 
 import cbor2
@@ -14,8 +15,9 @@ TAG_UINT16 = 69
 MAX_PAYLOAD = 250
 MAX_DEVICE_US = 2**53  # 285 years: beyond it nothing but a damaged or hostile file lies, and ns stay within 63 bits
 MAX_HOST_NS = 2**62
+MAX_N0 = 2**62
 
-_HEARTBEAT, _SYNC = -1, -2  # keys of the kinds of device time, beside the streams' ids
+_TIME_AT = {wire.DATA: 4, wire.HEARTBEAT: 3, wire.SYNC_REPLY: 3}  # where a frame has its device time
 
 
 class Exchange(NamedTuple):
@@ -25,6 +27,39 @@ class Exchange(NamedTuple):
     t1_us: int
     t2_us: int
     t3_ns: int
+
+
+# A data frame as the box writes it: array(8), type, seq, stream < 24, n0, t0_us, period_ns, tag 78, byte string of 24 … 255.
+_USUAL = struct.Struct(">3sIBBQBQBI3sB")
+_USUAL_MARKS = (b"\x88\x10\x1a", 0x1B, 0x1B, 0x1A, b"\xd8\x4e\x58")
+
+
+class Data(NamedTuple):
+    """A data frame. ``period_ns`` 0: ``offsets_us`` holds uint16, one a sample."""
+
+    seq: int
+    stream: int
+    n0: int
+    t0_us: int
+    period_ns: int
+    offsets_us: bytes
+    samples: bytes
+    flags: int
+
+
+def usual_data(payload: bytes) -> Data | None:
+    """A data frame of the usual layout, without a CBOR decoder: nine of ten frames are such, 0.9 µs instead of 3 µs.
+
+    None for all others, which ``decode`` and ``data_of`` then judge; the answer is the same (a test holds it).
+    """
+    if len(payload) < _USUAL.size + 1 or len(payload) > MAX_PAYLOAD:
+        return None
+    begin, seq, stream, m_n0, n0, m_t0, t0_us, m_period, period_ns, tag, size = _USUAL.unpack_from(payload)
+    flags = payload[-1]
+    usual = (begin, m_n0, m_t0, m_period, tag) == _USUAL_MARKS and size == len(payload) - _USUAL.size - 1
+    if not usual or stream > 23 or flags > 23 or not period_ns or t0_us >= MAX_DEVICE_US or n0 >= MAX_N0:
+        return None
+    return Data(seq, stream, n0, t0_us, period_ns, b"", payload[_USUAL.size : -1], flags)
 
 
 def decode(payload: bytes) -> list[Any] | None:
@@ -64,23 +99,32 @@ def parse_exchange(data: bytes) -> Exchange | None:
 
 
 def device_time(frame: list[Any]) -> tuple[int, int] | None:
-    """The kind of device time and its value, of a data, heartbeat or sync frame."""
-    place = {wire.DATA: 4, wire.HEARTBEAT: 3, wire.SYNC_REPLY: 3}[frame[0]]
-    if len(frame) <= place or type(frame[place]) is not int or type(frame[2]) is not int:
+    """The kind of device time (a stream's id, or a negative number) and its value, of a frame that has one."""
+    kind = frame[0]
+    if kind not in _TIME_AT or len(frame) <= _TIME_AT[kind]:
         return None
-    if not 0 <= frame[place] < MAX_DEVICE_US:
+    stream, value = frame[2], frame[_TIME_AT[kind]]
+    if type(value) is not int or not 0 <= value < MAX_DEVICE_US:
         return None
-    return {wire.DATA: frame[2], wire.HEARTBEAT: _HEARTBEAT, wire.SYNC_REPLY: _SYNC}[frame[0]], frame[place]
+    if kind == wire.DATA:
+        return (stream, value) if type(stream) is int and stream >= 0 else None
+    return -kind, value
 
 
-def is_data(frame: list[Any]) -> bool:
+def data_of(frame: list[Any]) -> Data | None:
+    """A decoded data frame, checked."""
     if len(frame) < 8:
-        return False
-    _, _, stream, n0, t0_us, timing, samples, flags = frame[:8]
+        return None
+    _, seq, stream, n0, t0_us, timing, samples, flags = frame[:8]
     if not (type(stream) is type(n0) is type(t0_us) is type(flags) is int and min(stream, n0, flags) >= 0):
-        return False
-    timed = 0 < timing < 2**32 if type(timing) is int else _is_array(timing, TAG_UINT16)
-    return 0 <= t0_us < MAX_DEVICE_US and n0 < 2**62 and timed and _is_array(samples, TAG_INT32)
+        return None
+    if not (0 <= t0_us < MAX_DEVICE_US and n0 < MAX_N0 and _is_array(samples, TAG_INT32)):
+        return None
+    if type(timing) is int and 0 < timing < 2**32:
+        return Data(seq, stream, n0, t0_us, timing, b"", samples.value, flags)
+    if _is_array(timing, TAG_UINT16):
+        return Data(seq, stream, n0, t0_us, 0, timing.value, samples.value, flags)
+    return None
 
 
 def _is_array(value: object, tag: int) -> bool:

@@ -77,8 +77,8 @@ def _chunks(blocks: Iterator[tuple[Block, Ident]], channel: str) -> Iterator[tup
     for _, group in groupby(blocks, key=lambda pair: id(pair[1])):
         first, ident = next(group)
         source = _source(ident, channel)
-        same = (block for block, _ in chain([(first, ident)], group) if block.stream == source.stream.id)
-        for _, alike in groupby(same, key=lambda block: (block.segment, block.period_ns, block.channels)):
+        same = (block for block, _ in chain([(first, ident)], group) if block.data.stream == source.stream.id)
+        for _, alike in groupby(same, key=lambda block: (block.segment, block.data.period_ns, block.channels)):
             while chunk := list(islice(alike, CHUNK)):
                 yield chunk, source
 
@@ -98,12 +98,12 @@ def _sample_times(
 
     Within a block samples are placed by the period as it stands: 13 ms at 1000 ppm are 13 ns.
     """
-    host, bounds = clock.to_host_ns(np.array([block.t0_us for block in chunk], dtype=np.int64))
+    host, bounds = clock.to_host_ns(np.array([block.data.t0_us for block in chunk], dtype=np.int64))
     n = np.array([block.n for block in chunk])
     starts = np.repeat(np.cumsum(n) - n, n)
-    within = (np.arange(starts.size) - starts) * np.int64(chunk[0].period_ns)
-    if chunk[0].period_ns == 0:
-        within = 1000 * np.frombuffer(b"".join(block.offsets_us for block in chunk), "<u2").astype(np.int64)
+    within = (np.arange(starts.size) - starts) * np.int64(chunk[0].data.period_ns)
+    if chunk[0].data.period_ns == 0:
+        within = 1000 * np.frombuffer(b"".join(block.data.offsets_us for block in chunk), "<u2").astype(np.int64)
     return np.repeat(host, n) + within - stream.group_delay_ns, bounds
 
 
@@ -118,7 +118,7 @@ def _take(
     k0, k1 = (int(k) for k in np.searchsorted(ends, [low, high - 1], side="right"))
     touched = chunk[k0 : k1 + 1]
     begins = ends[k0 : k1 + 1] - [block.n for block in touched]
-    counts = np.frombuffer(b"".join(block.samples for block in touched), "<i4").reshape(-1, chunk[0].channels)
+    counts = np.frombuffer(b"".join(block.data.samples for block in touched), "<i4").reshape(-1, chunk[0].channels)
     gaps = [int(begin) for begin, block in zip(begins, touched, strict=True) if block.gap]
     cuts = [low, *(gap for gap in gaps if low < gap < high), high]
     pieces = [counts[a - begins[0] : b - begins[0], source.column] for a, b in pairwise(cuts)]
@@ -126,6 +126,6 @@ def _take(
         taken.pieces[-1].append(pieces.pop(0))
     taken.pieces += [[piece] for piece in pieces]
     taken.channel = source.stream.channels[source.column]
-    taken.period_ns = chunk[0].period_ns or source.stream.period_ns
+    taken.period_ns = chunk[0].data.period_ns or source.stream.period_ns
     taken.bound_ns = max(taken.bound_ns, float(np.max(bounds[k0 : k1 + 1])))
-    taken.fault |= any(block.flags & wire.FLAG_CONVERTER for block in touched)
+    taken.fault |= any(block.data.flags & wire.FLAG_CONVERTER for block in touched)
