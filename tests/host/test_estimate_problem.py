@@ -139,3 +139,17 @@ def test_a_socket_distance_needs_a_sigma():
     rig = Rig(socket_distances=(SocketDistance(("0", "1"), 0.05, 0.0),))
     with pytest.raises(ProblemError, match="positive sigma"):
         build_problem(CHAIN, rig, seat_rows(("p", "0"), ("p", "1")))
+
+
+@pytest.mark.parametrize(
+    ("xyz", "sigma"), [((np.nan, 0.0, 0.0), 0.0), ((0.0, 0.0, 0.0), -1.0), ((0.0, 0.0, 0.0), np.nan)]
+)
+def test_numbers_of_the_rig_that_are_none(xyz, sigma):
+    with pytest.raises(ProblemError, match=r"chuck\.c1\.x is .* must be finite"):
+        build_problem(CHAIN, Rig({**CHUCKS, "c1": Point("c1", xyz, sigma)}, SPHERES, BARS), TABLE)
+
+
+def test_a_wild_prior_mean_of_the_bars_gain_does_no_harm():
+    """Gains near zero divide by nearly nothing; the step is refused, not an exception."""
+    rig = Rig(CHUCKS, SPHERES, {"short": BallBar("short", 0.46, 1e-6, 0.075, 84e-6, gain_sigma=10.0)})
+    assert identify(CHAIN, rig, TABLE, max_iterations=5).status in ("converged", "max_iterations", "stalled")

@@ -18,7 +18,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from truearm.estimate.lm import RANK_TOLERANCE
+from truearm.estimate.information import RANK_TOLERANCE
 from truearm.types import Floats, NullDirection
 
 NO_PART = 1e-6  # weight, in scaled parameters, below which a parameter takes no part in a direction

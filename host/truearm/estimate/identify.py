@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
 from truearm.estimate.identifiability import Identifiability, identifiability
-from truearm.estimate.information import Information, covariance, observe, spectrum, with_prior
-from truearm.estimate.lm import RANK_TOLERANCE, Minimum, minimise
+from truearm.estimate.information import Information, covariance, observe, seen, spectrum, with_prior
+from truearm.estimate.lm import Minimum, minimise
 from truearm.estimate.problem import Problem, build_problem, settled
 from truearm.model.chain import Chain
 from truearm.observe.socket_distance import SocketDistanceRows
@@ -63,13 +63,12 @@ def identify(
 
     before = observe(problem, problem.start, columns).residual
     minimum, x = solve(problem, columns, problem.start, max_iterations, on_step)
-    seen, matrix = _what_is_seen(problem, columns, x, minimum)
-    identifiable = _spread(seen.identifiable, columns)
+    found, matrix = _what_is_seen(problem, columns, x, minimum)
+    identifiable = _spread(found.identifiable, columns)
     variance = np.where(identifiable, np.diag(matrix), np.nan)
     held_before, error_before = _judge(problem, problem.start, rig, table, held)
     held_after, error_after = _judge(problem, x, rig, table, held)
-    seen_of_all = int((spectrum(minimum.information.root).singular > RANK_TOLERANCE).sum())
-    freedom = minimum.information.n_residuals - seen_of_all
+    freedom = minimum.information.n_residuals - int(seen(spectrum(minimum.information.root)).sum())
     return Estimate(
         status=minimum.status,
         message=minimum.message,
@@ -85,9 +84,9 @@ def identify(
         covariance=matrix,
         n_robot_parameters=problem.n_robot,
         n_observations=problem.n_rows,
-        rank=seen.rank,
-        rank_gap=seen.gap,
-        null_space=seen.null_space,
+        rank=found.rank,
+        rank_gap=found.gap,
+        null_space=found.null_space,
         rms_before=_rms(before),
         rms_after=_rms(minimum.information.residual),
         rms_history=(_rms(before), *history),
@@ -133,7 +132,7 @@ def _what_is_seen(
     data = with_prior(observe(settled(problem, x), x, columns), (problem.start - x)[columns], rig_prior)
     names = [name for name, is_free in zip(problem.names, columns, strict=True) if is_free]
     matrix = np.zeros((x.size, x.size))
-    matrix[np.ix_(columns, columns)] = covariance(spectrum(minimum.information.root), RANK_TOLERANCE)
+    matrix[np.ix_(columns, columns)] = covariance(spectrum(minimum.information.root))
     return identifiability(data.root, n_robot, names), matrix
 
 

@@ -21,6 +21,8 @@ from truearm.observe.ball_bar import BallBarRows
 from truearm.observe.socket_distance import SocketDistanceRows
 from truearm.types import Floats
 
+RANK_TOLERANCE = 1e-10  # of the largest singular value; analytic Jacobians leave 1e-15 where nothing is seen
+
 
 class Information(NamedTuple):
     """A linearised least-squares problem over k unknowns, whitened."""
@@ -90,10 +92,15 @@ def spectrum(root: Floats) -> Spectrum:
     return Spectrum(u, singular, vt, scale)
 
 
-def covariance(parts: Spectrum, tolerance: float) -> Floats:
-    """(k, k) inverse of RᵀR on what is seen: singular values below tolerance times the largest are left out."""
-    seen = parts.singular > tolerance * max(parts.singular.max(initial=0.0), np.finfo(float).tiny)
-    half = parts.vt[seen].T / parts.singular[seen] / parts.scale[:, None]
+def seen(parts: Spectrum) -> NDArray[np.bool_]:
+    """(k,) the singular values that are information and not rounding."""
+    return np.asarray(parts.singular > RANK_TOLERANCE * parts.singular.max(initial=0.0))
+
+
+def covariance(parts: Spectrum) -> Floats:
+    """(k, k) inverse of RᵀR on the directions that are seen."""
+    some = seen(parts)
+    half = parts.vt[some].T / parts.singular[some] / parts.scale[:, None]
     return np.asarray(half @ half.T)
 
 

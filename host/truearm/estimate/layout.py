@@ -32,10 +32,18 @@ class Used(NamedTuple):
 
 
 class Layout:
-    """Indices of numbers into x followed by constants; a thing used in two roles has its numbers once."""
+    """Indices of numbers into x followed by constants; a thing used in two roles has its numbers once.
+
+    Raises ProblemError for a value that is not finite or a sigma that is negative or no number.
+    """
 
     def __init__(self, n_robot: int, used: Sequence[Used]) -> None:
         every = {number.name: number for group in used for thing in group.numbers for number in thing}
+        for number in every.values():
+            if not (np.isfinite(number.value) and number.sigma >= 0.0):
+                raise ProblemError(
+                    f"{number.name} is {number.value:g} ± {number.sigma:g}; it must be finite, sigma ≥ 0"
+                )
         self.unknown = [number for number in every.values() if number.sigma > 0.0]
         known = [number for number in every.values() if number.sigma == 0.0]
         self.constants = np.array([number.value for number in known])

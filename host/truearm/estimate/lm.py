@@ -6,7 +6,7 @@ pure number. With the scaled root R D⁻¹ = U diag(s) Vᵀ and Qᵀf = z the st
 
     Δ = D⁻¹ V diag(s / (s² + λ)) Uᵀ z ,
 
-over singular values above ``RANK_TOLERANCE`` only: along directions that the observations cannot see x does not move,
+over the singular values that are seen (``information.seen``) only: along directions that the observations cannot see x does not move,
 so a model with redundant parameters (54 where 36 can be seen) converges like one without.
 
 λ falls by 10 to 1000 after a step, the more the better the linearised problem foretold it, and grows by 10 after a
@@ -21,10 +21,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from truearm.estimate.information import Information, Spectrum, spectrum
+from truearm.estimate.information import Information, Spectrum, seen, spectrum
 from truearm.types import Floats
 
-RANK_TOLERANCE = 1e-10  # of the largest singular value; analytic Jacobians leave 1e-15 where nothing is seen
 DAMPING_START = 1e-4
 DAMPING_MIN = 1e-14
 DAMPING_MAX = 1e10
@@ -67,7 +66,7 @@ def minimise(
             break
         while True:
             delta, foretold = step(parts, promised, damping)
-            with np.errstate(over="ignore", invalid="ignore"):
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 there = linearise(x + delta)
             if there.chi2 < here.chi2:  # False for a step so wild that χ² is no number
                 break
@@ -84,15 +83,14 @@ def minimise(
 
 def promise(parts: Spectrum, rhs: Floats) -> Floats:
     """Uᵀz on the directions that are seen, zero elsewhere; its square is the reduction of χ² that is left."""
-    seen = parts.singular > RANK_TOLERANCE * parts.singular.max(initial=0.0)
-    return np.where(seen, parts.u.T @ rhs, 0.0)
+    return np.where(seen(parts), parts.u.T @ rhs, 0.0)
 
 
 def step(parts: Spectrum, promised: Floats, damping: float) -> tuple[Floats, float]:
     """Δ (k,) for a damping λ, and the reduction of χ² that the linearised problem foretells."""
-    seen = promised != 0.0
+    some = promised != 0.0
     filtered = np.zeros_like(promised)
-    filtered[seen] = parts.singular[seen] / (parts.singular[seen] ** 2 + damping) * promised[seen]
+    filtered[some] = parts.singular[some] / (parts.singular[some] ** 2 + damping) * promised[some]
     left = promised - parts.singular * filtered
     foretold = float(promised @ promised - left @ left)
     return (parts.vt.T @ filtered) / parts.scale, max(foretold, np.finfo(float).tiny)
