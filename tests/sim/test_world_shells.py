@@ -8,6 +8,7 @@ from truearm.model.chain import along, forward, joint_jacobian, trace_point
 from truearm.model.robot import builtin_robot
 from truearm.types import Point, Rig
 from truearm_sim import shells
+from truearm_sim.inverse import PUMA_ELBOW_UP, inverse, make_arm
 from truearm_sim.world import World, standard_plan, standard_rig
 
 ROBOT = builtin_robot("puma560")
@@ -107,8 +108,8 @@ def test_joint_limits_branch_and_singularities_are_kept_away_from(plan):
     for i, joint in enumerate(ROBOT.chain.joints):
         assert plan.q[:, i].min() >= joint.lower + margin
         assert plan.q[:, i].max() <= joint.upper - margin
-    assert np.all(plan.q > shells.PUMA_ELBOW_UP.lower)
-    assert np.all(plan.q < shells.PUMA_ELBOW_UP.upper)
+    assert np.all(plan.q > PUMA_ELBOW_UP.lower)
+    assert np.all(plan.q < PUMA_ELBOW_UP.upper)
     scaled = joint_jacobian(ROBOT.chain, DESIGN, plan.q) / np.array([0.45] * 3 + [1.0] * 3)[:, None]
     assert np.linalg.svd(scaled, compute_uv=False)[:, -1].min() > 0.05
 
@@ -147,11 +148,25 @@ def test_any_number_of_poses(n):
     assert len(np.unique(np.stack([plan.chuck, plan.sphere]), axis=1).T) == 9
 
 
+def test_inverse_kinematics_reaches_what_it_says_and_refuses_the_rest():
+    rng = np.random.default_rng(8)
+    arm = make_arm(ROBOT.chain, DESIGN, PUMA_ELBOW_UP, rng)
+    poses = forward(ROBOT.chain, DESIGN, rng.uniform(PUMA_ELBOW_UP.lower, PUMA_ELBOW_UP.upper, (500, 6)))
+    poses[::10, :3, 3] += [2.0, 0.0, 0.0]  # out of reach
+    q = inverse(arm, poses)
+    found = ~np.isnan(q[:, 0])
+    assert not found[::10].any()
+    # All are of the branch; what is not found comes near a singularity, the column or the table.
+    assert found.sum() > 250
+    error = forward(ROBOT.chain, DESIGN, q[found]) - poses[found]
+    assert np.abs(error).max() < 2e-7
+
+
 def test_what_cannot_be_planned_is_said():
     with pytest.raises(PlanError, match="8 poses are too few for 9 pairings"):
         shells.plan_shells(ROBOT.chain, DESIGN, RIG, "bar46", 8)
     far = Rig(chucks={"far": Point("far", (3.0, 0.0, 0.0))}, spheres=RIG.spheres, bars=RIG.bars)
-    with pytest.raises(PlanError, match="chuck far; move the chucks"):
+    with pytest.raises(PlanError, match=r"between chuck far and sphere s\d; move the chucks"):
         shells.plan_shells(ROBOT.chain, DESIGN, far, "bar46", 9)
 
 
