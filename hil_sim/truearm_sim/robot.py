@@ -20,7 +20,7 @@ from truearm_sim.clocks import Clock
 
 SPEED = np.deg2rad([82.0, 54.0, 122.0, 228.0, 241.0, 228.0])  # rad/s, a PUMA 560's
 ACCELERATION = np.array([4.0, 4.0, 6.0, 15.0, 15.0, 15.0])  # rad/s²
-STEP = 2.0 * np.pi / 2**17  # rad, what a joint reading is a multiple of: 4.8e-5
+STEP = 2.0 * np.pi / 2**19  # rad, what a joint reading is a multiple of: 1.2e-5, a 19-bit encoder
 SERVO_SIGMA = 5e-5  # rad, where a joint comes to rest about its command
 DWELL = 2.0  # s
 MOUNTING = 0.05  # rad; moves a sphere by a few millimetres, yet no one takes the pause for a dwell of the plan
