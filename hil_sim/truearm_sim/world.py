@@ -31,7 +31,7 @@ def standard_rig() -> Rig:
     """Three chucks on the table before a PUMA 560, three spheres on its endpoint, bars of 46 and 61 cm."""
     return Rig(
         chucks=_triangle("c", centre=(0.45, 0.15, 0.08), radius=0.20, turn=0.2),
-        spheres=_triangle("s", centre=(0.0, 0.0, 0.04), radius=0.12, turn=0.5),
+        spheres=_triangle("s", centre=(0.0, 0.0, 0.04), radius=0.13, turn=0.5),
         bars={
             name: BallBar(name, zero, gain=1.0, travel=0.075, sigma=REPEATABILITY)
             for name, zero in (("bar46", 0.46), ("bar61", 0.61))

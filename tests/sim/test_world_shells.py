@@ -32,10 +32,17 @@ def bar_vectors(plan, params, q=None):
     return p_sphere - points(plan, "chuck"), poses[:, :3, :3]
 
 
+def length_jacobian(plan, params):
+    """Derivatives (n, p) of the bar's length."""
+    vectors, _ = bar_vectors(plan, params)
+    trace = trace_point(ROBOT.chain, params, plan.q, points(plan, "sphere"))
+    return along(trace, vectors / np.linalg.norm(vectors, axis=1, keepdims=True)).jac_params
+
+
 def test_every_pose_lies_on_its_shell_of_the_design_model(plan):
     zero = np.where(plan.bar == "bar46", 0.46, 0.61)
     vectors, _ = bar_vectors(plan, DESIGN)
-    # Inverse kinematics stops at 1e-7 in units of LEVER (0.45 m) and radians, at a sphere 0.13 m from the end.
+    # Inverse kinematics stops at 1e-7 in units of LEVER (0.45 m) and radians, at a sphere 0.14 m from the end.
     assert np.abs(np.linalg.norm(vectors, axis=1) - zero).max() < 1e-7
     assert np.all(vectors[:, 2] > 0.0)
     for name, chuck, bar in zip(plan.shell, plan.chuck, plan.bar, strict=True):
@@ -65,7 +72,7 @@ def test_tool_orientation_is_varied_and_faces_the_chuck(plan):
     vectors, axes = bar_vectors(plan, DESIGN)
     facing = -np.einsum("ni,ni->n", vectors, axes[:, :, 2]) / np.linalg.norm(vectors, axis=1)
     angle = np.rad2deg(np.arccos(facing))
-    assert angle.max() < 55.0 + 1e-3
+    assert angle.max() < 60.0 + 1e-3
     for chuck in RIG.chucks:
         for sphere in RIG.spheres:
             rows = (plan.chuck == chuck) & (plan.sphere == sphere)
@@ -78,9 +85,7 @@ def test_tool_orientation_is_varied_and_faces_the_chuck(plan):
 @pytest.mark.parametrize("params", [DESIGN, OPTIMISED], ids=["design", "optimised"])
 def test_the_shells_see_what_the_papers_table_1_says(plan, params):
     rows46 = plan.select(plan.bar == "bar46")
-    vectors, _ = bar_vectors(rows46, params)
-    trace = trace_point(ROBOT.chain, params, rows46.q, points(rows46, "sphere"))
-    jacobian = along(trace, vectors / np.linalg.norm(vectors, axis=1, keepdims=True)).jac_params
+    jacobian = length_jacobian(rows46, params)
     norms = np.linalg.norm(jacobian, axis=0)
     jacobian = jacobian / np.where(norms > 0.0, norms, 1.0)
     ranks = [
@@ -101,6 +106,17 @@ def _rank(jacobian):
     """Singular values of these columns lie above 1e-3 or, from rounding, below 1e-13 of the largest."""
     values = np.linalg.svd(jacobian, compute_uv=False)
     return int(np.sum(values > 1e-9 * values[0]))
+
+
+def test_the_46_cm_shells_predict_the_61_cm_ones(plan):
+    """Residuals on rows 2 after a fit on rows 1 have the covariance σ²(I + J₂(J₁ᵀJ₁)⁺J₂ᵀ)."""
+    fit, held = (length_jacobian(plan.select(plan.bar == bar), OPTIMISED) for bar in ("bar46", "bar61"))
+    scale = np.maximum(np.linalg.norm(fit, axis=0), 1e-12)
+    leverage = np.linalg.svd(held / scale @ np.linalg.pinv(fit / scale, rcond=1e-9), compute_uv=False) ** 2
+    z = np.random.default_rng(2).standard_normal((2000, len(leverage))) ** 2
+    rms = 0.084 * np.sqrt(np.mean(z, axis=1) + z @ leverage / len(leverage))
+    assert np.sqrt(np.mean(rms**2)) < 0.089
+    assert np.quantile(rms, 0.99) < 0.097  # what the calibration of this arm is held to
 
 
 def test_joint_limits_branch_and_singularities_are_kept_away_from(plan):
