@@ -149,6 +149,16 @@ def test_reboot_in_mid_session():
     assert reader.losses().box.sent == 30 + 9  # counters run since boot: summed over the boots
 
 
+@pytest.mark.parametrize("seq", [2**31 - 30, 2**31, 2**32 - 60])
+def test_reboot_wherever_seq_stood(seq):
+    """Where 0 lies ahead on the circle only the ident that a box sends at boot tells a reboot from lost frames."""
+    box = box_with(seq=seq)
+    box.reboot(2 * 10**9)
+    box.ident(2 * 10**9)
+    box.data(3 * 10**9, COUNTS)
+    assert account(box.messages) == {"restarts": 1}
+
+
 def test_frames_lost_at_the_beginning_of_a_boot_are_known():
     box = box_with()
     box.reboot(2 * 10**9)

@@ -4,7 +4,8 @@ Every frame from the box counts in one ``seq`` (SPEC §4), so each is looked at,
 
 - ``seq`` one on: the next frame. A jump ahead by less than half the circle: frames lost on the link.
 - a ``seq`` of one of the last 64 frames with the same bytes: a frame that was doubled, ignored.
-- any other step back, device time that runs backward within one kind of frame, or a new boot id: the box restarted.
+- any other step back, the ident that a box sends unasked at boot, device time that runs backward within one kind of
+  frame, or a new boot id: the box restarted.
   A new **segment** begins; its ``seq`` counts from 0, so frames missing at its beginning are known too.
 
 ``n0`` counts samples. A jump with frames lost since the stream's last block: the samples went with them; without: the box
@@ -24,7 +25,17 @@ from numpy.typing import NDArray
 
 from truearm.errors import SessionError
 from truearm.sensors.ident import Ident, parse_ident
-from truearm.sync.frames import Data, Exchange, data_of, decode, device_time, is_text, parse_exchange, usual_data
+from truearm.sync.frames import (
+    Data,
+    Exchange,
+    data_of,
+    decode,
+    device_time,
+    is_boot,
+    is_text,
+    parse_exchange,
+    usual_data,
+)
 from truearm.sync.losses import BoxCounters, Losses
 from truearm.types import Message
 from truearm_wire import messages as wire
@@ -71,6 +82,7 @@ class _Stream:
     frames_lost: int = 0
     run: int = 0
     pieces: int = 0
+    blocks: int = 0
     samples: int = 0
     period_ns: int = 0
     last: tuple[int, int] | None = None  # t0_us and n of the last block
@@ -143,6 +155,8 @@ class BoxReader:
             heap_free_min=worst.get("heap_free"),
         )
         known = {name: self._count[name] for name in Losses.__dataclass_fields__ if name != "box"}
+        known["blocks"] = sum(stream.blocks for stream in self._streams.values())
+        known["samples"] = sum(stream.samples for stream in self._streams.values())
         return Losses(**known, box=box)
 
     def streams(self) -> tuple[StreamReport, ...]:
@@ -164,13 +178,14 @@ class BoxReader:
     def _frame(self, message: Message) -> Block | None:
         data = usual_data(message.data)
         if data is not None:
-            return self._data(data, message) if self._new(data.seq, (data.stream, data.t0_us), message.data) else None
+            new = self._new(data.seq, (data.stream, data.t0_us), message.data, False)
+            return self._data(data, message) if new else None
         frame = decode(message.data)
         if frame is None:
             self._count["frames_malformed"] += 1
             return None
         kind = frame[0]
-        if not self._new(frame[1], device_time(frame), message.data):
+        if not self._new(frame[1], device_time(frame), message.data, is_boot(frame)):
             return None
         if kind == wire.DATA:
             return self._data(data_of(frame), message)
@@ -182,20 +197,20 @@ class BoxReader:
             self._count["frames_unknown"] += 1
         return None
 
-    def _new(self, seq: int, stamp: tuple[int, int] | None, data: bytes) -> bool:
+    def _new(self, seq: int, stamp: tuple[int, int] | None, data: bytes, boot: bool) -> bool:
         """Account for a frame; False for a doubled one."""
-        new = self._advance(seq, stamp, data)
+        new = self._advance(seq, stamp, data, boot)
         self._count["frames" if new else "frames_duplicated"] += 1
         return new
 
-    def _advance(self, seq: int, stamp: tuple[int, int] | None, data: bytes) -> bool:
+    def _advance(self, seq: int, stamp: tuple[int, int] | None, data: bytes, boot: bool) -> bool:
         """Account for ``seq`` and device time; False for a doubled frame."""
         last = self._last_seq
         step = 1 if last is None else (seq - last) & 0xFFFFFFFF
         if step != 1 and self._recent[seq % REMEMBERED] == data:
             return False
         backward = stamp is not None and stamp[1] < self._times.get(stamp[0], 0)
-        if last is not None and (backward or step == 0 or step >= HALF_CIRCLE):
+        if last is not None and (backward or step == 0 or step >= HALF_CIRCLE or (boot and step != 1)):
             self._restart()
             step = seq + 1
         if step != 1:
@@ -228,7 +243,8 @@ class BoxReader:
         if data is None:
             self._count["frames_malformed"] += 1
             return None
-        described = self.segment.ident and self.segment.ident.streams.get(data.stream)
+        ident = self._segment.ident
+        described = ident and ident.streams.get(data.stream)
         if not described:
             self._count["blocks_without_ident"] += 1
             return None
@@ -237,41 +253,31 @@ class BoxReader:
         if rest or n == 0 or not (data.period_ns or len(data.offsets_us) == 2 * n):
             self._count["frames_malformed"] += 1
             return None
-        self._count["blocks"] += 1
-        self._count["samples"] += n
-        self._count["converter_faults"] += data.flags >> 1 & 1
-        gap, run = self._place(data.stream, data.n0, n, data.flags)
-        self._measure(self._streams[data.stream], gap, data.t0_us, n, data.period_ns)
-        return Block(self.segment.index, run, gap, n, channels, message.t_host_ns, data)
+        if data.flags & wire.FLAG_CONVERTER:
+            self._count["converter_faults"] += 1
+        stream = self._streams.get(data.stream) or self._streams.setdefault(data.stream, _Stream())
+        gap = self._place(stream, data.n0, n, data.flags)
+        _measure(stream, gap, data.t0_us, n, data.period_ns)
+        return Block(self._segment.index, stream.run, gap, n, channels, message.t_host_ns, data)
 
-    def _place(self, stream_id: int, n0: int, n: int, flags: int) -> tuple[bool, int]:
-        """Account for ``n0``: whether samples are missing before it, and the run it belongs to."""
-        lost = self._count["frames_lost"]
-        stream = self._streams.setdefault(stream_id, _Stream())
-        with_frames = lost != stream.frames_lost
-        if stream.next_n0 is None:
+    def _place(self, stream: _Stream, n0: int, n: int, flags: int) -> bool:
+        """Account for ``n0``; whether samples are missing before it."""
+        lost, expected = self._count["frames_lost"], stream.next_n0
+        stream.next_n0 = n0 + n
+        if n0 == expected and lost == stream.frames_lost and not flags:
+            return False
+        with_frames, stream.frames_lost = lost != stream.frames_lost, lost
+        if expected is None:
             # Joined, or restarted. Without a frame lost the box had been sampling before the session began.
             missing = n0 if with_frames else 0
-            gap = True
-        elif n0 < stream.next_n0:
+        elif n0 < expected:
             self._count["starts"] += 1
             stream.run += 1
-            missing, gap = n0, True
+            missing = n0
         else:
-            missing = n0 - stream.next_n0
-            gap = missing > 0 or bool(flags & wire.FLAG_OVERRUN)
+            missing = n0 - expected
         self._count["samples_lost" if with_frames else "samples_overrun"] += missing
-        stream.next_n0, stream.frames_lost = n0 + n, lost
-        return gap, stream.run
-
-    def _measure(self, stream: _Stream, gap: bool, t0_us: int, n: int, period_ns: int) -> None:
-        if gap:
-            stream.pieces += 1
-        elif stream.last is not None:
-            stream.whole_us += t0_us - stream.last[0]
-            stream.whole_samples += stream.last[1]
-        stream.samples += n
-        stream.last, stream.period_ns = (t0_us, n), period_ns
+        return expected is None or n0 != expected or bool(flags & wire.FLAG_OVERRUN)
 
     def _heartbeat(self, frame: list[Any]) -> None:
         values = frame[2 : 1 + len(_COUNTERS)]
@@ -321,3 +327,14 @@ class BoxReader:
         self._count.update(sync_requests=1, sync_unanswered=exchange is None)
         if exchange is not None and self._keep_exchanges:
             self.segment.exchanges.append(exchange)
+
+
+def _measure(stream: _Stream, gap: bool, t0_us: int, n: int, period_ns: int) -> None:
+    if gap:
+        stream.pieces += 1
+    elif stream.last is not None:
+        stream.whole_us += t0_us - stream.last[0]
+        stream.whole_samples += stream.last[1]
+    stream.blocks += 1
+    stream.samples += n
+    stream.last, stream.period_ns = (t0_us, n), period_ns

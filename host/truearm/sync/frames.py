@@ -111,6 +111,11 @@ def device_time(frame: list[Any]) -> tuple[int, int] | None:
     return -kind, value
 
 
+def is_boot(frame: list[Any]) -> bool:
+    """Whether a frame is the first page of the ident that a box sends unasked at boot (SPEC §5: req_id 0)."""
+    return frame[0] == wire.IDENT and frame[2:4] == [0, 0]
+
+
 def data_of(frame: list[Any]) -> Data | None:
     """A decoded data frame, checked."""
     if len(frame) < 8:
