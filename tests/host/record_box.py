@@ -154,9 +154,9 @@ class Box:
     def sent(self) -> bytes:
         return b"".join(self._sent)
 
-    def boot(self, boot_id: int) -> None:
+    def boot(self, boot_id: int, seq: int = 0) -> None:
         self.boot_id = boot_id
-        self.seq = 0
+        self.seq = seq
         self.born = self.lab.now
         self.streaming = False
         self.osr = 4096

@@ -18,6 +18,7 @@ from record_box import (
     Robot,
     Wire,
     array,
+    frame,
     ident,
     run_of,
     u32,
@@ -25,10 +26,13 @@ from record_box import (
 
 from truearm.errors import LinkClosed, LinkError, ProtocolError
 from truearm.record.ident import Pages, parse_ident
+from truearm.record.intake import Answer, Intake
+from truearm.record.probes import Probes
 from truearm.record.recorder import record
 from truearm.record.robot import MAX_LINE, JointLines
 from truearm.record.session import open_session
 from truearm.record.session_writer import SessionWriter
+from truearm.record.status import Counters
 
 
 @pytest.fixture
@@ -270,6 +274,19 @@ class TestFaults:
         assert summary.counters.restarts == 1
         assert events(path) == ["start", "box-restarted", "start", "stop"]
 
+    def test_a_restart_that_only_the_heartbeat_tells(self, lab, path):
+        box = Box(lab)
+        lab.at(HOST_0 + 2 * SECOND, lambda: box.boot(0x2222, seq=box.seq))
+        assert run(lab, box, path, 4.0).counters.restarts == 1
+
+    def test_frames_counted_anew_without_a_restart(self, lab, path):
+        """Not of this protocol, but it must neither be taken for a restart nor be asked about for ever."""
+        box = Box(lab)
+        lab.at(HOST_0 + 2 * SECOND, lambda: setattr(box, "seq", 0))
+        summary = run(lab, box, path, 4.0)
+        assert summary.counters.restarts == 0
+        assert [c[0] for c in box.commands] == [48, 51, 50, 48, 51]
+
     def test_lost_answers_are_asked_for_again_and_nothing_is_done_twice(self, lab, path):
         box = Box(lab)
         box.deaf_to = 3
@@ -350,6 +367,19 @@ class TestProtocol:
         run(lab, box, tmp_path / "b", 0.5)
         assert len({c[1] for c in box.commands}) == len(box.commands)
 
+    def test_an_answer_to_another_command(self, lab, path):
+        short = ident(1)
+        short["streams"][0]["channels"] = [{"name": "a"}]
+        with SessionWriter(path, lab) as writer:
+            intake = Intake(writer, Counters(), Probes(writer), awaited=5)
+            for kind in (64, 65, 19):
+                more = [3, "refused"] if kind == 65 else [0, 1, cbor2.dumps(cbor2.dumps(short))]
+                intake.take(HOST_0, frame(array(kind, u32(1), 4, *more)))
+                assert intake.answer is None
+                intake.take(HOST_0, frame(array(kind, u32(1), 5, *more)))
+                assert intake.answer == Answer("refused (error 3)" if kind == 65 else None)
+                intake.answer = None
+
 
 class TestEnds:
     def test_the_robot_closes_its_stream(self, lab, path):
@@ -420,6 +450,7 @@ class TestEnds:
         assert summary.reason == "duration"
         assert events(path) == ["start", "link-lost", "link-back", *again, "stop"]
         assert topics(path)["/box/adc"][-1].t_host_ns > HOST_0 + 5 * SECOND
+        assert rebooted or [c[0] for c in box.commands] == [48, 51, 50, 48, 51]  # asked whether it is the same
         assert (summary.counters.lost_frames > 150) != rebooted  # 2 s of a box that ran on are lost, and counted
 
 
@@ -451,9 +482,10 @@ class TestPages:
         pages.push(2, 0, 3, b"x")
         assert pages.push(1, 2, 3, b"c") is None
 
-    def test_a_missing_page(self):
+    @pytest.mark.parametrize("order", [(0, 2, 1), (0, 2, 2), (1, 2, 0)])
+    def test_a_missing_page(self, order):
         pages = Pages()
-        assert [pages.push(1, page, 3, b"x") for page in (0, 2, 1)] == [None, None, None]
+        assert [pages.push(1, page, 3, b"x") for page in order] == [None, None, None]
 
     @pytest.mark.parametrize(("page", "pages", "n"), [(0, 0, 1), (0, 33, 1), (1, 1, 1), (0, 1, 201), (-1, 2, 1)])
     def test_beyond_the_bounds(self, page, pages, n):

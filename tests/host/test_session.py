@@ -146,6 +146,20 @@ class TestCrash:
         writer.tick(lab.now + CHUNK_NS)
         assert [m.data for m in open_session(tmp_path / "s.mcap", allow_truncated=True).messages()] == [b"lonely"]
 
+    def test_the_disk_is_told_once_a_second_of_real_time(self, tmp_path, monkeypatch):
+        calls = []
+        now_s = [0.0]
+        monkeypatch.setattr("truearm.record.session_writer.os.fsync", calls.append)
+        monkeypatch.setattr("truearm.record.session_writer.time.monotonic", lambda: now_s[0])
+        writer = SessionWriter(tmp_path / "s.mcap", Lab())
+        for k in range(100):  # 10 chunks a second of real time, as in virtual time
+            writer.add("/box/adc", k * CHUNK_NS, b"x")
+            writer.tick((k + 1) * CHUNK_NS)
+            now_s[0] += 0.1
+        assert len(calls) == 10
+        writer.close()
+        assert len(calls) == 11
+
 
 class TestStrangers:
     def test_random_damage_is_an_error_or_unseen(self, tmp_path):
@@ -209,6 +223,13 @@ class TestStrangers:
         path.write_bytes(with_chunk(chunk))
         with pytest.raises(SessionError, match="to a size, that is not read"):
             list(open_session(path).messages())
+
+    def test_a_damaged_attachment(self, tmp_path):
+        written(tmp_path / "s.mcap", 10)
+        whole = (tmp_path / "s.mcap").read_bytes()
+        (tmp_path / "s.mcap").write_bytes(whole.replace(b"x = 1\n", b"x = 2\n"))
+        with pytest.raises(SessionError, match="damaged"):
+            open_session(tmp_path / "s.mcap")
 
     def test_absurd_metadata(self, tmp_path):
         with (tmp_path / "s.mcap").open("wb") as file:

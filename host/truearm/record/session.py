@@ -224,8 +224,6 @@ def _read_chunk(path: Path, file: BinaryIO, at: int, length: int) -> bytes:
 
 def _decompress(chunk: Chunk) -> bytes | None:
     """None for an unknown method or a chunk that is, or claims to be, larger than the bound."""
-    if chunk.uncompressed_size > MAX_CHUNK_BYTES:
-        return None
     if chunk.compression == "zstd":
         # With its size in the frame, zstandard allocates that, whatever max_output_size says.
         claimed = zstandard.get_frame_parameters(chunk.data).content_size
