@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from truearm.estimate.identifiability import identifiability, project_out
+from truearm.estimate.information import scaled_columns, seen, spectrum
 
 
 def test_everything_seen():
@@ -69,3 +70,12 @@ def test_projection_is_orthogonal_even_when_nearly_parallel():
 
 def test_nothing_free():
     assert identifiability(np.zeros((0, 0)), 0, []).rank == 0
+
+
+def test_a_column_of_rounding_is_no_information():
+    """Found with a single row at q = 0: a column of 1e-17 was scaled to length 1 and steered the fit."""
+    root = np.diag([1.0, 2.0, 1e-15])
+    scaled, scale = scaled_columns(root)
+    assert np.array_equal(scaled, np.diag([1.0, 1.0, 0.0]))
+    assert np.array_equal(scale, [1.0, 2.0, 1.0])
+    assert seen(spectrum(root)).sum() == 2

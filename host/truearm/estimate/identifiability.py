@@ -18,7 +18,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from truearm.estimate.information import RANK_TOLERANCE
+from truearm.estimate.information import RANK_TOLERANCE, scaled_columns
 from truearm.types import Floats, NullDirection
 
 NO_PART = 1e-6  # weight, in scaled parameters, below which a parameter takes no part in a direction
@@ -36,9 +36,7 @@ class Identifiability(NamedTuple):
 
 def identifiability(root: Floats, n_robot: int, names: Sequence[str]) -> Identifiability:
     """Analyse a root (k, k) whose first ``n_robot`` columns are the robot's; ``names`` are the k parameters'."""
-    scale = np.linalg.norm(root, axis=0)
-    scale[scale == 0.0] = 1.0
-    scaled = root / scale
+    scaled, scale = scaled_columns(root)
     robot, rig = scaled[:, :n_robot], scaled[:, n_robot:]
     singular, null_robot = _null_basis(project_out(robot, rig))
     _, null_rig = _null_basis(rig)

@@ -26,7 +26,7 @@ MAX_JOINTS = 64
 IDS = ("shell", "bar", "chuck", "sphere")
 LARGEST = 20.0 * math.pi  # rad; an angle beyond ten turns was written in degrees
 
-_ID = re.compile(r"[\w.-]{1,64}")
+_ID = re.compile(r"[\w-]{1,64}")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 

@@ -162,6 +162,7 @@ def _string(doc: Mapping[str, Any], key: str) -> str:
 
 
 def _number(value: Any, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+    # the comparison holds for integers too large for a float, and fails for nan
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not -1e300 < value < 1e300:
         raise RobotError(f"robot file: {where} must be a finite number")
     return float(value)
