@@ -164,7 +164,9 @@ class SimulatedBox:
         """Apply a fault of the link to the first data frame of ``tx``; without one it waits for the next bytes."""
         if fault not in ("flip", "lose", "double", "text"):
             return tx
-        start = next((i for i in range(len(tx) - 250) if tx[i] == 0 and tx[i + 1] and tx.find(b"\0", i + 1) == i + 250), None)
+        start = next(
+            (i for i in range(len(tx) - 250) if tx[i] == 0 and tx[i + 1] and tx.find(b"\0", i + 1) == i + 250), None
+        )
         if start is None:
             self._faults.insert(0, Fault(0.0, fault))
             return tx
