@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import SessionError
-from truearm.sensors.ident import Ident, parse_ident
+from truearm.sensors.ident import Ident, Stream, parse_ident
 from truearm.sync.frames import (
     Data,
     Exchange,
@@ -37,6 +37,7 @@ from truearm.sync.frames import (
     usual_data,
 )
 from truearm.sync.losses import BoxCounters, Losses
+from truearm.sync.streams import COUNTED, StreamReport, StreamTrack
 from truearm.types import Message
 from truearm_wire import messages as wire
 
@@ -74,36 +75,6 @@ class Segment:
     exchanges: list[Exchange] = field(default_factory=list)
 
 
-@dataclass
-class _Stream:
-    """Where a stream stands: the index of its next sample, frames lost when its last block came."""
-
-    next_n0: int | None = None
-    frames_lost: int = 0
-    run: int = 0
-    pieces: int = 0
-    blocks: int = 0
-    samples: int = 0
-    period_ns: int = 0
-    last: tuple[int, int] | None = None  # t0_us and n of the last block
-    whole_us: int = 0  # device time between blocks without a gap, and the samples that fill it
-    whole_samples: int = 0
-
-
-@dataclass(frozen=True)
-class StreamReport:
-    """A stream as it came. ``period_ns`` is what its last block says, ``measured_ns`` the mean period by the box's stamps
-    where nothing is missing (NaN where that is nowhere)."""
-
-    id: int
-    name: str
-    channels: tuple[str, ...]
-    samples: int
-    pieces: int  # that are whole in themselves: 1 where no sample is missing
-    period_ns: int
-    measured_ns: float
-
-
 class BoxReader:
     """Takes the box's and the clock's messages one by one in log order; see the module's text for the rules.
 
@@ -119,7 +90,7 @@ class BoxReader:
         self._last_seq: int | None = None
         self._recent: list[bytes] = [b""] * REMEMBERED
         self._times: dict[int, int] = {}
-        self._streams: dict[int, _Stream] = {}
+        self._streams: dict[int, StreamTrack] = {}
         self._pages: dict[int, bytes] = {}
         self._document: tuple[int, int] | None = None  # req_id and number of pages of the document being joined
         self._heartbeats: dict[int, list[int]] = {}  # segment → last counters
@@ -155,23 +126,18 @@ class BoxReader:
             heap_free_min=worst.get("heap_free"),
         )
         known = {name: self._count[name] for name in Losses.__dataclass_fields__ if name != "box"}
-        known["blocks"] = sum(stream.blocks for stream in self._streams.values())
-        known["samples"] = sum(stream.samples for stream in self._streams.values())
+        for name in COUNTED:
+            known[name] = sum(getattr(stream, name) for stream in self._streams.values())
         return Losses(**known, box=box)
 
     def streams(self) -> tuple[StreamReport, ...]:
         """The streams so far."""
-        return tuple(self._report(k, stream) for k, stream in sorted(self._streams.items()))
+        return tuple(stream.report(k, self._described(k)) for k, stream in sorted(self._streams.items()))
 
-    def _report(self, stream_id: int, stream: _Stream) -> StreamReport:
-        # A stream is only counted while an ident describes it, but the last boot may have said it without.
+    def _described(self, stream_id: int) -> Stream:
+        """A stream is only counted while an ident describes it, but the last boot may have said none."""
         idents = [s.ident for s in self.segments if s.ident is not None and stream_id in s.ident.streams]
-        described = idents[-1].streams[stream_id]
-        channels = tuple(channel.name for channel in described.channels)
-        measured = 1000.0 * stream.whole_us / stream.whole_samples if stream.whole_samples else float("nan")
-        return StreamReport(
-            stream_id, described.name, channels, stream.samples, stream.pieces, stream.period_ns, measured
-        )
+        return idents[-1].streams[stream_id]
 
     # ------------------------------------------------------------------------------------------------ frames
 
@@ -230,7 +196,7 @@ class BoxReader:
         self._pages.clear()
         self._recent = [b""] * REMEMBERED
         for stream in self._streams.values():
-            stream.next_n0, stream.frames_lost = None, self._count["frames_lost"]
+            stream.restart(self._count["frames_lost"])
 
     def _boot_id(self, boot_id: int) -> None:
         if self.segment.boot_id not in (None, boot_id):
@@ -253,31 +219,9 @@ class BoxReader:
         if rest or n == 0 or not (data.period_ns or len(data.offsets_us) == 2 * n):
             self._count["frames_malformed"] += 1
             return None
-        if data.flags & wire.FLAG_CONVERTER:
-            self._count["converter_faults"] += 1
-        stream = self._streams.get(data.stream) or self._streams.setdefault(data.stream, _Stream())
-        gap = self._place(stream, data.n0, n, data.flags)
-        _measure(stream, gap, data.t0_us, n, data.period_ns)
+        stream = self._streams.get(data.stream) or self._streams.setdefault(data.stream, StreamTrack())
+        gap = stream.take(data, n, self._count["frames_lost"])
         return Block(self._segment.index, stream.run, gap, n, channels, message.t_host_ns, data)
-
-    def _place(self, stream: _Stream, n0: int, n: int, flags: int) -> bool:
-        """Account for ``n0``; whether samples are missing before it."""
-        lost, expected = self._count["frames_lost"], stream.next_n0
-        stream.next_n0 = n0 + n
-        if n0 == expected and lost == stream.frames_lost and not flags:
-            return False
-        with_frames, stream.frames_lost = lost != stream.frames_lost, lost
-        if expected is None:
-            # Joined, or restarted. Without a frame lost the box had been sampling before the session began.
-            missing = n0 if with_frames else 0
-        elif n0 < expected:
-            self._count["starts"] += 1
-            stream.run += 1
-            missing = n0
-        else:
-            missing = n0 - expected
-        self._count["samples_lost" if with_frames else "samples_overrun"] += missing
-        return expected is None or n0 != expected or bool(flags & wire.FLAG_OVERRUN)
 
     def _heartbeat(self, frame: list[Any]) -> None:
         values = frame[2 : 1 + len(_COUNTERS)]
@@ -327,14 +271,3 @@ class BoxReader:
         self._count.update(sync_requests=1, sync_unanswered=exchange is None)
         if exchange is not None and self._keep_exchanges:
             self.segment.exchanges.append(exchange)
-
-
-def _measure(stream: _Stream, gap: bool, t0_us: int, n: int, period_ns: int) -> None:
-    if gap:
-        stream.pieces += 1
-    elif stream.last is not None:
-        stream.whole_us += t0_us - stream.last[0]
-        stream.whole_samples += stream.last[1]
-    stream.blocks += 1
-    stream.samples += n
-    stream.last, stream.period_ns = (t0_us, n), period_ns

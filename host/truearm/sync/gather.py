@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from truearm.errors import SessionError
 from truearm.sensors.ident import Channel, Ident, Stream, find_channel
 from truearm.sync.blocks import Block
-from truearm.sync.clock import DeviceClock
+from truearm.sync.device_clock import DeviceClock
 from truearm_wire import messages as wire
 
 CHUNK = 256  # blocks looked at together

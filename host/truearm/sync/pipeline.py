@@ -15,14 +15,16 @@ import numpy as np
 from truearm.errors import RigError
 from truearm.sensors.ident import Ident
 from truearm.sensors.lvdt import bar_length, extension, out_of_travel, railed
-from truearm.sync.blocks import Block, BoxReader, StreamReport
-from truearm.sync.clock import ClockReport, DeviceClock, fit_clock
+from truearm.sync.blocks import Block, BoxReader
+from truearm.sync.clock import ClockReport, fit_clock
+from truearm.sync.device_clock import DeviceClock
 from truearm.sync.dwell import Dwell, DwellRules, find_dwells
 from truearm.sync.gather import Taken, gather
 from truearm.sync.joints import JointReader, JointStream
 from truearm.sync.losses import Losses
 from truearm.sync.pairing import Marks, match_plan
 from truearm.sync.statistics import mean_of
+from truearm.sync.streams import StreamReport
 from truearm.types import BallBar, Message, ObservationTable, Rig
 
 Messages = Callable[[Collection[str] | None], Iterator[Message]]
