@@ -251,5 +251,5 @@ def test_mounted():
 
 def test_a_status_line():
     status = Status(2.0, "recording", 312.4, False, Counters(samples=2034, lost_frames=1, robot_lines=250))
-    assert describe(status) == "2034 samples, 1017.0 Hz, 1 frames lost, rtt 312 µs, robot gone, 250 lines"
-    assert describe(Status(0.0, "identifying", None, None, Counters())) == "0 samples, 0.0 Hz, 0 frames lost"
+    assert describe(status) == "2034 samples, 1017.0 Hz, 1 lost, rtt 312 µs, robot gone (250)"
+    assert describe(Status(0.0, "identifying", None, None, Counters())) == "0 samples, 0.0 Hz, 0 lost"

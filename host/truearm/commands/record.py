@@ -212,7 +212,7 @@ def _progress(duration: float | None) -> Iterator[Callable[[Status], None]]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(bar_width=20), TimeElapsedColumn())
+    columns = (TextColumn("{task.description}"), BarColumn(bar_width=10), TimeElapsedColumn())
     with Progress(*columns, TextColumn("{task.fields[text]}"), console=Console(stderr=True), transient=True) as display:
         task = display.add_task("identifying", total=duration, text="")
         yield lambda status: display.update(
@@ -236,11 +236,11 @@ def describe(status: Status) -> str:
     """Samples, rate, losses, clock and robot on one line."""
     counters = status.counters
     rate = counters.samples / status.elapsed_s if status.elapsed_s > 0 else 0.0
-    parts = [f"{counters.samples} samples", f"{rate:.1f} Hz", f"{counters.lost_frames} frames lost"]
+    parts = [f"{counters.samples} samples", f"{rate:.1f} Hz", f"{counters.lost_frames} lost"]
     if status.rtt_us is not None:
         parts.append(f"rtt {status.rtt_us:.0f} µs")
     if status.robot_ok is not None:
-        parts.append(f"robot {'ok' if status.robot_ok else 'gone'}, {counters.robot_lines} lines")
+        parts.append(f"robot {'ok' if status.robot_ok else 'gone'} ({counters.robot_lines})")
     return ", ".join(parts)
 
 
