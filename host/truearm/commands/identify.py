@@ -190,6 +190,7 @@ def _with_fair_before(estimate: Estimate, fit: Callable[[Mask], Estimate]) -> Es
     return replace(
         estimate,
         rms_before=nominal.rms_after,
+        rms_history=(nominal.rms_after, *estimate.rms_history[1:]),
         held_out_before=nominal.held_out,
         residual_before=nominal.residual,
     )

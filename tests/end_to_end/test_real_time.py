@@ -1,0 +1,100 @@
+"""Box and robot in real time, in a process of their own; the recorder in another, over pyserial and TCP; then the whole way."""
+
+import re
+import select
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from mcap.reader import make_reader
+from tests.end_to_end.conftest import truearm
+
+from truearm.commands.session import observations_of_session
+
+
+class Simulator:
+    """A running `truearm simulate`."""
+
+    def __init__(self, folder, *options):
+        command = [sys.executable, "-u", "-m", "truearm.cli", "simulate", "--out", str(folder), "--port", "0"]
+        self.process = subprocess.Popen(
+            [*command, "--robot-port", "0", *options], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        )
+        self.head = self._read_until("truearm record")
+        self.record = re.search(r"truearm (record .*)", self.head).group(1).split()
+
+    def _read_until(self, text, timeout_s=60):
+        found, deadline = "", time.monotonic() + timeout_s
+        while text not in found and time.monotonic() < deadline:
+            if select.select([self.process.stdout], [], [], 0.5)[0]:
+                found += self.process.stdout.readline()
+            assert self.process.poll() is None, found
+        return found
+
+    def stop(self):
+        self.process.terminate()
+        self.process.wait(timeout=10)
+        self.process.stdout.close()
+
+
+@pytest.fixture(params=["socket", "pty"])
+def simulator(request, tmp_path):
+    simulator = Simulator(tmp_path, *(["--pty"] if request.param == "pty" else []))
+    yield simulator
+    simulator.stop()
+
+
+def test_recorded_over_a_real_port(simulator, tmp_path):
+    """Eleven seconds: the box's samples, the robot's lines, clocks, and at least one dwell with the right length."""
+    assert "MicroPython" in simulator.head
+    session = tmp_path / "session.mcap"
+    done = truearm(*simulator.record, "--duration", 12, timeout_s=60)
+    assert done.returncode == 0, done.stderr
+    report = truearm("inspect", session)
+    assert report.returncode == 0, report.stderr
+    with session.open("rb") as f:
+        summary = make_reader(f).get_summary()
+        counts = {summary.channels[i].topic: n for i, n in summary.statistics.channel_message_counts.items()}
+    assert counts["/box/adc"] >= 11 * 1017.25 / 13 - 20
+    assert counts["/robot/joints"] >= 500
+    assert counts["/sync"] >= 40
+    assert counts["/box/heartbeat"] >= 10
+    assert "/box/console" not in counts
+    result = observations_of_session(session)
+    assert result.losses.frames_lost == result.losses.samples_lost == result.losses.samples_overrun == 0
+    assert len(result.table) >= 1
+    # the sample clock is the divider's, whatever the wall did
+    (report,) = result.clock_reports
+    assert abs(report.rate_ppm) < 100
+
+
+def test_interrupt_completes_the_file(simulator, tmp_path):
+    """Ctrl-C in the middle: exit 130, a line that says what is kept, and a file with its summary."""
+    command = [sys.executable, "-m", "truearm.cli", *simulator.record]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    time.sleep(5)
+    process.send_signal(signal.SIGINT)
+    stdout, stderr = process.communicate(timeout=20)
+    assert process.returncode == 130, stderr
+    assert "Traceback" not in stderr
+    assert "session.mcap" in stdout + stderr
+    with (tmp_path / "session.mcap").open("rb") as f:
+        assert make_reader(f).get_summary().statistics.message_count > 200
+
+
+def test_kill_loses_a_second_at_most(simulator, tmp_path):
+    """SIGKILL: what was synced to disk is read back, and the tools say that the end is missing."""
+    command = [sys.executable, "-m", "truearm.cli", *simulator.record]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    time.sleep(6)
+    process.kill()
+    process.wait()
+    session = tmp_path / "session.mcap"
+    refused = truearm("inspect", session)
+    assert refused.returncode == 2
+    assert len(refused.stderr.strip().splitlines()) == 1
+    allowed = truearm("inspect", session, "--allow-truncated")
+    assert allowed.returncode == 0, allowed.stderr
+    assert "adc" in allowed.stdout
