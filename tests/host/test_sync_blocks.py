@@ -171,6 +171,19 @@ def test_frames_lost_at_the_beginning_of_a_boot_are_known():
     assert account(box.messages) == {"restarts": 1, "frames_lost": pages + 1, "loss_events": 1, "samples_lost": 13}
 
 
+def test_frames_of_an_earlier_boot_are_no_doubles_of_this_ones():
+    """A reply has no time in it: the same bytes at the same seq in both boots."""
+    box = Box()
+    for _ in range(2):
+        box.ident(box.boot_host_ns)
+        box.heartbeat(box.boot_host_ns + 10**9)
+        box.frame("reply", box.boot_host_ns + 10**9, wire.REPLY, 1, 0, 1, b"same")
+        box.reboot(box.boot_host_ns + 2 * 10**9)
+    heartbeats = [i for i, m in enumerate(box.messages) if m.topic == "/box/heartbeat"]
+    del box.messages[heartbeats[1]]
+    assert account(box.messages) == {"restarts": 1, "frames_lost": 1, "loss_events": 1}
+
+
 def test_a_restart_that_only_the_boot_id_shows():
     """The host missed so much of the new boot that seq and time are ahead of the old one's."""
     box = box_with(blocks=3)

@@ -175,6 +175,22 @@ def test_a_clock_that_is_not_steady_gets_shorter_windows():
     assert report.rate_range_ppm > 500.0
 
 
+def test_windows_that_contradict_each_other_say_so():
+    """The host's clock jumps by a second: whichever window is right, the bound reaches the truth."""
+    true = True_(31.0)
+    every = exchanges(np.random.default_rng(13), true)
+    jumped = [e if e.t0_ns < 100e9 else e._replace(t0_ns=e.t0_ns + 10**9, t3_ns=e.t3_ns + 10**9) for e in every]
+    clock, report = fit_clock(0, jumped)
+    host = np.linspace(5e9, 195e9, 4001)
+    whole = np.rint(true.device_us(host)).astype(np.int64)
+    estimate, bound = clock.to_host_ns(whole)
+    error = estimate - (host + 1e9 * (host >= 100e9) + 1e3 * (whole - true.device_us(host)))
+    assert np.all(np.abs(error) <= bound + 1.0)
+    assert np.max(bound) > 0.5e9
+    assert np.median(bound) < 2e5
+    assert report.spread_ns > 1e6
+
+
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_few_exchanges_have_a_wide_but_true_bound(n):
     true = True_(80.0)

@@ -29,7 +29,7 @@ BOX = (
 
 
 def lines(document: Mapping[str, Any]) -> Iterator[str]:
-    """The lines to print. Names from the file have their control characters made visible."""
+    """The lines to print. Names from the file have their control characters made visible; console text has so already."""
     state = ", cut off at its end" if document["truncated"] else ""
     yield f"{one_line(document['file'])}: {document['duration_s']:.1f} s{state}"
     yield from _session(document)
@@ -92,7 +92,7 @@ def _console(document: Mapping[str, Any]) -> Iterator[str]:
     )
     for run in document["console"]:
         for line in run.splitlines():
-            yield "  | " + one_line(line)
+            yield "  | " + line
     if losses["console_runs"] > len(document["console"]):
         yield f"  | … {losses['console_runs'] - len(document['console'])} more"
 
