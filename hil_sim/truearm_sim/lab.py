@@ -19,7 +19,7 @@ from truearm.errors import LinkClosed, LinkError
 from .simbox import SimulatedBox
 from .world import World
 
-STEP_NS = 100_000_000  # the box runs at least this often
+STEP_NS = 200_000_000  # the box runs at least this often
 ROBOT_AHEAD_NS = 1_000_000_000  # the robot's lines are computed by the second
 HOST_AT_START_NS = 12_345_678_901_234
 UTC_NS = 1_767_225_600_000_000_000  # 2026-01-01T00:00:00Z: the virtual lab's calendar

@@ -9,6 +9,7 @@ from mcap.reader import make_reader
 from tests.end_to_end.conftest import record_session, truearm
 
 from truearm.commands.session import observations_of_session
+from truearm_sim.lab import STEP_NS
 from truearm_sim.simbox import Fault
 from truearm_wire.frame import frame
 
@@ -105,7 +106,7 @@ def test_no_sample_across_a_gap_is_used(faulty):
         for (
             dwell
         ) in used.values():  # one side of the gap alone; the gap lies within a step of the lab and a block of the fault
-            longer_side_ns = max(fault_ns - dwell.start_host_ns, dwell.end_host_ns - fault_ns) + 113e6
+            longer_side_ns = max(fault_ns - dwell.start_host_ns, dwell.end_host_ns - fault_ns) + STEP_NS + 13 * 983040
             assert not dwell.start_host_ns < fault_ns < dwell.end_host_ns or dwell.n_samples * 983040 <= longer_side_ns
 
 
