@@ -1,7 +1,6 @@
 """Box and robot in real time, in a process of their own; the recorder in another, over pyserial and TCP; then the whole way."""
 
 import re
-import select
 import signal
 import subprocess
 import sys
@@ -22,16 +21,14 @@ class Simulator:
         self.process = subprocess.Popen(
             [*command, "--robot-port", "0", *options], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
         )
-        self.head = self._read_until("truearm record")
+        self.head = ""
+        while "truearm record" not in self.head:
+            line = self.process.stdout.readline()
+            if not line:
+                self.stop()
+                raise RuntimeError("truearm simulate ended: " + self.head)
+            self.head += line
         self.record = re.search(r"truearm (record .*)", self.head).group(1).split()
-
-    def _read_until(self, text, timeout_s=60):
-        found, deadline = "", time.monotonic() + timeout_s
-        while text not in found and time.monotonic() < deadline:
-            if select.select([self.process.stdout], [], [], 0.5)[0]:
-                found += self.process.stdout.readline()
-            assert self.process.poll() is None, found
-        return found
 
     def stop(self):
         self.process.terminate()

@@ -378,7 +378,7 @@ def test_bad_input_as_the_shell_sees_it(good: list[object], tmp_path: Path) -> N
 
 
 def test_help_and_version_and_no_command_are_no_errors(run: Run) -> None:
-    assert "Example: truearm identify" in run("--help").out
+    assert "Example: truearm demo" in run("--help").out
     assert "Example:" in run("identify", "--help").out
     assert run().code == 0
     assert run("--version").out.startswith("truearm ")

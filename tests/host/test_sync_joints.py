@@ -176,3 +176,13 @@ def test_robot_clock_follows_the_fastest_packets():
 def test_robot_clock_of_one_reading():
     stream = read([message(5.0, 0, (0.0,), 10**15)])
     assert stream.clocks[0].to_host_ns(np.array([5.0, 6.0])).tolist() == [10**15, 10**15 + 10**9]
+
+
+@pytest.mark.parametrize("digits", [6, 7, 9, 12])
+def test_rounding_of_what_is_printed_is_no_step(digits):
+    """An encoder's step of 4.8e-5, printed with few digits; the robot slows down before it stands."""
+    step = 2 * np.pi / 2**17
+    t = np.arange(600) / 125.0
+    path = 0.7 * (1 - np.cos(np.pi * np.clip(t - 1, 0, 2) / 2)) + 4e-6 * np.sin(40 * t)
+    stream = read([message(s, k, [round(step * np.rint(x / step), digits)]) for k, (s, x) in enumerate(zip(t, path))])
+    assert stream.step[0] == pytest.approx(step, abs=1.01 * 10.0**-digits)

@@ -45,6 +45,7 @@ def observations_of_session(path: Path, rig: Rig | None = None, allow_truncated:
 
     Raises SessionError for a file that is none or gave no observation, RigError if there is no rig.
     """
+    from truearm.commands.inspect import ident_of
     from truearm.record.session import open_session
     from truearm.sync.pipeline import observations
 
@@ -52,7 +53,7 @@ def observations_of_session(path: Path, rig: Rig | None = None, allow_truncated:
     rig = rig or attached_rig(session, path)
     if rig is None:
         raise RigError(f"{path}: was recorded without a rig; give one with --rig")
-    result = observations(messages_of(session), rig, name=path.name)
+    result = observations(messages_of(session), rig, ident=ident_of(session), name=path.name)
     if not len(result.table):
         reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(result.reasons.items()))
         raise SessionError(

@@ -24,6 +24,7 @@ LATE_S = 1.0  # time this little backward is a datagram overtaken by another; mo
 MAX_T_S = 4e9  # ns of such times still fit 63 bits
 MAX_JOINTS = 32
 FINEST_STEP = 1e-9  # rad or m; smaller differences are arithmetic, not an encoder
+COARSEST_STEP = 1e-3  # rad or m; no encoder worth calibrating is coarser
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,8 @@ class JointReader:
         self._joints: int | None = None
         self._previous_bin_s = -np.inf
         self._bin_s, self._gap_s = BIN_S, READING_GAP_S
-        self._step: Floats = np.empty(0)
+        self._step: Floats = np.empty(0)  # smallest change between readings
+        self._fast_step: Floats = np.empty(0)  # smallest change of a change
         self.malformed = self.duplicated = self.late = self.lost = self.gaps = 0
 
     def feed(self, message: Message) -> None:
@@ -101,7 +103,7 @@ class JointReader:
             gaps=self.gaps,
             restarts=max(0, len(self._arrivals) - 1),
             rate_hz=(readings - len(self._arrivals)) / spans if spans > 0.0 else float("nan"),
-            step=np.where(np.isfinite(self._step), self._step, 0.0),
+            step=_step(self._step, self._fast_step),
             bins=Bins(*(np.concatenate(column) for column in zip(*self._bins, strict=True))) if self._bins else None,
             clocks=tuple(clock for clock, _ in fits),
             reports=tuple(report for _, report in fits),
@@ -125,6 +127,7 @@ class JointReader:
     def _begin(self, t: Floats, q: Floats) -> None:
         self._joints = q.shape[1]
         self._step = np.full(q.shape[1], np.inf)
+        self._fast_step = np.full(q.shape[1], np.inf)
         period = float(np.median(np.abs(np.diff(t)))) if t.size > 1 else 0.0
         self._bin_s, self._gap_s = max(BIN_S, 4.0 * period), max(READING_GAP_S, 5.0 * period)
 
@@ -154,10 +157,8 @@ class JointReader:
     def _bin(self, t: Floats, q: Floats) -> None:
         if self._carried is not None:
             t, q = np.concatenate([self._carried[0], t]), np.concatenate([self._carried[1], q])
-        # At constant speed all changes are large; how they differ still shows the step.
-        change = np.abs(np.concatenate([np.diff(q, axis=0), np.diff(q, n=2, axis=0)]))
-        smallest = np.min(np.where(change > FINEST_STEP, change, np.inf), axis=0, initial=np.inf)
-        self._step = np.minimum(self._step, smallest)
+        self._step = np.minimum(self._step, _smallest(np.diff(q, axis=0)))
+        self._fast_step = np.minimum(self._fast_step, _smallest(np.diff(q, n=2, axis=0)))
         key = np.floor((t - self._arrivals[-1].t_ref_s) / self._bin_s)
         closed = int(np.searchsorted(key, key[-1]))
         self._carried = (t[closed:], q[closed:])
@@ -185,6 +186,23 @@ class JointReader:
         segment = np.full(starts.size, len(self._arrivals) - 1)
         last = np.concatenate([starts[1:], [t.size]]) - 1
         self._bins.append((segment, t[starts], t[last], n, mean, low, high, scatter.astype(np.float32), gap))
+
+
+def _smallest(change: Floats) -> Floats:
+    """Smallest change (j,) that is none of arithmetic, inf where there is none."""
+    size = np.abs(change)
+    return np.asarray(np.min(np.where(size > FINEST_STEP, size, np.inf), axis=0, initial=np.inf))
+
+
+def _step(slow: Floats, fast: Floats) -> Floats:
+    """The quantisation (j,) of the readings, 0 where nothing changes.
+
+    A robot that comes to rest passes through single steps. Where none was seen slowly, how fast changes differ shows the step; but it
+    shows the rounding of what is printed too, so that is the second choice: a reading of few digits would pass for a
+    fine encoder.
+    """
+    step = np.where(slow <= COARSEST_STEP, slow, np.minimum(slow, fast))
+    return np.asarray(np.where(np.isfinite(step), step, 0.0))
 
 
 def parse_lines(lines: list[bytes], joints: int | None) -> tuple[NDArray[np.intp], Floats, NDArray[np.int64], Floats]:
