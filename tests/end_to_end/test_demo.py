@@ -6,6 +6,8 @@ import re
 
 import pytest
 from tests.end_to_end.conftest import truearm
+from truearm.cli import main
+from truearm_sim import micropython
 
 
 @pytest.fixture(scope="module")
@@ -59,3 +61,12 @@ def test_the_session_identifies_to_the_same_result(demo):
     again = json.loads(done.stdout)
     assert again["rms_after_mm"] == pytest.approx(result["rms_after_mm"], rel=1e-9)
     assert again["held_out"]["rms_mm"] == pytest.approx(result["held_out"]["rms_mm"], rel=1e-9)
+
+
+def test_without_micropython_the_demo_says_so_and_works(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(micropython, "find", lambda: None)
+    assert main(["demo", "--out", str(tmp_path), "--poses", "90", "--rate", "250"]) == 0
+    stdout = capsys.readouterr().out
+    assert "No MicroPython here: the firmware runs in CPython instead" in stdout
+    assert "0 lost" in stdout
+    assert "rank 36 of 54" in stdout
