@@ -109,7 +109,7 @@ def _check_row(cells: list[str], pose: int, width: int, where: str) -> None:
         raise PlanError(f"{where}: pose is {cells[0][:40]!r}, expected {pose}; poses count from 0 without gaps")
     for name, cell in zip(IDS, cells[1:], strict=False):
         if not _ID.fullmatch(cell) and not (name == "shell" and cell == ""):
-            raise PlanError(f"{where} column {name}: {cell[:40]!r} is no identifier (letters, digits, '.', '-', '_')")
+            raise PlanError(f"{where} column {name}: {cell[:40]!r} is no identifier (letters, digits, '-', '_')")
 
 
 def _angle(cell: str, where: str) -> float:
