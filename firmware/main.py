@@ -2,7 +2,6 @@
 
 from board import Board
 
-from truearm_box.box import Box, run
+from truearm_box.box import run
 
-board = Board()
-run(Box(board), board)
+run(Board())

@@ -19,18 +19,19 @@
 None of them may allocate but console and reset.
 """
 
+import gc
 import io
 import sys
 
-from truearm_wire.fast import extend
+from truearm_wire import PROTOCOL
 from truearm_wire.frame import Splitter
 from truearm_wire.messages import EVENT
 
-from . import config
+from . import VERSION, config
 from .commands import Commands
 from .health import Health
 from .link import Link
-from .ring import Ring
+from .ring import Events, Ring
 from .stream import Stream
 
 
@@ -41,7 +42,7 @@ class Box:
         self.link = Link(board)
         self.stream = Stream(board, self._ring)
         self.health = Health(board)
-        settings, fault = config.load(board.config_path)
+        settings, fault = config.load(board.config_path, board, VERSION, PROTOCOL)
         self.commands = Commands(board, self.link, self.stream, self.health, settings, fault)
         self._splitter = Splitter()
         self._rx = bytearray(64)
@@ -50,6 +51,7 @@ class Box:
         self._t1 = bytearray(8)
         self._edge = bytearray(6)
         self._t_edge = bytearray(8)
+        self._events = Events()
         self._now = bytearray(8)
         self._sending_block = False
         self.commands.identify(0)  # the ident that every boot sends
@@ -58,6 +60,7 @@ class Box:
         """One pass: samples into the ring, at most one frame onto the link. Returns whether there was anything to do."""
         start = self._board.ticks()
         busy = self.stream.pull()
+        self._keep_edges()
         if self.link.pump():
             busy = True
         if self.link.free():
@@ -78,11 +81,11 @@ class Box:
             return True
         if self._receive():
             return True
-        if self._board.edge(self._edge):
+        if self._events.used:
             self._send_event()
             return True
         if self.health.due():
-            self.health.send(self.link, self.stream, self._splitter.bad_frames + self.commands.bad)
+            self.health.send(self.link, self.stream, self._events, self._splitter.bad_frames + self.commands.bad)
             return True
         if self._ring.used:
             self._sending_block = True
@@ -105,9 +108,14 @@ class Box:
                 return False
             self._board.now(self._t1)
 
+    def _keep_edges(self):
+        """Edges get their full time at once: later their stamps could have wrapped."""
+        while self._board.edge(self._edge):
+            self._board.now(self._now)
+            self._events.put(self._edge, self._now, self._t_edge)
+
     def _send_event(self):
-        self._board.now(self._now)
-        extend(self._now, self._edge, 2, self._t_edge, 0)
+        self._events.take(self._edge, self._t_edge)
         self.link.begin(EVENT, 3)
         self.link.put_int(self._edge[0])
         self.link.put_u64(self._t_edge)
@@ -115,13 +123,16 @@ class Box:
         self.link.send()
 
 
-def run(box, board):
+def run(board):
     """Run for ever. An exception is printed on the link, between delimiters, and the box starts anew."""
     try:
+        box = Box(board)
         while True:
             if not box.step():
                 board.idle()
     except Exception as e:
+        box = None
+        gc.collect()  # telling of it takes memory, which may be what is lacking
         text = io.StringIO()
         if sys.implementation.name == "micropython":
             sys.print_exception(e, text)

@@ -4,10 +4,11 @@ A command is executed once: one that comes again with the req_id of the last (it
 """
 
 from truearm_wire import PROTOCOL
-from truearm_wire.cbor import CborError, encode
+from truearm_wire.cbor import CborError, decode, encode
 from truearm_wire.messages import (
     CONFIGURE,
     ERROR,
+    ERROR_MALFORMED,
     ERROR_RANGE,
     ERROR_STREAMING,
     ERROR_UNKNOWN,
@@ -18,11 +19,11 @@ from truearm_wire.messages import (
     STOP,
     SYNC_REPLY,
     SYNC_REQUEST,
-    decode_payload,
     pages,
 )
 
 from . import VERSION, config
+from .ring import COUNTER
 
 SMALL = 1 << 30
 
@@ -44,7 +45,7 @@ class Commands:
         self._pages = ()
         self._page = 0
         self._t2 = bytearray(8)
-        self._deferred = False
+        self._stop_id = 0  # of a stop that is to be answered
         self.bad = 0  # frames that were whole but no command
 
     def pending(self):
@@ -57,7 +58,6 @@ class Commands:
         self._req_id = req_id
         self._pages = pages(encode(document))
         self._page = 0
-        self._health.untidy = True
 
     def send_page(self):
         page, count, data = self._pages[self._page]
@@ -71,44 +71,39 @@ class Commands:
 
     def handle(self, buf, start, end, t1):
         """Answer the frame whose payload is buf[start:end] and whose last byte was read at device time t1."""
-        if end - start >= 4 and buf[start] == 0x82 and buf[start + 1] == 0x18 and buf[start + 2] == SYNC_REQUEST:
-            self._sync(buf, start + 3, end, t1)
+        if self._usual_sync(buf, start, end, t1):
             return
-        self._health.untidy = True
+        self._health.make_room()
         try:
-            values = decode_payload(bytes(buf[start:end]))
+            values = decode(bytes(buf[start:end]))
         except CborError:
-            self.bad += 1
-            return
-        if values[0] == SYNC_REQUEST or values[0] < IDENTIFY or len(values) < 2 or not 0 < _small(values[1]) < SMALL:
-            self.bad += 1  # there is no one to answer
-            return
-        if values[1] != self._last:
-            self._last = values[1]
-            self._execute(values)
-        if values[0] == STOP:
-            self._deferred = True  # what was sampled goes first
+            values = None
+        if not isinstance(values, list) or len(values) < 2 or not _is_id(values[0]) or not _is_id(values[1]):
+            self.bad = (self.bad + 1) & COUNTER  # there is no one to answer
+        elif values[0] == SYNC_REQUEST:
+            self._sync(values[1], t1)
+        elif IDENTIFY <= values[0] < REPLY and values[1] > 0:
+            self._command(values)
         else:
-            self._reply()
+            self.bad = (self.bad + 1) & COUNTER
 
-    def send_deferred(self):
-        """Answer a stop, now that no block waits. Returns whether there was one to answer."""
-        if not self._deferred:
+    def _usual_sync(self, buf, start, end, t1):
+        """Answer [32, id] in its shortest form without allocating. Returns whether it was that."""
+        if end - start < 4 or buf[start] != 0x82 or buf[start + 1] != 0x18 or buf[start + 2] != SYNC_REQUEST:
             return False
-        self._deferred = False
-        self._reply()
-        return True
-
-    def _sync(self, buf, at, end, t1):
-        n = buf[at]
+        n = buf[start + 3]
         width = 0 if n < 24 else 1 if n == 24 else 2 if n == 25 else 4 if n == 26 else 9
-        if at + 1 + width > end or (width == 4 and buf[at + 1] > 63):
-            self.bad += 1
-            return
+        at = start + 4
+        if width == 9 or at + width != end or (width == 4 and buf[at] > 63):
+            return False
         if width:
             n = 0
             for i in range(width):
-                n = n << 8 | buf[at + 1 + i]
+                n = n << 8 | buf[at + i]
+        self._sync(n, t1)
+        return True
+
+    def _sync(self, n, t1):
         link = self._link
         link.begin(SYNC_REPLY, 3)
         link.put_int(n)
@@ -116,6 +111,24 @@ class Commands:
         self._board.now(self._t2)
         link.put_u64(self._t2)
         link.send()
+
+    def _command(self, values):
+        if values[1] != self._last:
+            self._last = values[1]
+            self._execute(values)
+        if values[0] == STOP and self._answer == REPLY:
+            self._stop_id = values[1]  # answered when what was sampled has gone
+        else:
+            self._reply(self._last)
+
+    def send_deferred(self):
+        """Answer a stop, now that no block waits. Returns whether there was one to answer."""
+        req_id = self._stop_id
+        if not req_id:
+            return False
+        self._stop_id = 0
+        self._done(req_id)
+        return True
 
     def _execute(self, values):
         self._answer = REPLY
@@ -125,18 +138,25 @@ class Commands:
         elif kind == CONFIGURE:
             self._configure(values)
         elif kind == START:
-            if self._stream.running:
-                self._refuse(ERROR_STREAMING, b"streaming already")
-            else:
-                self._stream.start(self._osr)
+            self._start()
         elif kind == STOP:
             if self._stream.running:
                 self._stream.stop()
         else:
             self._refuse(ERROR_UNKNOWN, b"unknown command")
 
-    def _configure(self, values):
+    def _start(self):
         if self._stream.running:
+            self._refuse(ERROR_STREAMING, b"streaming already")
+        elif self._stream.waiting():
+            self._refuse(ERROR_STREAMING, b"samples of the last start still wait")
+        else:
+            self._stream.start(self._osr)
+
+    def _configure(self, values):
+        if len(values) < 4 or not _is_id(values[2]) or not _is_id(values[3]):
+            self._refuse(ERROR_MALFORMED, b"configure takes stream and osr")
+        elif self._stream.running:
             self._refuse(ERROR_STREAMING, b"not while streaming")
         elif values[2] != 0 or values[3] not in config.OSRS:
             self._refuse(ERROR_RANGE, b"stream 0, osr a power of two, 128 to 16384")
@@ -148,24 +168,29 @@ class Commands:
         self._code = code
         self._text = text
 
-    def _reply(self):
-        link = self._link
+    def _reply(self, req_id):
         if self._answer == IDENT:
-            self.identify(self._last)
-            return
-        if self._answer == REPLY:
-            link.begin(REPLY, 4)
-            link.put_int(self._last)
-            link.put_int(0)
-            link.put_int(1)
-            link.put_bytes(b"")
+            self.identify(req_id)
+        elif self._answer == REPLY:
+            self._done(req_id)
         else:
+            link = self._link
             link.begin(ERROR, 3)
-            link.put_int(self._last)
+            link.put_int(req_id)
             link.put_int(self._code)
             link.put_bytes(self._text, 3)
+            link.send()
+
+    def _done(self, req_id):
+        link = self._link
+        link.begin(REPLY, 4)
+        link.put_int(req_id)
+        link.put_int(0)
+        link.put_int(1)
+        link.put_bytes(b"")
         link.send()
 
 
-def _small(value):
-    return value if isinstance(value, int) else 0
+def _is_id(value):
+    """Whether a value is an integer of the range of identifiers (SPEC §6)."""
+    return isinstance(value, int) and 0 <= value < SMALL

@@ -5,6 +5,9 @@ Decimals are [mantissa, exponent], so that the chip's single-precision floats ne
 
 import json
 
+from truearm_wire.cbor import encode
+from truearm_wire.messages import pages
+
 OSRS = (128, 256, 512, 1024, 2048, 4096, 8192, 16384)
 DEFAULT = {
     "osr": 4096,
@@ -17,11 +20,16 @@ DEFAULT = {
 }  # 1.2 V / 2^23 a count
 
 
-def load(path):
-    """(configuration of a file, fault): the default one if there is no file, or with a fault in words if it is damaged."""
+def load(path, board, version, protocol):
+    """(configuration of a file, fault): the default one if there is no file, or with a fault in words if it is damaged.
+
+    The ident document is built and cut once on trial: what cannot be told to the host must not stop the box from booting.
+    """
     try:
         with open(path) as f:
-            return check(json.load(f)), None
+            config = check(json.load(f))
+        pages(encode(describe(config, None, config["osr"], board, version, protocol)))
+        return config, None
     except OSError:
         return DEFAULT, None
     except ValueError as e:
@@ -30,18 +38,34 @@ def load(path):
 
 def check(config):
     """The configuration, if it is one. Raises ValueError."""
-    if not isinstance(config, dict) or config.get("osr") not in OSRS:
+    if not isinstance(config, dict) or not isinstance(config.get("osr"), int) or config["osr"] not in OSRS:
         raise ValueError("osr is not one of %s" % (OSRS,))
     channels = config.get("channels")
     if not isinstance(channels, list) or len(channels) != 4:
         raise ValueError("four channels are needed")
     for channel in channels:
-        if not isinstance(channel, dict):
-            raise ValueError("a channel is a table")
-        for key in ("name", "unit", "scale"):
-            if key not in channel:
-                raise ValueError("a channel lacks %s" % key)
+        if not isinstance(channel, dict) or not isinstance(channel.get("name"), str):
+            raise ValueError("a channel is a table with a name")
+        if not isinstance(channel.get("unit"), str) or not _is_decimal(channel.get("scale")):
+            raise ValueError("channel %s needs unit, and scale as [mantissa, exponent]" % channel["name"])
+        if "calibration" in channel:
+            _check_calibration(channel)
     return config
+
+
+def _check_calibration(channel):
+    calibration = channel["calibration"]
+    if not isinstance(calibration, dict) or not isinstance(calibration.get("poly"), list):
+        raise ValueError("the calibration of %s is a table with poly" % channel["name"])
+    if not calibration["poly"] or not all(_is_decimal(c) for c in calibration["poly"]):
+        raise ValueError("poly of %s holds [mantissa, exponent] pairs" % channel["name"])
+    for key in ("unit", "serial", "date"):
+        if not isinstance(calibration.get(key), str):
+            raise ValueError("the calibration of %s needs %s as text" % (channel["name"], key))
+
+
+def _is_decimal(value):
+    return isinstance(value, list) and len(value) == 2 and isinstance(value[0], int) and isinstance(value[1], int)
 
 
 def group_delay_ns(osr):

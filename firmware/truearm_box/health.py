@@ -1,7 +1,8 @@
 """How the box is: counters for the heartbeat, and garbage collection at a moment of our choosing.
 
-Automatic collection is off: it would come in the middle of a block. `tidy` collects when little is left and no frame waits;
-on the chip that takes some 5 ms, which the board's buffer and the ring bridge.
+Automatic collection is off: it would come in the middle of a block. `tidy` collects after something was allocated, when no
+frame waits; on the chip that takes some 5 ms, which the board's buffer and the ring bridge. On a link that is never idle
+`make_room` collects before the heap runs out.
 """
 
 import gc
@@ -18,7 +19,6 @@ class Health:
         self._board = board
         self._now = bytearray(8)
         self._due = bytearray(8)
-        self.dropped = 0
         self.loop_max_us = 0
         self.gc_max_us = 0
         self.untidy = True  # something was allocated since the last collection
@@ -36,13 +36,13 @@ class Health:
             add(self._due, 0, 8, 1000000)
         return True
 
-    def send(self, link, stream, bad_frames):
+    def send(self, link, stream, events, bad_frames):
         heap_free = self._board.heap_free()
         link.begin(HEARTBEAT, 13)
         link.put_u32(self._board.boot_id)
         link.put_u64(self._now)
         link.put_int(link.sent)
-        link.put_int(self.dropped)
+        link.put_int(events.dropped)
         link.put_int(link.short_writes)
         link.put_int(stream.overruns)
         link.put_int(bad_frames)
@@ -55,8 +55,12 @@ class Health:
         link.send()
         self.loop_max_us = 0
         self.gc_max_us = 0
-        if heap_free < HEAP_LOW:
-            self.untidy = True
+
+    def make_room(self):
+        """Something will be allocated: collect now if little is left, else when no frame waits."""
+        self.untidy = True
+        if 0 < self._board.heap_free() < HEAP_LOW:
+            self.tidy()
 
     def tidy(self):
         """Collect, if something was allocated. Called when no frame waits."""

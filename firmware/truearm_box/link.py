@@ -8,6 +8,8 @@ from truearm_wire.cbor import put_head, put_int
 from truearm_wire.fast import add, copy
 from truearm_wire.frame import FRAME_MAX, HEAD, close
 
+from .ring import COUNTER
+
 
 class Link:
     def __init__(self, board):
@@ -34,11 +36,11 @@ class Link:
         taken = self._board.send(self._buf, self._at, left)
         self._at += taken
         if taken == left:
-            self.sent += 1
+            self.sent = (self.sent + 1) & COUNTER
             self._held_back = False
         elif not self._held_back:  # counted once a frame, however many pieces it takes
             self._held_back = True
-            self.short_writes += 1
+            self.short_writes = (self.short_writes + 1) & COUNTER
         return taken > 0
 
     def put_seq(self, buf, at):

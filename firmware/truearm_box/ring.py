@@ -1,7 +1,13 @@
-"""A ring of frame slots in one preallocated buffer. A slot is where a frame is built and whence it is sent: no copies."""
+"""What waits to be sent, in preallocated buffers: frames of samples, and trigger edges.
+
+A slot of the ring is where a frame is built and whence it is sent: no copies.
+"""
 
 from array import array
 
+from truearm_wire.fast import copy, extend
+
+COUNTER = (1 << 30) - 1  # counters wrap there (SPEC §4): beyond, an integer would be allocated at every step
 SLOT = 252  # the longest data frame (13 samples of 4 x 32 bit) has 251 bytes
 
 
@@ -40,5 +46,35 @@ class Ring:
         """The oldest slot has been sent."""
         self.used -= 1
 
-    def clear(self):
+
+class Events:
+    """Trigger edges that wait to be sent, their stamps already in full time. Fixed records in one buffer."""
+
+    RECORD = 10  # line, edge, time (8)
+
+    def __init__(self, size=32):
+        self._buf = bytearray(size * self.RECORD)
+        self._size = size
+        self._first = 0
         self.used = 0
+        self.dropped = 0
+
+    def put(self, edge, now, full):
+        """Keep an edge of the board (line, rising, stamp of 4 bytes); `full` is scratch of 8 bytes. Drops it if there is no room."""
+        if self.used == self._size:
+            self.dropped = (self.dropped + 1) & COUNTER
+            return
+        extend(now, edge, 2, full, 0)
+        at = (self._first + self.used) % self._size * self.RECORD
+        self._buf[at] = edge[0]
+        self._buf[at + 1] = edge[1]
+        copy(self._buf, at + 2, full, 0, 8)
+        self.used += 1
+
+    def take(self, edge, full):
+        """The oldest edge: line and edge to `edge`, its time to `full`."""
+        at = self._first * self.RECORD
+        copy(edge, 0, self._buf, at, 2)
+        copy(full, 0, self._buf, at + 2, 8)
+        self._first = (self._first + 1) % self._size
+        self.used -= 1

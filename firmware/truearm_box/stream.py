@@ -9,6 +9,8 @@ from truearm_wire.fast import copy, extend
 from truearm_wire.frame import HEAD
 from truearm_wire.messages import DATA, FLAG_CONVERTER, FLAG_OVERRUN
 
+from .ring import COUNTER
+
 CHANNELS = 4
 SAMPLE = 4 * CHANNELS  # bytes
 BLOCK = 13  # samples: the most that fit a frame
@@ -43,14 +45,18 @@ class Stream:
         self.osr = 0
 
     def start(self, osr):
+        """Start sampling. Only when no block waits: their indices would belong to another start."""
         period_ns = osr * PERIOD_NS_PER_OSR
         for i in range(4):
             self._template[_PERIOD + 4 - i] = (period_ns >> (8 * i)) & 255
-        self._ring.clear()
         self._lost_before = False
         self.osr = osr
         self.running = True
         self._board.start(osr)
+
+    def waiting(self):
+        """Whether blocks wait to be sent."""
+        return self._ring.used > 0
 
     def stop(self):
         """Stop sampling; what was sampled stays in the ring."""
@@ -78,15 +84,17 @@ class Stream:
             return False
         lost = self._board.lost()
         if lost:
-            self.overruns += lost
-            self._lost_before = True
+            self._overrun(lost)
         if not keep:
-            self.overruns += n
-            self._lost_before = True
+            self._overrun(n)
             return True
         self._fill(ring.buf, at, n, samples)
         ring.commit(samples + n * SAMPLE + 1)
         return True
+
+    def _overrun(self, n):
+        self.overruns = (self.overruns + n) & COUNTER
+        self._lost_before = True
 
     def _fill(self, buf, at, n, samples):
         copy(buf, at, self._template, 0, _SAMPLES)

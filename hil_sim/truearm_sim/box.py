@@ -23,7 +23,7 @@ from .micropython import Interpreter
 
 HEAP_KIB = 237  # free heap of MicroPython 1.25 on an RP2040, for the chip's 32-bit words
 GRANT = struct.Struct(">cBHHHQQiB")
-ANSWER = struct.Struct(">cBHI")
+ANSWER = struct.Struct(">cBHHH")
 RECORD = 20  # bytes a sample takes in a grant: stamp and four counts
 SAMPLES_MAX = 128
 RX_MAX = 512
@@ -45,6 +45,7 @@ class Answer:
     sampling: bool
     osr: int
     reset: bool
+    rx_room: int  # bytes that the next grant may bring
 
 
 @dataclass(frozen=True)
@@ -138,10 +139,10 @@ class BoxProcess:
         return self._answer()
 
     def _answer(self) -> Answer:
-        magic, flags, osr, n = ANSWER.unpack(self._read(ANSWER.size))
+        magic, flags, osr, rx_room, n = ANSWER.unpack(self._read(ANSWER.size))
         if magic != b"D":
             raise BoxDied("the firmware wrote to standard output: " + repr(magic))
-        return Answer(self._read(n) if n else b"", bool(flags & 1), osr, bool(flags & 2))
+        return Answer(self._read(n) if n else b"", bool(flags & 1), osr, bool(flags & 2), rx_room)
 
     def _read(self, n: int) -> bytes:
         assert self._process.stdout is not None

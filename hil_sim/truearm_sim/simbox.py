@@ -9,7 +9,7 @@ import numpy as np
 
 from truearm.types import Floats
 
-from .box import CRASH, RECORD, STALL, Answer, BoxProcess, BoxSetup
+from .box import CRASH, RECORD, RX_MAX, STALL, Answer, BoxProcess, BoxSetup
 from .micropython import Interpreter
 from .sensors import period_ns
 from .world import World
@@ -54,7 +54,8 @@ class SimulatedBox:
         self._period_ns = 0
         self._sent = 0  # samples given since the start of sampling
         self._stalled_until_ns = 0
-        self._rest = b""
+        self._rx = b""  # what the host wrote and the box has not taken yet
+        self._rx_room = RX_MAX
 
     def device_us(self, t_ns: int) -> int:
         """Time on the box's hardware timer [µs since its boot] at true time ``t_ns``."""
@@ -72,6 +73,7 @@ class SimulatedBox:
             if self._boot_at_ns is None or t_ns < self._boot_at_ns:
                 return
             self._boot(t_ns)
+        self._rx += rx
         fault = self._due_fault(t_ns)
         if fault == "reboot":
             self._power_off(t_ns)
@@ -85,8 +87,8 @@ class SimulatedBox:
             tx_room = 100
         device_us = self.device_us(t_ns)
         for samples, index in self._due_samples(device_us * 1000):
-            answer = self._grant(device_us, rx, samples, index, tx_room, flags)
-            rx, flags, tx_room = b"", flags & STALL, 0xFFFF
+            answer = self._grant(device_us, samples, index, tx_room, flags)
+            flags, tx_room = flags & STALL, 0xFFFF
             yield self._damage(answer.tx, fault)
             fault = None
             if answer.reset:
@@ -107,6 +109,7 @@ class SimulatedBox:
         self._process = BoxProcess(self._interpreter, self._setup, boot_id, reset_cause=1 if self._boots == 1 else 3)
         self._boot_device_ns = self._world.device_clock.from_true_ns(t_ns)
         self._sampling_since_ns = None
+        self._rx, self._rx_room = b"", RX_MAX
 
     def _power_off(self, t_ns: int) -> None:
         self.close()
@@ -140,11 +143,14 @@ class SimulatedBox:
         records[:, 4:] = np.ascontiguousarray(counts, "<i4").view(np.uint8).reshape(n, 16)
         return records.tobytes()
 
-    def _grant(self, device_us: int, rx: bytes, samples: bytes, index: int, tx_room: int, flags: int) -> Answer:
+    def _grant(self, device_us: int, samples: bytes, index: int, tx_room: int, flags: int) -> Answer:
         assert self._process is not None
+        rx = self._rx[: min(RX_MAX, self._rx_room)]
+        self._rx = self._rx[len(rx) :]
         answer = self._process.grant(
             device_us, rx=rx, samples=samples, index=index, tx_room=tx_room, flags=flags, temperature_mdegc=24_500
         )
+        self._rx_room = answer.rx_room
         if answer.sampling and self._sampling_since_ns is None:
             self._sampling_since_ns = device_us * 1000
             self._period_ns = period_ns(answer.osr)

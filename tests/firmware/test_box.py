@@ -81,19 +81,36 @@ def test_time_passes_the_wraps_of_30_and_32_bits(chip):
 
 
 def test_nothing_is_allocated_while_streaming(chip):
-    """With automatic collection off every allocation would lower heap_free; 1000 frames, syncs and edges leave it as it is."""
+    """With automatic collection off every allocation would lower heap_free. Blocks, syncs with small and large ids, edges, short
+    writes, an overrun and a stall: it stays as it is."""
     chip.start()
-    free, blocks = [], 0
-    for i in range(1500):
+    free, blocks, tx = [], 0, b""
+    for i in range(2500):
         edges = struct.pack(">BBI", 1, i & 1, chip.now_us % 2**32) if i % 50 == 0 else b""
-        for f in chip.sample(13, rx=command(32, i) if i % 20 == 0 else b"", edges=edges):
-            blocks += f[0] == DATA
-            if f[0] == HEARTBEAT:
-                free.append(f[11])
-    assert blocks == 1500
+        rx = command(32, i if i % 40 else 2**30 - 1) if i % 20 == 0 else b""
+        hold = {3: 0, 4: 100}.get(i // 250, 0xFFFF)  # held back for three seconds, then in pieces of 100 bytes
+        chip.sample(13, rx=rx, edges=edges, tx_room=hold, flags=STALL if 1900 <= i < 1950 else 0)
+        tx += chip.answer.tx
+    for f in frames(tx):
+        blocks += f[0] == DATA
+        if f[0] == HEARTBEAT:
+            free.append(f[11])
+    assert blocks > 1500
     assert len(free) >= 18
     assert set(free[1:]) == {free[1]}, "heap_free moved while streaming"
     assert free[1] > 80_000
+
+
+def test_a_link_that_is_never_idle_does_not_exhaust_the_heap(chip):
+    """Commands allocate; on a link that takes less than what is streamed no moment is idle, and memory is collected all the same."""
+    chip.start()
+    answers = 0
+    for i in range(2000):
+        rx = command(48, 10 + i) if i % 2 else frame.frame(cbor.encode([60, 10 + i, bytes(200)]))
+        chip.sample(13, rx=rx if chip.answer.rx_room > 500 else b"", tx_room=240)
+        answers += chip.answer.tx.count(b"unknown command")
+    assert answers > 100
+    assert not chip.answer.reset
 
 
 def test_heap_holds_a_day_of_commands(chip):
@@ -111,6 +128,54 @@ def test_trigger_edges_are_stamped_in_full_time(chip):
     found = chip.give(us=0, edges=struct.pack(">BBI", 1, 1, 2**32 - 7))
     (event,) = [f for f in found if f[0] == EVENT]
     assert event[2:] == [1, 2**32 - 7, 1]
+
+
+def test_an_edge_that_waits_keeps_its_time(chip):
+    """The host is away for two hours; the edge's 32-bit stamp wraps meanwhile."""
+    chip.give(us=1000)
+    chip.give(us=5000, edges=struct.pack(">BBI", 0, 1, 5500), tx_room=0)
+    chip.now_us += 7_200_000_000
+    found = chip.give() + chip.give()
+    (event,) = [f for f in found if f[0] == EVENT]
+    assert event[2:] == [0, 5500, 1]
+
+
+def test_edges_beyond_the_room_are_counted(bench):
+    edges = b"".join(struct.pack(">BBI", 0, i & 1, i) for i in range(20))
+    for _ in range(3):
+        bench.give(tx_room=0, edges=edges)
+    found = [f for _ in range(4) for f in bench.give()]
+    events = [f for f in found if f[0] == EVENT]
+    assert [f[3] for f in events] == [i % 20 for i in range(33)], "32 wait and one was on its way"
+    (beat,) = [f for f in bench.give(us=2_000_000) if f[0] == HEARTBEAT]
+    assert beat[5] == 60 - 33
+
+
+def test_requests_wait_while_the_link_is_held_back(bench):
+    bench.start()
+    for i in range(5):
+        bench.sample(13, tx_room=0, rx=command(32, i))
+    found = [f for _ in range(3) for f in bench.give(us=10)]
+    assert [f[2] for f in found if f[0] == SYNC] == [0, 1, 2, 3, 4]
+
+
+def test_start_waits_for_the_samples_of_the_last_one(bench):
+    """A stop whose samples still wait: a start is refused, nothing is lost, each command has its own answer."""
+    bench.start()
+    for _ in range(20):
+        bench.sample(13, tx_room=0)
+    tx = b""
+    for rx in (command(51, 3), command(50, 4), command(48, 5)):
+        bench.give(us=10, rx=rx, tx_room=300)
+        tx += bench.answer.tx
+    for _ in range(30):
+        bench.give(us=10, tx_room=300)
+        tx += bench.answer.tx
+    found = frames(tx)
+    assert assert_contiguous(data_of(found)) == 260
+    assert [(f[0], f[2]) for f in found if f[0] in (REPLY, ERROR)] == [(ERROR, 4), (REPLY, 3)]
+    assert {f[2] for f in found if f[0] == IDENT} == {5}
+    assert bench.give(rx=command(50, 6))[0][0] == REPLY
 
 
 def test_a_command_is_executed_once(bench):
@@ -138,26 +203,46 @@ def test_refused_values(bench):
 
 
 def test_unknown_command_is_refused_by_name(bench):
-    (error,) = bench.give(rx=frame.frame(cbor.encode([99, 8])))
+    (error,) = bench.give(rx=frame.frame(cbor.encode([60, 8])))
     assert (error[0], error[2], error[3]) == (ERROR, 8, 1)
 
 
 def test_rubbish_is_counted_and_harmless(bench):
-    rubbish = [
-        b"\x05hello\0",
-        b"\xff" * 300 + b"\0",
-        frame.frame(cbor.encode([49, 4])),
-        frame.frame(cbor.encode([48, 2**30])),
+    rubbish = [b"\x05hello\0", b"\xff" * 300 + b"\0"]
+    rubbish += [
+        frame.frame(cbor.encode(x)) for x in ([48, 2**30], [48, 0], [48, b"1"], [48], {"a": 1}, [7, 1], [99, 8])
     ]
     rubbish += [
-        frame.frame(cbor.encode({"a": 1})),
-        frame.frame(bytes([0x82, 0x18, 0x20, 0x1B, 1, 2, 3, 4, 5, 6, 7, 8])),
+        frame.frame(bytes([0x82, 0x18, 0x20, 0x1B, 1, 2, 3, 4, 5, 6, 7, 8])),  # an id beyond 2^30
+        frame.frame(bytes([0x82, 0x18, 0x20, 0x49]) + b"\xff" * 9),  # an id that is no integer
     ]
     for run in rubbish:
         assert bench.give(rx=run) == []
     (beat,) = [f for f in bench.give(us=2_000_000) if f[0] == HEARTBEAT]
     assert beat[8] == len(rubbish)
     assert bench.give(rx=command(32, 1))[0][0] == SYNC
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        bytes([0x82, 0x18, 0x20, 0x05]),
+        bytes([0x82, 0x18, 0x20, 0x19, 0, 5]),  # not the shortest form
+        bytes([0x82, 0x18, 0x20, 0x1B, 0, 0, 0, 0, 0, 0, 0, 5]),
+        bytes([0x82, 0x19, 0, 0x20, 0x05]),
+        cbor.encode([32, 5, 1, 2]),  # of a newer minor version
+    ],
+)
+def test_sync_requests_of_any_form_are_answered(bench, payload):
+    (reply,) = bench.give(rx=frame.frame(payload))
+    assert reply[0] == SYNC
+    assert reply[2] == 5
+
+
+def test_malformed_commands_are_refused(bench):
+    for values in ([49, 4], [49, 5, 0], [49, 6, 0, "4096"]):
+        (error,) = bench.give(rx=frame.frame(cbor.encode(values)))
+        assert (error[0], error[2], error[3]) == (ERROR, values[1], 2)
 
 
 def test_short_writes_lose_nothing(bench):
@@ -246,10 +331,29 @@ def test_configuration_of_the_flash_reaches_ident():
     box.box.close()
 
 
-def test_damaged_configuration_is_reported_and_the_box_still_boots():
-    box = Bench(real_micropython(), config={"osr": 5})
+GOOD = {"name": "lvdt", "unit": "V", "scale": [1, -7]}
+
+
+@pytest.mark.parametrize(
+    ("config", "fault"),
+    [
+        ({"osr": 5}, "osr is not one of"),
+        ({"osr": 4096.0, "channels": [GOOD] * 4}, "osr is not one of"),
+        ([], "osr is not one of"),
+        ({"osr": 1024, "channels": [GOOD] * 3}, "four channels"),
+        ({"osr": 1024, "channels": [{**GOOD, "scale": 1.43e-7}] * 4}, "mantissa, exponent"),
+        ({"osr": 1024, "channels": [{**GOOD, "scale": [1.5, -7]}] * 4}, "mantissa, exponent"),
+        ({"osr": 1024, "channels": [{**GOOD, "calibration": None}] * 4}, "is a table with poly"),
+        ({"osr": 1024, "channels": [{**GOOD, "calibration": {"unit": "m", "poly": ["x"]}}] * 4}, "poly of lvdt"),
+        ({"osr": 1024, "channels": [{**GOOD, "note": "x" * 3000}] * 4}, "does not fit"),
+        ({"osr": 1024, "channels": [{**GOOD, "note": 1.5}] * 4}, "not on this wire"),
+    ],
+)
+def test_damaged_configuration_is_reported_and_the_box_still_boots(config, fault):
+    box = Bench(real_micropython(), config=config)
     document = ident_document(box.boot)
-    assert document["fault"].startswith("config: osr is not one of")
+    assert document["fault"].startswith("config: ")
+    assert fault in document["fault"]
     assert document["streams"][0]["osr"] == 4096
     box.box.close()
 

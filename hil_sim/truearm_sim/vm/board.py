@@ -7,10 +7,11 @@ thing with grants given by the wall clock. (The parent's half is truearm_sim/box
 
     grant   "G" flags  n_rx:u16  n_samples:u16  tx_room:u16  now:u64  index:u64  temperature:i32  n_edges:u8
             then rx bytes, samples (stamp:u32, 4 x i32 little endian), edges (line, rising, stamp:u32); 4096 bytes at most
-    answer  "D" flags  osr:u16  n_tx:u32, then tx bytes
+    answer  "D" flags  osr:u16  rx_room:u16  n_tx:u16, then tx bytes
 
 All big endian but the counts. Flags of a grant: 1 the firmware stalls (gets the samples, does not run), 2 the next block
-raises an exception, 4 quit. Flags of an answer: 1 sampling, 2 reset.
+raises an exception, 4 quit. Flags of an answer: 1 sampling, 2 reset. `rx_room` is flow control, as USB has: the parent keeps
+what would not fit.
 """
 
 import gc
@@ -23,10 +24,12 @@ GRANT = 29
 ANSWER = 8
 MESSAGE_MAX = 4096  # what a pipe passes in one piece
 TX_MAX = 16384
+RX_MAX = 1024
 FIFO = 512  # samples: half a second at 1 kHz
 SAMPLE = 16
 RECORD = 4 + SAMPLE
 EDGE = 6
+EDGES = 64  # that the board holds
 
 
 class Stopped(SystemExit):
@@ -67,10 +70,12 @@ class Board:
         self.config_path = setup["config"]
         self._head = bytearray(GRANT)
         self._body = bytearray(MESSAGE_MAX)
-        self._n_rx = 0
-        self._rx_at = 0
-        self._edges = 0
-        self._edges_at = 0
+        self._rx = bytearray(RX_MAX)  # a ring, as the next two
+        self._rx_first = 0
+        self._rx_n = 0
+        self._edge_fifo = bytearray(EDGES * EDGE)
+        self._edge_first = 0
+        self._edge_n = 0
         self._fifo = bytearray(FIFO * RECORD)
         self._first = 0  # place of the oldest sample
         self._count = 0
@@ -103,9 +108,9 @@ class Board:
         tx[1] = self._sampling | self._flags
         tx[2] = self._osr >> 8
         tx[3] = self._osr & 255
-        tx[4] = 0
-        tx[5] = self._tx_n >> 16
-        tx[6] = (self._tx_n >> 8) & 255
+        tx[4] = (RX_MAX - self._rx_n) >> 8
+        tx[5] = (RX_MAX - self._rx_n) & 255
+        tx[6] = self._tx_n >> 8
         tx[7] = self._tx_n & 255
         _write(tx, ANSWER + self._tx_n)
         self._tx_n = 0
@@ -129,10 +134,8 @@ class Board:
         size = n_rx + n_samples * RECORD + head[28] * EDGE
         if size:
             self._read_exactly(self._body, size)
-        self._n_rx = n_rx
-        self._rx_at = 0
-        self._edges = head[28]
-        self._edges_at = n_rx + n_samples * RECORD
+        self._take_rx(n_rx)
+        self._take_edges(n_rx + n_samples * RECORD, head[28])
         self._tx_room = _u16(head, 6)
         self._temperature = (head[24] - 256 if head[24] & 128 else head[24]) * 16777216 + (
             head[25] << 16 | head[26] << 8 | head[27]
@@ -141,6 +144,20 @@ class Board:
             self._crash = True
         self._latch(n_rx, n_samples)
         return head[1] & 1
+
+    def _take_rx(self, n):
+        if self._rx_n + n > RX_MAX:
+            raise OSError("more bytes than rx_room")
+        for i in range(n):
+            self._rx[(self._rx_first + self._rx_n) % RX_MAX] = self._body[i]
+            self._rx_n += 1
+
+    def _take_edges(self, at, n):
+        for i in range(n):
+            if self._edge_n < EDGES:  # what a real latch has no room for is gone
+                place = (self._edge_first + self._edge_n) % EDGES
+                copy(self._edge_fifo, place * EDGE, self._body, at + i * EDGE, EDGE)
+                self._edge_n += 1
 
     def _latch(self, at, n):
         """Samples into the hardware buffer; one that is lapped loses everything it held, as a DMA ring does."""
@@ -168,9 +185,11 @@ class Board:
         return (a - b) & 0x3FFFFFFF
 
     def receive(self, buf):
-        n = min(self._n_rx - self._rx_at, len(buf))
-        copy(buf, 0, self._body, self._rx_at, n)
-        self._rx_at += n
+        n = min(self._rx_n, len(buf))
+        for i in range(n):
+            buf[i] = self._rx[self._rx_first]
+            self._rx_first = (self._rx_first + 1) % RX_MAX
+        self._rx_n -= n
         return n
 
     def send(self, buf, at, n):
@@ -217,11 +236,11 @@ class Board:
         return False
 
     def edge(self, edge):
-        if self._edges == 0:
+        if self._edge_n == 0:
             return False
-        self._edges -= 1
-        copy(edge, 0, self._body, self._edges_at, EDGE)
-        self._edges_at += EDGE
+        copy(edge, 0, self._edge_fifo, self._edge_first * EDGE, EDGE)
+        self._edge_first = (self._edge_first + 1) % EDGES
+        self._edge_n -= 1
         return True
 
     def heap_free(self):
