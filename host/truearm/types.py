@@ -117,12 +117,18 @@ class ObservationTable:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Errors on rows that were not used to fit; norms of each observation's residual [m]."""
+    """Errors on rows that were not used to fit; norms of each observation's residual [m].
+
+    ``n_settled`` unknowns of the rig (the places of sockets that no fitted row touches) were estimated on these very rows;
+    ``n_left_out`` rows are not among the ``n``, because they fit such unknowns whatever they say.
+    """
 
     rms: float
     mean: float
     max: float
     n: int
+    n_settled: int = 0
+    n_left_out: int = 0
 
 
 @dataclass(frozen=True)

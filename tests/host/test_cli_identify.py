@@ -44,6 +44,9 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
     return call
 
 
+HELD_OUT_KEYS = {"rms_mm", "mean_mm", "max_mm", "n", "n_settled", "n_left_out"}
+
+
 def process(*arguments: object) -> Outcome:
     command = [sys.executable, "-m", "truearm.cli", *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
@@ -159,7 +162,7 @@ def check_schema(result: dict[str, Any]) -> None:
     for direction in result["null_space"]:
         assert max(map(abs, direction["weights"])) == pytest.approx(1.0)
     for key in ("held_out", "held_out_before"):
-        assert result[key] is None or set(result[key]) == {"rms_mm", "mean_mm", "max_mm", "n"}
+        assert result[key] is None or set(result[key]) == HELD_OUT_KEYS
 
 
 def test_the_result_file_is_the_json_output_and_keeps_to_its_schema(

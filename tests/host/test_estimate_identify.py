@@ -306,3 +306,30 @@ def test_the_distance_between_sockets_brings_the_scale(seated_clean):
         for rig, rig_ in (("true", SEAT_RIG), ("longer", longer))
     }
     assert found["longer"] / found["true"] == pytest.approx(1.002, abs=5e-4)
+
+
+def test_the_only_seat_of_a_socket_judges_nothing():
+    """A socket that only one held-out row touches is settled on that row: it fits whatever it says, and must not count."""
+    t = seat_table(np.random.default_rng(10), 25, ("p1", "p2", "p3"), 1e-4)
+    held = np.flatnonzero(t.place == "p3")
+    a, b = (held[t.socket[held] == name] for name in "ab")
+    errors = {}
+    for few in (1, 2, 25):
+        keep = np.concatenate([np.flatnonzero(t.place != "p3"), a[:few], b])
+        some = t.select(keep)
+        e = identify(
+            CHAIN,
+            SEAT_RIG,
+            some,
+            free=FREE & free_without_gains(CHAIN),
+            hold_out=some.place == "p3",
+            prior_sigma=weak_prior(CHAIN),
+        )
+        assert (e.held_out.n_settled, e.held_out.n_left_out) == (6, 1 if few == 1 else 0)
+        assert e.held_out.n == 25 + (0 if few == 1 else few)
+        errors[few] = e.held_out.rms
+    # 25 rows of the other socket judge in each case; one seat more or less changes little
+    assert errors[1] == pytest.approx(errors[2], rel=0.2)
+    alone = t.select(np.concatenate([np.flatnonzero(t.place != "p3"), a[:1], b[:1]]))
+    e = identify(CHAIN, SEAT_RIG, alone, hold_out=alone.place == "p3", prior_sigma=weak_prior(CHAIN))
+    assert e.held_out is None

@@ -37,6 +37,8 @@ def show_result(document: Document, out: Path | None) -> None:
     for line in unseen(document):
         console.print(line)
     console.print(_error_table(document))
+    for line in held_out_notes(document):
+        console.print(line)
     for line in advice(document, out):
         console.print(line)
 
@@ -106,6 +108,22 @@ def _error_table(document: Document) -> Table:
             rows = str(document["held_out"]["n"])
             table.add_row(f"held out, {title}", _mm(before.get(key)), _mm(after.get(key)), rows)
     return table
+
+
+def held_out_notes(document: Document) -> list[str]:
+    """What the held-out error does not say by itself."""
+    held_out, notes = document["held_out"], []
+    if held_out and held_out["n_settled"]:
+        notes.append(f"{held_out['n_settled']} unknowns of the rig were settled on the held-out rows themselves.")
+    if held_out and held_out["n_left_out"]:
+        notes.append(
+            f"{held_out['n_left_out']} held-out rows are not judged: they fit such unknowns whatever they say."
+        )
+    if held_out is None and document["held_out_by"]:
+        notes.append(
+            "No held-out row can judge: each fits unknowns of the rig whatever it says; measure more rows there."
+        )
+    return notes
 
 
 def _mm(value: float | None) -> str:

@@ -163,6 +163,8 @@ def _held_out(held_out: HeldOut | None) -> dict[str, Any] | None:
         "mean_mm": _mm(held_out.mean),
         "max_mm": _mm(held_out.max),
         "n": held_out.n,
+        "n_settled": held_out.n_settled,
+        "n_left_out": held_out.n_left_out,
     }
 
 
