@@ -83,15 +83,22 @@ def test_margin_and_bound_are_those_of_the_linear_program(seed):
     ones, scale = np.ones(len(e)), 1e-9  # rate · 1e9 ns is of the size of the offset
     rows = np.concatenate([np.stack([-ones, -x_low * scale], 1), np.stack([ones, x_high * scale], 1)])
     b = np.concatenate([-y_low, y_high])
+
+    def bend(x):
+        """1 ppm a minute: ns off the tangent in the centre."""
+        seconds = 1e-9 * (x - 1e3 * (window.centre_us - window.device_ref_us))
+        return 1e9 * 0.5 * (1e-6 / 60.0) * seconds**2
+
     bounds = [(None, None), (-1e6, 1e6)]
     best = linprog([0, 0, -1], A_ub=np.c_[rows, np.ones(len(b))], b_ub=b, bounds=[*bounds, (None, None)])
     assert window.margin_ns == pytest.approx(-best.fun, abs=0.01)  # HiGHS: 1e-7 of numbers of 1e5 ns
+    b = b + np.concatenate([bend(x_low), bend(x_high)])
     for t_us in (e[0, 1], e[100, 1], e[-1, 2] + 10_000_000):
         dx = 1e3 * float(t_us - window.device_ref_us)
         ends = [sign * linprog([sign, sign * dx * scale], A_ub=rows, b_ub=b, bounds=bounds).fun for sign in (1, -1)]
         estimate = window.offset_ns + window.rate * dx
         _, bound = window.to_host_ns(np.array([t_us]))
-        assert bound[0] == pytest.approx(max(estimate - ends[0], ends[1] - estimate), abs=0.05)
+        assert bound[0] == pytest.approx(max(estimate - ends[0], ends[1] - estimate) + bend(dx), abs=0.05)
 
 
 @pytest.mark.parametrize(
@@ -109,6 +116,109 @@ def test_the_error_is_within_the_bound_in_every_run(there, back, ppm, drift):
         assert report.rejected == 0
         assert report.rtt_min_ns >= there + back
         assert report.half_asymmetry_ns <= report.bound_ns
+
+
+def probes(rng, device_s, there, back, duration_s=180.0):
+    """Exchanges at 4 Hz of a device whose clock shows device_s(host s); latencies (floor, tail) [µs] each way."""
+    every = []
+    for t0 in np.arange(0.0, duration_s, 0.25):
+        t1 = t0 + 1e-6 * (there[0] + rng.exponential(there[1]))
+        t2 = t1 + 5e-6
+        t3 = t2 + 1e-6 * (back[0] + rng.exponential(back[1]))
+        every.append(Exchange(int(1e9 * t0), int(1e6 * device_s(t1)), int(1e6 * device_s(t2)), int(1e9 * t3) + 1))
+    return every
+
+
+def excess_ns(clock, device_s, duration_s=180.0):
+    """Largest of |error| − bound at 4001 times."""
+    host = np.linspace(0.0, duration_s, 4001)
+    device = 1e6 * np.array([device_s(t) for t in host])
+    whole = np.floor(device).astype(np.int64)
+    estimate, bound = clock.to_host_ns(whole)
+    return float(np.max(np.abs(estimate - (1e9 * host - 1e3 * (device - whole))) - bound))
+
+
+IMMEDIATE, LONG, USB = (1.0, 1e-3), (250.0, 100.0), (125.0, 80.0)  # floor and mean above it, µs
+
+
+@pytest.mark.parametrize(("there", "back"), [(IMMEDIATE, LONG), (LONG, IMMEDIATE), ((2.0, 80.0), (300.0, 120.0))])
+@pytest.mark.parametrize("ppm_per_minute", [-3.0, -1.0, -0.3, 0.3, 1.0, 3.0])
+def test_drift_with_all_latency_on_one_way(there, back, ppm_per_minute):
+    """One bound touches the truth all along, and the truth bends away from every line that keeps to it."""
+    drift = 1e-6 / 60.0 * ppm_per_minute
+    every = probes(np.random.default_rng(21), lambda t: 5.0 + t * (1.0 + 20e-6) + 0.5 * drift * t * t, there, back)
+    clock, report = fit_clock(0, every)
+    assert excess_ns(clock, lambda t: 5.0 + t * (1.0 + 20e-6) + 0.5 * drift * t * t) <= 0.0
+    assert report.rejected == 0
+    assert report.bound_ns < 450e3  # half the shortest round trip is 126 to 151 µs: it still says something
+
+
+def shape(name, size):
+    """device_s of clocks that break DRIFT: ``size`` in ppm, of steps in µs."""
+    change = {
+        "rate step": lambda t: 1e-6 * size * max(0.0, t - 90.0),
+        "late rate step": lambda t: 1e-6 * size * max(0.0, t - 172.0),
+        "wobble": lambda t: 1e-6 * size * 60.0 / (2.0 * np.pi) * -np.cos(2.0 * np.pi * t / 60.0),
+        "slew": lambda t: 1e-6 * size * float(np.clip((t - 52.0) / (abs(size) * 2e-3), 0.0, 1.0)),  # at 500 ppm
+        "step": lambda t: 1e-6 * size * (t > 85.0),
+    }[name]
+    return lambda t: 5.0 + t * (1.0 + 20e-6) + change(t)
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [
+        ("rate step", 5.0),
+        ("rate step", 20.0),
+        ("rate step", 50.0),
+        ("late rate step", 50.0),
+        ("late rate step", 500.0),
+        ("wobble", 5.0),
+        ("wobble", 20.0),
+        ("slew", 100.0),
+        ("slew", 300.0),
+        ("slew", 600.0),
+        ("step", 300.0),
+        ("step", 2000.0),
+    ],
+)
+def test_a_clock_that_no_line_describes_is_within_its_bound(name, size, sign):
+    """No exchange need be impossible: 5 ppm bend by 75 µs, far less than the 275 µs that a round trip leaves open."""
+    device_s = shape(name, sign * size)
+    for seed in range(3):
+        clock, _ = fit_clock(0, probes(np.random.default_rng(seed), device_s, USB, (150.0, 120.0)))
+        assert excess_ns(clock, device_s) <= 0.0
+
+
+def test_a_run_of_rejected_exchanges_halves_the_window():
+    """The wobble's crest is a dozen exchanges of 240 a window, below a fifth."""
+    device_s = shape("wobble", 20.0)
+    clock, report = fit_clock(0, probes(np.random.default_rng(1), device_s, USB, (150.0, 120.0)))
+    assert report.windows > 5
+    assert report.rejected == 0
+    assert max(np.diff([window.centre_us for window in clock.windows])) <= 31e6
+
+
+def test_the_bound_reaches_what_a_rejected_exchange_says():
+    """A single impossible exchange may be the one that is right."""
+    every = exchanges(np.random.default_rng(9), True_(31.0))
+    e = every[400]
+    every[400] = e._replace(t1_us=e.t1_us + 700, t2_us=e.t2_us + 700)
+    clock, report = fit_clock(0, every)
+    assert report.rejected == 1
+    host, bound = clock.to_host_ns(np.array([every[400].t1_us, every[400].t2_us]))
+    assert host[0] - bound[0] <= every[400].t0_ns
+    assert host[1] + bound[1] >= every[400].t3_ns
+
+
+def test_no_bound_is_below_half_the_shortest_round_trip():
+    """A slew lets the windows' lines close in on each other: where they nearly contradict, they allow next to nothing."""
+    device_s = shape("slew", 300.0)
+    every = probes(np.random.default_rng(3), device_s, USB, (150.0, 120.0))
+    clock, report = fit_clock(0, every)
+    _, bound = clock.to_host_ns(np.arange(5_000_000, 185_000_000, 10_000))
+    assert np.min(bound) >= report.half_asymmetry_ns > 137e3
 
 
 def test_spread_with_usb_like_latency():

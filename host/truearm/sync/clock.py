@@ -7,23 +7,36 @@ time d keeps to two hard bounds::
     h(t1 + 1 µs) ≥ t0        (device time counts whole microseconds: the true instant lies up to one after t1)
     h(t2)        ≤ t3
 
-Within a window of 60 s the crystals are taken as steady: h is a line, h = a + (1 + r) d with |r| ≤ 1000 ppm. All lines that
-keep to all bounds form a convex polygon in (a, r). The estimate is the line with the largest margin to both bounds,
+Within a window of 60 s the estimate of h is a line, a + (1 + r) d with |r| ≤ 1000 ppm, the one with the largest margin to
+both bounds,
 
     max over r of  U(r) − L(r),    U(r) = min(t3 − (1 + r) t2),    L(r) = max(t0 − (1 + r)(t1 + 1 µs)),
 
 with a half-way between. U − L is concave and piecewise linear in r, and it bends only at the slopes of the edges of two
-convex hulls: the optimum and the whole polygon follow exactly from a few dozen candidates, without an iteration.
+convex hulls: the optimum follows exactly from a few dozen candidates, without an iteration.
 
-The **bound** on the error at a time is the farthest that any line of the polygon is from the estimate there. It contains
-the half-asymmetry (± half the shortest round trip) that no exchange can show: if the way there takes constantly longer
-than the way back the estimate is off by half the difference, and every exchange looks the same.
+The **bound** on the error holds if either of two assumptions does, as it is the larger of what they give:
+
+1. The rate h′ changes by no more than DRIFT, 1 ppm a minute. Then h keeps within ½ · DRIFT · x² of its tangent in the
+   window's centre, x away from it: 7.5 µs at the ends of 60 s. The tangent therefore is among the lines that keep to
+   all bounds when these are widened by as much. Such lines form a convex polygon in (a, r); the bound is the farthest
+   that any of them is from the estimate, and ½ · DRIFT · x².
+2. The rate stays within WANDER, 30 ppm, of the estimate's, and may change within that as it likes. Then each exchange
+   bounds h at any time, WANDER · (time between) more loosely. Exchanges before and after are asked apart and the looser
+   answer counts, so h may also have one step (or a steep slope one way: a host clock that is slewed) between them. Within
+   a second of the first and last exchange there are too few on one side; there the tighter answer counts.
+
+A clock that breaks both, and still keeps every exchange possible, cannot be told from one that does not.
+The bound contains the half-asymmetry (± half the shortest round trip, and it is never less) that no exchange can show:
+if the way there takes constantly longer than the way back the estimate is off by half the difference, and every
+exchange looks the same.
 
 Windows overlap by half. Between the centres of two neighbours their lines are blended linearly, and so are their
 bounds: h has no steps. ``spread`` is the root mean square of what neighbours disagree about half-way, over √2.
 
-An exchange that no line can keep to together with the rest is rejected: the least sum of violations (a linear program)
-finds it. If more than a fifth would go, the clock was not steady; the window is halved.
+An exchange that no line can keep to together with the rest, by the widened bounds, is rejected: the least sum of
+violations (a linear program) finds it. If two neighbours or more than a fifth would go, the clock was not steady; the
+window is halved. What stays rejected widens its window's bound by the farthest that it allows, for it may be right.
 """
 
 from __future__ import annotations
@@ -31,12 +44,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog  # type: ignore[attr-defined]
 
-from truearm.sync.device_clock import DeviceClock, Ints, Window
+from truearm.sync.device_clock import Ceiling, DeviceClock, Ints, Window, blended, slack_ns
 from truearm.sync.frames import Exchange
 from truearm.sync.hull import lower_hull
 from truearm.types import Floats
@@ -77,8 +91,26 @@ def fit_clock(segment: int, exchanges: Sequence[Exchange]) -> tuple[DeviceClock,
     windows = [window for part in _overlapping(sane) for window in _fit_or_halve(part)]
     if not windows:
         return None
-    clock = DeviceClock(segment, tuple(_distinct(windows)))
+    clock = _clock(segment, tuple(_distinct(windows)), sane)
     return clock, _report(clock, every, sane)
+
+
+def _clock(segment: int, windows: tuple[Window, ...], sane: Ints) -> DeviceClock:
+    """The windows with what the exchanges that none of them rejected allow."""
+    t0, t1, t2, t3 = sane[~np.isin(sane[:, 1], [t1 for window in windows for t1 in window.rejected_us])].T
+    origin = int(sane[0, 1])
+    return DeviceClock(
+        segment,
+        windows,
+        origin,
+        above=Ceiling.of(1e3 * (t2 - origin), (t3 - blended(windows, t2)[0]).astype(float)),
+        below=Ceiling.of(1e3 * (t1 + TICK_US - origin), (blended(windows, t1 + TICK_US)[0] - t0).astype(float)),
+        least_bound_ns=0.5 * int(np.min(_round_trips(sane))),
+    )
+
+
+def _round_trips(sane: Ints) -> Ints:
+    return np.asarray(sane[:, 3] - sane[:, 0] - 1000 * (sane[:, 2] - sane[:, 1]))
 
 
 def _distinct(windows: list[Window]) -> list[Window]:
@@ -100,50 +132,82 @@ def _overlapping(sane: Ints) -> list[Ints]:
 
 
 def _fit_or_halve(part: Ints) -> list[Window]:
-    """The windows of these exchanges: one if a line fits most of them, else those of both halves."""
+    """The windows of these exchanges: one if a line fits but for single ones, else those of both halves."""
     keep = np.ones(len(part), dtype=bool)
     window = _fit(part, keep)
     if window is not None:
         return [window]
     keep = _consistent(part)
     span = int(part[-1, 1] - part[0, 1])
-    if np.mean(keep) < 1.0 - MAX_REJECTED and span > SHORTEST_WINDOW_US:
+    unsteady = np.mean(keep) < 1.0 - MAX_REJECTED or bool(np.any(~keep[1:] & ~keep[:-1]))
+    if unsteady and span > SHORTEST_WINDOW_US:
         middle = max(1, int(np.searchsorted(part[:, 1], part[0, 1] + span // 2)))
         return [*_fit_or_halve(part[:middle]), *_fit_or_halve(part[middle:])]
     window = _fit(part, keep)
     return [] if window is None else [window]
 
 
-def _bounds(part: Ints, device_ref: int, host_ref: int) -> tuple[Floats, Floats, Floats, Floats]:
-    """x and y of the points that the line must lie above, then below; y is host − device, from the references."""
+class Points(NamedTuple):
+    """What a line must lie above (low) and below (high); y is host − device, both from references."""
+
+    x_low: Floats
+    y_low: Floats
+    x_high: Floats
+    y_high: Floats
+
+    def widened(self, centre: float) -> Points:
+        """The same with what a clock that keeps to DRIFT may be from its tangent at x = centre."""
+        low, high = slack_ns(self.x_low - centre), slack_ns(self.x_high - centre)
+        return Points(self.x_low, self.y_low - low, self.x_high, self.y_high + high)
+
+
+def _points(part: Ints, device_ref: int, host_ref: int) -> Points:
     x_low, x_high = 1000 * (part[:, 1] + TICK_US - device_ref), 1000 * (part[:, 2] - device_ref)
     y_low, y_high = part[:, 0] - host_ref - x_low, part[:, 3] - host_ref - x_high
-    return x_low.astype(float), y_low.astype(float), x_high.astype(float), y_high.astype(float)
+    return Points(x_low.astype(float), y_low.astype(float), x_high.astype(float), y_high.astype(float))
+
+
+def _centre(part: Ints) -> int:
+    return int(part[0, 1] + part[-1, 1]) // 2
 
 
 def _fit(part: Ints, keep: NDArray[np.bool_]) -> Window | None:
-    """The line with the largest margin; None if none keeps to the bounds of the exchanges that are kept."""
-    used = part[keep]
-    if not len(used):
+    """The line with the largest margin; None if none keeps to the widened bounds of the exchanges that are kept."""
+    if not np.any(keep):
         return None
-    middle = used[len(used) // 2]
-    device_ref, host_ref = int(middle[1]), int(middle[0])
-    rates, low, high = _candidates(*_bounds(used, device_ref, host_ref))
+    used, centre = part[keep], _centre(part)
+    device_ref, host_ref = int(used[len(used) // 2, 1]), int(used[len(used) // 2, 0])
+    points = _points(used, device_ref, host_ref)
+    rates, low, high = _candidates(points.widened(1e3 * (centre - device_ref)))
     widest = float(np.max(high - low))
     if widest < -2.0 * ROUNDING_NS:
         return None
-    low, high, widest = (low + 0.5 * widest, high - 0.5 * widest, 0.0) if widest < 0.0 else (low, high, widest)
+    lines = _corners(rates, low + min(0.0, 0.5 * widest), high - min(0.0, 0.5 * widest))
+    offset, rate, margin = _middle(*_candidates(points))
+    reach = _reach(_points(part[~keep], device_ref, host_ref), offset, rate)
+    rejected = tuple(part[~keep, 1].tolist())
+    return Window(device_ref, host_ref, offset, rate, lines, margin, centre, rejected, reach)
+
+
+def _middle(rates: Floats, low: Floats, high: Floats) -> tuple[float, float, float]:
+    """Offset, rate and margin of the line that is farthest from both bounds."""
+    widest = float(np.max(high - low))
     # Device stamps are whole ticks, so margins that differ by less tell nothing: the middle of all such rates.
     best = rates[high - low >= widest - 1000.0 * TICK_US]
     rate = float(0.5 * (best[0] + best[-1]))
-    offset = float(np.interp(rate, rates, 0.5 * (low + high)))
-    centre = int(part[0, 1] + part[-1, 1]) // 2
-    lines = _corners(rates, low, high)
-    return Window(device_ref, host_ref, offset, rate, lines, 0.5 * widest, centre, tuple(part[~keep, 1].tolist()))
+    return float(np.interp(rate, rates, 0.5 * (low + high))), rate, 0.5 * widest
 
 
-def _candidates(x_low: Floats, y_low: Floats, x_high: Floats, y_high: Floats) -> tuple[Floats, Floats, Floats]:
+def _reach(rejected: Points, offset: float, rate: float) -> float:
+    """The farthest from the line that exchanges allow."""
+    low = rejected.y_low - offset - rate * rejected.x_low
+    high = rejected.y_high - offset - rate * rejected.x_high
+    return float(np.max(np.abs([low, high]), initial=0.0))
+
+
+def _candidates(points: Points) -> tuple[Floats, Floats, Floats]:
     """Rates at which U − L can bend, ascending, and L and U there."""
+    x_low, y_low, x_high, y_high = points
     below, above = lower_hull(x_low, -y_low), lower_hull(x_high, y_high)
     x_low, y_low, x_high, y_high = x_low[below], y_low[below], x_high[above], y_high[above]
     edges = np.concatenate([np.diff(y_low) / np.diff(x_low), np.diff(y_high) / np.diff(x_high)])
@@ -167,9 +231,10 @@ def _corners(rates: Floats, low: Floats, high: Floats) -> Floats:
 
 
 def _consistent(part: Ints) -> NDArray[np.bool_]:
-    """Mask of the exchanges that the line with the least sum of violations keeps to."""
+    """Mask of the exchanges whose widened bounds the line with the least sum of violations keeps to."""
     middle = part[len(part) // 2]
-    x_low, y_low, x_high, y_high = _bounds(part, int(middle[1]), int(middle[0]))
+    points = _points(part, int(middle[1]), int(middle[0]))
+    x_low, y_low, x_high, y_high = points.widened(1e3 * (_centre(part) - int(middle[1])))
     n = len(part)
     scale = max(1.0, float(np.ptp(x_high)))  # rate · scale is of the size of an offset
     slack = np.tile(-np.eye(n), (2, 1))
@@ -192,7 +257,7 @@ def _report(clock: DeviceClock, every: Ints, sane: Ints) -> ClockReport:
     host, _ = clock.to_host_ns(np.array([middle]))
     _, bound = clock.to_host_ns(sane[:, 1])
     rates = 1e6 * np.array([window.rate for window in windows])
-    rtt = (sane[:, 3] - sane[:, 0]) - 1000 * (sane[:, 2] - sane[:, 1])
+    rtt = _round_trips(sane)
     left_out = {t1 for window in windows for t1 in window.rejected_us}  # windows overlap
     return ClockReport(
         segment=clock.segment,
