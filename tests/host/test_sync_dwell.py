@@ -140,7 +140,7 @@ def plan_of(q):
 
 def matched(q, plan, tolerance=0.017, said=None):
     q = np.asarray(q, dtype=float).reshape(len(q), -1)
-    return match_plan(q, plan, tolerance, said or [{}] * len(q))
+    return list(match_plan(q, plan, tolerance, said or [{}] * len(q)).poses)
 
 
 def test_missing_and_extra_dwells():
@@ -170,6 +170,61 @@ def test_what_was_mounted_may_not_contradict():
     plan = Plan(np.zeros((2, 1)), ({"bar": "b46", "chuck": "c1"}, {"bar": "b46", "chuck": "c2"}))
     assert matched([0.0], plan, said=[{"chuck": "c2"}]) == [1]
     assert matched([0.0], plan, said=[{"chuck": "c3"}]) == [None]
+
+
+@pytest.mark.parametrize(
+    ("dwells", "ambiguous"),
+    [
+        ([0, 1, 2, 3], {0, 1, 2, 3}),  # either half of the plan
+        ([0, 1, 2, 3, 0, 1, 2, 3], set()),
+        ([0, 1, 3, 0, 1, 2, 3], set()),  # 3 then 0 is the change of bars
+        ([0, 1, 2, 3, 0, 1, 3], set()),
+        ([0, 1, 2, 3, 2, 3], set()),
+        ([0, 1, 2, 3, 3], set()),  # the last is 3 with the second bar
+        ([3, 0], set()),
+        ([0, 1], {0, 1}),
+        ([0, 1, 0], set()),
+    ],
+)
+def test_a_plan_that_visits_its_poses_again_with_another_bar(dwells, ambiguous):
+    fittings = [{"bar": bar, "chuck": "c", "sphere": "s"} for bar in ("b46", "b61") for _ in range(4)]
+    plan = Plan(np.tile(np.arange(4.0), 2)[:, None], tuple(fittings))
+    found = match_plan(np.array(dwells, dtype=float)[:, None], plan, 0.017, [{}] * len(dwells))
+    assert found.ambiguous == ambiguous
+
+
+def test_what_was_said_to_be_mounted_decides():
+    plan = Plan(np.zeros((2, 1)), tuple({"bar": bar, "chuck": "c", "sphere": "s"} for bar in ("b46", "b61")))
+    assert match_plan(np.zeros((1, 1)), plan, 0.017, [{}]).ambiguous == {0}
+    found = match_plan(np.zeros((1, 1)), plan, 0.017, [{"bar": "b61"}])
+    assert (found.poses, found.ambiguous) == ((1,), frozenset())
+
+
+def test_the_same_fittings_are_not_ambiguous():
+    assert match_plan(np.zeros((1, 1)), plan_of([0.0, 0.0]), 0.017, [{}]).ambiguous == frozenset()
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.lists(st.integers(0, 2), min_size=1, max_size=5),
+    st.lists(st.tuples(st.integers(0, 2), st.sampled_from("ab")), min_size=1, max_size=7),
+)
+def test_ambiguous_is_what_the_longest_chains_disagree_about(dwells, poses):
+    """Against all chains, one by one."""
+    plan = Plan(
+        np.array([[float(p)] for p, _ in poses]), tuple({"bar": b, "chuck": "c", "sphere": "s"} for _, b in poses)
+    )
+    found = match_plan(np.array(dwells, dtype=float)[:, None], plan, 0.1, [{}] * len(dwells))
+    bars = [set() for _ in dwells]
+    for size in range(min(len(dwells), len(poses)), 0, -1):
+        for some in combinations(range(len(dwells)), size):
+            for chosen in combinations(range(len(poses)), size):
+                if all(dwells[d] == poses[p][0] for d, p in zip(some, chosen, strict=True)):
+                    for d, p in zip(some, chosen, strict=True):
+                        bars[d].add(poses[p][1])
+        if any(bars):
+            break
+    assert found.ambiguous == {d for d, of in enumerate(bars) if len(of) > 1}
 
 
 @settings(max_examples=150, deadline=None)

@@ -192,6 +192,18 @@ def test_mounted_events_serve_without_a_plan():
     assert list(result.table.shell) == ["a", "a", "b", "b"]
 
 
+def test_a_plan_that_leaves_the_chuck_open_gives_no_observation(clean):
+    """The plan visits all poses again with another chuck; the recording holds one of the two rounds."""
+    messages, _ = clean
+    planned = [json.loads(m.data) for m in messages if m.topic == "/plan"]
+    again = [Message("/plan", 0, json.dumps({**pose, "chuck": "c2"}).encode()) for pose in planned]
+    assert synced(again + messages).reasons == {"ambiguous": 10}
+    said = {"kind": "mounted", "bar": "b46", "chuck": "c1", "sphere": "s1"}
+    result = synced([Message("/events", 1, json.dumps(said).encode()), *again, *messages])
+    assert result.reasons == {}
+    assert set(result.table.chuck) == {"c1"}
+
+
 @pytest.mark.parametrize("key", ["bars", "chucks", "spheres"])
 def test_a_rig_that_lacks_what_the_plan_names(clean, key):
     with pytest.raises(RigError, match="which the rig does not have"):

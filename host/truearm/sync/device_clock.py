@@ -43,7 +43,8 @@ class Window:
         dx = whole.astype(np.float64)
         correction = self.offset_ns + self.rate * dx
         others = self.lines[:, :1] + self.lines[:, 1:] * dx
-        bound = np.max(np.abs(others - correction), axis=0) + slack_ns(1e3 * (t_us - self.centre_us)) + self.reach_ns
+        bend = slack_ns((1000 * (t_us - self.centre_us)).astype(np.float64))
+        bound = np.max(np.abs(others - correction), axis=0) + bend + self.reach_ns
         return self.host_ref_ns + whole + np.rint(correction).astype(np.int64), bound
 
 

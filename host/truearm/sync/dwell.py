@@ -38,6 +38,7 @@ REASONS = (
     "no samples",
     "no clock",
     "no plan match",
+    "ambiguous",  # the plan holds this pose with different fittings, and nothing says which were mounted
 )
 
 

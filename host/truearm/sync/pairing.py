@@ -3,11 +3,18 @@
 A robot follows its plan in order, but a pose may be left out, visited twice, or stopped at in between. The pairing is
 therefore the longest chain of (dwell, pose) pairs that are near in joint space and ascend in both; of chains as long, the
 one with the smaller distances. It is found as a longest increasing subsequence with weights, in O(k log k) for k near pairs.
+
+A plan may hold the same joint pose twice with different fittings. Where dwells are missing, several chains are then as
+long, and nothing says which of them the robot took: a dwell to which such chains give different bars, chucks or spheres
+is **ambiguous**. A pair lies on a chain of the greatest length exactly if the longest chain that ends at it and the longest
+that begins at it, less the pair that they share, make that length. Distances do not decide here: a robot that misses its
+poses by a little more on one side would be given another bar.
 """
 
 from __future__ import annotations
 
 import json
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,6 +26,7 @@ from truearm.sync.joints import MAX_JOINTS
 from truearm.types import Floats
 
 FITTINGS = ("bar", "chuck", "sphere", "shell")
+REQUIRED = ("bar", "chuck", "sphere")  # what an observation of the ball-bar must name
 MAX_NAME = 64
 
 
@@ -77,8 +85,16 @@ class Marks:
         return self.mountings[index - 1][1] if index else {}
 
 
-def match_plan(q: Floats, plan: Plan, tolerance: float, said: Sequence[Mapping[str, str]]) -> list[int | None]:
-    """The planned pose of each dwell, None where there is none.
+@dataclass(frozen=True)
+class Matches:
+    """The planned pose of each dwell, None where there is none, and the dwells that different fittings suit as well."""
+
+    poses: tuple[int | None, ...]
+    ambiguous: frozenset[int]
+
+
+def match_plan(q: Floats, plan: Plan, tolerance: float, said: Sequence[Mapping[str, str]]) -> Matches:
+    """Which planned pose each dwell is.
 
     ``q`` (d, j): mean readings in order; ``tolerance`` [rad or m] holds for every joint; ``said``: what events said to be
     mounted at each dwell, which a pose must not contradict.
@@ -87,7 +103,7 @@ def match_plan(q: Floats, plan: Plan, tolerance: float, said: Sequence[Mapping[s
     matched: list[int | None] = [None] * len(q)
     for dwell, pose in _best_chain(pairs, len(plan.q)):
         matched[dwell] = pose
-    return matched
+    return Matches(tuple(matched), _ambiguous(pairs, plan))
 
 
 def _near_pairs(
@@ -110,7 +126,7 @@ def _near_pairs(
 
 
 def _contradict(said: Mapping[str, str], planned: Mapping[str, str]) -> bool:
-    return any(said.get(key) and planned.get(key) and said[key] != planned[key] for key in ("bar", "chuck", "sphere"))
+    return any(said.get(key) and planned.get(key) and said[key] != planned[key] for key in REQUIRED)
 
 
 def _best_chain(pairs: list[tuple[int, int, float]], poses: int) -> list[tuple[int, int]]:
@@ -131,6 +147,33 @@ def _best_chain(pairs: list[tuple[int, int, float]], poses: int) -> list[tuple[i
         chain.append(pairs[k][:2])
         k = before[k]
     return chain[::-1]
+
+
+def _ambiguous(pairs: list[tuple[int, int, float]], plan: Plan) -> frozenset[int]:
+    """The dwells to which the longest chains give different fittings."""
+    poses = len(plan.q)
+    ending = _chain_lengths([pose for _, pose, _ in pairs])
+    beginning = _chain_lengths([poses - 1 - pose for _, pose, _ in reversed(pairs)])[::-1]
+    longest = max(ending, default=0)
+    first: dict[int, tuple[str | None, ...]] = {}
+    ambiguous = set()
+    for (dwell, pose, _), end, begin in zip(pairs, ending, beginning, strict=True):
+        if end + begin - 1 == longest:
+            fittings = tuple(plan.mounted[pose].get(key) for key in REQUIRED)
+            if first.setdefault(dwell, fittings) != fittings:
+                ambiguous.add(dwell)
+    return frozenset(ambiguous)
+
+
+def _chain_lengths(poses: list[int]) -> list[int]:
+    """Length of the longest ascending chain that ends at each of these poses (patience sorting)."""
+    least: list[int] = []  # least last pose of the chains of length k + 1
+    lengths = []
+    for pose in poses:
+        k = bisect_left(least, pose)
+        least[k : k + 1] = [pose]
+        lengths.append(k + 1)
+    return lengths
 
 
 def _document(data: bytes) -> dict[str, Any] | None:

@@ -22,7 +22,7 @@ from truearm.sync.dwell import Dwell, DwellRules, find_dwells
 from truearm.sync.gather import Taken, gather
 from truearm.sync.joints import JointReader, JointStream
 from truearm.sync.losses import Losses
-from truearm.sync.pairing import Marks, match_plan
+from truearm.sync.pairing import REQUIRED, Marks, match_plan
 from truearm.sync.statistics import mean_of
 from truearm.sync.streams import StreamReport
 from truearm.types import BallBar, Message, ObservationTable, Rig
@@ -161,16 +161,25 @@ def _pair(found: Survey, rig: Rig, rules: DwellRules) -> list[Dwell]:
     good = [i for i, dwell in enumerate(dwells) if not dwell.reason]
     said = [found.marks.mounted_at(dwells[i].start_host_ns) for i in good]
     plan = found.marks.plan()
-    poses: list[int | None] = [None] * len(good)
-    if plan is not None and good:
-        poses = match_plan(np.array([dwells[i].q for i in good]), plan, rules.pose_tolerance, said)
-    for i, pose, words in zip(good, poses, said, strict=True):
-        mounted = words if plan is None else {} if pose is None else plan.mounted[pose]
-        complete = all(key in mounted for key in ("bar", "chuck", "sphere"))
-        if complete:
-            _check_rig(mounted, rig)
-        dwells[i] = replace(dwells[i], pose=pose, mounted=mounted, reason="" if complete else "no plan match")
+    if plan is None or not good:
+        for i, words in zip(good, said, strict=True):
+            dwells[i] = _mounted(dwells[i], None, words, rig)
+        return dwells
+    found_poses = match_plan(np.array([dwells[i].q for i in good]), plan, rules.pose_tolerance, said)
+    for k, (i, pose) in enumerate(zip(good, found_poses.poses, strict=True)):
+        if k in found_poses.ambiguous:
+            dwells[i] = replace(dwells[i], reason="ambiguous")
+        else:
+            dwells[i] = _mounted(dwells[i], pose, {} if pose is None else plan.mounted[pose], rig)
     return dwells
+
+
+def _mounted(dwell: Dwell, pose: int | None, mounted: dict[str, str], rig: Rig) -> Dwell:
+    """The dwell with its fittings, or with the reason that it lacks some."""
+    if any(key not in mounted for key in REQUIRED):
+        return replace(dwell, pose=pose, mounted=mounted, reason="no plan match")
+    _check_rig(mounted, rig)
+    return replace(dwell, pose=pose, mounted=mounted)
 
 
 def _check_rig(mounted: dict[str, str], rig: Rig) -> None:
