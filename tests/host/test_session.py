@@ -2,7 +2,6 @@
 
 import io
 import json
-import os
 import random
 import subprocess
 import sys
@@ -182,6 +181,46 @@ class TestStrangers:
                 assert read == messages[: len(read)]
         assert outcomes == {"error", "read"}
 
+    def test_no_flipped_bit_passes(self, tmp_path):
+        """One bit anywhere in a complete file: what is read is what was written, or the file is refused.
+
+        Metadata (the box's calibration, the clock's anchors) and what stands between chunks have no CRC of their own.
+        """
+        messages = written(tmp_path / "s.mcap", 60)
+        session = open_session(tmp_path / "s.mcap")
+        whole = (tmp_path / "s.mcap").read_bytes()
+        with (tmp_path / "s.mcap").open("rb") as file:
+            data_bytes = SeekingReader(file).get_summary().chunk_indexes[0].chunk_start_offset
+        path = tmp_path / "d.mcap"
+        bits = [*range(8 * 8, 8 * data_bytes), *random.Random(2).sample(range(8 * data_bytes, 8 * len(whole)), 1500)]
+        for bit in bits:
+            damaged = bytearray(whole)
+            damaged[bit // 8] ^= 1 << bit % 8
+            path.write_bytes(damaged)
+            try:
+                found = open_session(path)
+                read = list(found.messages())
+            except SessionError:
+                continue
+            assert bit >= 8 * data_bytes  # before the first chunk stand the metadata
+            assert (found.metadata, found.attachments, read) == (session.metadata, session.attachments, messages)
+
+    def test_a_complete_file_with_a_wrong_length_is_damaged_not_truncated(self, tmp_path):
+        written(tmp_path / "s.mcap", 60)
+        whole = bytearray((tmp_path / "s.mcap").read_bytes())
+        with (tmp_path / "s.mcap").open("rb") as file:
+            chunk = SeekingReader(file).get_summary().chunk_indexes[0].chunk_start_offset
+        whole[chunk + 4] ^= 1  # the chunk's length: 16 MiB more, beyond the file's end
+        (tmp_path / "s.mcap").write_bytes(whole)
+        for allowed in (False, True):
+            with pytest.raises(SessionError, match=f"damaged at byte {chunk}"):
+                open_session(tmp_path / "s.mcap", allowed)
+
+    def test_the_crc_is_read_in_blocks(self, tmp_path, monkeypatch):
+        monkeypatch.setattr("truearm.record.session._CRC_BLOCK", 100)
+        messages = written(tmp_path / "s.mcap", 60)
+        assert list(open_session(tmp_path / "s.mcap").messages()) == messages
+
     def test_a_chunk_that_lost_its_head_is_missed(self, tmp_path):
         written(tmp_path / "s.mcap", 300)
         whole = bytearray((tmp_path / "s.mcap").read_bytes())
@@ -268,7 +307,7 @@ class TestWriterErrors:
         with pytest.raises(InputError, match="cannot be written"):
             SessionWriter(tmp_path / "none" / "s.mcap", Lab())
 
-    @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs Linux's full disk")
+    @pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="needs Linux's full disk")
     def test_a_full_disk_is_one_line(self):
         with pytest.raises(TruearmError, match="No space left"):
             SessionWriter(Path("/dev/full"), Lab(), overwrite=True)

@@ -35,6 +35,7 @@ MAX_CHANNELS = 1000
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _FOOTER_BYTES = 20
+_CRC_BLOCK = 1 << 20
 # What the library raises for a record that ends early, holds no UTF-8 or claims a length beyond 63 bits.
 _UNREADABLE = (McapError, struct.error, ValueError, OverflowError)
 
@@ -75,7 +76,8 @@ def open_session(path: Path | str, allow_truncated: bool = False) -> Session:
     """Open a session file and read all but its messages.
 
     A file without its end (the recorder was killed, or is still at work) raises SessionError unless
-    ``allow_truncated``. Raises SessionError too for what is missing, no MCAP, damaged or of absurd size.
+    ``allow_truncated``. Raises SessionError too for what is missing, no MCAP, damaged or of absurd size. A complete file
+    is read once as a whole, to hold it against its CRC (1 s a GB).
     """
     path = Path(path)
     with _open(path) as file:
@@ -128,6 +130,7 @@ def _scan(path: Path, file: BinaryIO) -> Session:
     for opcode, at, length in records:
         if opcode == Opcode.DATA_END:
             _check_chunks(path, file, records, n_chunks)
+            _check_crc(path, file, at, length)
             return Session(path, metadata, attachments, not _has_footer(file, size), end)
         if opcode == Opcode.CHUNK:
             last_chunk = at, length
@@ -141,9 +144,27 @@ def _scan(path: Path, file: BinaryIO) -> Session:
         if len(metadata) > MAX_ITEMS or len(attachments) > MAX_ITEMS:
             raise SessionError(f"{path}: holds more than {MAX_ITEMS} attachments or metadata records")
         end = at + length
+    if _has_footer(file, size):
+        _damaged(path, end)  # complete, yet the walk did not come to its end: a length is wrong
     if last_chunk is not None:
         end = _without_torn_chunk(path, file, last_chunk, end)
     return Session(path, metadata, attachments, True, end)
+
+
+def _check_crc(path: Path, file: BinaryIO, at: int, length: int) -> None:
+    """Hold all bytes before the record DataEnd against the CRC in it; 0 says that its writer took none."""
+    written = int.from_bytes(_body(path, file, at, length, MAX_METADATA_BYTES)[:4], "little")
+    if written == 0:
+        return
+    left, crc = at - _RECORD.size, 0
+    file.seek(0)
+    while left and (block := file.read(min(left, _CRC_BLOCK))):
+        crc = zlib.crc32(block, crc)
+        left -= len(block)
+    if crc != written:
+        raise SessionError(
+            f"{path}: is damaged: its bytes do not fit its CRC; copy it again from where it was recorded"
+        )
 
 
 def _check_chunks(path: Path, file: BinaryIO, summary: Iterator[tuple[int, int, int]], n_chunks: int) -> None:
