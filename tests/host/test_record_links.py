@@ -225,6 +225,21 @@ def test_addresses():
     assert host_and_port("socket://[::1]:7007", "socket") == ("::1", 7007)
 
 
+@pytest.mark.parametrize("raw", [True, False])
+def test_the_clock_is_one_that_nothing_slews(monkeypatch, raw):
+    """Two readings of the system's clock bracket one of ours."""
+    if raw:
+        system = getattr(time, "CLOCK_MONOTONIC_RAW", None)
+        if system is None:
+            pytest.skip("this system has no raw clock")
+        assert HostClock.kind == "monotonic-raw"
+    else:
+        monkeypatch.setattr("truearm.record.links._RAW", None)
+    read = (lambda: time.clock_gettime_ns(system)) if raw else time.perf_counter_ns
+    before, ours, (_, anchor), after = read(), HostClock().now_ns(), HostClock().utc_anchor(), read()
+    assert before <= ours <= anchor <= after
+
+
 def test_the_anchor_is_one_instant():
     """Read at one instant, UTC minus monotonic is a constant; between two readings the clock is not set by seconds."""
     clock = HostClock()

@@ -31,8 +31,13 @@ _WRITE_TIMEOUT_S = 2.0
 _CONNECT_TIMEOUT_S = 5.0
 
 
+# CLOCK_MONOTONIC is slewed by NTP, up to 500 ppm for minutes: a rate that the box's clock would seem to have. Where there
+# is no raw clock, perf_counter is the best there is; on Windows it is the performance counter, which nothing slews.
+_RAW: int | None = getattr(time, "CLOCK_MONOTONIC_RAW", None)
+
+
 class Clock(Protocol):
-    """The host's time. ``kind`` is "monotonic" or "virtual"."""
+    """The host's time. ``kind`` is "monotonic-raw", "monotonic" or "virtual"."""
 
     kind: str
 
@@ -72,16 +77,16 @@ class Reopenable(Protocol):
 
 
 class HostClock:
-    """The operating system's monotonic clock."""
+    """The operating system's monotonic clock, the one that NTP does not slew where there is one."""
 
-    kind = "monotonic"
+    kind = "monotonic" if _RAW is None else "monotonic-raw"
 
     def now_ns(self) -> int:
-        return time.monotonic_ns()
+        return time.perf_counter_ns() if _RAW is None else time.clock_gettime_ns(_RAW)
 
     def utc_anchor(self) -> tuple[int, int]:
         """The tightest of five readings of both clocks."""
-        readings = [(time.monotonic_ns(), time.time_ns(), time.monotonic_ns()) for _ in range(5)]
+        readings = [(self.now_ns(), time.time_ns(), self.now_ns()) for _ in range(5)]
         before, utc, after = min(readings, key=lambda r: r[2] - r[0])
         return utc, (before + after) // 2
 
