@@ -148,6 +148,7 @@ class Box:
         self.deaf_to = 0  # so many commands are not answered
         self.protocol: tuple[int, ...] = (1, 0)
         self.refuse: dict[int, tuple[int, str]] = {}
+        self.lvdt: dict[str, object] = {}  # what the ident says differently of the first channel
         self.boot(0x1111)
 
     @property
@@ -178,7 +179,9 @@ class Box:
             self.lab.at(self.lab.now + LATENCY, lambda: self.link.deliver(raw))
 
     def send_ident(self, req_id: int) -> None:
-        document = cbor2.dumps(ident(self.boot_id, self.osr, self.protocol))
+        said = ident(self.boot_id, self.osr, self.protocol)
+        said["streams"][0]["channels"][0].update(self.lvdt)
+        document = cbor2.dumps(said)
         parts = [document[i : i + 200] for i in range(0, len(document), 200)]
         for page, part in enumerate(parts):
             self.send(lambda seq, p=page, d=part: array(19, u32(seq), req_id, p, len(parts), cbor2.dumps(d)))
@@ -236,12 +239,13 @@ class Box:
 class Robot:
     """A robot that sends a line every 8 ms and closes its stream at the end."""
 
-    def __init__(self, lab: Lab, seconds: float, end: Exception) -> None:
+    def __init__(self, lab: Lab, seconds: float, end: Exception, counts: bool = True) -> None:
         self.lab = lab
         self.link = Wire(lab, "robot in memory")
         self.sent: list[bytes] = []
         for k in range(int(seconds / 0.008)):
-            row = {"t": 100 + 0.008 * k, "seq": k, "q": [0.1 * j + 1e-4 * k for j in range(6)]}
+            number = {"seq": k} if counts else {}
+            row = {"t": 100 + 0.008 * k, **number, "q": [0.1 * j + 1e-4 * k for j in range(6)]}
             lab.at(HOST_0 + 8 * MS * k, lambda r=row: self.say(json.dumps(r).encode()))
 
         def close() -> None:

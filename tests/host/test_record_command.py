@@ -19,6 +19,7 @@ from truearm.cli import main
 from truearm.commands.record import MODULATOR_HZ, describe, nearest_osr, parse_mounted, plan_rows
 from truearm.errors import InputError
 from truearm.files.plan import Plan, write_plan
+from truearm.record.links import HostClock
 from truearm.record.session import open_session
 from truearm.record.status import Counters, Status
 
@@ -48,7 +49,7 @@ def play(box, lab, receive_fd, stop):
             data = os.read(receive_fd, 4096) if ready else b""
             if ready and not data:
                 return
-            now = time.monotonic_ns()
+            now = HostClock().now_ns()
             while lab.now < now:
                 lab.step(now)
             if data:
@@ -62,7 +63,7 @@ def play(box, lab, receive_fd, stop):
 
 def real_time_box():
     lab = Lab()
-    lab.now = time.monotonic_ns()
+    lab.now = HostClock().now_ns()
     return lab, Box(lab)
 
 
@@ -120,7 +121,7 @@ def test_a_recording_ended_by_time(tmp_path, capsys):
     assert len(found["/box/adc"]) == box.blocks
     assert [json.loads(m.data) for m in found["/plan"]] == plan_rows(plan)
     assert session.attachments["rig.toml"] == RIG.encode()
-    assert session.metadata["session"]["clock"] == "monotonic"
+    assert session.metadata["session"]["clock"] == HostClock.kind
     assert json.loads(session.metadata["box"]["ident"])["streams"][0]["osr"] == 2048
     for row in (json.loads(m.data) for m in found["/sync"]):
         assert box.born + 1000 * row["t1_us"] >= row["t0_ns"] - 1000
@@ -135,6 +136,18 @@ def test_a_recording_ended_by_the_robot(tmp_path, capsys):
     lines = list(open_session(out).messages({"/robot/joints"}))
     assert [json.loads(m.data)["seq"] for m in lines] == list(range(len(lines)))
     assert f"{len(lines)} robot lines; ended: robot closed" in capsys.readouterr().out
+
+
+def test_a_fault_of_the_box_is_said_while_it_records(tmp_path, capsys):
+    out = tmp_path / "s.mcap"
+    with box_on_a_socket() as (box, device):
+        box.lvdt = {"scale": [1]}
+        assert main(["record", "--device", device, "--duration", "0.5", "--out", str(out)]) == 0
+    said = capsys.readouterr()
+    fault = "channel 'c0' of stream adc: scale must be [mantissa, exponent]"
+    assert said.err.splitlines() == [f"warning: {fault}; its samples are recorded all the same"]
+    assert said.out.splitlines()[-1] == f"{out}: {fault}"
+    assert len(list(open_session(out).messages({"/box/adc"}))) == box.blocks
 
 
 @posix
@@ -214,6 +227,14 @@ class TestRefused:
         assert main(["record", "--device", "/dev/none", "--out", str(tmp_path / "s.mcap")]) == 2
         assert "--force" in capsys.readouterr().err
         assert (tmp_path / "s.mcap").read_text() == "precious"
+
+    def test_no_file_to_write(self, tmp_path, capsys):
+        """A failed recording removes its file: /dev/null must not be taken for one."""
+        (tmp_path / "null").symlink_to(os.devnull)
+        for name in ("null", "."):
+            assert main(["record", "--device", "/dev/none", "--force", "--out", str(tmp_path / name)]) == 2
+            assert "is no regular file" in capsys.readouterr().err
+        assert (tmp_path / "null").is_symlink()
 
     def test_nothing_there(self, tmp_path, capsys):
         (tmp_path / "s.mcap").write_text("precious")

@@ -1,16 +1,21 @@
-"""Counts to metres."""
+"""What a box and a robot say, read in one place for recorder and sync; counts to metres."""
 
+import json
+import math
 from fractions import Fraction
 
+import cbor2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from sync_stream import ident_document, metres_of
 
-from truearm.errors import SessionError
-from truearm.sensors.ident import Channel, decimal, find_channel, parse_ident, parse_ident_json
+from truearm.errors import ProtocolError, SessionError
+from truearm.sensors.ident import Channel, decimal, decode_ident, find_channel, parse_ident, parse_ident_json
+from truearm.sensors.joints import parse_reading
 from truearm.sensors.lvdt import RAIL_HIGH, RAIL_LOW, bar_length, extension, out_of_travel, railed, volts
+from truearm.sensors.pages import Pages
 from truearm.types import BallBar
 
 
@@ -19,9 +24,11 @@ def test_decimal_is_the_nearest_float(mantissa, exponent):
     assert decimal([mantissa, exponent], "scale") == float(Fraction(mantissa) * Fraction(10) ** exponent)
 
 
-@pytest.mark.parametrize("value", [None, 5, [1], [1, 2, 3], [1.5, 0], ["1", 0], [1, 301], [2**64, 0], [True, 0]])
+@pytest.mark.parametrize(
+    "value", [None, 5, [1], [1, 2, 3], [1.5, 0], ["1", 0], [1, 301], [2**64, 0], [True, 0], [2**63, 300]]
+)
 def test_what_is_no_decimal_is_refused(value):
-    with pytest.raises(SessionError, match="scale"):
+    with pytest.raises(ValueError, match="scale"):
         decimal(value, "scale")
 
 
@@ -59,7 +66,187 @@ def test_length_and_travel_of_a_bar():
     assert out_of_travel(np.array([-0.0376, -0.0374, 0.0374, 0.0376]), bar).tolist() == [True, False, False, True]
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{", "[" * 100_000, '{"streams": []}'])
+@pytest.mark.parametrize("text", ["", "[]", "{", "[" * 100_000, '{"streams": []}', "9" * 5000])
 def test_metadata_that_are_no_ident(text):
     with pytest.raises(SessionError):
         parse_ident_json(text)
+
+
+def with_channel(**change):
+    """An ident whose first channel, the LVDT, says something else."""
+    document = ident_document()
+    document["streams"][0]["channels"][0].update(change)
+    return document
+
+
+FAULTY = [
+    ({"scale": "abc"}, "scale is missing or no list"),
+    ({"scale": [1]}, "scale must be"),
+    ({"scale": [True, 1]}, "scale must be"),
+    ({"scale": [1, 400]}, "scale is out of range"),
+    ({"calibration": {"unit": "m", "poly": [1, 2]}}, r"poly\[0\] is missing or no list"),
+    ({"calibration": {"unit": "m", "poly": [[1, 0]] * 17}}, "17 coefficients, 16 are possible"),
+    ({"calibration": {"unit": 5, "poly": [[1, 0]]}}, "unit is missing or no text"),
+    ({"calibration": [1]}, "calibration is missing or no map"),
+    ({"unit": 5}, "unit is missing or no text"),
+]
+
+
+class TestIdent:
+    @pytest.mark.parametrize(("change", "says"), FAULTY, ids=str)
+    def test_a_faulty_channel_is_no_faulty_box(self, change, says):
+        """Recorded and read alike; the channel says what is wrong, the others are whole."""
+        found = decode_ident(cbor2.dumps(with_channel(**change)))
+        stream, column = find_channel(found, "lvdt")
+        assert column == 0
+        assert math.isnan(stream.channels[0].scale)
+        assert [c.fault for c in stream.channels[1:]] == ["", "", ""]
+        (fault,) = found.faults
+        assert fault == f"channel 'lvdt' of stream adc: {stream.channels[0].fault}"
+        with pytest.raises(SessionError, match=f"'lvdt' of the box cannot be used: .*{says}"):
+            extension(np.array([1]), stream.channels[0])
+
+    def test_a_channel_without_a_name_and_one_that_is_none(self):
+        document = ident_document()
+        document["streams"][0]["channels"][1:3] = [{"unit": "V", "scale": [1, 0]}, 7]
+        found = parse_ident(document)
+        assert [c.name for c in found.streams[0].channels] == ["lvdt", "", "", "ch3"]
+        assert len(found.faults) == 2
+
+    def test_what_the_box_itself_says_is_wrong(self):
+        found = parse_ident({**ident_document(), "fault": "config\x1b[2J damaged" + "x" * 100, "firmware": 7})
+        assert found.firmware == ""
+        assert len(found.faults) == 2
+        assert found.faults[0].startswith("the box says 'config\\x1b[2J damaged")
+        assert max(map(len, found.faults)) < 100
+
+    def test_the_document_is_kept_whole_and_fit_for_json(self):
+        extra = {1: 2.5, "b": b"\xff", "big": 1 << 20_000, "t": cbor2.CBORTag(4711, "x"), b"k": [None, True]}
+        found = decode_ident(cbor2.dumps({**ident_document(), "extra": extra}))
+        kept = {"1": "2.5", "b": "ff", "big": "<int>", "t": "<CBORTag>", "6b": [None, True]}
+        assert found.document["extra"] == kept
+        assert found.document["uid"] == "0102"
+        assert parse_ident_json(json.dumps(found.document)) == found
+
+    @pytest.mark.parametrize(
+        ("change", "says"),
+        [
+            ({"protocol": "1.0"}, "which protocol"),
+            ({"protocol": [1]}, "which protocol"),
+            ({"protocol": [2, 0]}, "protocol 2.0, this truearm 1.x; update truearm"),
+            ({"protocol": [0, 9]}, "protocol 0.9, this truearm 1.x; update the box"),
+            ({"boot_id": None}, "boot_id"),
+            ({"boot_id": True}, "boot_id"),
+            ({"boot_id": -1}, "boot_id"),
+            ({"streams": {}}, "streams"),
+            ({"streams": []}, "0 streams"),
+            ({"streams": [7]}, "a stream is missing"),
+            ({"streams": ident_document()["streams"] * 2}, "share an id or a name"),
+            ({"streams": ident_document()["streams"] * 17}, "17 streams"),
+            *(
+                ({"streams": [{**ident_document()["streams"][0], **change}]}, says)
+                for change, says in [
+                    ({"name": "console"}, "'console'"),
+                    ({"name": "../adc"}, "'../adc'"),
+                    ({"name": 5}, "name"),
+                    ({"channels": []}, "0 channels"),
+                    ({"channels": [{"name": "x", "scale": [1, 0]}] * 63}, "63 channels"),
+                    ({"id": 2**70}, "id"),
+                    ({"osr": None}, "osr"),
+                    ({"period_ns": -1}, "period_ns"),
+                    ({"group_delay_ns": 1.5}, "group_delay_ns"),
+                ]
+            ),
+        ],
+        ids=lambda value: str(value)[:60],
+    )
+    def test_what_cannot_be_used(self, change, says):
+        document = {**ident_document(), **change}
+        with pytest.raises(ProtocolError, match=says):
+            decode_ident(cbor2.dumps(document))
+        with pytest.raises(SessionError, match="in the session's metadata"):
+            parse_ident_json(json.dumps({**document, "uid": "0102"}))
+
+    @given(st.binary(max_size=60) | st.just(b"\x81" * 6000))
+    def test_any_bytes_are_refused_politely(self, raw):
+        with pytest.raises(ProtocolError):
+            decode_ident(raw)
+
+    @pytest.mark.parametrize("references", ["d81c81d81d00", "d81c82d81d0001"])
+    def test_a_document_that_holds_itself(self, references):
+        raw = cbor2.dumps({**ident_document(), "x": 0})
+        with pytest.raises(ProtocolError, match="cannot be decoded"):
+            decode_ident(raw[:-1] + bytes.fromhex(references))
+
+    @given(st.integers(0, 600), st.integers(1, 255))
+    def test_a_changed_byte_means_the_same_recorded_and_read(self, at, flip):
+        """Whatever the recorder accepts, the session's metadata say again."""
+        raw = bytearray(cbor2.dumps(ident_document()))
+        raw[at % len(raw)] ^= flip
+        try:
+            found = decode_ident(bytes(raw))
+        except ProtocolError:
+            return
+        again = parse_ident_json(json.dumps(found.document))
+        assert repr(again.streams) == repr(found.streams)  # NaN is not equal to itself
+        assert (again.boot_id, again.firmware, len(again.faults)) == (found.boot_id, found.firmware, len(found.faults))
+
+
+class TestPages:
+    def test_joined(self):
+        pages = Pages()
+        assert pages.push(1, 0, 2, b"ab") is None
+        assert pages.push(1, 1, 2, b"cd") == b"abcd"
+
+    @pytest.mark.parametrize("order", [(0, 0, 1, 2), (0, 1, 1, 2), (0, 1, 0, 1, 2)])
+    def test_a_doubled_page(self, order):
+        pages = Pages()
+        *before, last = [pages.push(1, page, 3, bytes([page])) for page in order]
+        assert before == [None] * len(before)
+        assert last == b"\0\1\2"
+
+    def test_a_page_that_contradicts_an_earlier_one_drops_the_document(self):
+        """Half of one boot's ident and half of another's would be a box that never was."""
+        pages = Pages()
+        parts = [pages.push(0, page, 3, data) for page, data in ((0, b"a"), (1, b"b"), (1, b"x"), (2, b"y"))]
+        assert parts == [None] * 4
+
+    def test_another_document_drops_the_first(self):
+        pages = Pages()
+        pages.push(1, 0, 3, b"a")
+        pages.push(1, 1, 3, b"b")
+        pages.push(2, 0, 3, b"x")
+        assert pages.push(1, 2, 3, b"c") is None
+        assert pages.push(2, 1, 3, b"y") is None
+        assert pages.push(2, 2, 3, b"z") == b"xyz"
+
+    @pytest.mark.parametrize("order", [(0, 2, 1), (0, 2, 2), (1, 2, 0)])
+    def test_a_missing_page(self, order):
+        pages = Pages()
+        assert [pages.push(1, page, 3, b"x") for page in order] == [None, None, None]
+
+    @pytest.mark.parametrize(("page", "pages", "n"), [(0, 0, 1), (0, 33, 1), (1, 1, 1), (0, 1, 201), (-1, 2, 1)])
+    def test_beyond_the_bounds(self, page, pages, n):
+        assert Pages().push(1, page, pages, b"x" * n) is None
+
+
+class TestReading:
+    @pytest.mark.parametrize(
+        ("line", "found"),
+        [
+            (b'{"t": 1.5, "seq": 3, "q": [0.1, -2]}', (1.5, 3, [0.1, -2.0])),
+            (b'{"t": 1.5, "q": [0.1, -2]}\r', (1.5, None, [0.1, -2.0])),
+            (b'{"t": 2, "q": [1], "q_cmd": "x", "more": {"y": 1}}', (2.0, None, [1.0])),
+            (b'{"t": 2, "seq": null, "q": [1]}', None),
+            (b'{"t": 2, "seq": true, "q": [1]}', None),
+            (b'{"t": 2, "seq": 4611686018427387904, "q": [1]}', None),
+            (b'{"t": -1, "q": [1]}', None),
+        ],
+    )
+    def test_lines(self, line, found):
+        assert parse_reading(line) == found
+
+    @given(st.binary(max_size=40), st.binary(max_size=40))
+    def test_any_bytes(self, before, after):
+        found = parse_reading(b'{"t":' + before + b', "q": [' + after + b"]}")
+        assert found is None or (math.isfinite(found.t) and all(map(math.isfinite, found.q)))

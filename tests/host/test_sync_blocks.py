@@ -10,10 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sync_stream import CHANNELS, PERIOD_NS, Box, ident_document
 
-from truearm.errors import SessionError
+from truearm.sensors.data import data_of, decode, usual_data
 from truearm.sensors.ident import parse_ident
 from truearm.sync.blocks import BoxReader
-from truearm.sync.frames import data_of, decode, usual_data
 from truearm.sync.losses import Losses
 from truearm.types import Message
 from truearm_wire import messages as wire
@@ -399,24 +398,3 @@ def test_a_wrong_ident_is_malformed_and_a_later_one_is_taken():
     blocks, reader = read(box.messages)
     assert reader.losses().frames_malformed == 1
     assert len(blocks) == 1
-
-
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        ({"streams": [{"id": 0, "name": "adc", "period_ns": 1, "channels": []}]}, "channels"),
-        ({"boot_id": -1}, "boot_id"),
-        ({"firmware": 7}, "firmware"),
-        (
-            {"streams": [{"id": 0, "name": "a", "period_ns": 1, "channels": [{"name": "x", "scale": [1, 400]}]}]},
-            "range",
-        ),
-        (
-            {"streams": [{"id": 0, "name": "a", "period_ns": 1, "channels": [{"name": "x", "scale": [True, 1]}]}]},
-            "scale",
-        ),
-    ],
-)
-def test_ident_says_what_is_wrong(change, says):
-    with pytest.raises(SessionError, match=says):
-        parse_ident({**ident_document(), **change})

@@ -39,6 +39,33 @@ def test_a_clean_stream():
     assert list(np.flatnonzero(stream.bins.gap)) == [0]
 
 
+def unnumbered(messages):
+    rows = [{k: v for k, v in json.loads(m.data).items() if k != "seq"} for m in messages]
+    return [m._replace(data=json.dumps(row).encode()) for m, row in zip(messages, rows, strict=True)]
+
+
+@pytest.mark.parametrize("stranger", [[], [Message("/robot/joints", 0, b"nonsense")]])
+def test_readings_without_numbers_are_as_good(stranger):
+    """Together (the quick way) and beside a line that forces the careful way; what was lost is not known then."""
+    lines = still()
+    lines.insert(300, lines[299])  # doubled
+    late = lines.pop(200)
+    lines.insert(202, late)
+    numbered, plain = read(lines), read(unnumbered(lines) + stranger)
+    assert (numbered.lost, plain.lost) == (0, None)
+    for name in ("readings", "duplicated", "late", "gaps", "rate_hz"):
+        assert getattr(plain, name) == getattr(numbered, name)
+    assert np.array_equal(plain.bins.mean, numbered.bins.mean)
+    assert plain.malformed == len(stranger)
+
+
+def test_numbers_that_come_and_go_leave_losses_unknown():
+    lines = still()
+    lines[100:200] = unnumbered(lines[100:200])
+    stream = read(lines)
+    assert (stream.readings, stream.lost) == (500, None)
+
+
 def test_no_readings():
     stream = read([])
     assert stream.bins is None

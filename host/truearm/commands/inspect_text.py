@@ -119,7 +119,7 @@ def _robot(robot: Mapping[str, Any]) -> Iterator[str]:
         return
     yield (
         f"robot: {robot['readings']} readings of {robot['joints']} joints at {_number(robot['rate_hz'], '.2f')} Hz; "
-        f"{robot['lost']} lost, {robot['gaps']} gaps, {robot['late']} late, {robot['duplicated']} doubled, "
+        f"{'unknown' if robot['lost'] is None else robot['lost']} lost, {robot['gaps']} gaps, {robot['late']} late, {robot['duplicated']} doubled, "
         f"{robot['malformed']} malformed, {robot['restarts']} restarts"
     )
     for report in robot["clock"]:

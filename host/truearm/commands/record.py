@@ -60,6 +60,8 @@ def record(
     osr = nearest_osr(rate)
     if duration is not None and not 0 < duration < math.inf:
         raise InputError(f"--duration {duration:g} is no time; give seconds above 0")
+    if out.exists() and not out.is_file():  # a device would be removed after a recording that failed
+        raise InputError(f"{out}: is no regular file; give the name of a file to write")
     if out.exists() and not force:
         raise InputError(f"{out}: exists; choose another name or give --force")
     poses, rig_toml, mounting = _read_inputs(plan, rig, mounted)
@@ -67,6 +69,8 @@ def record(
     if summary.reason in ("link lost", "robot lost"):
         raise LinkError(f"{summary.text}; what came until then is in {out}")
     typer.echo(f"{out}: {_totals(summary)}; ended: {summary.reason}")
+    for fault in summary.faults:
+        typer.echo(f"{out}: {fault}")
     if summary.reason == "interrupted":
         raise typer.Exit(_INTERRUPTED)
 
@@ -205,9 +209,9 @@ def _signals() -> Iterator[Callable[[], bool]]:
 
 @contextmanager
 def _progress(duration: float | None) -> Iterator[Callable[[Status], None]]:
-    """A live line on a terminal, else a plain line every ten seconds; both on stderr."""
+    """A live line on a terminal, else a plain line every ten seconds; what is wrong with the box at once. All on stderr."""
     if not sys.stderr.isatty():
-        yield _plain_progress()
+        yield _warning(_plain_progress(), lambda text: print(text, file=sys.stderr, flush=True))
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -215,9 +219,25 @@ def _progress(duration: float | None) -> Iterator[Callable[[Status], None]]:
     columns = (TextColumn("{task.description}"), BarColumn(bar_width=10), TimeElapsedColumn())
     with Progress(*columns, TextColumn("{task.fields[text]}"), console=Console(stderr=True), transient=True) as display:
         task = display.add_task("identifying", total=duration, text="")
-        yield lambda status: display.update(
-            task, description=status.state, completed=status.elapsed_s, text=describe(status)
-        )
+
+        def show(status: Status) -> None:
+            display.update(task, description=status.state, completed=status.elapsed_s, text=describe(status))
+
+        yield _warning(show, lambda text: display.console.print(text, markup=False, highlight=False))
+
+
+def _warning(show: Callable[[Status], None], say: Callable[[str], None]) -> Callable[[Status], None]:
+    """``show``, which first says each fault of the box, once."""
+    said: set[str] = set()
+
+    def watch(status: Status) -> None:
+        for fault in status.faults:
+            if fault not in said:
+                said.add(fault)
+                say(f"warning: {fault}; its samples are recorded all the same")
+        show(status)
+
+    return watch
 
 
 def _plain_progress() -> Callable[[Status], None]:

@@ -9,7 +9,6 @@ About 1.5 µs a frame of 200 bytes; a box at 4 kHz sends 310 a second.
 
 from __future__ import annotations
 
-from struct import Struct
 from zlib import crc32
 
 from cobs import cobs
@@ -19,8 +18,6 @@ _ENCODED_MIN, _ENCODED_MAX = 8, 255  # payload 3 … 250, CRC 4, one byte of stu
 _LARGEST_TYPE = 255
 
 _UINT_WIDTH = {0x18: 1, 0x19: 2, 0x1A: 4, 0x1B: 8}
-# A data frame as SPEC §2 writes it, from the byte behind its array head to the head of its sint32 samples.
-_DATA_USUAL = Struct(">BBIBBQBQBIHBB")
 
 
 class Runs:
@@ -108,47 +105,16 @@ def frame_type(payload: bytes) -> int | None:
 
 def frame_seq(payload: bytes) -> int | None:
     """The second element of a payload that has a type: the count of the frame on its link."""
-    found = _element(payload, 1)
-    return None if found is None else found[0]
-
-
-def data_head(payload: bytes) -> tuple[int, int, int] | None:
-    """``seq``, stream and number of sample bytes of a data frame with uniform timing in the usual widths.
-
-    The samples' head stands in the frame; the bytes themselves are not looked at. None for any other frame.
-    """
-    if len(payload) < 1 + _DATA_USUAL.size or not 0x88 <= payload[0] <= 0x97:
-        return None
-    kind, m_seq, seq, stream, m_n0, _, m_t0, _, m_period, _, tag, m_bytes, n_bytes = _DATA_USUAL.unpack_from(payload, 1)
-    if (kind, m_seq, m_n0, m_t0, m_period, tag) != (0x10, 0x1A, 0x1B, 0x1B, 0x1A, 0xD84E) or stream > 0x17:
-        return None
-    if 0x40 <= m_bytes < 0x58:
-        return seq, stream, m_bytes - 0x40
-    return (seq, stream, n_bytes) if m_bytes == 0x58 else None
-
-
-def data_stream(payload: bytes) -> int | None:
-    """The stream number (element 2) of a data frame in whatever widths."""
-    found = _element(payload, 2)
-    return None if found is None else found[0]
+    at = _behind_array_head(payload)
+    kind = None if at is None else _uint(payload, at)
+    seq = None if kind is None else _uint(payload, kind[1])
+    return None if seq is None else seq[0]
 
 
 def _behind_array_head(payload: bytes) -> int | None:
     if len(payload) >= 2 and 0x81 <= payload[0] <= 0x97:
         return 1
     return 2 if len(payload) >= 3 and payload[0] == 0x98 and payload[1] else None
-
-
-def _element(payload: bytes, index: int) -> tuple[int, int] | None:
-    """Element ``index`` and the offset behind it, where it and those before it are unsigned integers."""
-    at = _behind_array_head(payload)
-    found = None
-    for _ in range(index + 1):
-        found = None if at is None else _uint(payload, at)
-        if found is None:
-            return None
-        at = found[1]
-    return found
 
 
 def _uint(payload: bytes, at: int) -> tuple[int, int] | None:

@@ -1,6 +1,6 @@
 """What a box sends: stored first, in order and exactly, then looked at.
 
-Looked at is only what the recording itself needs: the ident (for the streams' names and the boot id), answers to
+Looked at is only what the recording itself needs: the ident (for the streams' names, the boot id and faults), answers to
 commands and clock exchanges, and ``seq`` for a count of losses. About 8 µs a data frame, of which 5 are the file's.
 
 A box that restarts shows a new boot id in its ident or heartbeat, or counts frames backwards; the last may also be a
@@ -13,13 +13,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import cbor2
-
-from truearm.record.frames import FrameSplitter, data_head, data_stream, frame_seq, frame_type
-from truearm.record.ident import Ident, Pages, parse_ident
+from truearm.record.frames import FrameSplitter, frame_seq, frame_type
 from truearm.record.probes import Probes
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
+from truearm.sensors.data import Data, data_of, decode, usual_data
+from truearm.sensors.ident import Ident, decode_ident
+from truearm.sensors.pages import Pages
 from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, IDENT, LAYOUT, REPLY, SYNC_REPLY
 
 _TOPICS = {
@@ -79,6 +79,11 @@ class Intake:
         if rest and self.heard_ns is not None:
             self._take_console(self.heard_ns, rest)
 
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """What the operator should know of the box; () before it said what it is."""
+        return () if self.ident is None else self.ident.faults
+
     def cleared(self) -> None:
         """The box was asked and has not restarted: count its frames from the next one on."""
         self.suspect = False
@@ -89,28 +94,27 @@ class Intake:
         self.writer.add("/box/console", t_host_ns, data)
 
     def _take_frame(self, t_host_ns: int, payload: bytes) -> None:
-        head = data_head(payload)
-        if head is not None:
-            seq, stream, n_bytes = head
-            topic, sample_bytes = self._streams.get(stream) or (f"/box/stream{stream}", n_bytes + 1)
-            self.writer.add(topic, t_host_ns, payload)
-            self.counters.samples += n_bytes // sample_bytes
-            self._count(seq)
+        data = usual_data(payload)
+        kind = DATA if data is not None else frame_type(payload)
+        if kind == DATA:
+            self._take_data(t_host_ns, payload, data or _unusual_data(payload))
             return
-        kind = frame_type(payload)
-        self.writer.add(self._unusual_data_topic(payload) if kind == DATA else _topic(kind), t_host_ns, payload)
+        self.writer.add(_topic(kind), t_host_ns, payload)
         self._count(frame_seq(payload))
         fields = None if kind not in _TOPICS else _fields(kind, payload)
         if fields is not None:
             self._interpret(t_host_ns, kind, fields)
 
-    def _unusual_data_topic(self, payload: bytes) -> str:
-        stream = data_stream(payload)
-        if stream is None:
-            return "/box/other"
-        if stream in self._streams:
-            return self._streams[stream][0]
-        return f"/box/stream{stream}" if stream <= _LARGEST_UNNAMED_STREAM else "/box/other"
+    def _take_data(self, t_host_ns: int, payload: bytes, data: Data | None) -> None:
+        if data is None or (data.stream > _LARGEST_UNNAMED_STREAM and data.stream not in self._streams):
+            self.writer.add("/box/other", t_host_ns, payload)
+            self._count(frame_seq(payload))
+            return
+        n_bytes = len(data.samples)
+        topic, sample_bytes = self._streams.get(data.stream) or (f"/box/stream{data.stream}", n_bytes + 1)
+        self.writer.add(topic, t_host_ns, payload)
+        self.counters.samples += n_bytes // sample_bytes
+        self._count(data.seq)
 
     def _count(self, seq: int | None) -> None:
         self.counters.frames += 1
@@ -147,14 +151,17 @@ class Intake:
         document = self._pages.push(fields["req_id"], fields["page"], fields["pages"], fields["data"])
         if document is None:
             return
-        ident = parse_ident(document)
+        ident = decode_ident(document)
         if self.ident is not None and ident.boot_id != self.ident.boot_id:
             self.counters.restarts += 1
             self.restarted = True
             self.cleared()
             self.writer.event("box-restarted", t_host_ns, boot_id=ident.boot_id, boot_id_before=self.ident.boot_id)
-        self.ident = ident
-        self._streams = {s.id: (f"/box/{s.name}", _SAMPLE_BYTES * s.n_channels) for s in ident.streams.values()}
+        known, self.ident = self.faults, ident
+        for text in ident.faults:
+            if text not in known:
+                self.writer.event("box-fault", t_host_ns, text=text)
+        self._streams = {s.id: (f"/box/{s.name}", _SAMPLE_BYTES * len(s.channels)) for s in ident.streams.values()}
         if fields["req_id"] == self.awaited:
             self.answer = Answer()
 
@@ -163,11 +170,15 @@ def _topic(kind: int | None) -> str:
     return "/box/other" if kind is None else _TOPICS.get(kind, "/box/other")
 
 
+def _unusual_data(payload: bytes) -> Data | None:
+    frame = decode(payload)
+    return None if frame is None else data_of(frame)
+
+
 def _fields(kind: int, payload: bytes) -> dict[str, Any] | None:
     """The elements of a frame by name; None where one is missing or of another type than SPEC §4 says."""
-    try:
-        values = cbor2.loads(payload, max_depth=8)
-    except cbor2.CBORError:
+    values = decode(payload)
+    if values is None:
         return None
     fields = dict(zip(_NAMES[kind], values[1:], strict=False))
     if len(fields) < len(_NAMES[kind]) or not all(_fits(name, value) for name, value in fields.items()):

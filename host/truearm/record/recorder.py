@@ -13,13 +13,13 @@ from operator import itemgetter
 from typing import Any
 
 from truearm.errors import LinkError, ProtocolError, TruearmError
-from truearm.record.ident import Ident
 from truearm.record.intake import Answer, Intake
 from truearm.record.links import Clock, Link, Reopenable
 from truearm.record.probes import Probes
 from truearm.record.robot import RobotIntake
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters, RecordSummary, Status
+from truearm.sensors.ident import Ident
 from truearm_wire.frame import frame
 from truearm_wire.messages import CONFIGURE, IDENTIFY, START, STOP, SYNC_REQUEST, encode_payload
 
@@ -130,7 +130,7 @@ class _Recorder:
         finally:
             duration_s = self._elapsed_s()
             self._finish(end)
-        return RecordSummary(end.reason, end.text, duration_s, self._probes.rtt_us, self._counters)
+        return RecordSummary(end.reason, end.text, duration_s, self._probes.rtt_us, self._counters, self._box.faults)
 
     def _write_head(
         self, plan: Iterable[Mapping[str, Any]], rig_toml: bytes | None, mounted: Mapping[str, str] | None
@@ -333,4 +333,4 @@ class _Recorder:
 
     def _status(self) -> Status:
         robot_ok = None if self._robot is None else self._robot.end is None
-        return Status(self._elapsed_s(), self._state, self._probes.rtt_us, robot_ok, self._counters)
+        return Status(self._elapsed_s(), self._state, self._probes.rtt_us, robot_ok, self._counters, self._box.faults)

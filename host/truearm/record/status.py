@@ -33,6 +33,7 @@ class Status:
     rtt_us: float | None
     robot_ok: bool | None  # None: no robot
     counters: Counters
+    faults: tuple[str, ...] = ()  # what the operator should know of the box
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class RecordSummary:
     """How a recording ended.
 
     ``reason`` is "duration", "robot closed", "robot lost", "interrupted", "until" or "link lost"; ``text`` explains
-    what was lost or closed. ``duration_s`` runs from the start of the stream.
+    what was lost or closed. ``duration_s`` runs from the start of the stream. ``faults`` as in ``Status``.
     """
 
     reason: str
@@ -48,3 +49,4 @@ class RecordSummary:
     duration_s: float
     rtt_us: float | None
     counters: Counters
+    faults: tuple[str, ...] = ()

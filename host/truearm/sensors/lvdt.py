@@ -35,8 +35,13 @@ def volts(counts: NDArray[Any], channel: Channel) -> Floats:
 def extension(counts: NDArray[Any], channel: Channel) -> Floats:
     """Extension [m] of the counts of a calibrated channel; any shape.
 
-    Raises SessionError if the channel has no calibration to a length.
+    Raises SessionError if the channel has no calibration to a length, or the box describes it wrongly.
     """
+    if channel.fault:
+        raise SessionError(
+            f"channel {channel.name!r} of the box cannot be used: {channel.fault}; correct the box's configuration and "
+            "record anew"
+        )
     if channel.calibrated_unit not in METRES or not channel.poly:
         raise SessionError(
             f"channel {channel.name!r} of the box has no calibration to metres; record with a calibrated box"

@@ -19,23 +19,14 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-import cbor2
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.errors import SessionError
-from truearm.sensors.ident import Ident, Stream, parse_ident
-from truearm.sync.frames import (
-    Data,
-    Exchange,
-    data_of,
-    decode,
-    device_time,
-    is_boot,
-    is_text,
-    parse_exchange,
-    usual_data,
-)
+from truearm.errors import ProtocolError
+from truearm.sensors.data import Data, data_of, decode, usual_data
+from truearm.sensors.ident import Ident, Stream, decode_ident
+from truearm.sensors.pages import Pages
+from truearm.sync.frames import Exchange, device_time, is_boot, is_text, parse_exchange
 from truearm.sync.losses import BoxCounters, Losses
 from truearm.sync.streams import COUNTED, StreamReport, StreamTrack
 from truearm.types import Message
@@ -91,8 +82,7 @@ class BoxReader:
         self._recent: list[bytes] = [b""] * REMEMBERED
         self._times: dict[int, int] = {}
         self._streams: dict[int, StreamTrack] = {}
-        self._pages: dict[int, bytes] = {}
-        self._document: tuple[int, int] | None = None  # req_id and number of pages of the document being joined
+        self._pages = Pages()
         self._heartbeats: dict[int, list[int]] = {}  # segment → last counters
         self._worst: dict[str, int] = {}
 
@@ -193,7 +183,7 @@ class BoxReader:
         self._segment = Segment(len(self.segments), ident=self.segment.ident)
         self.segments.append(self._segment)
         self._times.clear()
-        self._pages.clear()
+        self._pages = Pages()
         self._recent = [b""] * REMEMBERED
         for stream in self._streams.values():
             stream.restart(self._count["frames_lost"])
@@ -236,30 +226,19 @@ class BoxReader:
             self._worst[name] = worse(self._worst.get(name, value), value)
 
     def _ident_page(self, frame: list[Any]) -> None:
-        document = self._collect(frame)
+        if len(frame) < 6 or any(type(v) is not int for v in frame[2:5]) or type(frame[5]) is not bytes:
+            self._count["frames_malformed"] += 1
+            return
+        document = self._pages.push(*frame[2:6])
         if document is None:
             return
         try:
-            ident = parse_ident(cbor2.loads(document, max_depth=8, allow_indefinite=False))
-        except (cbor2.CBORError, SessionError):
+            ident = decode_ident(document)
+        except ProtocolError:
             self._count["frames_malformed"] += 1
             return
         self._boot_id(ident.boot_id)
         self.segment.ident = ident
-
-    def _collect(self, frame: list[Any]) -> bytes | None:
-        """The document that this page completes. Page 0 drops an unfinished one (SPEC §5)."""
-        if len(frame) < 6 or any(type(v) is not int for v in frame[2:5]) or type(frame[5]) is not bytes:
-            self._count["frames_malformed"] += 1
-            return None
-        req_id, page, pages, data = frame[2:6]
-        if page == 0:
-            self._pages.clear()
-            self._document = (req_id, pages)
-        if (req_id, pages) != self._document or page != len(self._pages) or not page < pages <= wire.PAGES_MAX:
-            return None
-        self._pages[page] = data
-        return b"".join(self._pages.values()) if page == pages - 1 else None
 
     # ------------------------------------------------------------------------------------------------ not frames
 

@@ -7,13 +7,13 @@ are kept: 0.3 kB a bin for six joints, 80 MB for six hours.
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.sensors.joints import MAX_JOINTS, MAX_SEQ, MAX_T_S, parse_reading
 from truearm.sync.robot_clock import Arrivals, RobotClock, RobotClockReport, fit_robot_clock
 from truearm.types import Floats, Message
 
@@ -21,8 +21,7 @@ CHUNK = 2048  # lines parsed at a time: 1.3 µs a line instead of 2.8
 BIN_S = 0.05
 READING_GAP_S = 0.25  # without a reading for so long nobody knows whether the robot stood still
 LATE_S = 1.0  # time this little backward is a datagram overtaken by another; more is a restart
-MAX_T_S = 4e9  # ns of such times still fit 63 bits
-MAX_JOINTS = 32
+UNNUMBERED = -MAX_SEQ  # seq of a reading that has none
 FINEST_STEP = 1e-9  # rad or m; smaller differences are arithmetic, not an encoder
 COARSEST_STEP = 1e-3  # rad or m; no encoder worth calibrating is coarser
 
@@ -50,7 +49,7 @@ class JointStream:
     malformed: int
     duplicated: int
     late: int
-    lost: int  # gaps of seq
+    lost: int | None  # gaps of seq; None (not known) where readings have none
     gaps: int  # places where no reading came for longer than READING_GAP_S
     restarts: int
     rate_hz: float  # NaN with fewer than two readings
@@ -76,6 +75,7 @@ class JointReader:
         self._bin_s, self._gap_s = BIN_S, READING_GAP_S
         self._step: Floats = np.empty(0)  # smallest change between readings
         self._fast_step: Floats = np.empty(0)  # smallest change of a change
+        self._numbered = True
         self.malformed = self.duplicated = self.late = self.lost = self.gaps = 0
 
     def feed(self, message: Message) -> None:
@@ -99,7 +99,7 @@ class JointReader:
             malformed=self.malformed,
             duplicated=self.duplicated,
             late=self.late,
-            lost=self.lost,
+            lost=self.lost if self._numbered else None,
             gaps=self.gaps,
             restarts=max(0, len(self._arrivals) - 1),
             rate_hz=(readings - len(self._arrivals)) / spans if spans > 0.0 else float("nan"),
@@ -116,6 +116,7 @@ class JointReader:
         self._lines, self._arrival_ns = [], []
         if not rows.size:
             return
+        self._numbered &= bool(np.all(seq != UNNUMBERED))
         if self._joints is None:
             self._begin(t, q)
         restarts = np.flatnonzero(np.diff(t) < -LATE_S) + 1
@@ -208,21 +209,21 @@ def _step(slow: Floats, fast: Floats) -> Floats:
 def parse_lines(lines: list[bytes], joints: int | None) -> tuple[NDArray[np.intp], Floats, NDArray[np.int64], Floats]:
     """Indices of the lines that are readings, and their t (n,) [s], seq (n,) and q (n, j).
 
-    A line is malformed if it lacks t, seq or q, holds no finite number, or has another number of joints than ``joints``
-    (None: than the first).
+    seq is UNNUMBERED where a line has none. A line is malformed if ``parse_reading`` says so, or if it has another number
+    of joints than ``joints`` (None: than the first).
     """
     parsed = _parse_all(lines)
     if parsed is None:
-        rows = [(i, *row) for i, line in enumerate(lines) if (row := _parse_one(line)) is not None]
+        rows = [(i, *row) for i, line in enumerate(lines) if (row := parse_reading(line)) is not None]
         width = joints or (len(rows[0][3]) if rows else 0)
         rows = [row for row in rows if len(row[3]) == width]
         index = np.array([row[0] for row in rows], dtype=np.intp)
         t = np.array([row[1] for row in rows], dtype=np.float64)
-        seq = np.array([row[2] for row in rows], dtype=np.int64)
+        seq = np.array([UNNUMBERED if row[2] is None else row[2] for row in rows], dtype=np.int64)
         return index, t, seq, np.array([row[3] for row in rows], dtype=np.float64).reshape(len(rows), width)
     t, seq, q = parsed
     good = np.isfinite(t) & (t >= 0.0) & (t < MAX_T_S) & np.all(np.isfinite(q), axis=1)
-    good &= q.shape[1] == (joints or q.shape[1])
+    good &= (q.shape[1] == (joints or q.shape[1])) & (seq >= UNNUMBERED) & (seq < MAX_SEQ)
     return np.flatnonzero(good), t[good], seq[good], q[good]
 
 
@@ -230,8 +231,8 @@ def _parse_all(lines: list[bytes]) -> tuple[Floats, NDArray[np.int64], Floats] |
     """All lines in one go; None if any of them is not as expected."""
     try:
         rows = json.loads(b"[" + b",".join(lines) + b"]")
-        t, seq, q = ([row[key] for row in rows] for key in ("t", "seq", "q"))
-        columns = np.array(t), np.array(seq), np.array(q)
+        t, q = ([row[key] for row in rows] for key in ("t", "q"))
+        columns = np.array(t), np.array([row.get("seq", UNNUMBERED) for row in rows]), np.array(q)
     except (ValueError, KeyError, TypeError, RecursionError, OverflowError):
         return None
     kinds = [column.dtype.kind for column in columns]
@@ -245,22 +246,3 @@ def _parse_all(lines: list[bytes]) -> tuple[Floats, NDArray[np.int64], Floats] |
     ):
         return None
     return columns[0].astype(np.float64), columns[1].astype(np.int64), columns[2].astype(np.float64)
-
-
-def _parse_one(line: bytes) -> tuple[float, int, list[float]] | None:
-    try:
-        row = json.loads(line)
-    except (ValueError, RecursionError):
-        return None
-    if not isinstance(row, dict):
-        return None
-    t, seq, q = row.get("t"), row.get("seq"), row.get("q")
-    if not (_finite(t) and 0.0 <= t < MAX_T_S and type(seq) is int and abs(seq) < 2**62 and isinstance(q, list)):  # type: ignore[operator]
-        return None
-    if not 1 <= len(q) <= MAX_JOINTS or not all(map(_finite, q)):
-        return None
-    return float(t), seq, [float(value) for value in q]  # type: ignore[arg-type]
-
-
-def _finite(value: object) -> bool:
-    return (type(value) is float and math.isfinite(value)) or (type(value) is int and abs(value) < 2**53)

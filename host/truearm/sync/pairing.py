@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
-from truearm.sync.joints import MAX_JOINTS
+from truearm.sensors.joints import MAX_JOINTS
 from truearm.types import Floats
 
 FITTINGS = ("bar", "chuck", "sphere", "shell")

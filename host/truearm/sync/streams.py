@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from truearm.sensors.data import Data
 from truearm.sensors.ident import Stream
-from truearm.sync.frames import Data
 from truearm_wire import messages as wire
 
 COUNTED = ("blocks", "samples", "samples_lost", "samples_overrun", "converter_faults", "starts")  # see Losses
