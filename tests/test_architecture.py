@@ -1,6 +1,7 @@
 """Who may import whom (docs/decisions/0001): the imports are read from the source and held against this table."""
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ ROOMS = {
     "estimate": {"observe", "model"},
     "sensors": set(),
     "sync": {"sensors"},
-    "record": {"files"},
+    "record": {"files", "sensors"},
     "files": {"model"},
     "report": set(),
     "commands": {"model", "observe", "estimate", "sensors", "sync", "record", "files", "report", "cli"},
@@ -23,7 +24,7 @@ ROOMS = {
     "types": set(),
     "errors": set(),
 }
-WIRE_ALLOWED = {"record", "sync"}
+WIRE_ALLOWED = {"record", "sync", "sensors"}
 SIMULATOR_ALLOWED = {"commands"}  # simulate and demo alone
 PURE = ("model", "observe", "estimate")  # compute; touch neither files nor the network
 IO_MODULES = {"socket", "serial", "urllib", "http", "subprocess", "shutil", "tempfile", "os", "mcap", "pathlib", "io"}
@@ -113,3 +114,54 @@ def test_nothing_evaluates_or_unpickles():
             }
             assert not names & {"eval", "exec", "compile"}, path
             assert not {n.split(".")[0] for n in imports(path)} & {"pickle", "marshal", "shelve", "dill"}, path
+
+
+CODE_FLOW = ROOT / "docs" / "code_flow.md"
+SOURCES = (HOST, ROOT / "protocol", ROOT / "firmware", ROOT / "hil_sim")
+# where a file that the page names may stand
+FILE_BASES = (ROOT, HOST, ROOT / "docs", ROOT / "protocol", ROOT / "protocol" / "truearm_wire")
+
+
+def defined_names() -> set[str]:
+    """``function``, ``module.function``, ``Class`` and ``Class.method`` of all that is shipped."""
+    found = set()
+    for path in (p for folder in SOURCES for p in python_files(folder)):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.FunctionDef | ast.ClassDef):
+                found |= {node.name, f"{path.stem}.{node.name}"}
+            if isinstance(node, ast.ClassDef):
+                found |= {f"{node.name}.{method.name}" for method in node.body if isinstance(method, ast.FunctionDef)}
+    return found
+
+
+def bare_methods(names: set[str]) -> set[str]:
+    return {name.split(".")[1] for name in names if "." in name}
+
+
+def missing_names(text: str, known: set[str]) -> set[str]:
+    """What a page calls by name, ``a.b.name()`` or ``Name``, and nothing defines."""
+    quoted = re.findall(r"`([^`\n]+)`", text)
+    calls = {name for code in quoted for name in re.findall(r"[A-Za-z_][\w.]*(?=\(\))", code)}
+    classes = {code for code in quoted if re.fullmatch(r"(\w+\.)*[A-Z]\w*[a-z]\w*", code)}
+    bare = known | bare_methods(known)
+    return {name for name in calls | classes if ".".join(name.split(".")[-2:]) not in (known if "." in name else bare)}
+
+
+def missing_files(text: str) -> set[str]:
+    """Paths that a page names, and folders with a slash at their end, where nothing stands."""
+    files = set(re.findall(r"[\w./-]*\w\.(?:py|md|cddl)\b", text)) | set(re.findall(r"`([\w/]+/)`", text))
+    return {f for f in files if "NAME" not in f and not any((base / f).exists() for base in FILE_BASES)}
+
+
+def test_the_code_flow_page_names_what_exists():
+    text, known = CODE_FLOW.read_text(encoding="utf-8"), defined_names()
+    assert not missing_names(text, known)
+    # correct/ and export/ are said to be still to come
+    assert missing_files(text) <= {"correct/", "export/"}
+
+
+def test_the_check_of_the_page_finds_what_is_gone():
+    known = defined_names()
+    page = "`Box.step()` `Box.nothing()` `sync.pipeline.survey()` `sync.clock.survey()` `gone()` `Gone` `sync/gone.py`"
+    assert missing_names(page, known) == {"Box.nothing", "sync.clock.survey", "gone", "Gone"}
+    assert missing_files(page) == {"sync/gone.py"}
