@@ -130,6 +130,53 @@ def test_short_write_is_the_boxs_own_count():
     assert account(box.messages) == {}
 
 
+def test_a_running_box_is_not_charged_with_what_was_before():
+    box = Box(seq=5000)
+    for k, overruns in enumerate((61_000, 61_000, 61_007)):
+        box.heartbeat((2 + k) * 10**9, overruns=overruns, short_writes=12, bad_frames=3, sent=5000 + 80 * k)
+    counters = read(box.messages)[1].losses().box
+    assert (counters.heartbeats, counters.sent) == (3, 160)
+    assert (counters.overruns, counters.short_writes, counters.bad_frames) == (7, 0, 0)
+
+
+def test_identify_is_no_boot():
+    """Asked for, ident carries the command's req_id."""
+    box = Box(seq=5000)
+    for page, pages, data in wire.pages(cbor2.dumps(ident_document())):
+        box.frame("ident", 10**9, wire.IDENT, 4, page, pages, data)
+    box.heartbeat(2 * 10**9, overruns=9)
+    assert read(box.messages)[1].losses().box.overruns == 0
+
+
+def test_a_boot_in_the_session_is_charged_from_its_beginning():
+    box = Box()
+    box.ident(10**9)
+    box.heartbeat(2 * 10**9, overruns=9)
+    assert read(box.messages)[1].losses().box.overruns == 9
+    joined = box.messages[-1:]
+    box.reboot(3 * 10**9)
+    box.heartbeat(4 * 10**9, overruns=5)  # its ident was lost
+    reader = read([*joined, box.messages[-1]])[1]
+    assert (reader.losses().restarts, reader.losses().box.overruns) == (1, 5)
+
+
+def test_counters_wrap():
+    box = Box(seq=5000)
+    box.heartbeat(10**9, sent=2**30 - 50)
+    box.heartbeat(2 * 10**9, sent=30)
+    assert read(box.messages)[1].losses().box.sent == 80
+
+
+def test_a_frame_that_came_late_is_no_second_boot_to_the_counters():
+    box = Box(seq=5000)
+    for k in range(4):
+        box.heartbeat((1 + k) * 10**9, overruns=1000 + k)
+    box.messages.insert(3, box.messages.pop(1))
+    losses = read(box.messages)[1].losses()
+    assert losses.restarts > 0  # a step back of seq
+    assert (losses.box.heartbeats, losses.box.overruns) == (4, 3)
+
+
 def test_reboot_in_mid_session():
     box = box_with()
     box.heartbeat(10**9, sent=30)

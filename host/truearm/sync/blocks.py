@@ -27,7 +27,8 @@ from truearm.sensors.data import Data, data_of, decode, usual_data
 from truearm.sensors.ident import Ident, Stream, decode_ident
 from truearm.sensors.pages import Pages
 from truearm.sync.frames import Exchange, device_time, is_boot, is_text, parse_exchange
-from truearm.sync.losses import BoxCounters, Losses
+from truearm.sync.heartbeats import Heartbeats
+from truearm.sync.losses import Losses
 from truearm.sync.streams import COUNTED, StreamReport, StreamTrack
 from truearm.types import Message
 from truearm_wire import messages as wire
@@ -35,8 +36,7 @@ from truearm_wire import messages as wire
 REMEMBERED = 64  # frames that a doubled one may lag behind
 HALF_CIRCLE = 2**31
 
-_COUNTERS = wire.names(wire.HEARTBEAT)
-_SUMMED = ("sent", "dropped", "short_writes", "overruns", "bad_frames")
+_HEARTBEAT_VALUES = len(wire.names(wire.HEARTBEAT)) - 1  # without seq
 
 
 class Block(NamedTuple):
@@ -61,6 +61,7 @@ class Segment:
     """One life of the box, from boot to reboot."""
 
     index: int
+    booted: bool = False  # within the session
     boot_id: int | None = None
     ident: Ident | None = None
     exchanges: list[Exchange] = field(default_factory=list)
@@ -83,8 +84,7 @@ class BoxReader:
         self._times: dict[int, int] = {}
         self._streams: dict[int, StreamTrack] = {}
         self._pages = Pages()
-        self._heartbeats: dict[int, list[int]] = {}  # segment → last counters
-        self._worst: dict[str, int] = {}
+        self._heartbeats = Heartbeats()
 
     @property
     def segment(self) -> Segment:
@@ -104,17 +104,7 @@ class BoxReader:
 
     def losses(self) -> Losses:
         """The account so far."""
-        totals = Counter[str]()
-        for last in self._heartbeats.values():
-            totals.update({name: last[_COUNTERS.index(name) - 1] for name in _SUMMED})
-        worst = self._worst
-        box = BoxCounters(
-            heartbeats=self._count["heartbeats"],
-            **{name: totals[name] for name in _SUMMED},
-            loop_max_us=worst.get("loop_max_us"),
-            gc_max_us=worst.get("gc_max_us"),
-            heap_free_min=worst.get("heap_free"),
-        )
+        box = self._heartbeats.counters({s.index for s in self.segments if s.booted})
         known = {name: self._count[name] for name in Losses.__dataclass_fields__ if name != "box"}
         for name in COUNTED:
             known[name] = sum(getattr(stream, name) for stream in self._streams.values())
@@ -140,9 +130,10 @@ class BoxReader:
         if frame is None:
             self._count["frames_malformed"] += 1
             return None
-        kind = frame[0]
-        if not self._new(frame[1], device_time(frame), message.data, is_boot(frame)):
+        kind, boot = frame[0], is_boot(frame)
+        if not self._new(frame[1], device_time(frame), message.data, boot):
             return None
+        self._segment.booted |= boot
         if kind == wire.DATA:
             return self._data(data_of(frame), message)
         if kind == wire.HEARTBEAT:
@@ -180,7 +171,7 @@ class BoxReader:
 
     def _restart(self) -> None:
         self._count["restarts"] += 1
-        self._segment = Segment(len(self.segments), ident=self.segment.ident)
+        self._segment = Segment(len(self.segments), booted=True, ident=self.segment.ident)
         self.segments.append(self._segment)
         self._times.clear()
         self._pages = Pages()
@@ -214,16 +205,12 @@ class BoxReader:
         return Block(self._segment.index, stream.run, gap, n, channels, message.t_host_ns, data)
 
     def _heartbeat(self, frame: list[Any]) -> None:
-        values = frame[2 : 1 + len(_COUNTERS)]
-        if len(values) < len(_COUNTERS) - 1 or any(type(value) is not int for value in values):
+        values = frame[2 : 2 + _HEARTBEAT_VALUES]
+        if len(values) < _HEARTBEAT_VALUES or any(type(value) is not int for value in values):
             self._count["frames_malformed"] += 1
             return
         self._boot_id(values[0])
-        self._count["heartbeats"] += 1
-        self._heartbeats[self.segment.index] = values
-        for name, worse in (("loop_max_us", max), ("gc_max_us", max), ("heap_free", min)):
-            value = values[_COUNTERS.index(name) - 1]
-            self._worst[name] = worse(self._worst.get(name, value), value)
+        self._heartbeats.take(self.segment.index, values)
 
     def _ident_page(self, frame: list[Any]) -> None:
         if len(frame) < 6 or any(type(v) is not int for v in frame[2:5]) or type(frame[5]) is not bytes:

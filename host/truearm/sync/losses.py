@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class BoxCounters:
-    """The box's own counters, of the last heartbeat of each boot and summed over the boots; they run since boot.
+    """The box's own counters, summed over what the session holds of each boot (see ``heartbeats``).
 
     ``loop_max_us``, ``gc_max_us`` and ``heap_free_min`` are the worst of all heartbeats; None without a heartbeat.
     """
