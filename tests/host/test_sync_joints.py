@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from truearm.sync import joints as joints_module
 from truearm.sync.dwell import DwellRules, find_dwells
+from truearm.sync.holes import Holes
 from truearm.sync.joints import JointReader, parse_lines
 from truearm.types import Message
 
@@ -112,6 +113,47 @@ def test_losses_of_the_robot_are_counted_apart():
     assert stream.readings == 496
 
 
+def test_a_late_reading_that_was_never_missed_is_no_gain():
+    """Time steps back by half a second; seq stands still, or runs on: the number is not missing, it came."""
+    lines = still()
+    lines[100] = message(10.0 + 100 / 125.0 - 0.5, 100, (0.1, -0.2))
+    stream = read(lines)
+    assert (stream.late, stream.lost) == (1, 0)
+    stream = read([message(10.0 + k / 125.0 - 0.5 * (k == 100), 0, (0.1, -0.2)) for k in range(200)])
+    assert (stream.late, stream.lost) == (1, 0)
+
+
+def test_a_late_reading_fills_its_hole_once():
+    lines = still()
+    late = lines[200]
+    del lines[199:203]
+    lines[210:210] = [late, late]
+    stream = read(lines)
+    assert (stream.late, stream.lost) == (2, 3)
+
+
+def test_holes_of_another_life_are_not_filled():
+    lines = still(t0=500.0)
+    del lines[490]
+    after = [m._replace(t_host_ns=m.t_host_ns + 510 * 10**9) for m in still(t0=1.0)]
+    after.insert(495, message(1.0 + 480 / 125.0, 490, (0.1, -0.2)))
+    stream = read(lines + after)
+    assert (stream.restarts, stream.late, stream.lost) == (1, 1, 1)
+
+
+@given(st.lists(st.integers(-6, 6).map(lambda k: k**9), max_size=40))
+def test_what_is_lost_is_never_negative(numbers):
+    holes, last = Holes(), 0
+    for number in numbers:
+        if number > last:
+            holes.skip(last, number)
+            last = number
+        else:
+            holes.fill(number)
+        assert holes.lost >= 0
+    assert holes.lost == last - len({n for n in numbers if n > 0})
+
+
 def test_controller_restart_is_another_segment():
     stream = read(still(t0=500.0) + [m._replace(t_host_ns=m.t_host_ns + 510 * 10**9) for m in still(t0=1.0)])
     assert stream.restarts == 1
@@ -169,6 +211,7 @@ def test_arbitrary_times_end_in_a_result(rows):
     messages = [message(t, seq, (0.0, 1.0), arrival_ns=k) for k, (t, seq) in enumerate(rows)]
     stream = read(messages)
     assert stream.readings + stream.late + stream.duplicated == len(rows)
+    assert stream.lost >= 0
     find_dwells(stream, DwellRules())
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.sensors.joints import MAX_JOINTS, MAX_SEQ, MAX_T_S, parse_reading
+from truearm.sync.holes import Holes
 from truearm.sync.robot_clock import Arrivals, RobotClock, RobotClockReport, fit_robot_clock
 from truearm.types import Floats, Message
 
@@ -76,7 +77,8 @@ class JointReader:
         self._step: Floats = np.empty(0)  # smallest change between readings
         self._fast_step: Floats = np.empty(0)  # smallest change of a change
         self._numbered = True
-        self.malformed = self.duplicated = self.late = self.lost = self.gaps = 0
+        self._holes = Holes()
+        self.malformed = self.duplicated = self.late = self.gaps = 0
 
     def feed(self, message: Message) -> None:
         """Take one message; those of other topics are ignored."""
@@ -99,7 +101,7 @@ class JointReader:
             malformed=self.malformed,
             duplicated=self.duplicated,
             late=self.late,
-            lost=self.lost if self._numbered else None,
+            lost=self._holes.lost if self._numbered else None,
             gaps=self.gaps,
             restarts=max(0, len(self._arrivals) - 1),
             rate_hz=(readings - len(self._arrivals)) / spans if spans > 0.0 else float("nan"),
@@ -140,6 +142,7 @@ class JointReader:
             self._close_bin()
             self._arrivals.append(Arrivals(float(t[0]), int(arrival[0])))
             self._latest_s, self._previous_bin_s, self._last = -np.inf, -np.inf, None
+            self._holes.forget()
         highest = np.maximum.accumulate(np.concatenate([[self._latest_s], t]))
         before = np.concatenate([[self._last[1] if self._last else int(seq[0]) - 1], seq[:-1]])
         late, doubled = t < highest[:-1], (t == highest[:-1]) & (seq == before)
@@ -147,13 +150,24 @@ class JointReader:
         self.late += int(np.sum(late))
         self.duplicated += int(np.sum(doubled))
         kept = seq[keep]
-        steps = np.diff(np.concatenate([before[:1], kept]))
-        self.lost += int(np.sum(steps[steps > 1] - 1)) - int(np.sum(late))
+        self._account(seq, np.concatenate([before[:1], kept[:-1]]), late, keep)
         self._latest_s = float(highest[-1])
         if kept.size:
             self._last = (self._latest_s, int(kept[-1]))
             self._arrivals[-1].add(t[keep], arrival[keep])
             self._bin(t[keep], q[keep])
+
+    def _account(
+        self, seq: NDArray[np.int64], previous: NDArray[np.int64], late: NDArray[np.bool_], keep: NDArray[np.bool_]
+    ) -> None:
+        """Count what is missing, in order of arrival; ``previous`` (k,): the number before each kept one."""
+        before = seq.copy()
+        before[keep] = previous[: int(np.sum(keep))]
+        for i in np.flatnonzero(late | (keep & (seq - 1 > before))):
+            if late[i]:
+                self._holes.fill(int(seq[i]))
+            else:
+                self._holes.skip(int(before[i]), int(seq[i]))
 
     def _bin(self, t: Floats, q: Floats) -> None:
         if self._carried is not None:
