@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from truearm.sync import clock as clock_module
 from truearm.sync.clock import fit_clock
 from truearm.sync.frames import Exchange
 from truearm.sync.hull import line_under, lower_hull
+from truearm.sync.lines import RATE_LIMIT
 
 TAIL_NS = 150e3
 
@@ -339,4 +339,4 @@ def test_rate_limit_is_honoured():
     every = exchanges(np.random.default_rng(12), True_(5000.0), duration_s=60.0)
     _, report = fit_clock(0, every)
     assert report.rejected > len(every) // 2
-    assert abs(report.rate_ppm) <= 1e6 * clock_module.RATE_LIMIT
+    assert abs(report.rate_ppm) <= 1e6 * RATE_LIMIT

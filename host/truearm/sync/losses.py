@@ -1,4 +1,17 @@
-"""What did not arrive, counted exactly (hop 4)."""
+"""What did not arrive, counted exactly (hop 4).
+
+What a frame's ``seq`` means is decided in this order, with step = seq − the last seq on the circle of 2^32:
+
+1. It is one of the last 64 frames again, byte for byte, and step ≠ 1: **doubled**. It is ignored and changes nothing,
+   however late it is. The same seq with other bytes is no double.
+2. Device time of its kind runs backward, step is 0 or at least half the circle, or it is the ident of a boot and
+   step ≠ 1: a **restart**. seq counts from 0, so the seq frames before it are lost. A new boot id is a restart too,
+   whatever seq says.
+3. Otherwise step − 1 frames are **lost**.
+
+A single frame that was delivered late and is no double looks like a restart by rule 2: two segments with one boot id. While a
+session is recorded the box can be asked; afterwards a segment too many does no harm, as nothing is fitted across segments.
+"""
 
 from __future__ import annotations
 
