@@ -23,8 +23,9 @@ The **bound** on the error holds if either of two assumptions does, as it is the
    that any of them is from the estimate, and ½ · DRIFT · x².
 2. The rate stays within WANDER, 30 ppm, of the estimate's, and may change within that as it likes. Then each exchange
    bounds h at any time, WANDER · (time between) more loosely. Exchanges before and after are asked apart and the looser
-   answer counts, so h may also have one step (or a steep slope one way: a host clock that is slewed) between them. Within
-   a second of the first and last exchange there are too few on one side; there the tighter answer counts.
+   answer counts, so h may also have one step (or a steep slope one way: a host clock that is slewed) between them, if
+   that tilts the estimate by less than WANDER. Within a second of the first and last exchange there are too few on one
+   side; there the tighter answer counts.
 
 A clock that breaks both, and still keeps every exchange possible, cannot be told from one that does not.
 The bound contains the half-asymmetry (± half the shortest round trip, and it is never less) that no exchange can show:
