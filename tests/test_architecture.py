@@ -21,6 +21,7 @@ ROOMS = {
     "report": set(),
     "commands": {"model", "observe", "estimate", "sensors", "sync", "record", "files", "report", "cli"},
     "cli": {"commands"},
+    "__main__": {"cli"},
     "types": set(),
     "errors": set(),
 }

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import truearm_wire
+from truearm.errors import LinkError
 
 from .micropython import Interpreter
 
@@ -33,7 +34,7 @@ STALL, CRASH, QUIT = 1, 2, 4
 POWER, WATCHDOG, COMMAND = 1, 2, 3
 
 
-class BoxDied(RuntimeError):
+class BoxDied(LinkError):
     """The firmware's process ended; the text is what it wrote to standard error."""
 
 
@@ -104,6 +105,7 @@ class BoxProcess:
             stdout=subprocess.PIPE,
             stderr=self._stderr,
             bufsize=0,
+            start_new_session=True,  # Ctrl-C is for the parent, which ends this process in order
         )
 
     def grant(
@@ -158,7 +160,8 @@ class BoxProcess:
     def _last_words(self) -> str:
         self._process.wait(timeout=5)
         self._stderr.seek(0)
-        return self._stderr.read().decode(errors="replace").strip() or "no message"
+        text = self._stderr.read().decode(errors="replace").strip()
+        return "the simulated box's firmware ended: " + (text or "no message")
 
     def close(self) -> None:
         """End the process and drop its file system."""

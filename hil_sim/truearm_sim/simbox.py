@@ -15,6 +15,7 @@ from .sensors import period_ns
 from .world import World
 
 BATCH = 100  # samples a grant, at most
+SHORT_WRITE = 100  # bytes that the link takes of a data frame's 251
 BOOT_NS = 1_500_000_000
 FAULTS = ("flip", "lose", "double", "text", "short-write", "stall", "crash", "reboot")
 
@@ -31,6 +32,8 @@ class Fault:
     kind: str
 
     def __post_init__(self) -> None:
+        if not 0.0 <= self.t_s < 1e9:
+            raise ValueError(f"a fault at {self.t_s} s is not within the lab's time")
         if self.kind not in FAULTS:
             raise ValueError(f"{self.kind!r} is no fault; there are {', '.join(FAULTS)}")
 
@@ -54,6 +57,7 @@ class SimulatedBox:
         self._period_ns = 0
         self._sent = 0  # samples given since the start of sampling
         self._stalled_until_ns = 0
+        self._short_write = False
         self._rx = b""  # what the host wrote and the box has not taken yet
         self._rx_room = RX_MAX
 
@@ -84,10 +88,12 @@ class SimulatedBox:
         if t_ns < self._stalled_until_ns:
             flags |= STALL
         if fault == "short-write":
-            tx_room = 100
+            self._short_write = True
         device_us = self.device_us(t_ns)
         for samples, index in self._due_samples(device_us * 1000):
-            answer = self._grant(device_us, samples, index, tx_room, flags)
+            room = min(tx_room, SHORT_WRITE) if self._short_write else tx_room
+            answer = self._grant(device_us, samples, index, room, flags)
+            self._short_write = self._short_write and len(answer.tx) < SHORT_WRITE  # until a frame did not fit
             flags, tx_room = flags & STALL, 0xFFFF
             yield self._damage(answer.tx, fault)
             fault = None

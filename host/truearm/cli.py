@@ -61,6 +61,9 @@ def _root(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``truearm`` with ``arguments`` (``sys.argv`` without the first if None); returns the exit code."""
+    if sys.stdout is None or sys.stderr is None:  # closed by the caller: what would be said goes nowhere
+        sys.stdout = sys.stdout or open(os.devnull, "w")
+        sys.stderr = sys.stderr or open(os.devnull, "w")
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a Latin-1 terminal must not end a run at its first "σ"
             stream.reconfigure(errors="backslashreplace")
@@ -76,8 +79,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _complain("interrupted")
         return 130
     except BrokenPipeError:  # the reader of our output left, as `| head` does
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        _discard_stdout()
         return 1
+    except OSError as exc:  # files and links raise errors of ours; what is left is standard output, on a full disk say
+        _discard_stdout()
+        _complain(f"cannot write: {exc.strerror or exc}")
+        return 1
+
+
+def _discard_stdout() -> None:
+    """What is still in its buffer would raise again at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 
 def _run(arguments: list[str]) -> int:
@@ -94,7 +106,3 @@ def _run(arguments: list[str]) -> int:
 
 def _complain(message: str) -> None:
     print("truearm: " + one_line(message), file=sys.stderr)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

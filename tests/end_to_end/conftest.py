@@ -31,7 +31,7 @@ class Recorded:
 
 def truearm(*arguments: object, timeout_s: float = 120) -> subprocess.CompletedProcess[str]:
     """Run the command line in a process of its own."""
-    command = [sys.executable, "-m", "truearm.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "truearm", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=timeout_s)
 
 

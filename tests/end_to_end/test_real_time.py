@@ -17,7 +17,7 @@ class Simulator:
     """A running `truearm simulate`."""
 
     def __init__(self, folder, *options):
-        command = [sys.executable, "-u", "-m", "truearm.cli", "simulate", "--out", str(folder), "--port", "0"]
+        command = [sys.executable, "-u", "-m", "truearm", "simulate", "--out", str(folder), "--port", "0"]
         self.process = subprocess.Popen(
             [*command, "--robot-port", "0", *options], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
         )
@@ -69,7 +69,7 @@ def test_recorded_over_a_real_port(simulator, tmp_path):
 
 def test_interrupt_completes_the_file(simulator, tmp_path):
     """Ctrl-C in the middle: exit 130, a line that says what is kept, and a file with its summary."""
-    command = [sys.executable, "-m", "truearm.cli", *simulator.record]
+    command = [sys.executable, "-m", "truearm", *simulator.record]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     time.sleep(5)
     process.send_signal(signal.SIGINT)
@@ -83,7 +83,7 @@ def test_interrupt_completes_the_file(simulator, tmp_path):
 
 def test_kill_loses_a_second_at_most(simulator, tmp_path):
     """SIGKILL: what was synced to disk is read back, and the tools say that the end is missing."""
-    command = [sys.executable, "-m", "truearm.cli", *simulator.record]
+    command = [sys.executable, "-m", "truearm", *simulator.record]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     time.sleep(6)
     process.kill()

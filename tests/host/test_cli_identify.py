@@ -48,7 +48,7 @@ HELD_OUT_KEYS = {"rms_mm", "mean_mm", "max_mm", "n", "n_settled", "n_left_out"}
 
 
 def process(*arguments: object) -> Outcome:
-    command = [sys.executable, "-m", "truearm.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "truearm", *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     return Outcome(done.returncode, done.stdout, done.stderr)
 
@@ -279,7 +279,9 @@ def test_free_and_freeze_choose_parameters(run: Run, good: list[object]) -> None
 def test_several_tables_are_one_and_save_table_writes_it(run: Run, good: list[object], tmp_path: Path) -> None:
     saved = tmp_path / "all.csv"
     first = good[1]
-    both = json.loads(run(good[0], first, first, *good[2:], "--save-table", saved, "--json").out)
+    second = tmp_path / "second.csv"
+    second.write_bytes(Path(str(first)).read_bytes())
+    both = json.loads(run(good[0], first, second, *good[2:], "--save-table", saved, "--json").out)
     assert both["n_observations"] == 180
     table = read_table(Path(str(first)))
     back = read_table(saved, ("rad",) * 6)
@@ -402,10 +404,39 @@ def test_interruption_is_one_line_and_130(run: Run, good: list[object], monkeypa
 
 
 def test_a_reader_that_leaves_is_no_traceback(good: list[object]) -> None:
-    command = [sys.executable, "-m", "truearm.cli", *map(str, good), "--json"]
+    command = [sys.executable, "-m", "truearm", *map(str, good), "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as child:
         assert child.stdout is not None
         assert child.stderr is not None
         child.stdout.close()
         assert child.stderr.read() == b""
     assert child.returncode == 1
+
+
+def test_outputs_over_inputs_and_inputs_twice_are_refused(run: Run, tmp_path: Path) -> None:
+    table = tmp_path / "rows.csv"
+    table.write_bytes((MUKCA / "panda_3.csv").read_bytes())
+    before = table.read_bytes()
+    good = ["identify", table, "--robot", MUKCA / "panda.urdf", "--tip", "ball_link", "--rig", MUKCA / "rig.toml"]
+    mine = tmp_path / "mine.json"
+    mine.write_text('{"my": "notes"}')
+    for more, text in (
+        (["--out", table], "is also read"),
+        (["--save-table", table], "is also read"),
+        (["--out", tmp_path / "x", "--save-table", tmp_path / "x"], "is also read"),
+        (["--out", mine], "nothing that truearm wrote"),
+        ([table], "is given twice"),
+    ):
+        outcome = run(*map(str, [*good, *more]))
+        assert (outcome.code, text in outcome.err, len(outcome.err.splitlines())) == (2, True, 1), outcome
+    assert table.read_bytes() == before
+    assert mine.read_text() == '{"my": "notes"}'
+
+
+def test_a_fit_without_spare_rows_says_so(run: Run, tmp_path: Path) -> None:
+    lines = (MUKCA / "panda_3.csv").read_text().splitlines()
+    few = tmp_path / "few.csv"
+    few.write_text("\n".join(lines[:12]) + "\n")
+    outcome = run("identify", str(few), "--robot", str(MUKCA / "panda.urdf"), "--tip", "ball_link")
+    assert outcome.code == 0, outcome
+    assert "says little" in outcome.out

@@ -68,10 +68,22 @@ def _bare_group_rows(table: ObservationTable, identifier: str) -> Mask:
         raise InputError(
             f"--hold-out {identifier} is a place and a shell; say place={identifier} or shell={identifier}"
         )
+    if not found and _is_number(identifier):
+        raise InputError(
+            f"--hold-out {identifier}: a fraction lies between 0 and 1, as 0.2; a group is written shell=NAME"
+        )
     if not found:
         known = [f"{column}={name}" for column in GROUPS for name in np.unique(getattr(table, column)) if name]
         raise InputError(f"--hold-out {identifier}: no place or shell has that name; {_listed('group', known)}")
     return np.asarray(getattr(table, found[0]) == identifier)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _listed(what: str, known: Sequence[str]) -> str:

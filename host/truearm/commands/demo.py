@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from truearm.errors import InputError
+from truearm.errors import LinkError
 
 if TYPE_CHECKING:
     from truearm.files.plan import Plan
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from truearm_sim.simbox import SimulatedBox
     from truearm_sim.world import World
 
+MARK = ".truearm-demo"  # in a folder that the demo made and may write again
 FITTED, VALIDATED = "bar46", "bar61"
 RATE_HZ = 500.0  # the dwells stand still; a thousand takes ten seconds longer and finds the same
 
@@ -76,10 +77,13 @@ def demo(
     """
     from truearm.commands.record import nearest_osr
     from truearm.commands.simulate import find_interpreter
+    from truearm.files.disk import own_folder
     from truearm_sim import micropython
     from truearm_sim.simbox import SimulatedBox
     from truearm_sim.world import World, standard_plan
 
+    osr = nearest_osr(rate)
+    own_folder(out, MARK)
     interpreter = find_interpreter()
     if interpreter is None:
         typer.echo(f"No MicroPython here: the firmware runs in CPython instead ({micropython.BY_HAND}).")
@@ -93,7 +97,7 @@ def demo(
     box = SimulatedBox(world, interpreter, seed=seed)
     try:
         with steps.step(f"record {len(plan)} dwells, {world.duration / 60:.0f} minutes of robot time"):
-            record_virtually(out, plan, world, box, nearest_osr(rate), seed)
+            record_virtually(out, plan, world, box, osr, seed)
         with steps.step("sync: clocks, dwells, observations"):
             result = observe(out)
         truth = clock_truth(result, box)
@@ -107,14 +111,10 @@ def demo(
 
 
 def write_setup(out: Path, plan: Plan, world: World) -> None:
-    """plan.csv and rig.toml, as a person would have them. Raises InputError if the folder cannot be written."""
+    """plan.csv and rig.toml, as a person would have them."""
     from truearm.files.plan import write_plan
     from truearm.files.rig import write_rig
 
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as exc:
-        raise InputError(f"{out}: cannot be made: {exc.strerror}") from exc
     write_plan(out / "plan.csv", plan)
     write_rig(out / "rig.toml", world.rig)
 
@@ -129,7 +129,7 @@ def record_virtually(out: Path, plan: Plan, world: World, box: SimulatedBox, osr
     lab = Lab(world, box, seed)
     writer = SessionWriter(out / "session.mcap", lab.clock, overwrite=True)
     with _progress(world.duration) as progress:
-        record(
+        summary = record(
             lab.box_link,
             writer,
             lab.clock,
@@ -139,6 +139,10 @@ def record_virtually(out: Path, plan: Plan, world: World, box: SimulatedBox, osr
             osr=osr,
             progress=progress,
         )
+    if summary.reason == "interrupted":
+        raise KeyboardInterrupt
+    if summary.reason != "robot closed":
+        raise LinkError(f"the simulated recording ended early: {summary.reason}, {summary.text}")
 
 
 def observe(out: Path) -> SyncResult:

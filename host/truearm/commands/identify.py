@@ -63,7 +63,7 @@ def identify(
         list[str] | None,
         typer.Option(
             metavar="GROUP|FRACTION",
-            help="Rows to judge by and not to fit: shell=s61 or place=front (repeatable), or a fraction such as 0.2.",
+            help="Rows to judge by and not to fit: bar=bar61, shell=s1, place=front, chuck=, sphere= or socket= (repeatable), or a fraction such as 0.2.",
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="Draws the rows of a held-out fraction.")] = 0,
@@ -102,12 +102,9 @@ def identify(
     Example:
       truearm identify poses.csv --robot puma560 --rig rig.toml --hold-out shell=s61
     """
-    from truearm.files.disk import check_writable
     from truearm.files.result import format_document, write_result
 
-    for path in (out, save_table):
-        if path is not None:
-            check_writable(path)
+    _check_files(inputs, robot, rig, out, save_table)
     request = _Request(
         inputs=inputs,
         robot=robot,
@@ -132,6 +129,23 @@ def identify(
         from truearm.commands.show import show_result
 
         show_result(document, out)
+
+
+def _check_files(inputs: list[Path], robot: str, rig: Path | None, out: Path | None, save_table: Path | None) -> None:
+    """No input twice (its sigmas would shrink), no output over an input or a stranger's file. Raises InputError."""
+    from truearm.files.disk import check_writable, same_file
+    from truearm.files.result import looks_like_result
+    from truearm.files.robot import robot_file
+    from truearm.files.table import looks_like_table
+
+    for i, path in enumerate(inputs):
+        if any(same_file(path, other) for other in inputs[:i]):
+            raise InputError(f"{path}: is given twice; its observations would count twice")
+    read = [*inputs, *filter(None, (rig, robot_file(robot)))]
+    if out is not None:
+        check_writable(out, inputs=read, ours=looks_like_result)
+    if save_table is not None:
+        check_writable(save_table, inputs=[*read, *filter(None, [out])], ours=looks_like_table)
 
 
 def _identified(request: _Request) -> dict[str, Any]:

@@ -24,6 +24,7 @@ MAX_TERMS = 4
 SMALLEST_WEIGHT = 0.005  # below it "0.00" would be shown
 # How many combinations that few chucks (or spheres) lose (Goswami 1993, Table I).
 LOST_WITH = {1: 3, 2: 1}
+RESIDUALS = {"ball_bar": 1, "seat": 3}  # of an observation
 CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
 
 
@@ -142,6 +143,12 @@ def advice(document: Document, out: Path | None) -> list[str]:
         lines.append(
             f"Residuals are {factor:.1f} times what the declared sigmas allow: the robot has errors that these "
             "parameters do not model, or the sigmas are too small. The sigmas above are too small by as much."
+        )
+    spare = sum(RESIDUALS[k["kind"]] * k["fitted"] for k in document["observations"]) - document["rank"]
+    if spare < document["rank"]:
+        lines.append(
+            f"Only {max(spare, 0)} residuals more than the {document['rank']} combinations that they determine: the error "
+            "after says little, so many can be fitted to anything. Measure more, and judge by rows held out."
         )
     lines += _missing_points(document)
     if document["held_out"] is None:

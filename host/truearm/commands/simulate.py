@@ -10,6 +10,8 @@ import typer
 
 from truearm.errors import InputError, LinkError
 
+MARK = ".truearm-simulated"  # in a folder that simulate made and may write again
+
 if TYPE_CHECKING:
     from truearm_sim.micropython import Interpreter
     from truearm_sim.simbox import Fault
@@ -24,7 +26,7 @@ def simulate(
         int, typer.Option(min=0, max=65535, help="TCP port of the robot; 0 takes a free one.")
     ] = 7008,
     pty: Annotated[bool, typer.Option("--pty", help="The box behind a pseudo-terminal, as a serial device.")] = False,
-    poses: Annotated[int, typer.Option(min=9, max=5000, help="Poses with each of the two bars.")] = 36,
+    poses: Annotated[int, typer.Option(min=9, max=5000, help="Poses with each of the two bars.")] = 72,
     seed: Annotated[int, typer.Option(min=0, help="Of everything that is drawn by chance.")] = 1,
     fault: Annotated[
         list[str] | None,
@@ -38,6 +40,7 @@ def simulate(
 
     Example: truearm simulate, and in another terminal the truearm record line that it prints.
     """
+    from truearm.files.disk import own_folder
     from truearm.files.plan import write_plan
     from truearm.files.rig import write_rig
     from truearm_sim import micropython
@@ -46,11 +49,11 @@ def simulate(
     from truearm_sim.world import World, standard_plan
 
     faults = [parse_fault(text) for text in fault or []]
+    own_folder(folder, MARK)
     interpreter = find_interpreter()
     typer.echo(f"firmware: {interpreter or 'CPython; no MicroPython was found (' + micropython.BY_HAND + ')'}")
     plan = standard_plan(poses, seed)
     world = World(seed, plan)
-    folder.mkdir(parents=True, exist_ok=True)
     write_plan(folder / "plan.csv", plan)
     write_rig(folder / "rig.toml", world.rig)
     box = SimulatedBox(world, interpreter, faults=faults, seed=seed)

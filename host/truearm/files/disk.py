@@ -6,6 +6,7 @@ import hashlib
 import os
 import tempfile
 import tomllib
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -55,10 +56,12 @@ def parse_toml(text: str, name: str, error: type[InputError]) -> dict[str, Any]:
 
 
 def write_atomic(path: Path, text: str) -> None:
-    """Write UTF-8 text beside ``path`` and rename it over ``path``.
+    """Write UTF-8 text beside ``path`` and rename it over ``path``; a symbolic link stays and its target is replaced.
 
-    Raises InputError when the folder is missing or cannot be written.
+    Raises InputError when the folder is missing or cannot be written, or ``path`` is no regular file.
     """
+    path = path.resolve()
+    _check_regular(path)
     try:
         descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name[:100]}.", dir=path.parent)
     except OSError as exc:
@@ -90,11 +93,49 @@ def sha256(path: Path) -> str:
         raise InputError(f"{path}: cannot be read: {exc.strerror}") from exc
 
 
-def check_writable(path: Path) -> None:
-    """Raise InputError when ``path`` cannot become a file; called before long work, not instead of handling errors."""
+def check_writable(path: Path, *, inputs: Iterable[Path] = (), ours: Callable[[bytes], bool] | None = None) -> None:
+    """Raise InputError when ``path`` cannot become a file, or should not.
+
+    Called before long work, not instead of handling errors. ``inputs`` are files that must not be overwritten; ``ours``
+    says by its first kilobyte whether a file that exists is one that we wrote and may replace.
+    """
     if path.is_dir():
         raise InputError(f"{path}: is a directory; give the name of a file to write")
+    _check_regular(path)
+    if any(same_file(path, other) for other in inputs):
+        raise InputError(f"{path}: is also read, and would be overwritten; give another name")
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist; create it first")
     if not os.access(path.parent, os.W_OK):
         raise InputError(f"{path}: the folder {path.parent} cannot be written")
+    if ours is not None and path.exists():
+        with path.open("rb") as file:
+            if not ours(file.read(1024)):
+                raise InputError(f"{path}: exists and is nothing that truearm wrote; give another name, or remove it")
+
+
+def same_file(a: Path, b: Path) -> bool:
+    """Whether two names are one file, by links too, or would be."""
+    try:
+        return a.samefile(b)
+    except OSError:
+        return a.resolve() == b.resolve()
+
+
+def own_folder(path: Path, mark: str) -> None:
+    """Make ``path`` a folder whose files we may replace: a new or empty one, or one that bears our ``mark``.
+
+    Raises InputError for any other.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        if not (path / mark).exists() and any(path.iterdir()):
+            raise InputError(f"{path}: holds other files; give a new or empty folder with --out")
+        (path / mark).touch()
+    except OSError as exc:
+        raise InputError(f"{path}: cannot be used as a folder: {exc.strerror}") from exc
+
+
+def _check_regular(path: Path) -> None:
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: is not a regular file; give the name of a file to write")

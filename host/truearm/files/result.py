@@ -194,6 +194,11 @@ def format_document(value: Any, indent: int = 0) -> str:
     return start + "\n" + ",\n".join(lines) + "\n" + " " * indent + end
 
 
+def looks_like_result(head: bytes) -> bool:
+    """Whether a file that begins so is a result, or empty."""
+    return not head.strip() or (head.lstrip().startswith(b"{") and b'"truearm' in head)
+
+
 def write_result(path: Path, document: Mapping[str, Any]) -> None:
     """Write result.json whole or not at all. Raises InputError when the place cannot be written."""
     write_atomic(path, format_document(dict(document)) + "\n")

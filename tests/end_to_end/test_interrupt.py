@@ -1,0 +1,61 @@
+"""Ctrl-C as a terminal sends it, to the whole process group, at every stage of the demo; and outputs that cannot be written."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from tests.end_to_end.conftest import truearm
+
+COMMAND = [sys.executable, "-m", "truearm"]
+
+
+@pytest.mark.parametrize("after_s", [0.05, 0.5, 2.0, 3.5])
+def test_interrupted_demo_is_one_line_and_130(tmp_path, after_s):
+    process = subprocess.Popen(
+        [*COMMAND, "demo", "--out", str(tmp_path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    time.sleep(after_s)
+    os.killpg(process.pid, signal.SIGINT)
+    _, stderr = process.communicate(timeout=30)
+    if after_s > 0.4:  # earlier, Python itself may not have begun to look after it
+        # CPython ends itself by the signal, which a shell shows as 130 too, if it struck while a dataclass was being compiled.
+        assert process.returncode in (130, -signal.SIGINT), stderr
+        assert len(stderr.splitlines()) <= 1
+        assert "Traceback" not in stderr
+    assert not (tmp_path / "report.html").exists()
+
+
+def test_full_disk_behind_standard_output():
+    if not os.path.exists("/dev/full"):
+        pytest.skip("no /dev/full on this platform")
+    with open("/dev/full", "w") as full:
+        done = subprocess.run([*COMMAND, "--help"], stdout=full, stderr=subprocess.PIPE, text=True, timeout=60)
+    assert done.returncode == 1
+    assert done.stderr.splitlines() == ["truearm: cannot write: No space left on device"]
+
+
+def test_closed_standard_output():
+    done = subprocess.run(["sh", "-c", f"'{sys.executable}' -m truearm --version >&-"], capture_output=True, text=True)
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("fault", ["-3:reboot", "nan:reboot", "3:fire", "reboot"])
+def test_faults_that_are_none(tmp_path, fault):
+    done = truearm("simulate", "--out", tmp_path / "new", f"--fault={fault}")
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_simulate_into_a_file(tmp_path):
+    (tmp_path / "rig.toml").write_text("mine")
+    done = truearm("simulate", "--out", tmp_path / "rig.toml")
+    assert done.returncode == 2
+    assert "cannot be used as a folder" in done.stderr
+    assert (tmp_path / "rig.toml").read_text() == "mine"

@@ -1,0 +1,58 @@
+"""What may be written over, and what not."""
+
+import os
+
+import pytest
+
+from truearm.errors import InputError
+from truearm.files.disk import check_writable, own_folder, same_file, write_atomic
+
+
+def ours(head):
+    return head.startswith(b"ours")
+
+
+def test_an_input_is_never_an_output(tmp_path):
+    data = tmp_path / "data.csv"
+    data.write_text("x")
+    (tmp_path / "link.csv").symlink_to(data)
+    os.link(data, tmp_path / "hard.csv")
+    for name in ("data.csv", "link.csv", "hard.csv", "../" + tmp_path.name + "/data.csv"):
+        with pytest.raises(InputError, match="is also read"):
+            check_writable(tmp_path / name, inputs=[data])
+    assert same_file(tmp_path / "new.csv", tmp_path / "." / "new.csv"), "neither exists, both would be one file"
+    check_writable(tmp_path / "other.csv", inputs=[data])
+
+
+def test_only_what_we_wrote_is_replaced(tmp_path):
+    (tmp_path / "theirs").write_text("theirs")
+    (tmp_path / "ours").write_text("ours, older")
+    with pytest.raises(InputError, match="nothing that truearm wrote"):
+        check_writable(tmp_path / "theirs", ours=ours)
+    check_writable(tmp_path / "ours", ours=ours)
+    check_writable(tmp_path / "new", ours=ours)
+
+
+def test_devices_and_links_stay_what_they_are(tmp_path):
+    os.mkfifo(tmp_path / "fifo")
+    for attempt in (check_writable, lambda path: write_atomic(path, "x")):
+        with pytest.raises(InputError, match="not a regular file"):
+            attempt(tmp_path / "fifo")
+    assert not (tmp_path / "fifo").is_file()
+    (tmp_path / "file").write_text("old")
+    (tmp_path / "link").symlink_to(tmp_path / "file")
+    write_atomic(tmp_path / "link", "new")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "file").read_text() == "new"
+
+
+def test_a_folder_of_others_is_not_written_into(tmp_path):
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "thesis.tex").write_text("years of work")
+    with pytest.raises(InputError, match="holds other files"):
+        own_folder(tmp_path / "full", ".mark")
+    with pytest.raises(InputError, match="cannot be used"):
+        own_folder(tmp_path / "full" / "thesis.tex", ".mark")
+    own_folder(tmp_path / "a" / "new", ".mark")
+    (tmp_path / "a" / "new" / "report.html").write_text("first run")
+    own_folder(tmp_path / "a" / "new", ".mark")
