@@ -12,6 +12,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from truearm.record.links import HostClock
+
 from .simbox import SimulatedBox
 from .world import World
 
@@ -145,6 +147,7 @@ def serve(
     started: Callable[[], None] = lambda: None,
 ) -> None:
     """Run until the robot's program has ended and its client has gone, or until ``stop()``."""
+    clock = HostClock()  # the recorder's: a slew of the wall clock would show as a drift of the box
     start_ns: int | None = None
     sent_until_ns = 0
     while not stop():
@@ -153,9 +156,9 @@ def serve(
             if not (box_there or robot_there):
                 time.sleep(0.02)
                 continue
-            start_ns = time.monotonic_ns()
+            start_ns = clock.now_ns()
             started()
-        t_ns = time.monotonic_ns() - start_ns
+        t_ns = clock.now_ns() - start_ns
         for tx in box.advance(t_ns, box_port.receive(), box_port.room()):
             box_port.send(tx)
         _, lines = world.robot_lines(sent_until_ns, t_ns)
