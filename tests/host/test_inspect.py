@@ -1,14 +1,18 @@
 """``truearm inspect`` as a user meets it."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import SeekingReader
 from sync_stream import PERIOD_NS, RIG, ident_document, session
 
 from truearm import cli
 from truearm.commands.inspect import shown
+from truearm.commands.session import observations_of_session
+from truearm.errors import SessionError
 from truearm.files.rig import write_rig
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
@@ -150,6 +154,70 @@ def test_truncated_session_on_request(stream, tmp_path, run):
     assert said["truncated"] is True
     assert 0 < said["losses"]["frames"] < sum(m.topic.startswith("/box/") for m in stream)
     assert said["losses"]["frames_lost"] == 0
+
+
+def test_a_damaged_session_on_request(stream, tmp_path, run):
+    path = write(tmp_path / "s.mcap", stream, rig_toml(tmp_path))
+    whole = bytearray(path.read_bytes())
+    with path.open("rb") as file:
+        chunks = SeekingReader(file).get_summary().chunk_indexes
+    at = chunks[len(chunks) // 2].chunk_start_offset
+    whole[at + 200] ^= 4
+    path.write_bytes(whole)
+    code, out, err = run("inspect", path)
+    assert (code, out) == (2, "")
+    assert "--allow-damaged" in err
+    for option in ("--allow-damaged", "--allow-truncated"):
+        code, out, err = run("inspect", path, option)
+        assert (code, err) == (0, "")
+        assert re.search(rf"damaged at byte {at}: [0-9.]+ of [0-9.]+ s lost", out)
+        assert "killed" not in out
+        assert "nothing lost" not in out
+
+
+def test_identify_says_what_is_lost(stream, tmp_path, capsys):
+    path = write(tmp_path / "s.mcap", stream, rig_toml(tmp_path))
+    whole = bytearray(path.read_bytes())
+    with path.open("rb") as file:
+        whole[SeekingReader(file).get_summary().chunk_indexes[-1].chunk_start_offset + 200] ^= 4
+    path.write_bytes(whole)
+    with pytest.raises(SessionError):
+        observations_of_session(path)
+    assert len(observations_of_session(path, allow_damaged=True).table) >= 4
+    (line,) = capsys.readouterr().err.splitlines()
+    assert re.search(r"^warning: .*s\.mcap: damaged at byte \d+: [0-9.]+ of [0-9.]+ s lost$", line)
+
+
+def test_a_box_that_falls_silent_is_a_loss(stream, tmp_path, run):
+    """Frames end at 5 s, the robot goes on: the link was lost and never came back, so no count has a gap."""
+    start = min(m.t_host_ns for m in stream)
+    cut = [m for m in stream if not m.topic.startswith("/box/") or m.t_host_ns < start + 5 * 10**9]
+    end = max(m.t_host_ns for m in cut)
+    last = max(m.t_host_ns for m in cut if m.topic.startswith("/box/"))
+    path = write(tmp_path / "s.mcap", cut)
+    said = json.loads(run("inspect", path, "--json")[1])["losses"]
+    (gap,) = said["silences"]
+    assert (gap["from_s"], gap["to_s"]) == pytest.approx((1e-9 * (last - start), 1e-9 * (end - start)))
+    assert said["frames_lost"] == 0
+    assert said["samples_missing"] == round((end - last) / PERIOD_NS)
+    out = run("inspect", path)[1]
+    assert "the box was silent from 5.0 to" in out
+    assert f"{said['samples_missing']} samples missing" in out
+    assert "nothing lost" not in out
+
+
+def test_stops_between_poses_are_said_to_be_such(stream, tmp_path, run):
+    plan = [m for m in stream if m.topic == "/plan"]
+    rest = [m for m in stream if m.topic != "/plan"]
+    out = run("inspect", write(tmp_path / "s.mcap", [plan[0], *rest], rig_toml(tmp_path)))[1]
+    assert "rejected: no plan match (the robot stood where the plan has no pose; these look like stops between" in out
+
+
+def test_readings_of_other_joints_are_malformed(stream, tmp_path, run):
+    odd = [Message("/robot/console", m.t_host_ns, b'{"t": 1, "seq": 1, "q": [1]}') for m in stream[:7]]
+    odd += [Message("/robot/console", m.t_host_ns, b"hello") for m in stream[:7]]
+    robot = json.loads(run("inspect", write(tmp_path / "s.mcap", [*odd, *stream]), "--json")[1])["robot"]
+    assert robot["malformed"] == 7
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,7 @@ class _Request:
     prior: Prior | None
     max_iterations: int
     save_table: Path | None
-    allow_truncated: bool
+    allow_damaged: bool
 
 
 def identify(
@@ -89,8 +89,13 @@ def identify(
     save_table: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write all observations as one table (CSV).")
     ] = None,
-    allow_truncated: Annotated[
-        bool, typer.Option("--allow-truncated", help="Use what is whole of a session whose recorder was killed.")
+    allow_damaged: Annotated[
+        bool,
+        typer.Option(
+            "--allow-damaged",
+            "--allow-truncated",
+            help="Use what is whole of a session that is damaged, or whose recorder was killed.",
+        ),
     ] = False,
 ) -> None:
     """Identify a robot's parameters from observations.
@@ -118,7 +123,7 @@ def identify(
         prior=prior,
         max_iterations=max_iterations,
         save_table=save_table,
-        allow_truncated=allow_truncated,
+        allow_damaged=allow_damaged,
     )
     document = _identified(request)
     if out is not None:
@@ -162,7 +167,7 @@ def _identified(request: _Request) -> dict[str, Any]:
     robot = load_robot(request.robot, request.base, request.tip)
     chain, units = robot.chain, joint_units(robot.chain)
     rig = read_rig(request.rig) if request.rig else rig_of_sessions(request.inputs) or Rig()
-    table = read_inputs(request.inputs, units, rig, request.allow_truncated)
+    table = read_inputs(request.inputs, units, rig, request.allow_damaged)
     check_against_rig(table, rig)
     held_out = held_out_rows(table, request.hold_out, request.seed)
     # A URDF says nothing of what to hold; its constants are redundant, which the weak prior settles.
@@ -211,21 +216,21 @@ def _with_fair_before(estimate: Estimate, fit: Callable[[Mask], Estimate]) -> Es
 
 
 def read_inputs(
-    paths: list[Path], joint_units: tuple[str, ...], rig: Rig, allow_truncated: bool = False
+    paths: list[Path], joint_units: tuple[str, ...], rig: Rig, allow_damaged: bool = False
 ) -> ObservationTable:
     """The observations of all inputs, one after the other."""
     from truearm.files.table import concatenate
 
-    return concatenate([_read_input(path, joint_units, rig, allow_truncated) for path in paths])
+    return concatenate([_read_input(path, joint_units, rig, allow_damaged) for path in paths])
 
 
-def _read_input(path: Path, joint_units: tuple[str, ...], rig: Rig, allow_truncated: bool) -> ObservationTable:
+def _read_input(path: Path, joint_units: tuple[str, ...], rig: Rig, allow_damaged: bool) -> ObservationTable:
     from truearm.commands.session import is_session, observations_of_session
     from truearm.files.table import read_table
 
     if not is_session(path):
         return read_table(path, joint_units)
-    table = observations_of_session(path, rig, allow_truncated).table
+    table = observations_of_session(path, rig, allow_damaged).table
     if table.q.shape[1] != len(joint_units):
         raise InputError(f"{path}: its robot has {table.q.shape[1]} joints, the robot given has {len(joint_units)}")
     return table
@@ -236,7 +241,7 @@ def rig_of_sessions(paths: list[Path]) -> Rig | None:
     from truearm.commands.session import attached_rig, is_session
     from truearm.record.session import open_session
 
-    rigs = [attached_rig(open_session(path, allow_truncated=True), path) for path in paths if is_session(path)]
+    rigs = [attached_rig(open_session(path, allow_damaged=True), path) for path in paths if is_session(path)]
     if any(rig != rigs[0] for rig in rigs):
         raise InputError("the sessions were recorded with different rigs; say with --rig which one holds")
     return rigs[0] if rigs else None

@@ -13,6 +13,7 @@ import typer
 
 from truearm.commands.terminal import one_line
 from truearm.errors import InputError, SessionError
+from truearm.sensors.joints import parse_reading
 
 if TYPE_CHECKING:
     from truearm.record.session import Session
@@ -28,8 +29,13 @@ CONSOLE_BYTES = 400  # shown of each
 def inspect(
     session: Annotated[Path, typer.Argument(metavar="SESSION", help="Session file (.mcap) of truearm record.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON and nothing else.")] = False,
-    allow_truncated: Annotated[
-        bool, typer.Option("--allow-truncated", help="Read what there is of a file whose recorder was killed.")
+    allow_damaged: Annotated[
+        bool,
+        typer.Option(
+            "--allow-damaged",
+            "--allow-truncated",
+            help="Read what is whole of a file that is damaged, or whose recorder was killed.",
+        ),
     ] = False,
 ) -> None:
     """Say what is in a session: rates, gaps, losses, clock quality, dwells.
@@ -39,7 +45,7 @@ def inspect(
     from truearm.commands.inspect_text import lines
     from truearm.record.session import open_session
 
-    document = describe(open_session(session, allow_truncated))
+    document = describe(open_session(session, allow_damaged))
     if as_json:
         typer.echo(json.dumps(document, indent=2, allow_nan=False))
     else:
@@ -62,8 +68,12 @@ class Contents:
     """Counts messages as they pass, and keeps the first words of the box."""
 
     def __init__(self) -> None:
+        from truearm.sync.losses import Silences
+
         self.topics: dict[str, Topic] = {}
         self.console: list[bytes] = []
+        self.other_joints = 0  # readings that the recorder did not take for such: of another number of joints
+        self.silences = Silences()
 
     def watched(self, messages: Iterator[Message]) -> Iterator[Message]:
         """The same messages."""
@@ -81,6 +91,9 @@ class Contents:
         topic.bytes += len(message.data)
         topic.longest_silence_ns = max(topic.longest_silence_ns, t - topic.last_ns)
         topic.last_ns = t
+        self.silences.feed(message)
+        if message.topic == "/robot/console":
+            self.other_joints += parse_reading(message.data) is not None
         if message.topic == "/box/console" and len(self.console) < CONSOLE_RUNS:
             self.console.append(message.data[:CONSOLE_BYTES])
 
@@ -98,16 +111,17 @@ def describe(session: Session) -> dict[str, Any]:
     document = {
         "file": str(session.path),
         "truncated": session.truncated,
+        "damage": [asdict(damage) for damage in session.damage],
         "duration_s": 1e-9 * (max(times) - min(times)) if times else 0.0,
         "metadata": {key: session.metadata.get(key, {}) for key in ("session", "session-end")},
         "attachments": sorted(session.attachments),
         "topics": {name: _topic(topic) for name, topic in sorted(contents.topics.items())},
         "firmware": sorted({ident.firmware for ident in found.idents.values()}),
         "streams": [_stream(stream, found) for stream in found.streams],
-        "losses": asdict(found.losses),
+        "losses": asdict(found.losses) | _silences(contents.silences.finish(), min(times, default=0), found),
         "console": [shown(data) for data in contents.console],
         "clock": [asdict(report) for report in found.clock_reports],
-        "robot": _robot(found),
+        "robot": _robot(found, contents),
         "events": found.marks.kinds,
         "plan_poses": len(found.marks.poses),
         "dwells": _dwells(session, found, ident),
@@ -151,11 +165,24 @@ def _stream(stream: Any, found: Survey) -> dict[str, Any]:
     }
 
 
-def _robot(found: Survey) -> dict[str, Any]:
+def _silences(gaps: list[tuple[int, int]], begin_ns: int, found: Survey) -> dict[str, Any]:
+    """Where the box said nothing, in seconds of the session, and what it would have sampled meanwhile."""
+    rate_hz = sum(1e9 / stream.period_ns for stream in found.streams if stream.period_ns)
+    silent_s = 1e-9 * sum(end - start for start, end in gaps)
+    return {
+        "silences": [{"from_s": 1e-9 * (a - begin_ns), "to_s": 1e-9 * (b - begin_ns)} for a, b in gaps],
+        "samples_missing": round(silent_s * rate_hz),
+    }
+
+
+def _robot(found: Survey, contents: Contents) -> dict[str, Any]:
     joints = found.joints
-    names = ("readings", "malformed", "duplicated", "late", "lost", "gaps", "restarts", "rate_hz")
+    console = contents.topics.get("/robot/console")
+    names = ("readings", "duplicated", "late", "lost", "gaps", "restarts", "rate_hz")
     return {
         **{name: getattr(joints, name) for name in names},
+        "malformed": joints.malformed + contents.other_joints,
+        "console_bytes": console.bytes if console else 0,
         "joints": len(joints.step),
         "quantisation_rad": joints.step.tolist(),
         "clock": [asdict(report) for report in joints.reports],

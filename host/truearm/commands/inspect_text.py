@@ -30,8 +30,9 @@ BOX = (
 
 def lines(document: Mapping[str, Any]) -> Iterator[str]:
     """The lines to print. Names from the file have their control characters made visible; console text has so already."""
-    state = ", cut off at its end" if document["truncated"] else ""
+    state = ", cut off at its end: its recorder was killed or is still running" if document["truncated"] else ""
     yield f"{one_line(document['file'])}: {document['duration_s']:.1f} s{state}"
+    yield from _damage(document["damage"])
     yield from _session(document)
     yield from _topics(document["topics"])
     yield from _streams(document["streams"])
@@ -40,6 +41,15 @@ def lines(document: Mapping[str, Any]) -> Iterator[str]:
     yield from _clock(document["clock"])
     yield from _robot(document["robot"])
     yield from _dwells(document)
+
+
+def _damage(damage: list[Mapping[str, Any]]) -> Iterator[str]:
+    from truearm.record.salvage import words_of
+
+    for piece in damage:
+        yield "  " + words_of(piece["at"], piece["lost_s"], piece["of_s"])
+    if damage:
+        yield "  what is lost there is among the losses below, though no link lost it"
 
 
 def _session(document: Mapping[str, Any]) -> Iterator[str]:
@@ -73,6 +83,9 @@ def _losses(losses: Mapping[str, Any]) -> Iterator[str]:
     yield f"frames: {losses['frames']} received, {losses['samples']} samples in {losses['blocks']} blocks"
     counts = [(losses[key], text) for key, text in LOSSES] + [(losses["box"][key], text) for key, text in BOX]
     wrong = [f"  {count:>6} {text}" for count, text in counts if count]
+    wrong += [f"  the box was silent from {gap['from_s']:.1f} to {gap['to_s']:.1f} s" for gap in losses["silences"]]
+    if losses["samples_missing"]:
+        wrong.append(f"  {losses['samples_missing']:>6} samples missing by the nominal rate while it was silent")
     yield from wrong or ["  nothing lost, nothing doubled, no restart"]
     box = losses["box"]
     if box["heartbeats"]:
@@ -115,7 +128,8 @@ def _clock(reports: list[Mapping[str, Any]]) -> Iterator[str]:
 
 def _robot(robot: Mapping[str, Any]) -> Iterator[str]:
     if not robot["readings"]:
-        yield "robot: no joint readings"
+        sent = f"; {robot['console_bytes']} bytes that are none" if robot["console_bytes"] else ""
+        yield f"robot: no joint readings{sent}"
         return
     yield (
         f"robot: {robot['readings']} readings of {robot['joints']} joints at {_number(robot['rate_hz'], '.2f')} Hz; "
@@ -135,11 +149,19 @@ def _dwells(document: Mapping[str, Any]) -> Iterator[str]:
     planned = f" ({document['plan_poses']} poses planned)" if document["plan_poses"] else ""
     yield f"dwells: {dwells['found']} found{planned}{became}"
     for reason, count in dwells["rejected"].items():
-        yield f"  {count:>6} rejected: {reason}"
+        yield f"  {count:>6} rejected: {reason}{_explained(reason, bool(document['plan_poses']))}"
     if dwells["not_paired"]:
         yield f"  not paired with bars: {dwells['not_paired']}"
     if document["events"]:
         yield "events: " + one_line(", ".join(f"{count} {kind}" for kind, count in document["events"].items()))
+
+
+def _explained(reason: str, planned: bool) -> str:
+    if reason != "no plan match":
+        return ""
+    if planned:
+        return " (the robot stood where the plan has no pose; these look like stops between poses)"
+    return " (there is no plan, and nothing says which bar, chuck and sphere were mounted; see record --help)"
 
 
 def _number(value: float | None, form: str, factor: float = 1.0) -> str:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from truearm.commands.terminal import one_line
 from truearm.errors import RigError, SessionError
 
 if TYPE_CHECKING:
@@ -15,6 +17,7 @@ if TYPE_CHECKING:
 
 SUFFIX = ".mcap"
 RIG = "rig.toml"
+SAID = 3  # places where a file is damaged; inspect says all
 
 
 def is_session(path: Path) -> bool:
@@ -40,16 +43,23 @@ def messages_of(session: Session) -> Callable[[Collection[str] | None], Iterator
     return lambda topics: session.messages(topics)
 
 
-def observations_of_session(path: Path, rig: Rig | None = None, allow_truncated: bool = False) -> SyncResult:
+def observations_of_session(path: Path, rig: Rig | None = None, allow_damaged: bool = False) -> SyncResult:
     """Hops 4 and 5 of a session file. ``rig`` stands in for the one that was recorded.
+
+    What is lost of a damaged file is said on stderr, if ``allow_damaged``.
 
     Raises SessionError for a file that is none or gave no observation, RigError if there is no rig.
     """
     from truearm.commands.inspect import ident_of
+    from truearm.record.salvage import words_of
     from truearm.record.session import open_session
     from truearm.sync.pipeline import observations
 
-    session = open_session(path, allow_truncated)
+    session = open_session(path, allow_damaged)
+    if session.damage:
+        said = ", ".join(words_of(damage.at, damage.lost_s, damage.of_s) for damage in session.damage[:SAID])
+        more = f" and in {len(session.damage) - SAID} places more" if len(session.damage) > SAID else ""
+        print("warning: " + one_line(f"{path}: {said}{more}"), file=sys.stderr)
     rig = rig or attached_rig(session, path)
     if rig is None:
         raise RigError(f"{path}: was recorded without a rig; give one with --rig")

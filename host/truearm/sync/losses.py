@@ -17,6 +17,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from truearm.types import Message
+
+SILENT_NS = 2_000_000_000  # a box that is well sends a heartbeat every second
+
 
 @dataclass(frozen=True)
 class BoxCounters:
@@ -65,3 +69,32 @@ class Losses:
     sync_requests: int = 0
     sync_unanswered: int = 0
     box: BoxCounters = BoxCounters()
+
+
+class Silences:
+    """Where a session goes on and its box says nothing, in its frames or otherwise: a link that was lost, a box that hangs.
+
+    ``gaps`` holds the last word before and the first one after, or the session's last message, as host times [ns].
+    What a box sent meanwhile and the link lost shows in ``seq`` too, if it ever came back.
+    """
+
+    def __init__(self) -> None:
+        self.gaps: list[tuple[int, int]] = []
+        self._box_ns: int | None = None
+        self._last_ns = 0
+
+    def feed(self, message: Message) -> None:
+        """Take one message of the session, of whatever topic, in order."""
+        self._last_ns = max(self._last_ns, message.t_host_ns)
+        if message.topic.startswith("/box/"):
+            self._close(message.t_host_ns)
+            self._box_ns = message.t_host_ns
+
+    def finish(self) -> list[tuple[int, int]]:
+        """All gaps, when the session is at its end."""
+        self._close(self._last_ns)
+        return self.gaps
+
+    def _close(self, now_ns: int) -> None:
+        if self._box_ns is not None and now_ns - self._box_ns > SILENT_NS:
+            self.gaps.append((self._box_ns, now_ns))
