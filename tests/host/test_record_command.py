@@ -174,7 +174,7 @@ def test_a_pseudo_terminal(tmp_path):
 def test_a_signal_completes_the_file(tmp_path, number):
     out = tmp_path / "s.mcap"
     with box_on_a_socket() as (box, device):
-        command = [sys.executable, "-m", "truearm.cli", "record", "--device", device, "--out", str(out)]
+        command = [sys.executable, "-m", "truearm", "record", "--device", device, "--out", str(out)]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         deadline = time.monotonic() + PATIENCE_S
         while box.blocks < 10 and time.monotonic() < deadline:
@@ -233,7 +233,7 @@ class TestRefused:
         (tmp_path / "null").symlink_to(os.devnull)
         for name in ("null", "."):
             assert main(["record", "--device", "/dev/none", "--force", "--out", str(tmp_path / name)]) == 2
-            assert "is no regular file" in capsys.readouterr().err
+            assert "give the name of a file to write" in capsys.readouterr().err
         assert (tmp_path / "null").is_symlink()
 
     def test_nothing_there(self, tmp_path, capsys):

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from truearm.files.plan import Plan
     from truearm.record.links import Clock
-    from truearm.record.session_writer import SessionWriter
     from truearm.record.status import RecordSummary, Status
     from truearm.types import Rig
 
@@ -55,24 +54,49 @@ def record(
 ) -> None:
     """Record a sensor box and a robot into a session file.
 
-    Ends when the robot closes its stream, after --duration or with Ctrl-C; each completes the file.
+    Ends when the robot closes its stream, after --duration or with Ctrl-C; each completes the file. An earlier file is
+    overwritten (--force) only once the box has started.
+
+    \b
+    Example:
+      truearm record --device /dev/ttyACM0 --robot tcp://127.0.0.1:7008 --rig rig.toml --plan plan.csv --out session.mcap
     """
+    from truearm.files.disk import check_writable
+
     osr = nearest_osr(rate)
     if duration is not None and not 0 < duration < math.inf:
         raise InputError(f"--duration {duration:g} is no time; give seconds above 0")
-    if out.exists() and not out.is_file():  # a device would be removed after a recording that failed
-        raise InputError(f"{out}: is no regular file; give the name of a file to write")
+    check_writable(out, inputs=[path for path in (rig, plan) if path is not None])
     if out.exists() and not force:
         raise InputError(f"{out}: exists; choose another name or give --force")
     poses, rig_toml, mounting = _read_inputs(plan, rig, mounted)
-    summary = _record(device, robot, out, force, poses, rig_toml, mounting, osr, duration)
-    if summary.reason in ("link lost", "robot lost"):
-        raise LinkError(f"{summary.text}; what came until then is in {out}")
-    typer.echo(f"{out}: {_totals(summary)}; ended: {summary.reason}")
-    for fault in summary.faults:
-        typer.echo(f"{out}: {fault}")
+    summary, kept = _record(device, robot, out, force, poses, rig_toml, mounting, osr, duration)
+    where = f"what came is in {out}" if kept else "nothing was recorded"
+    if kept:
+        typer.echo(f"{out}: {_totals(summary)}; ended: {summary.reason}")
+        for fault in summary.faults:
+            typer.echo(f"{out}: {fault}")
     if summary.reason == "interrupted":
+        if not kept:
+            typer.echo("interrupted before the box had started; nothing was recorded", err=True)
         raise typer.Exit(_INTERRUPTED)
+    missing = what_is_missing(summary, robot is not None)
+    if missing:
+        raise LinkError(f"{missing}; {where}")
+
+
+def what_is_missing(summary: RecordSummary, with_robot: bool) -> str:
+    """Why a recording that ended is not what was asked for; "" if it is."""
+    said = []
+    if summary.reason in ("link lost", "robot lost", "no readings"):
+        said.append(summary.text)
+    elif with_robot and not summary.counters.robot_lines:
+        closed = "the robot closed its stream without" if summary.reason == "robot closed" else "there is not"
+        said.append(f"{closed} a joint reading")
+    if summary.box_gone and summary.reason != "link lost":
+        lost_s = summary.duration_s - summary.heard_s
+        said.append(f"the box was gone at the end, and silent for the last {lost_s:.1f} s ({summary.box_gone})")
+    return "; ".join(said)
 
 
 def _record(
@@ -85,7 +109,8 @@ def _record(
     mounting: Mapping[str, str],
     osr: int,
     duration: float | None,
-) -> RecordSummary:
+) -> tuple[RecordSummary, bool]:
+    """The summary, and whether there is a file."""
     from truearm.record.links import HostClock, SerialLink
     from truearm.record.recorder import record as record_session
     from truearm.record.session_writer import SessionWriter
@@ -95,12 +120,12 @@ def _record(
     with (
         closing(SerialLink(device, clock)) as link,
         _robot_link(robot, clock) as robot_link,
-        SessionWriter(out, clock, overwrite=force) as writer,
+        SessionWriter(out, clock, overwrite=force, hold=True) as writer,
         _signals() as interrupted,
         _progress(duration) as progress,
     ):
         try:
-            return record_session(
+            summary = record_session(
                 link,
                 writer,
                 clock,
@@ -114,21 +139,15 @@ def _record(
                 progress=progress,
             )
         except TruearmError as exc:
-            raise type(exc)(f"{exc}{_keep_or_remove(writer)}") from exc
+            kept = f"; what came until then is in {out}" if writer.kept else ""
+            raise type(exc)(f"{exc}{kept}") from exc
+        return summary, writer.kept
 
 
 def _robot_link(url: str | None, clock: Clock) -> AbstractContextManager[Any]:
     from truearm.record.links import TcpLink
 
     return nullcontext() if url is None else closing(TcpLink(url, clock))
-
-
-def _keep_or_remove(writer: SessionWriter) -> str:
-    """A file that holds nothing but our own words would only be in the way of the next try."""
-    if writer.received:
-        return f"; what came until then is in {writer.path}"
-    writer.path.unlink(missing_ok=True)
-    return ""
 
 
 def nearest_osr(rate: float) -> int:
@@ -227,17 +246,30 @@ def _progress(duration: float | None) -> Iterator[Callable[[Status], None]]:
 
 
 def _warning(show: Callable[[Status], None], say: Callable[[str], None]) -> Callable[[Status], None]:
-    """``show``, which first says each fault of the box, once."""
+    """``show``, which first says each fault of the box, once, and each time that the box is lost or back."""
     said: set[str] = set()
+    box_ok = True
 
     def watch(status: Status) -> None:
+        nonlocal box_ok
         for fault in status.faults:
             if fault not in said:
                 said.add(fault)
                 say(f"warning: {fault}; its samples are recorded all the same")
+        if status.box_ok != box_ok:
+            box_ok = status.box_ok
+            say(_box_words(status))
         show(status)
 
     return watch
+
+
+def _box_words(status: Status) -> str:
+    if status.box_ok:
+        return f"{status.elapsed_s:.1f} s: the box is back"
+    if status.state == "link lost":
+        return f"warning: {status.elapsed_s:.1f} s: the link to the box was lost; trying to open it again"
+    return f"warning: {status.elapsed_s:.1f} s: the box has been silent for 3 s; is it stuck?"
 
 
 def _plain_progress() -> Callable[[Status], None]:
@@ -261,6 +293,8 @@ def describe(status: Status) -> str:
         parts.append(f"rtt {status.rtt_us:.0f} µs")
     if status.robot_ok is not None:
         parts.append(f"robot {'ok' if status.robot_ok else 'gone'} ({counters.robot_lines})")
+    if not status.box_ok:
+        parts.append("box gone")
     return ", ".join(parts)
 
 
@@ -269,6 +303,8 @@ def _totals(summary: RecordSummary) -> str:
     parts = [f"{summary.duration_s:.1f} s", f"{counters.samples} samples", f"{counters.lost_frames} frames lost"]
     if counters.robot_lines or counters.robot_console_bytes:
         parts.append(f"{counters.robot_lines} robot lines")
+    if counters.robot_other_joints:
+        parts.append(f"{counters.robot_other_joints} malformed (another number of joints than the first)")
     if counters.restarts:
         parts.append(f"{counters.restarts} box restarts")
     if counters.link_losses:

@@ -55,7 +55,8 @@ class Intake:
     answer: Answer | None = None
     suspect: bool = False  # the box may have restarted
     restarted: bool = False  # it has
-    heard_ns: int | None = None
+    heard_ns: int | None = None  # its last word, or since when it might speak again
+    spoke_ns: int | None = None  # its last word
     _expected_seq: int | None = None
     _streams: dict[int, tuple[str, int]] = field(default_factory=dict)  # id: topic, bytes a sample
     _splitter: FrameSplitter = field(default_factory=FrameSplitter)
@@ -65,7 +66,7 @@ class Intake:
         """Store and look at bytes that arrived. Raises ProtocolError for an ident that cannot be used."""
         # A traceback waits for the next delimiter, which may come with the next boot: its time is that of its own end.
         t_console_ns = t_host_ns if self.heard_ns is None or data[:1] != b"\0" else self.heard_ns
-        self.heard_ns = t_host_ns
+        self.heard_ns = self.spoke_ns = t_host_ns
         for is_frame, item in self._splitter.push(data):
             if is_frame:
                 self._take_frame(t_host_ns, item)

@@ -244,11 +244,19 @@ _HINTS = {
     errno.EBUSY: "is in use by another program",
     errno.EAGAIN: "is in use by another program",
     errno.ENOTTY: "is no serial port",
+    errno.ETIMEDOUT: "does not answer; is the address right, and the machine on?",
+    errno.EHOSTUNREACH: "cannot be reached; is the address right, and the network up?",
+    errno.ENETUNREACH: "cannot be reached; is the address right, and the network up?",
     errno.ECONNREFUSED: "nothing listens there; is the box or the simulator running?",
 }
 
 
 def _why_not_open(name: str, exc: Exception) -> str:
+    cause = exc.__context__ or exc  # pyserial wraps what happened, and repeats the name
+    if isinstance(cause, socket.gaierror):
+        return f"{name}: no machine of that name is known; check the name or give its address, such as 127.0.0.1"
+    if isinstance(cause, TimeoutError):
+        return f"{name}: {_HINTS[errno.ETIMEDOUT]}"
     number = getattr(exc, "errno", None) or getattr(exc.__context__, "errno", None)
     if number is None and exc.__context__ is not None and exc.__context__.args:
         number = exc.__context__.args[0]  # termios.error has no errno attribute

@@ -16,7 +16,7 @@ from truearm.errors import LinkError, ProtocolError, TruearmError
 from truearm.record.intake import Answer, Intake
 from truearm.record.links import Clock, Link, Reopenable
 from truearm.record.probes import Probes
-from truearm.record.robot import RobotIntake
+from truearm.record.robot import EXPECTED, RobotIntake
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters, RecordSummary, Status
 from truearm.sensors.ident import Ident
@@ -31,6 +31,7 @@ RETRY_NS = SECOND // 2
 RETRIES = 10  # 5 s: a box that was just plugged in waits 2 s before it runs
 STOP_RETRIES = 4  # somebody who pressed Ctrl-C waits for this
 SILENCE_NS = 3 * SECOND  # of a box that sends a heartbeat every second
+ROBOT_NS = 5 * SECOND  # a robot whose stream runs has sent hundreds of readings by then
 REOPEN_S = 0.5
 SHORTEST_NS = 10_000
 DRAIN_NS = SECOND // 5
@@ -64,9 +65,9 @@ def record(
 ) -> RecordSummary:
     """Identify, configure and start the box, then record until the end; completes and closes the session file.
 
-    The end: ``duration_s`` after the start, the robot closing its stream, ``until()`` or ``interrupted()`` turning
-    true (both asked at least every 50 ms), KeyboardInterrupt, or a lost link that cannot be opened again. ``plan``: one mapping
-    a pose, as ``/plan`` holds them. ``osr`` is configured on every stream that has one; None leaves them.
+    The end: ``duration_s`` after the start, the robot closing its stream or sending no reading in 5 s, ``until()`` or
+    ``interrupted()`` turning true (both asked at least every 50 ms), KeyboardInterrupt, or a lost link that cannot be
+    opened again. A writer that is held is kept once the box has started. ``plan``: one mapping a pose, as ``/plan`` holds them. ``osr`` is configured on every stream that has one; None leaves them.
     ``progress`` is called four times a second. The links stay open.
 
     Raises LinkError if the box does not answer, ProtocolError if it refuses a command or speaks another protocol,
@@ -109,6 +110,7 @@ class _Recorder:
         self._to_ask = False  # whether the box is still the one that it was
         self._started_ns: int | None = None
         self._silent = False
+        self._box_gone = ""
         self._next_chores_ns = self._next_probe_ns = self._next_progress_ns = now_ns
 
     # --- the course of a recording
@@ -130,7 +132,16 @@ class _Recorder:
         finally:
             duration_s = self._elapsed_s()
             self._finish(end)
-        return RecordSummary(end.reason, end.text, duration_s, self._probes.rtt_us, self._counters, self._box.faults)
+        return RecordSummary(
+            end.reason,
+            end.text,
+            duration_s,
+            self._probes.rtt_us,
+            self._counters,
+            self._box.faults,
+            self._box_gone,
+            self._heard_s(),
+        )
 
     def _write_head(
         self, plan: Iterable[Mapping[str, Any]], rig_toml: bytes | None, mounted: Mapping[str, str] | None
@@ -168,6 +179,7 @@ class _Recorder:
         self._writer.event("start", now_ns)
         if self._started_ns is None:
             self._started_ns = now_ns
+            self._writer.keep()
         self._to_set_up = self._to_ask = False
         self._state = "recording"
 
@@ -198,10 +210,19 @@ class _Recorder:
         for reason, asked in self._ends.items():
             if asked is not None and asked():
                 raise _Ended(reason)
-        if self._robot is not None and self._robot.end is not None:
-            raise _Ended("robot closed" if self._robot.closed else "robot lost", str(self._robot.end))
+        if self._robot is not None:
+            self._check_robot(self._robot)
         if self._started_ns is not None and self._duration_s is not None and self._elapsed_s() >= self._duration_s:
             raise _Ended("duration")
+
+    def _check_robot(self, robot: RobotIntake) -> None:
+        if robot.rubbish and self._started_ns is not None:
+            raise _Ended("no readings", robot.rubbish)
+        if robot.end is not None:
+            raise _Ended("robot closed" if robot.closed else "robot lost", str(robot.end))
+        waited_ns = 0 if self._started_ns is None else self._clock.now_ns() - self._started_ns
+        if waited_ns >= ROBOT_NS and not self._counters.robot_lines:
+            raise _Ended("no readings", f"no joint reading of the robot in {ROBOT_NS / SECOND:g} s; {EXPECTED}")
 
     def _reconnect(self, error: LinkError) -> None:
         now_ns = self._clock.now_ns()
@@ -211,6 +232,7 @@ class _Recorder:
         self._state = "link lost"
         self._counters.link_losses += 1
         self._writer.event("link-lost", now_ns, text=str(error))
+        self._box_gone = str(error)
         if not isinstance(self._link, Reopenable):
             raise _Ended("link lost", str(error))
         while not self._link.reopen(REOPEN_S):
@@ -221,6 +243,7 @@ class _Recorder:
             self._check_end()
         self._box.heard_ns = self._clock.now_ns()
         self._writer.event("link-back", self._box.heard_ns)
+        self._box_gone = ""
         self._to_ask = True
         self._state = "recording"
 
@@ -229,8 +252,12 @@ class _Recorder:
         try:
             if self._box.ident is not None and self._state != "link lost":
                 self._stop()
-        except (LinkError, KeyboardInterrupt):
-            pass  # what came is kept; the next recorder stops the box first
+        except LinkError as exc:  # what came is kept; the next recorder stops the box first
+            if not self._box_gone:
+                self._box_gone = str(exc)
+                self._writer.event("box-gone", self._clock.now_ns(), text=self._box_gone, heard_ns=self._box.spoke_ns)
+        except KeyboardInterrupt:
+            pass
         finally:
             now_ns = self._clock.now_ns()
             self._box.flush()
@@ -327,10 +354,19 @@ class _Recorder:
     def _elapsed_s(self) -> float:
         return 0.0 if self._started_ns is None else (self._clock.now_ns() - self._started_ns) / SECOND
 
+    def _heard_s(self) -> float:
+        """From the start to the box's last word."""
+        if self._started_ns is None or self._box.spoke_ns is None:
+            return 0.0
+        return max(0.0, (self._box.spoke_ns - self._started_ns) / SECOND)
+
     def _count_probes(self) -> None:
         self._counters.probes = self._probes.sent
         self._counters.unanswered_probes = self._probes.unanswered
 
     def _status(self) -> Status:
         robot_ok = None if self._robot is None else self._robot.end is None
-        return Status(self._elapsed_s(), self._state, self._probes.rtt_us, robot_ok, self._counters, self._box.faults)
+        box_ok = self._state != "link lost" and not self._silent
+        return Status(
+            self._elapsed_s(), self._state, self._probes.rtt_us, robot_ok, self._counters, self._box.faults, box_ok
+        )

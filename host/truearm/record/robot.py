@@ -13,6 +13,8 @@ from truearm.record.status import Counters
 from truearm.sensors.joints import parse_reading
 
 MAX_LINE = 8192  # bytes
+MAX_RUBBISH = 1 << 20  # bytes without a reading between them; a robot that sends so many is none
+EXPECTED = 'expected are lines such as {"t": 1.5, "seq": 3, "q": [0.1, -2.0]}'
 
 
 class JointLines:
@@ -24,6 +26,7 @@ class JointLines:
     def __init__(self) -> None:
         self._runs = Runs(b"\n", MAX_LINE)
         self._n_joints: int | None = None
+        self.other_joints = 0  # readings of another number of joints than the first
 
     def push(self, data: bytes) -> list[tuple[bool, bytes]]:
         """``(True, line)`` for joint lines, ``(False, bytes)`` for all else, in order."""
@@ -39,7 +42,9 @@ class JointLines:
             return False
         if self._n_joints is None:
             self._n_joints = len(reading.q)
-        return len(reading.q) == self._n_joints
+        fits = len(reading.q) == self._n_joints
+        self.other_joints += not fits
+        return fits
 
 
 class RobotIntake:
@@ -52,6 +57,7 @@ class RobotIntake:
         self._clock = clock
         self._counters = counters
         self._lines = JointLines()
+        self._rubbish = 0  # bytes since the last reading
 
     def read(self) -> Arrivals:
         """What has arrived, without waiting; nothing after the end."""
@@ -67,6 +73,13 @@ class RobotIntake:
         return []
 
     @property
+    def rubbish(self) -> str:
+        """Says so if what the robot sends is no stream of readings, else ""."""
+        if self._rubbish <= MAX_RUBBISH:
+            return ""
+        return f"{self._link.name}: {self._rubbish} bytes without a joint reading; {EXPECTED}"
+
+    @property
     def closed(self) -> bool:
         """Whether the robot ended its stream in order."""
         return isinstance(self.end, LinkClosed)
@@ -75,10 +88,12 @@ class RobotIntake:
         """Store bytes that arrived."""
         for is_joints, line in self._lines.push(data):
             if is_joints:
+                self._rubbish = 0
                 self._counters.robot_lines += 1
                 self._writer.add("/robot/joints", t_host_ns, line)
             else:
                 self._store_console(t_host_ns, line)
+        self._counters.robot_other_joints = self._lines.other_joints
 
     def flush(self, t_host_ns: int) -> None:
         """Store what came behind the last line feed."""
@@ -87,5 +102,6 @@ class RobotIntake:
             self._store_console(t_host_ns, rest)
 
     def _store_console(self, t_host_ns: int, data: bytes) -> None:
+        self._rubbish += len(data)
         self._counters.robot_console_bytes += len(data)
         self._writer.add("/robot/console", t_host_ns, data)

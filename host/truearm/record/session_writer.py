@@ -6,10 +6,14 @@ second of real time the disk is told to keep it (fsync). A killed recorder there
 5 µs a message of 200 bytes at 100 a second, of which the chunks' compression and index take 2.
 
 A completed file ends with a CRC of all that stands before it, so that no flipped bit anywhere passes for a measurement.
+
+A writer that is held writes nothing to the disk before ``keep``: an earlier recording of that name stays whole until
+there is something to put in its place.
 """
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import time
@@ -17,17 +21,18 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, BinaryIO
 
 from mcap.writer import CompressionType, Writer
 
 from truearm import __version__
-from truearm.errors import InputError, TruearmError
+from truearm.errors import InputError, LinkError, TruearmError
 from truearm.record.links import Clock
 
 CHUNK_NS = 800_000_000  # with the recorder's pace of 50 ms no message waits longer than 1 s
 _CHUNK_BYTES = 1 << 20
 _FSYNC_EVERY_S = 0.9
+MAX_HELD_BYTES = 32 << 20  # in memory before ``keep``; a box that was just asked who it is sends a few kB
 
 _CONSOLE_TOPICS = frozenset({"/box/console", "/robot/console"})
 _NUMBERS = {"type": "array", "items": {"type": "number"}}
@@ -43,19 +48,23 @@ _PROPERTIES: dict[str, dict[str, Any]] = {
 class SessionWriter:
     """An open session file. ``close`` (or leaving the ``with`` block) completes it; an unclosed one is readable too.
 
+    With ``hold`` there is no file before ``keep``, and never one if the writer is closed before.
+
     Raises InputError where the file cannot be made, TruearmError where it cannot be written any more (a full disk).
     """
 
-    def __init__(self, path: Path, clock: Clock, *, overwrite: bool = False) -> None:
+    def __init__(self, path: Path, clock: Clock, *, overwrite: bool = False, hold: bool = False) -> None:
         self.path = path
-        try:
-            self._file = path.open("wb" if overwrite else "xb")
-        except FileExistsError as exc:
-            raise InputError(f"{path}: exists; choose another name or give --force") from exc
-        except OSError as exc:
-            raise InputError(f"{path}: cannot be written: {exc.strerror}") from exc
+        self._overwrite = overwrite
+        self._out = _Output(io.BytesIO() if hold else self._open())
+        self._held = hold
         self._clock = clock
-        self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True)
+        self._writer = Writer(
+            self._out,  # type: ignore[arg-type]
+            chunk_size=_CHUNK_BYTES,
+            compression=CompressionType.ZSTD,
+            enable_data_crcs=True,
+        )
         self._channels: dict[str, list[int]] = {}  # topic: channel id, messages so far
         self._chunk_since_ns: int | None = None
         self._synced_s = time.monotonic()
@@ -68,11 +77,31 @@ class SessionWriter:
     def __exit__(self, kind: type[BaseException] | None, exc: BaseException | None, tb: TracebackType | None) -> None:
         self.close()
 
+    @property
+    def kept(self) -> bool:
+        """Whether there is a file."""
+        return not self._held
+
+    def keep(self) -> None:
+        """Make the file of what was held so far, and write to it from now on. A second call does nothing."""
+        if not self._held:
+            return
+        held, file = self._out.file, self._open()
+        self._held = False
+        self._out.file = file
+        try:
+            file.write(held.getvalue())  # type: ignore[attr-defined]
+            file.flush()
+        except OSError as exc:
+            raise self._cannot_write(exc) from exc
+
     def add(self, topic: str, t_host_ns: int, data: bytes) -> None:
         """Append a message as it is."""
         channel = self._channels.get(topic)
         if channel is None:
             channel = self._channels[topic] = [self._register(topic), 0]
+            # MCAP says this once, in the chunk under way; without that chunk the rest could not be told apart.
+            self.metadata("channels", {str(number): name for name, (number, _) in self._channels.items()})
         try:
             self._writer.add_message(channel[0], t_host_ns, data, t_host_ns, channel[1])
         except OSError as exc:
@@ -95,7 +124,7 @@ class SessionWriter:
         """Write a metadata record. A later one of the same name counts."""
         try:
             self._writer.add_metadata(name, dict(entries))
-            self._file.flush()
+            self._out.flush()
         except OSError as exc:
             raise self._cannot_write(exc) from exc
 
@@ -107,11 +136,6 @@ class SessionWriter:
         except OSError as exc:
             raise self._cannot_write(exc) from exc
 
-    @property
-    def received(self) -> bool:
-        """Whether anything of a box or a robot is in the file."""
-        return any(topic.startswith(("/box/", "/robot/")) for topic in self._channels)
-
     def tick(self, now_ns: int) -> None:
         """End the chunk if it is old enough; to be called several times a second, also when nothing arrives."""
         if self._chunk_since_ns is not None and now_ns - self._chunk_since_ns >= CHUNK_NS:
@@ -122,18 +146,29 @@ class SessionWriter:
 
         A second call does nothing.
         """
-        if self._file.closed:
+        if self._out.file.closed:
+            return
+        if self._held:
+            self._out.file.close()
             return
         try:
             self._writer.add_metadata("session-end", {**_anchor(self._clock), **(end or {})})
             self._writer.finish()
-            self._file.flush()
-            os.fsync(self._file.fileno())
+            self._out.flush()
+            os.fsync(self._out.file.fileno())
         except OSError as exc:
             raise self._cannot_write(exc) from exc
         finally:
             with suppress(OSError):  # a full disk refuses the same bytes again
-                self._file.close()
+                self._out.file.close()
+
+    def _open(self) -> BinaryIO:
+        try:
+            return self.path.open("wb" if self._overwrite else "xb")
+        except FileExistsError as exc:
+            raise InputError(f"{self.path}: exists; choose another name or give --force") from exc
+        except OSError as exc:
+            raise InputError(f"{self.path}: cannot be written: {exc.strerror}") from exc
 
     def _register(self, topic: str) -> int:
         if topic in _CONSOLE_TOPICS:
@@ -147,17 +182,40 @@ class SessionWriter:
     def _finish_chunk(self) -> None:
         try:
             self._writer.flush()
+            self._chunk_since_ns = None
+            if self._held:
+                self._check_held()
+                return
             # The clock here is the real one on purpose: in virtual time an hour passes in seconds.
             now_s = time.monotonic()
             if now_s - self._synced_s >= _FSYNC_EVERY_S:
-                os.fsync(self._file.fileno())
+                os.fsync(self._out.file.fileno())
                 self._synced_s = time.monotonic()
         except OSError as exc:
             raise self._cannot_write(exc) from exc
-        self._chunk_since_ns = None
+
+    def _check_held(self) -> None:
+        if self._out.tell() > MAX_HELD_BYTES:
+            raise LinkError(f"{MAX_HELD_BYTES >> 20} MiB came before the box said what it is; is this a truearm box?")
 
     def _cannot_write(self, exc: OSError) -> TruearmError:
         return TruearmError(f"{self.path}: cannot be written any more ({exc.strerror}); what is in it stays readable")
+
+
+class _Output:
+    """What the mcap library writes to; the file behind it may change."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self.file = file
+
+    def write(self, data: bytes) -> int:
+        return self.file.write(data)
+
+    def tell(self) -> int:
+        return self.file.tell()
+
+    def flush(self) -> None:
+        self.file.flush()
 
 
 def _anchor(clock: Clock) -> dict[str, str]:

@@ -17,7 +17,8 @@ class Counters:
     probes: int = 0
     unanswered_probes: int = 0
     robot_lines: int = 0
-    robot_console_bytes: int = 0
+    robot_other_joints: int = 0  # readings of another number of joints than the first
+    robot_console_bytes: int = 0  # those and all else that is no reading
     restarts: int = 0
     link_losses: int = 0
     dropped_in_box: int = 0  # frames, by the last heartbeat
@@ -34,14 +35,16 @@ class Status:
     robot_ok: bool | None  # None: no robot
     counters: Counters
     faults: tuple[str, ...] = ()  # what the operator should know of the box
+    box_ok: bool = True  # False while its link is lost, or it is silent
 
 
 @dataclass(frozen=True)
 class RecordSummary:
     """How a recording ended.
 
-    ``reason`` is "duration", "robot closed", "robot lost", "interrupted", "until" or "link lost"; ``text`` explains
-    what was lost or closed. ``duration_s`` runs from the start of the stream. ``faults`` as in ``Status``.
+    ``reason`` is "duration", "robot closed", "robot lost", "no readings", "interrupted", "until" or "link lost"; ``text``
+    explains what was lost or closed. ``duration_s`` runs from the start of the stream. ``faults`` as in ``Status``.
+    ``box_gone``: why the box could not be stopped, "" if it was; ``heard_s`` of the recording it was heard.
     """
 
     reason: str
@@ -50,3 +53,5 @@ class RecordSummary:
     rtt_us: float | None
     counters: Counters
     faults: tuple[str, ...] = ()
+    box_gone: str = ""
+    heard_s: float = 0.0

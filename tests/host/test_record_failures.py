@@ -1,0 +1,255 @@
+"""``truearm record`` when the box or the robot is none, goes away or says rubbish: what is kept, and what is said."""
+
+import json
+import random
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+
+import pytest
+from test_record_command import PATIENCE_S, RIG, box_on_a_socket, play, posix, real_time_box
+
+from truearm.cli import main
+from truearm.commands.record import describe
+from truearm.errors import LinkError
+from truearm.record.links import HostClock, SerialLink, TcpLink
+from truearm.record.session import open_session
+from truearm.record.status import Counters, Status
+
+PRECIOUS = b"an earlier recording"
+
+
+@contextmanager
+def server(talk):
+    """A TCP server whose one peer is given to ``talk``; yields host:port."""
+    listener = socket.create_server(("127.0.0.1", 0))
+
+    def serve():
+        try:
+            peer, _ = listener.accept()
+            with peer:
+                talk(peer)
+        except OSError:
+            return
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    yield f"127.0.0.1:{listener.getsockname()[1]}"
+    listener.close()
+    thread.join(PATIENCE_S)
+
+
+def silent(peer):
+    while peer.recv(4096):
+        pass
+
+
+def random_bytes(peer):
+    rng = random.Random(1)
+    while True:
+        peer.sendall(rng.randbytes(500))
+        time.sleep(0.001)
+
+
+@pytest.fixture
+def hasty(monkeypatch):
+    """A recorder that does not wait so long."""
+    monkeypatch.setattr("truearm.record.recorder.RETRY_NS", 30_000_000)
+
+
+@pytest.fixture
+def out(tmp_path):
+    return tmp_path / "s.mcap"
+
+
+@pytest.mark.usefixtures("hasty")
+class TestWhatIsThereStays:
+    @pytest.mark.parametrize("talk", [silent, random_bytes])
+    @pytest.mark.parametrize("before", [PRECIOUS, None])
+    def test_nobody_answers(self, out, capsys, talk, before):
+        if before is not None:
+            out.write_bytes(before)
+        with server(talk) as address:
+            assert main(["record", "--device", f"socket://{address}", "--out", str(out), "--force"]) == 1
+        assert "no answer to 'identify'" in capsys.readouterr().err
+        assert (out.read_bytes() if out.exists() else None) == before
+
+    def test_a_box_of_another_protocol(self, out, capsys):
+        out.write_bytes(PRECIOUS)
+        with box_on_a_socket() as (box, device):
+            box.protocol = (2, 0)
+            assert main(["record", "--device", device, "--out", str(out), "--force"]) == 1
+        assert "update truearm" in capsys.readouterr().err
+        assert out.read_bytes() == PRECIOUS
+
+    def test_more_than_is_held(self, out, capsys, monkeypatch):
+        monkeypatch.setattr("truearm.record.recorder.RETRY_NS", 10**10)
+        monkeypatch.setattr("truearm.record.session_writer.MAX_HELD_BYTES", 1 << 16)
+        with server(random_bytes) as address:
+            assert main(["record", "--device", f"socket://{address}", "--out", str(out)]) == 1
+        assert "before the box said what it is" in capsys.readouterr().err
+        assert not out.exists()
+
+    def test_once_the_box_has_started_it_is_overwritten(self, out):
+        out.write_bytes(PRECIOUS * 100_000)
+        with box_on_a_socket() as (box, device):
+            assert main(["record", "--device", device, "--out", str(out), "--force", "--duration", "0.3"]) == 0
+        assert len(list(open_session(out).messages({"/box/adc"}))) == box.blocks
+
+    @pytest.mark.parametrize("option", ["--rig", "--plan"])
+    @pytest.mark.parametrize("linked", [False, True])
+    def test_an_input_is_no_output(self, tmp_path, capsys, option, linked):
+        path = tmp_path / "file"
+        path.write_text(RIG)
+        out = path
+        if linked:
+            out = tmp_path / "link"
+            out.symlink_to(path)
+        assert main(["record", "--device", "/dev/none", option, str(path), "--out", str(out), "--force"]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
+        assert path.read_text() == RIG
+
+
+@posix
+def test_interrupted_before_the_box_answered(out):
+    with server(silent) as address:
+        command = [sys.executable, "-c", "import sys; from truearm.cli import main; sys.exit(main())", "record"]
+        process = subprocess.Popen(
+            [*command, "--device", f"socket://{address}", "--out", str(out)], stderr=subprocess.PIPE, text=True
+        )
+        time.sleep(2.0)  # the recorder has begun to ask and will do so for 5 s
+        process.send_signal(signal.SIGINT)
+        _, complaint = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 130
+    assert complaint == "interrupted before the box had started; nothing was recorded\n"
+    assert not out.exists()
+
+
+class TestTheBoxGoes:
+    @staticmethod
+    @contextmanager
+    def mortal_box(seconds):
+        """A box that dies, its port with it."""
+        listener = socket.create_server(("127.0.0.1", 0))
+        stop = threading.Event()
+        lab, box = real_time_box()
+
+        def serve():
+            peer, _ = listener.accept()
+            listener.close()
+            threading.Timer(seconds, stop.set).start()
+            with peer:
+                play(box, lab, peer.fileno(), stop)
+
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        yield f"socket://127.0.0.1:{listener.getsockname()[1]}"
+        thread.join(PATIENCE_S)
+
+    def test_for_good(self, out, capsys):
+        with self.mortal_box(0.8) as device:
+            assert main(["record", "--device", device, "--out", str(out), "--duration", "4"]) == 1
+        said = capsys.readouterr()
+        lost, gone = said.err.splitlines()
+        assert "the link to the box was lost" in lost
+        assert "the box was gone at the end" in gone
+        assert str(out) in gone
+        assert "link lost 1 times; ended: duration" in said.out
+        assert main(["inspect", str(out), "--json"]) == 0
+        losses = json.loads(capsys.readouterr().out)["losses"]
+        (silence,) = losses["silences"]
+        assert 2.0 <= silence["to_s"] - silence["from_s"] <= 4.0
+        missing = (silence["to_s"] - silence["from_s"]) / 983_040e-9
+        assert losses["samples_missing"] == pytest.approx(missing, abs=1)
+
+    def test_with_the_robot(self, out, capsys):
+        """Both are killed at one time: that the robot closed is not all."""
+
+        def robot(peer):
+            for k in range(200):
+                peer.sendall(json.dumps({"t": 0.02 * k, "seq": k, "q": [0.1]}).encode() + b"\n")
+                time.sleep(0.005)
+
+        with self.mortal_box(0.8) as device, server(robot) as address:
+            arguments = ["--device", device, "--robot", f"tcp://{address}", "--out", str(out)]
+            assert main(["record", *arguments]) == 1
+        said = capsys.readouterr()
+        assert "ended: robot closed" in said.out
+        assert "the box was gone at the end" in said.err
+
+
+def test_a_status_line_of_a_box_that_is_gone():
+    status = Status(2.0, "link lost", None, None, Counters(), box_ok=False)
+    assert describe(status).endswith("box gone")
+
+
+class TestTheRobotIsNone:
+    @pytest.mark.parametrize(
+        ("piece", "pause_s", "says"),
+        [
+            (None, 0.0, "no joint reading of the robot in 0.5 s"),
+            (b"", 0.0, "the robot closed its stream without a joint reading"),
+            (b"hello there\n", 0.01, "no joint reading of the robot in 0.5 s"),
+            (b'{"t": 1, "q": [NaN, 1]}\n', 0.01, "no joint reading of the robot in 0.5 s"),
+            (b"[" * 5000 + b"\n", 0.01, "no joint reading of the robot in 0.5 s"),
+            (b'{"t": ' + b"9" * 6000 + b', "q": [1]}\n', 0.01, "no joint reading of the robot in 0.5 s"),
+            (b"x" * 4096, 0.0, "bytes without a joint reading"),
+        ],
+        ids=["nothing", "closes", "text", "nan", "nested", "huge", "endless"],
+    )
+    def test_rubbish(self, out, capsys, monkeypatch, piece, pause_s, says):
+        monkeypatch.setattr("truearm.record.recorder.ROBOT_NS", 500_000_000)
+
+        def robot(peer):
+            if piece is None:
+                silent(peer)
+            while piece:
+                peer.sendall(piece)
+                time.sleep(pause_s)
+
+        with box_on_a_socket() as (box, device), server(robot) as address:
+            arguments = ["--device", device, "--robot", f"tcp://{address}", "--out", str(out)]
+            assert main(["record", *arguments]) == 1
+        complaint = capsys.readouterr().err
+        assert says in complaint
+        assert complaint.count("\n") == 1
+        if piece == b"":  # it had closed before the box started
+            assert "nothing was recorded" in complaint
+        else:
+            assert len(list(open_session(out).messages({"/box/adc"}))) == box.blocks
+
+    def test_joints_that_come_and_go(self, out, capsys):
+        def robot(peer):
+            for k in range(100):
+                row = {"t": 0.01 * k, "seq": k, "q": [0.1] * (6 - k % 2)}
+                peer.sendall(json.dumps(row).encode() + b"\n")
+                time.sleep(0.01)
+
+        with box_on_a_socket() as (_, device), server(robot) as address:
+            arguments = ["--device", device, "--robot", f"tcp://{address}", "--out", str(out)]
+            assert main(["record", *arguments]) == 0
+        assert "50 robot lines, 50 malformed" in capsys.readouterr().out
+        assert main(["inspect", str(out), "--json"]) == 0
+        robot_said = json.loads(capsys.readouterr().out)["robot"]
+        assert (robot_said["readings"], robot_said["malformed"], robot_said["joints"]) == (50, 50, 6)
+
+
+def test_a_host_that_does_not_resolve(monkeypatch):
+    def no_such_name(*_, **__):
+        raise socket.gaierror(-2, "Name or service not known")
+
+    monkeypatch.setattr(socket, "create_connection", no_such_name)
+    with pytest.raises(LinkError, match="no machine of that name is known") as failure:
+        SerialLink("socket://nohost:7007", HostClock())
+    assert str(failure.value).count("nohost") == 1
+    with pytest.raises(LinkError, match="no machine of that name is known"):
+        TcpLink("tcp://nohost:7008", HostClock())
+
+
+def test_help_has_an_example(capsys):
+    assert main(["record", "--help"]) == 0
+    assert "truearm record --device /dev/ttyACM0" in capsys.readouterr().out
