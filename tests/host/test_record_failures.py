@@ -16,7 +16,8 @@ from test_record_command import PATIENCE_S, RIG, box_on_a_socket, play, posix, r
 from truearm.cli import main
 from truearm.commands.record import describe
 from truearm.errors import LinkError
-from truearm.record.links import HostClock, SerialLink, TcpLink
+from truearm.record.links import _READ_BYTES, _READ_ITEMS, HostClock, SerialLink, TcpLink
+from truearm.record.robot import MAX_RUBBISH
 from truearm.record.session import open_session
 from truearm.record.status import Counters, Status
 
@@ -197,7 +198,7 @@ class TestTheRobotIsNone:
             (b'{"t": 1, "q": [NaN, 1]}\n', 0.01, "no joint reading of the robot in 0.5 s"),
             (b"[" * 5000 + b"\n", 0.01, "no joint reading of the robot in 0.5 s"),
             (b'{"t": ' + b"9" * 6000 + b', "q": [1]}\n', 0.01, "no joint reading of the robot in 0.5 s"),
-            (b"x" * 4096, 0.0, "bytes without a joint reading"),
+            (b"x" * (1 << 20), 0.0, "bytes without a joint reading"),
         ],
         ids=["nothing", "closes", "text", "nan", "nested", "huge", "endless"],
     )
@@ -221,6 +222,8 @@ class TestTheRobotIsNone:
             assert "nothing was recorded" in complaint
         else:
             assert len(list(open_session(out).messages({"/box/adc"}))) == box.blocks
+            console = sum(len(message.data) for message in open_session(out).messages({"/robot/console"}))
+            assert console <= MAX_RUBBISH + _READ_ITEMS * _READ_BYTES  # and what was on its way
 
     def test_joints_that_come_and_go(self, out, capsys):
         def robot(peer):

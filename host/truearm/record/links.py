@@ -27,6 +27,7 @@ Arrivals = list[tuple[int, bytes]]
 _POLL_S = 0.1  # how long a reader thread waits before it looks whether it shall stop
 _READ_BYTES = 4096
 _QUEUE_ITEMS = 4096  # at most 16 MiB wait for the recorder; then the operating system holds the sender back
+_READ_ITEMS = 1024  # handed out at a time: who sends faster than we take must not hold up all else
 _WRITE_TIMEOUT_S = 2.0
 _CONNECT_TIMEOUT_S = 5.0
 
@@ -106,7 +107,7 @@ class _Reader:
     def read(self, timeout_s: float) -> Arrivals:
         arrivals: Arrivals = []
         try:
-            while self._error is None:
+            while self._error is None and len(arrivals) < _READ_ITEMS:
                 item = self._queue.get(timeout=timeout_s) if not arrivals else self._queue.get_nowait()
                 if isinstance(item, LinkError):
                     self._error = item

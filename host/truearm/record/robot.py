@@ -60,8 +60,8 @@ class RobotIntake:
         self._rubbish = 0  # bytes since the last reading
 
     def read(self) -> Arrivals:
-        """What has arrived, without waiting; nothing after the end."""
-        if self.end is not None:
+        """What has arrived, without waiting; nothing after the end, or of a stream that is none."""
+        if self.end is not None or self.rubbish:
             return []
         try:
             return self._link.read(0.0)
