@@ -206,6 +206,18 @@ def test_a_box_that_falls_silent_is_a_loss(stream, tmp_path, run):
     assert "nothing lost" not in out
 
 
+def test_a_short_silence_counts_where_the_link_was_lost(stream, tmp_path, run):
+    start = min(m.t_host_ns for m in stream if m.topic.startswith("/box/"))
+    lost_ns = start + 6 * 10**9
+    rest = [m for m in stream if not m.topic.startswith("/box/") or not lost_ns < m.t_host_ns < lost_ns + 10**9]
+    at = next(i for i, m in enumerate(rest) if m.t_host_ns > lost_ns)
+    for event, silences in ((b'{"kind":"link-lost"}', 1), (b'{"kind":"other"}', 0)):
+        path = write(tmp_path / f"{silences}.mcap", [*rest[:at], Message("/events", lost_ns, event), *rest[at:]])
+        losses = json.loads(run("inspect", path, "--json")[1])["losses"]
+        assert len(losses["silences"]) == silences
+        assert (losses["samples_missing"] >= 900) == bool(silences)
+
+
 def test_stops_between_poses_are_said_to_be_such(stream, tmp_path, run):
     plan = [m for m in stream if m.topic == "/plan"]
     rest = [m for m in stream if m.topic != "/plan"]

@@ -326,3 +326,27 @@ class TestWriterErrors:
             size = writer.path.stat().st_size
         assert (tmp_path / "s.mcap").stat().st_size == size
         assert open_session(tmp_path / "s.mcap").metadata["session-end"]["reason"] == "first"
+
+    def test_held(self, tmp_path):
+        """No file before it is kept; then what was held is in it, in front of what follows."""
+        path = tmp_path / "s.mcap"
+        lab = Lab()
+        with SessionWriter(path, lab, hold=True) as writer:
+            writer.add("/box/adc", lab.now, b"early")
+            writer.tick(lab.now + CHUNK_NS)
+            assert not (writer.kept or path.exists())
+            writer.keep()
+            writer.keep()
+            writer.add("/box/adc", lab.now, b"late")
+        assert [m.data for m in open_session(path).messages()] == [b"early", b"late"]
+        with SessionWriter(tmp_path / "never.mcap", lab, hold=True):
+            pass
+        assert not (tmp_path / "never.mcap").exists()
+
+    def test_a_file_that_came_while_it_was_held(self, tmp_path):
+        writer = SessionWriter(tmp_path / "s.mcap", Lab(), hold=True)
+        (tmp_path / "s.mcap").write_text("precious")
+        with pytest.raises(InputError, match="--force"):
+            writer.keep()
+        writer.close()
+        assert (tmp_path / "s.mcap").read_text() == "precious"

@@ -88,6 +88,8 @@ def test_bytes_that_are_missing(path, made):
     cut = 3000 if len(whole) > 9000 else len(whole) // 4
     path.write_bytes(whole[:middle] + whole[middle + cut :])
     hit = [c for c in chunks if c.chunk_start_offset + c.chunk_length > middle and c.chunk_start_offset < middle + cut]
+    with pytest.raises(SessionError, match=f"damaged at byte {chunks[2].chunk_start_offset};"):
+        open_session(path)
     session = open_session(path, allow_damaged=True)
     assert list(session.messages()) == outside(messages, *hit)
     assert not session.truncated

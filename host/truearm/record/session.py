@@ -141,10 +141,10 @@ def _scan(path: Path, file: BinaryIO) -> tuple[Session, bool]:
         if len(metadata) > MAX_ITEMS or len(attachments) > MAX_ITEMS:
             raise SessionError(f"{path}: holds more than {MAX_ITEMS} attachments or metadata records")
         end = at + length
-    if has_footer(file, size):
-        damaged(path, end)  # complete, yet the walk did not come to its end: a length is wrong
     if last_chunk is not None:
         end = _without_torn_chunk(path, file, last_chunk, end)
+    if has_footer(file, size):
+        damaged(path, end)  # complete, yet the walk did not come to its end: a length is wrong, or bytes are missing
     return Session(path, metadata, attachments, True, ((start, end),)), False
 
 

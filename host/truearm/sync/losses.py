@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from truearm.types import Message
 
 SILENT_NS = 2_000_000_000  # a box that is well sends a heartbeat every second
+_GONE = (b'"link-lost"', b'"box-gone"')  # however short the silence was then
 
 
 @dataclass(frozen=True)
@@ -82,6 +83,7 @@ class Silences:
         self.gaps: list[tuple[int, int]] = []
         self._box_ns: int | None = None
         self._last_ns = 0
+        self._gone = False  # the recorder says that it lost the box
 
     def feed(self, message: Message) -> None:
         """Take one message of the session, of whatever topic, in order."""
@@ -89,6 +91,9 @@ class Silences:
         if message.topic.startswith("/box/"):
             self._close(message.t_host_ns)
             self._box_ns = message.t_host_ns
+            self._gone = False
+        elif message.topic == "/events":
+            self._gone |= any(kind in message.data for kind in _GONE)
 
     def finish(self) -> list[tuple[int, int]]:
         """All gaps, when the session is at its end."""
@@ -96,5 +101,5 @@ class Silences:
         return self.gaps
 
     def _close(self, now_ns: int) -> None:
-        if self._box_ns is not None and now_ns - self._box_ns > SILENT_NS:
+        if self._box_ns is not None and now_ns - self._box_ns > (0 if self._gone else SILENT_NS):
             self.gaps.append((self._box_ns, now_ns))
