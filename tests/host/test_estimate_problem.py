@@ -44,7 +44,7 @@ def test_a_bad_cell(column, value, says):
 
 def test_bad_joint_readings():
     with pytest.raises(ProblemError, match="the table has 5 joints, robot puma560 has 6"):
-        build_problem(CHAIN, RIG, replace(TABLE, q=TABLE.q[:, :5]))
+        build_problem(CHAIN, RIG, replace(TABLE, q=TABLE.q[:, :5], q_rate=TABLE.q_rate[:, :5]))
     q = TABLE.q.copy()
     q[7, 2] = np.nan
     with pytest.raises(ProblemError, match="row 8: a joint reading is not a finite number"):
@@ -54,13 +54,13 @@ def test_bad_joint_readings():
 def test_an_empty_name_means_the_only_one():
     one = Rig(CHUCKS, SPHERES, {"b": BARS["short"]})
     problem = build_problem(CHAIN, one, replace(TABLE, bar=np.full(18, "")))
-    assert problem.groups[0].sigma == pytest.approx(BARS["short"].sigma)
+    np.testing.assert_allclose(problem.groups[0].sensor_cov, BARS["short"].sigma ** 2, rtol=1e-15)
 
 
 def test_sigma_of_the_row_comes_before_the_bars():
     problem = build_problem(CHAIN, RIG, with_cell("sigma", 3, 2e-3))
-    assert problem.groups[0].sigma[3] == 2e-3
-    assert problem.groups[0].sigma[4] == BARS["short"].sigma
+    assert problem.groups[0].sensor_cov[3, 0] == 2e-3**2
+    assert problem.groups[0].sensor_cov[4, 0] == BARS["short"].sigma ** 2
 
 
 def test_only_what_is_used_and_not_known_becomes_a_parameter():

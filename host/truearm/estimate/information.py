@@ -11,13 +11,15 @@ A prior adds the rows 1/σ with residuals (mean − x)/σ.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.estimate.problem import Group, Problem, blocks, evaluate
-from truearm.observe.ball_bar import BallBarRows
+from truearm.estimate.drafts import Group
+from truearm.estimate.noise import residual_cov, whitened
+from truearm.estimate.problem import Problem, blocks, evaluate, pieces
 from truearm.observe.socket_distance import SocketDistanceRows
 from truearm.types import Floats
 
@@ -32,7 +34,7 @@ class Information(NamedTuple):
     rhs: Floats  # (k,) z
     chi2: float  # fᵀf
     n_residuals: int  # scalar ones, priors included
-    residual: Floats  # (n,) m, of the table's rows: signed for a length, the norm for a seat
+    residual: Floats  # (n,) m, of the table's rows: signed for a length, the norm of a point's
 
 
 class Spectrum(NamedTuple):
@@ -45,7 +47,10 @@ class Spectrum(NamedTuple):
 
 
 def observe(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> Information:
-    """Information of the observations, without priors, on x[columns], linearised at x (P,)."""
+    """Information of the observations, without priors, on x[columns], linearised at x (P,).
+
+    Errors of the joint readings are weighed as they are at x.
+    """
     k = int(columns.sum())
     triangle = np.zeros((k + 1, k + 1))
     residual = np.full(problem.n_rows, np.nan)
@@ -53,12 +58,45 @@ def observe(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> Informat
     for block in blocks(problem):
         lin = evaluate(problem, block, x)
         _note(block, lin.residual, residual)
-        whiten = 1.0 / np.repeat(block.sigma, lin.residual.size // block.sigma.size)[:, None]
-        stacked = np.concatenate([lin.jac_params[:, columns], lin.residual[:, None]], axis=1) * whiten
+        stacked = np.concatenate([lin.jac_params[:, columns], lin.residual[:, None]], axis=1)
+        stacked = whitened(stacked, residual_cov(block.sensor_cov, lin.jac_joints, problem.joint_cov))
         chi2 += float(stacked[:, -1] @ stacked[:, -1])
         count += lin.residual.size
         triangle = fold(triangle, stacked)
     return Information(triangle[:k, :k], triangle[:k, k], chi2, count, residual)
+
+
+def weighed(problem: Problem, x: Floats) -> Problem:
+    """The problem with every observation's covariance as it is at x, joint readings included; itself if they are exact.
+
+    For a solver that compares χ² at two x: solve the weighed problem, weigh it again at the solution, until the step
+    is small. The fixed point is where the weights belong to the estimate, as in Renders' (12).
+    """
+    if problem.joint_cov is None:
+        return problem
+    groups = []
+    for group in problem.groups:
+        cov = [
+            residual_cov(part.sensor_cov, evaluate(problem, part, x).jac_joints, problem.joint_cov)
+            for part in pieces(group)
+        ]
+        groups.append(replace(group, sensor_cov=np.concatenate(cov)))
+    return replace(problem, groups=tuple(groups), joint_cov=None)
+
+
+def distances(problem: Problem, x: Floats) -> Floats:
+    """(n,) Mahalanobis distance of every row's residual at x: the root of fᵀCf, which is |f|/σ for a length.
+
+    Its square has the mean w, the row's number of residuals, when the noise is as declared and x is the truth.
+    """
+    out = np.full(problem.n_rows, np.nan)
+    for block in blocks(problem):
+        if isinstance(block, SocketDistanceRows):
+            continue
+        lin = evaluate(problem, block, x)
+        cov = residual_cov(block.sensor_cov, lin.jac_joints, problem.joint_cov)
+        out[block.row] = np.linalg.norm(whitened(lin.residual[:, None], cov).reshape(len(block.row), -1), axis=1)
+    return out
 
 
 def with_prior(information: Information, error: Floats, sigma: Floats) -> Information:
@@ -119,4 +157,5 @@ def _note(block: Group, residual: Floats, out: Floats) -> None:
     """Write a block's residuals to their rows of the table; distances between sockets belong to no row."""
     if isinstance(block, SocketDistanceRows):
         return
-    out[block.row] = residual if isinstance(block, BallBarRows) else np.linalg.norm(residual.reshape(-1, 3), axis=1)
+    parts = residual.reshape(len(block.row), -1)
+    out[block.row] = parts[:, 0] if parts.shape[1] == 1 else np.linalg.norm(parts[:, :3], axis=1)

@@ -26,7 +26,7 @@ class BallBarRows:
     """n ball-bar observations; indices point into x followed by ``constants``."""
 
     row: Indices  # (n,) rows of the table
-    sigma: Floats  # (n,) m
+    sensor_cov: Floats  # (n, 1) m²
     q: Floats  # (n, j)
     length: Floats  # (n,) measured, m
     sphere: Indices  # (n, 3)
