@@ -169,6 +169,22 @@ def test_a_number_is_a_constant_and_a_table_a_parameter():
     np.testing.assert_allclose(pose[:3, 3], [0.3 * c + 0.2 * s, -0.3 * s + 0.2 * c, 0.17], atol=1e-15)
 
 
+def test_the_same_rows_in_the_modified_form():
+    robot = parse_robot(DH.replace('"dh"', '"modified_dh"'))
+    joint1 = ("joint1.beta", "joint1.alpha", "joint1.a", "joint1.offset", "joint1.gain")
+    assert robot.chain.parameter_names == (*joint1, "joint2.alpha", "joint2.a", "joint2.theta", "joint2.offset")
+    # x of joint 1 lies 0.3 along the base's, y and z of joint 2 are turned over
+    pose = forward(robot.chain, robot.chain.params_nominal, np.array([np.radians(10.0), 0.02]))
+    np.testing.assert_allclose(pose[:3, 3], [0.5, 0.0, 0.1 - 0.07], atol=1e-15)
+
+
+def test_a_link_may_be_constant_in_part():
+    robot = parse_robot(TINY.replace("z_m = { design = 1.0 }", "z_m = 1.0"))
+    assert "link1.z" not in robot.chain.parameter_names
+    pose = forward(robot.chain, robot.chain.params_nominal, np.array([3e-3]))
+    np.testing.assert_allclose(pose[:3, 3], [1e-3, 1e-2, 1.005])
+
+
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [

@@ -1,10 +1,11 @@
 """The built-in robots: poses against products of exponentials, URDF and other programs; how many parameters are seen."""
 
+import itertools
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rank_bench import random_joints, rank_and_gap, rank_beside, sensitivity
+from rank_bench import bar_sensitivity, random_joints, rank_and_gap, rank_beside, sensitivity
 
 from truearm.model.chain import forward
 from truearm.model.robot import builtin_names, builtin_robot, parse_robot
@@ -162,6 +163,23 @@ def test_the_default_free_set_is_seen_and_complete(name):
     singular = np.linalg.svd(sensitivity(robot.chain, robot.chain.params_nominal, q)[:, complete], compute_uv=False)
     assert complete.sum() == 5 * len(robot.chain.joints) + 6
     assert singular[-1] > 1e-2 * singular[0]  # as well conditioned as a choice among equals can be: 5 to 25 measured
+
+
+CHUCKS = [(0.5, 0.0, 0.2), (0.35, 0.1, 0.2), (0.35, -0.1, 0.2)]  # m
+SPHERES = [(0.06, 0.0, 0.05), (-0.03, 0.05, 0.05), (-0.03, -0.05, 0.05)]  # m
+
+
+@pytest.mark.parametrize("name", builtin_names())
+def test_table_one_of_goswami_holds_for_every_robot(name):
+    """A ball-bar sees N − f(chucks) − f(spheres), f(1) = 3, f(2) = 1, f(3) = 0; the PUMA's 30 … 36 are the paper's."""
+    robot = builtin_robot(name)
+    q = random_joints(robot.chain, 360, np.random.default_rng(16))
+    complete = robot.free | np.array([p.unit == "1" for p in robot.chain.parameters])
+    lost = {1: 3, 2: 1, 3: 0}
+    for chucks, spheres in itertools.product(lost, lost):
+        pairs = list(itertools.product(CHUCKS[:chucks], SPHERES[:spheres]))
+        jac = bar_sensitivity(robot.chain, robot.chain.params_nominal, q, pairs)[:, complete]
+        assert rank_and_gap(jac)[0] == 5 * len(robot.chain.joints) + 6 - lost[chucks] - lost[spheres]
 
 
 @pytest.mark.parametrize("name", builtin_names())

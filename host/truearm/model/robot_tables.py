@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from truearm.errors import RobotError
 from truearm.model.chain import Joint
-from truearm.model.dh import dh_slots, modified_dh_slots
+from truearm.model.dh import Layout, dh_slots, modified_dh_slots
 from truearm.model.sheth_uicker import sheth_uicker_slots
 from truearm.model.slots import Slot, gain_name
 from truearm.model.transforms import MOTIONS
@@ -25,7 +25,7 @@ MAX_TRANSFORMS = 1000
 MAX_NAME = 100  # characters
 TO_SI = {"m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3}, "rad": {"rad": 1.0, "deg": math.pi / 180.0}, "1": {"": 1.0}}
 LARGEST = {"m": 100.0, "rad": 1e4, "1": 1e6}  # larger than any arm; millimetres written as metres are caught by it
-NAME = re.compile(r"[A-Za-z0-9_.-]{1,100}")
+NAME = re.compile(rf"[A-Za-z0-9_.-]{{1,{MAX_NAME}}}")
 
 
 class Amount(NamedTuple):
@@ -66,9 +66,7 @@ def _read_modified_dh(doc: Mapping[str, Any]) -> Description:
     return _read_rows(doc, modified_dh_slots)
 
 
-def _read_rows(
-    doc: Mapping[str, Any], layout: Callable[[Sequence[Joint], Collection[int], bool, bool], tuple[Slot, ...]]
-) -> Description:
+def _read_rows(doc: Mapping[str, Any], layout: Layout) -> Description:
     """Rows of four constants; ``base``, ``tool`` and the β of a row are there if they are written."""
     count = _count_joints(doc)
     _check_tables(doc, [key for key in ("base", "tool") if key in doc])
