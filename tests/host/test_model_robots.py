@@ -95,13 +95,13 @@ def test_poses_of_the_drawing(name):
 
 # Positions [mm] that other programs give for joint angles [deg], printed to 0.1 or 0.001 mm.
 ELSEWHERE = [
-    # RoboDK's ABB IRB 120
+    # a public test of another program for the IRB 120, which holds a robot simulator's figures
     ("irb120", (30, -45, 20, 40, -30, 60), (96.492, 28.990, 723.337), 0.001),
     ("irb120", (-60, 35, -40, -70, 45, -120), (209.494, -458.536, 594.316), 0.001),
     ("irb120", (90, -80, 50, 100, -60, 200), (61.407, -2.768, 557.130), 0.001),
     ("irb120", (-120, 70, -70, 140, 80, -300), (-244.638, -514.881, 506.663), 0.001),
     ("irb120", (150, -100, 65, -150, -100, 350), (11.445, -47.546, 416.203), 0.001),
-    # MuJoCo's UR5e in its home and zero pose, PolyScope's zero pose of the UR10e
+    # public tests of other programs; the UR5e's zero pose is MuJoCo's, too
     ("ur5e", (0, -90, 90, -90, -90, 0), (-491.9, -133.3, 487.9), 0.1),
     ("ur5e", (0, 0, 0, 0, 0, 0), (-817.2, -232.9, 62.8), 0.1),
     ("ur10e", (0, 0, 0, 0, 0, 0), (-1184.25, -290.7, 60.85), 0.01),
@@ -129,7 +129,7 @@ def with_values(chain, **changes):
     ("name", "file", "tip", "changes"),
     [
         ("panda", "panda.urdf", "panda_link8", {}),
-        # kuka_experimental, where this URDF is from, sets axes 2 and 3 back by 0.436 mm; KUKA's data sheet does not
+        # kuka_experimental, where this URDF is from, sets axes 2 and 3 back by 0.436 mm; iiwa_stack does not
         ("iiwa14", "iiwa14.urdf", "tool0", {"joint1_a": -0.00043624, "joint3_a": 0.00043624}),
     ],
 )
