@@ -142,6 +142,20 @@ def test_the_rows_agree_with_the_urdf(name, file, tip, changes):
     np.testing.assert_allclose(limits[0], limits[1], atol=np.radians(0.02))  # the URDF writes 169.985° for 170°
 
 
+@pytest.mark.parametrize(
+    ("name", "lower_deg", "upper_deg"),
+    [
+        ("irb120", (-165, -110, -110, -160, -120, -400), (165, 110, 70, 160, 120, 400)),
+        ("ur5e", (-360, -360, -180, -360, -360, -360), (360, 360, 180, 360, 360, 360)),
+        ("ur10e", (-360, -360, -180, -360, -360, -360), (360, 360, 180, 360, 360, 360)),
+    ],
+)
+def test_limits(name, lower_deg, upper_deg):
+    joints = builtin_robot(name).chain.joints
+    np.testing.assert_allclose([j.lower for j in joints], np.radians(lower_deg))
+    np.testing.assert_allclose([j.upper for j in joints], np.radians(upper_deg))
+
+
 @pytest.mark.parametrize("name", builtin_names())
 def test_a_full_pose_sees_n_parameters(name):
     """N = 5·n_r + 3·n_p + 6 (Goswami et al., (1)) with every offset, gain, base and tool constant free."""
