@@ -207,13 +207,42 @@ class NullDirection:
     weights: tuple[float, ...]
 
 
+class Observability(NamedTuple):
+    """How well the identified parameters are seen; ``estimate.identifiability`` defines the four."""
+
+    o1: float
+    o2: float
+    o3: float
+    o4: float
+
+
+class Addition(NamedTuple):
+    """Something more to measure, and what of the robot would be seen then."""
+
+    kind: str  # "poses" | "pairing" | "chuck" | "sphere" | "ball" | "line" | "place"
+    names: tuple[str, ...]  # the pairing's chuck and sphere; empty for what is new
+    rank: int  # of the robot's free parameters, with it
+    parameters: tuple[str, ...]  # those that could be told apart in addition
+
+
+class Relabelling(NamedTuple):
+    """Rows that fit another chuck or sphere than they name."""
+
+    rows: tuple[int, ...]  # of the table
+    was: tuple[str, str]  # chuck, sphere
+    fits: tuple[str, str]
+    rms_before: float  # m, of the whole fit with the labels as they are
+    rms_after: float  # m, with this label and all others found beside it put right
+
+
 @dataclass(frozen=True)
 class Estimate:
     """The result of an identification (hop 7).
 
     Arrays run over all parameters of the problem: the robot's first, then the rig's (nuisance) parameters.
     ``sigma`` is NaN where the observations see nothing of a parameter or it was not free. ``covariance`` is (p, p),
-    zero rows where not free; ``identifiable`` is False where a parameter takes part in a null direction.
+    zero rows where not free; ``identifiable`` is False where a parameter takes part in a null direction. ``distance``
+    is standardised: χ of the row's number of residuals for a clean row, NaN where a row was held out.
     """
 
     status: str  # "converged" | "max_iterations" | "stalled"
@@ -243,3 +272,12 @@ class Estimate:
     residual_before: Floats  # (n,) m
     fitted: NDArray[np.bool_]  # (n,) True for fitting rows, False for held-out
     seconds: float
+    loss: str = "linear"
+    chi2_band: tuple[float, float] = (float("nan"), float("nan"))  # of chi2_reduced, 95 %, if σ and model are right
+    distance: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) of a row from what all others say of it, in σ
+    weight: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) 1 as declared, 0 left out, else a robust loss's
+    suspect: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (n,) beyond the gate
+    observability: Observability | None = None  # of the suggested free set
+    suggested_free: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (n_robot_parameters,)
+    additions: tuple[Addition, ...] = ()  # where the rank falls short of what is free
+    relabellings: tuple[Relabelling, ...] = ()

@@ -25,7 +25,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from truearm.estimate.information import RANK_TOLERANCE, scaled_columns
-from truearm.types import Floats, NullDirection
+from truearm.types import Floats, NullDirection, Observability
 
 NO_PART = 1e-6  # weight, in scaled parameters, below which a parameter takes no part in a direction
 
@@ -56,25 +56,13 @@ def identifiability(root: Floats, n_robot: int, names: Sequence[str]) -> Identif
     return Identifiability(rank, _gap(singular, rank), singular, identifiable, directions)
 
 
-class Observability(NamedTuple):
-    """How well a set of parameters is seen, from the singular values s of its columns (c of them, n rows).
-
-    The columns are whitened by the noise and scaled by a unit of each parameter, so that s² is how many times more the
-    data know than that unit. ``o1``: (Πs)^(1/c)/√n (Borm and Menq 1991); ``o2``: s_min/s_max (Driels and Pathre 1990);
-    ``o3``: s_min (Nahvi and others 1994); ``o4``: s_min²/s_max (Nahvi and Hollerbach 1996). All are 0 where
-    something is not seen at all, NaN where there is nothing to see.
-    """
-
-    o1: float
-    o2: float
-    o3: float
-    o4: float
-
-
 def observability(root: Floats, n_robot: int, chosen: NDArray[np.bool_], unit: Floats, n_rows: int) -> Observability:
     """Indices of the robot's ``chosen`` (n_robot,) columns with the rig projected out; ``unit`` (n_robot,) scales them.
 
-    ``n_rows`` is the number of scalar residuals behind the root.
+    The columns are whitened by the noise, so a singular value s is how many σ of noise a change by one unit makes, over
+    all ``n_rows`` scalar residuals. With c columns: o1 = (Πs)^(1/c)/√n (Borm and Menq 1991), o2 = s_min/s_max (Driels
+    and Pathre 1990), o3 = s_min (Nahvi and others 1994), o4 = s_min²/s_max (Nahvi and Hollerbach 1996). All are 0 where
+    something is not seen at all, NaN where there is nothing to see.
     """
     scaled, scale = scaled_columns(root)
     rest = project_out(scaled[:, :n_robot], scaled[:, n_robot:]) * (scale[:n_robot] * unit)

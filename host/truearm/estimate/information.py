@@ -57,7 +57,7 @@ def observe(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> Informat
     chi2, count = 0.0, 0
     for block in blocks(problem):
         lin = evaluate(problem, block, x)
-        _note(block, lin.residual, residual)
+        note(block, lin.residual, residual)
         stacked = np.concatenate([lin.jac_params[:, columns], lin.residual[:, None]], axis=1)
         stacked = whitened(stacked, residual_cov(block.sensor_cov, lin.jac_joints, problem.joint_cov))
         chi2 += float(stacked[:, -1] @ stacked[:, -1])
@@ -146,14 +146,19 @@ def seen(parts: Spectrum) -> NDArray[np.bool_]:
     return np.asarray(parts.singular > RANK_TOLERANCE * parts.singular.max(initial=0.0))
 
 
+def half(parts: Spectrum) -> Floats:
+    """S (k, r) with S Sᵀ the inverse of RᵀR on the directions that are seen."""
+    some = seen(parts)
+    return np.asarray(parts.vt[some].T / parts.singular[some] / parts.scale[:, None])
+
+
 def covariance(parts: Spectrum) -> Floats:
     """(k, k) inverse of RᵀR on the directions that are seen."""
-    some = seen(parts)
-    half = parts.vt[some].T / parts.singular[some] / parts.scale[:, None]
-    return np.asarray(half @ half.T)
+    root = half(parts)
+    return np.asarray(root @ root.T)
 
 
-def _note(block: Group, residual: Floats, out: Floats) -> None:
+def note(block: Group, residual: Floats, out: Floats) -> None:
     """Write a block's residuals to their rows of the table; distances between sockets belong to no row."""
     if isinstance(block, SocketDistanceRows):
         return

@@ -23,7 +23,8 @@ deleted residual, eᵀ(I − H)⁻¹e; for one that was not, eᵀ(I + H)⁻¹e. 
 freedom, whatever the order. Of the rows beyond the gate only those no nearer than half the farthest leave in one
 round, since a fault pushes its neighbours out too; rows that have come back within the gate return.
 
-P(0) must be finite: an unknown without prior starts with a σ that no robot reaches (``DIFFUSE``, 10 m, 10 rad, 10).
+P is the same as the inverse of the information, to rounding, and that is what ``solve`` reports, since it is zero along
+what nothing sees. P(0) must be finite: an unknown without prior starts with a σ that no robot reaches (``DIFFUSE``, 10 m, 10 rad, 10).
 """
 
 from __future__ import annotations
@@ -33,12 +34,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
+from truearm.estimate.information import covariance, observe, spectrum, with_prior
 from truearm.estimate.lm import RELATIVE_END
+from truearm.estimate.problem import Problem
+from truearm.estimate.rows import GATE_LEVEL, deleted_distance, gate, only, whitened_blocks
+from truearm.estimate.solution import Options, Solution, prior_error, whole
 from truearm.types import Floats
 
-GATE_LEVEL = 1e-6  # a clean row is refused once in a million
 DIFFUSE = 10.0  # σ of an unknown without prior; 1e5 times what a millimetre's work would leave, 1e-10 in the result
 NEAR_FARTHEST = 0.25  # of the farthest squared distance: half the distance
 MAX_ROUNDS = 50
@@ -57,13 +60,15 @@ class Rows(NamedTuple):
     jac: Floats  # (n, w, k)
     residual: Floats  # (n, w)
     width: NDArray[np.intp]  # (n,) scalar rows that are not padding
+    row: NDArray[np.intp]  # (n,) rows of the table; -1: knowledge (a known distance), which no gate judges
+    noise_root: Floats  # (n, w, w) noise_root @ residual is in m
 
 
 class Pass(NamedTuple):
     """One run through all rows; what each looked like just before it was taken in."""
 
     filter: Filter
-    innovation: Floats  # (n, w) whitened units, r − J Δ(N−1)
+    innovation: Floats  # (n, w) whitened, r − J Δ(N−1): the prediction error of Fig. 4 is noise_root @ innovation
     distance: Floats  # (n,) squared Mahalanobis distance of the innovation
 
 
@@ -75,8 +80,9 @@ class Ending(NamedTuple):
     message: str
     passes: int
     covariance: Floats  # (k, k)
-    used: NDArray[np.bool_]  # (n,)
+    used: NDArray[np.bool_]  # (n,) of ``rows``
     distance: Floats  # (n,) squared, see ``deleted_distance``
+    rows: Rows  # at x
     first: Pass  # of the first pass, as an operator would have seen it live
 
 
@@ -116,27 +122,48 @@ def run(state: Filter, rows: Rows, used: NDArray[np.bool_]) -> Pass:
     return Pass(state, innovation, distance)
 
 
-def gate(width: NDArray[np.intp], level: float = GATE_LEVEL) -> Floats:
-    """(n,) squared distance that a clean row of this width exceeds with probability ``level``."""
-    return np.asarray(special.chdtri(width, level))
+def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Options) -> Solution:
+    """Recursive estimation over x[columns] from x (P,); rows beyond the gate have weight 0 in the result."""
+
+    def linearise(part: Floats) -> Rows:
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            return rows_of(problem, whole(x, columns, part), columns)
+
+    def on_pass(passes: int, part: Floats) -> None:
+        if options.on_step is not None:
+            options.on_step(passes, observe(problem, whole(x, columns, part), columns).residual)
+
+    mean, sigma = problem.start[columns], problem.prior_sigma[columns]
+    ending = minimise(linearise, x[columns], mean, sigma, options.max_iterations, on_pass)
+    x = whole(x, columns, ending.x)
+    weight = np.ones(problem.n_rows)
+    of_table = ending.rows.row >= 0
+    weight[ending.rows.row[of_table]] = ending.used[of_table]
+    data = observe(only(problem, weight > 0.0), x, columns)
+    data = data._replace(residual=observe(problem, x, columns).residual)
+    information = with_prior(data, *prior_error(problem, columns, x))
+    claimed = covariance(spectrum(information.root))
+    return Solution(x, ending.status, ending.message, ending.passes, information, claimed, weight)
 
 
-def deleted_distance(jac: Floats, residual: Floats, covariance_root: Floats, used: NDArray[np.bool_]) -> Floats:
-    """(n,) squared distance of each observation from what all other used ones say of it.
-
-    jac (n, w, k), residual (n, w) at the estimate, S (k, ·) with P = S Sᵀ. A used row that alone determines an unknown
-    has leverage 1 and residual 0: nothing contradicts it, its distance is 0.
-    """
-    seen = jac @ covariance_root
-    leverage = seen @ seen.swapaxes(1, 2)
-    sign = np.where(used, -1.0, 1.0)[:, None, None]
-    values, vectors = np.linalg.eigh(np.eye(jac.shape[1]) + sign * leverage)
-    along = (vectors.swapaxes(1, 2) @ residual[..., None])[..., 0]
-    alone = values <= ALONE
-    return np.asarray(np.where(alone, 0.0, along**2 / np.where(alone, 1.0, values)).sum(axis=1))
-
-
-ALONE = 1e-9  # 1 − leverage, below which a residual is rounding and says nothing
+def rows_of(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> Rows:
+    """All observations at x (P,) in the order of the table, what is known beforehand first."""
+    blocks = list(whitened_blocks(problem, x, columns))
+    widest = max((b.residual.shape[1] for b in blocks), default=1)
+    k = int(columns.sum())
+    if not blocks:
+        return Rows(np.zeros((0, 1, k)), np.zeros((0, 1)), *(np.zeros(0, np.intp),) * 2, np.zeros((0, 1, 1)))
+    jac, residual, noise = [], [], []
+    for b in blocks:
+        more = widest - b.residual.shape[1]
+        jac.append(np.pad(b.jac, ((0, 0), (0, more), (0, 0))))
+        residual.append(np.pad(b.residual, ((0, 0), (0, more))))
+        noise.append(np.pad(b.noise_root, ((0, 0), (0, more), (0, more))))
+    width = np.concatenate([np.full(len(b.residual), b.residual.shape[1]) for b in blocks])
+    row = np.concatenate([np.full(len(b.residual), -1) if b.row is None else b.row for b in blocks])
+    order = np.argsort(row, kind="stable")
+    jac_all, residual_all, noise_all = (np.concatenate(part)[order] for part in (jac, residual, noise))
+    return Rows(jac_all, residual_all, width[order], row[order], noise_all)
 
 
 def minimise(
@@ -145,7 +172,7 @@ def minimise(
     mean: Floats,
     sigma: Floats,
     max_passes: int,
-    on_pass: Callable[[int, Floats, Rows], None] | None = None,
+    on_pass: Callable[[int, Floats], None] | None = None,
     level: float = GATE_LEVEL,
 ) -> Ending:
     """Pass after pass from x (k,) until neither x nor the set of rows within the gate changes.
@@ -156,7 +183,7 @@ def minimise(
     """
     rows = linearise(x)
     used = np.ones(len(rows.residual), dtype=bool)
-    limit = gate(rows.width, level)
+    limit = np.where(rows.row < 0, np.inf, gate(rows.width, level))
     first: Pass | None = None
     seen_sets: set[bytes] = set()
     rounds, passes = 0, 0
@@ -177,9 +204,9 @@ def minimise(
             x, passes = x + state.delta, passes + 1
             rows = linearise(x)
             if on_pass is not None:
-                on_pass(passes, x, rows)
+                on_pass(passes, x)
             continue
-        distance = deleted_distance(rows.jac, rows.residual, state.root, used)
+        distance = deleted_distance(rows.jac, rows.residual, state.root, used.astype(float))
         chosen = _within(distance, limit, used)
         rounds += 1
         if np.array_equal(chosen, used):
@@ -214,5 +241,5 @@ def _ending(
     rows: Rows,
     first: Pass,
 ) -> Ending:
-    distance = deleted_distance(rows.jac, rows.residual, state.root, used)
-    return Ending(x, status, message, passes, state.root @ state.root.T, used, distance, first)
+    distance = deleted_distance(rows.jac, rows.residual, state.root, used.astype(float))
+    return Ending(x, status, message, passes, state.root @ state.root.T, used, distance, rows, first)
