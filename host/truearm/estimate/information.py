@@ -69,8 +69,7 @@ def observe(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> Informat
 def weighed(problem: Problem, x: Floats) -> Problem:
     """The problem with every observation's covariance as it is at x, joint readings included; itself if they are exact.
 
-    For a solver that compares χ² at two x: solve the weighed problem, weigh it again at the solution, until the step
-    is small. The fixed point is where the weights belong to the estimate, as in Renders' (12).
+    For a solver that compares χ² at two x, which must be weighed alike.
     """
     if problem.joint_cov is None:
         return problem
@@ -82,21 +81,6 @@ def weighed(problem: Problem, x: Floats) -> Problem:
         ]
         groups.append(replace(group, sensor_cov=np.concatenate(cov)))
     return replace(problem, groups=tuple(groups), joint_cov=None)
-
-
-def distances(problem: Problem, x: Floats) -> Floats:
-    """(n,) Mahalanobis distance of every row's residual at x: the root of fᵀCf, which is |f|/σ for a length.
-
-    Its square has the mean w, the row's number of residuals, when the noise is as declared and x is the truth.
-    """
-    out = np.full(problem.n_rows, np.nan)
-    for block in blocks(problem):
-        if isinstance(block, SocketDistanceRows):
-            continue
-        lin = evaluate(problem, block, x)
-        cov = residual_cov(block.sensor_cov, lin.jac_joints, problem.joint_cov)
-        out[block.row] = np.linalg.norm(whitened(lin.residual[:, None], cov).reshape(len(block.row), -1), axis=1)
-    return out
 
 
 def with_prior(information: Information, error: Floats, sigma: Floats) -> Information:

@@ -9,7 +9,8 @@ on the pose and, a little, on the parameters: it is renewed at each linearisatio
 estimate but claims a far too small covariance (on Renders' figures a normalised error of 76 where 36 is due).
 
 The weights must stand still while a step is judged, or a solver that compares χ² before and after would find it changed
-by the weights and stall: ``information.weighed`` gives a problem with the weights of one x, to be solved and weighed again.
+by the weights and stall: ``information.weighed`` gives a problem with the weights of one x. Where the steps end, the
+weights belong to the estimate.
 """
 
 from __future__ import annotations
