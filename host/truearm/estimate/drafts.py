@@ -132,6 +132,7 @@ def planes(scope: Scope, rows: Indices) -> Draft:
             raise ProblemError(f"plane {flat.name!r}: its point and normal must be finite, its normal not zero")
     point = np.array([flat.xyz for flat in known], dtype=float)[flats.which]
     frames = np.array([plane.frame_of(np.array(flat.normal)) for flat in known])[flats.which]
+    _refuse(scope, rows, np.isinf(table.value[rows]), "its distance from the plane must be finite")
     distance = np.nan_to_num(table.value[rows], nan=0.0)
     sigma = np.array([flat.sigma for flat in known])[flats.which]
     variance = _sigma(scope, rows, sigma[:, None]) ** 2
@@ -180,8 +181,8 @@ def _measured(
     targets = use(scope, rows, table.target, scope.rig.targets or ORIGIN, "target")
     p_base = _nominal(scope, rows, targets)
     numbers = [
-        _device_numbers(scope, what, device, table.xyz[rows[which == i]], p_base[which == i])
-        for i, device in enumerate(devices)
+        _device_numbers(scope, (what, str(label)), device, table.xyz[rows[which == i]], p_base[which == i])
+        for i, (label, device) in enumerate(zip(labels, devices, strict=True))
     ]
     placed = Used(labels, numbers, which)
     moving = _moving(scope)
@@ -207,16 +208,18 @@ def _measured(
     return (targets, placed, clock), make
 
 
-def _device_numbers(scope: Scope, what: str, device: Device, xyz: Floats, p_base: Floats) -> list[Number]:
+def _device_numbers(scope: Scope, called: tuple[str, str], device: Device, xyz: Floats, p_base: Floats) -> list[Number]:
     """x, y, z, rx, ry, rz of a device; where the rig gives no pose, from its readings and the nominal robot."""
     sigmas = [or_inf(device.sigma)] * 3 + [or_inf(device.turn_sigma)] * 3
-    name = f"{scope.prefix}{what}.{device.name}" if device.name else f"{scope.prefix}{what}"
+    name = scope.prefix + ".".join(filter(None, called))
+    if not np.isfinite(device.rotation).all():
+        raise ProblemError(f"{name} has a rotation that is not finite")
     if device.xyz is not None:
         values = [*device.xyz, 0.0, 0.0, 0.0]
     elif 0.0 in sigmas:
         raise ProblemError(f"{name} has sigma 0, known exactly, but no xyz that says where it is")
     else:
-        rule = scope.rig.line_placement if what == "line" else "least_squares"
+        rule = scope.rig.line_placement if called[0] == "line" else "least_squares"
         values = [*np.concatenate(position.place(xyz, p_base, line.placement_weights(xyz, rule)))]
     units = ("m", "m", "m", "rad", "rad", "rad")
     parts = zip((*XYZ, "rx", "ry", "rz"), units, values, sigmas, strict=True)
@@ -254,11 +257,11 @@ def _beside(cov: Floats, variance: Floats) -> Floats:
 
 def _moving(scope: Scope) -> bool:
     """Whether any row carries joint velocities. Raises ProblemError for a row that has some and lacks others."""
-    some, every = (np.isfinite(scope.table.q_rate).any(axis=1), np.isfinite(scope.table.q_rate).all(axis=1))
-    bad = np.flatnonzero(some & ~every)
+    finite = np.isfinite(scope.table.q_rate)
+    bad = np.flatnonzero(~(finite.all(axis=1) | np.isnan(scope.table.q_rate).all(axis=1)))
     if bad.size:
-        raise ProblemError(f"{scope.table.source[bad[0]]}: has velocities of some joints only; give all or none")
-    return bool(some.any())
+        raise ProblemError(f"{scope.table.source[bad[0]]}: needs the velocities of all joints, finite, or none")
+    return bool(finite.any())
 
 
 def _nominal(scope: Scope, rows: Indices, targets: Used) -> Floats:
@@ -306,7 +309,8 @@ def _sigma(scope: Scope, rows: Indices, default: Floats) -> Floats:
     sigma = np.where(np.isnan(own), default, own)
     bad = np.flatnonzero(~((sigma > 0.0) & np.isfinite(sigma)).all(axis=1))
     if bad.size:
-        raise ProblemError(f"{scope.table.source[rows[bad[0]]]}: sigma must be positive, is {sigma[bad[0], 0]:g} m")
+        worst = sigma[bad[0]].min()  # NaN if any is
+        raise ProblemError(f"{scope.table.source[rows[bad[0]]]}: sigma must be positive, is {worst:g} m")
     return np.asarray(sigma)
 
 
