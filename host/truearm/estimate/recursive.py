@@ -45,6 +45,7 @@ from truearm.types import Floats
 DIFFUSE = 10.0  # σ of an unknown without prior; 1e5 times what a millimetre's work would leave, 1e-10 in the result
 NEAR_FARTHEST = 0.25  # of the farthest squared distance: half the distance
 MAX_ROUNDS = 50
+HALVINGS = 12
 
 
 class Filter(NamedTuple):
@@ -201,8 +202,10 @@ def minimise(
             message = f"not converged after {max_passes} passes"
             return _ending(x, "max_iterations", message, passes, state, used, rows, first)
         if not settled:
-            x, passes = x + state.delta, passes + 1
-            rows = linearise(x)
+            # Within the noise the linearised problem is to be trusted, more than χ² under weights that move with x.
+            far = moved > np.sqrt(rows.residual.size)
+            x, rows = _nearer(linearise, x, state.delta, rows, used, mean, sigma, HALVINGS if far else 0)
+            passes += 1
             if on_pass is not None:
                 on_pass(passes, x)
             continue
@@ -215,6 +218,30 @@ def minimise(
             return _ending(x, "stalled", "the gate does not settle on a set of rows", passes, state, used, rows, first)
         seen_sets.add(used.tobytes())
         used = chosen
+
+
+def _nearer(
+    linearise: Callable[[Floats], Rows],
+    x: Floats,
+    delta: Floats,
+    rows: Rows,
+    used: NDArray[np.bool_],
+    mean: Floats,
+    sigma: Floats,
+    halvings: int,
+) -> tuple[Floats, Rows]:
+    """x + Δ, or as many times half of Δ as it takes to fit the used rows and the prior better than x does."""
+    before = _cost(rows, used, (mean - x) / sigma)
+    for _ in range(halvings):
+        there = linearise(x + delta)
+        if _cost(there, used, (mean - x - delta) / sigma) < before:
+            return x + delta, there
+        delta = 0.5 * delta
+    return x + delta, linearise(x + delta)
+
+
+def _cost(rows: Rows, used: NDArray[np.bool_], prior: Floats) -> float:
+    return float((rows.residual[used] ** 2).sum() + prior @ prior)
 
 
 def _within(distance: Floats, limit: Floats, used: NDArray[np.bool_]) -> NDArray[np.bool_]:

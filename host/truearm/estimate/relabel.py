@@ -4,20 +4,20 @@ A wrong label is no noise: it moves a whole group of rows by about the distance 
 where the noise is a tenth of a millimetre, and the fit bends every parameter to meet it. So it is looked for where the
 fit's RMS is above 1 % of the least distance between two chucks or two spheres, and nowhere else.
 
-A group is the rows of one pairing (and shell, bar). The fit is repeated without each group, and each two of them; the
+A group is a run of rows of one pairing, shell and bar, or where these change from row to row, all rows of one. The fit is repeated without each group, and each two of them; the
 robot that fits the rest best by far is the witness, and every group is asked which pairing it fits with that robot. If a
 group fits another, its label is put right and the whole is fitted again: only what brings the RMS down by TENFOLD counts.
 Two chucks (or spheres) exchanged everywhere make no group stand out; these exchanges are tried one by one.
 
-What cannot be found: labels of an equilateral triangle turned round by one corner everywhere. That is a rotation of the
-fixture, and link 1 absorbs it without a trace.
+What cannot be found: corners of an equilateral triangle relabelled everywhere. In space each such change is a rotation of
+the fixture, by a third of a turn or turned over, and link 1 or the last link may absorb it without a trace in the residuals.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -33,9 +33,10 @@ from truearm.types import Floats, ObservationTable, Point, Relabelling, Rig
 
 SUSPICIOUS = 0.01  # of the least distance between two labelled points
 TENFOLD = 0.1
-ROWS_A_GROUP = 60  # enough to tell centimetres
-MAX_GROUPS = 16
-SEARCH_ITERATIONS = 15
+ROWS_A_GROUP = 30  # enough to tell centimetres
+MAX_GROUPS = 18
+MAX_GROUPS_IN_PAIRS = 9
+SEARCH_ITERATIONS = 10
 
 Pairing = tuple[str, str]  # chuck, sphere
 
@@ -60,7 +61,7 @@ def relabellings(
     chosen = np.flatnonzero(rows & (table.kind == "ball_bar"))
     if not isinstance(rig, Rig) or chosen.size == 0 or not rms > SUSPICIOUS * _least_distance(rig):
         return ()
-    groups, thin = _groups(table.select(chosen))
+    groups, thin, numbers = _groups(table.select(chosen))
     if len(groups) > MAX_GROUPS:
         return ()
     few = table.select(chosen[thin])
@@ -81,8 +82,8 @@ def relabellings(
             break
     after, pairings = best
     return tuple(
-        Relabelling(tuple(_all_rows(table, chosen, few, g).tolist()), g.was, now, before, after)
-        for g, now in zip(groups, pairings, strict=False)
+        Relabelling(tuple(chosen[numbers == i].tolist()), g.was, now, before, after)
+        for i, (g, now) in enumerate(zip(groups, pairings, strict=False))
         if now != g.was
     )
 
@@ -100,7 +101,7 @@ def _hypotheses(
         for a, b in combinations(names, 2):
             swap = {a: b, b: a}
             yield [_replaced(pair, which, swap.get(pair[which], pair[which])) for pair in as_they_are]
-    for size in (1, 2):
+    for size in (1, 2) if len(groups) <= MAX_GROUPS_IN_PAIRS else (1,):
         witnesses = []
         for out in combinations(range(len(groups)), size):
             rest = [g.rows for i, g in enumerate(groups) if i not in out]
@@ -146,27 +147,36 @@ def _keys(table: ObservationTable) -> list[tuple[str, str, str, str]]:
     return list(zip(*(column.tolist() for column in columns), strict=True))
 
 
-def _groups(table: ObservationTable) -> tuple[list[Group], NDArray[np.intp]]:
-    """The groups of a table, at most ROWS_A_GROUP of each; their rows count in the thinned table, which is returned too."""
-    by_key: dict[tuple[str, str, str, str], list[int]] = {}
-    for i, key in enumerate(_keys(table)):
-        by_key.setdefault(key, []).append(i)
+def _groups(table: ObservationTable) -> tuple[list[Group], NDArray[np.intp], NDArray[np.intp]]:
+    """The groups of a table, which rows the thinned table has of it, and the group of every row."""
+    keys = _keys(table)
+    numbers = np.cumsum([0, *(a != b for a, b in pairwise(keys))])
+    if numbers[-1] >= MAX_GROUPS:
+        order = {key: i for i, key in enumerate(dict.fromkeys(keys))}
+        numbers = np.array([order[key] for key in keys])
+    numbers = _split(numbers)
     groups: list[Group] = []
     thin: list[int] = []
-    for (chuck, sphere, _, _), rows in by_key.items():
-        some = rows[:: max(len(rows) // ROWS_A_GROUP, 1)][:ROWS_A_GROUP]
+    for i in range(int(numbers.max()) + 1):
+        rows = np.flatnonzero(numbers == i)
+        some = rows[:: max(len(rows) // ROWS_A_GROUP, 1)][:ROWS_A_GROUP].tolist()
+        chuck, sphere, *_ = keys[rows[0]]
         groups.append(Group((chuck, sphere), np.arange(len(thin), len(thin) + len(some))))
         thin += some
-    return groups, np.array(thin, dtype=np.intp)
+    return groups, np.array(thin, dtype=np.intp), numbers
 
 
-def _all_rows(
-    table: ObservationTable, chosen: NDArray[np.intp], few: ObservationTable, group: Group
-) -> NDArray[np.intp]:
-    """All rows of the table that belong to a group."""
-    key = _keys(few.select(group.rows[:1]))[0]
-    same = np.array([k == key for k in _keys(table.select(chosen))])
-    return np.asarray(chosen[same])
+def _split(numbers: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Groups about twice as long as is usual, or more, cut in equal parts: a wrong label may have joined neighbours."""
+    count = np.bincount(numbers)
+    parts = np.maximum(np.rint(count / np.median(count)).astype(np.intp), 1)
+    if parts.sum() > MAX_GROUPS:
+        return numbers
+    out, first = np.empty_like(numbers), np.concatenate([[0], np.cumsum(parts)])
+    for i, k in enumerate(parts.tolist()):
+        rows = np.flatnonzero(numbers == i)
+        out[rows] = first[i] + np.arange(rows.size) * k // rows.size
+    return out
 
 
 def _least_distance(rig: Rig) -> float:
