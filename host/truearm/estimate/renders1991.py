@@ -27,15 +27,15 @@ def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Opti
     data = observe(problem, x, columns)
     status, runs = "max_iterations", 0
     while runs < options.max_iterations:
+        if not np.isfinite(data.chi2):
+            status = "stalled"
+            break
         root, rhs = _fused(prior, prior @ error, data)
         parts = spectrum(root)
         delta, _ = step(parts, promise(parts, rhs), 0.0)
         there = whole(x, columns, x[columns] + delta)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             now = observe(problem, there, columns)
-        if not np.isfinite(now.chi2):
-            status = "stalled"
-            break
         gain = 1.0 - float(np.linalg.norm(now.residual) / max(np.linalg.norm(data.residual), np.finfo(float).tiny))
         x, data, prior, error, runs = there, now, root, np.zeros_like(error), runs + 1
         if options.on_step is not None:
