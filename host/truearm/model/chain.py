@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from truearm.errors import RobotError
-from truearm.model.transforms import MOTIONS, apply, axis_of, cross, elementary, move, turn
+from truearm.model.transforms import MOTIONS, apply, axis_of, before, cross, elementary, move, turn
 from truearm.types import Floats
 
 
@@ -273,7 +273,7 @@ def fold_link(run: tuple[Element, ...], params: Floats) -> FoldedLink:
         if element.parameter is not None:
             twists.append(_twist_beyond(element.motion, beyond))
             columns.append(element.parameter)
-        beyond = elementary(element.motion, _amount(params, element.parameter, element.value)) @ beyond
+        beyond = before(element.motion, _amount(params, element.parameter, element.value), beyond)
     stacked = np.stack(twists[::-1], axis=1) if twists else np.zeros((6, 0))
     return FoldedLink(beyond, stacked, tuple(columns[::-1]))
 

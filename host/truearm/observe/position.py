@@ -17,6 +17,7 @@ derivative is −J_q·q̇.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +25,7 @@ import numpy as np
 from truearm.model.chain import Chain, PointTrace, along, trace_point
 from truearm.model.transforms import cross
 from truearm.observe.rotation import left_jacobian, rotation, rotation_vector
-from truearm.observe.rows import Indices, Linearised, gather, scatter, widen
+from truearm.observe.rows import Indices, Linearised, gather, scatter
 from truearm.types import Floats
 
 WIDTH = 3  # scalar residuals an observation: x, y, z in the device's axes
@@ -51,7 +52,7 @@ def evaluate(chain: Chain, rows: PositionRows, x: Floats) -> Linearised:
     q = joints_in_time(rows, x)
     trace = trace_point(chain, x[: len(chain.parameters)], q, gather(x, rows.constants, rows.target))
     device = gather(x, rows.constants, rows.device)
-    rot = rotation(device[:, 3:]) @ rows.reference
+    rot = for_each(rotation, device[:, 3:]) @ rows.reference
     return in_device_axes(trace, rows, x, device, rot)
 
 
@@ -65,20 +66,28 @@ def in_device_axes(trace: PointTrace, rows: PositionRows, x: Floats, device: Flo
     n, j = rows.q.shape
     lever = trace.p_base - device[:, :3]  # r
     predicted = np.einsum("nik,ni->nk", rot, lever)
-    turned = left_jacobian(device[:, 3:])
+    turned = for_each(left_jacobian, device[:, 3:])
     dtype = np.result_type(x, float)
-    jac, jac_joints = np.empty((n, 3, x.size), dtype), np.empty((n, 3, j), dtype)
+    jac, jac_joints = np.zeros((x.size, n, 3), dtype), np.empty((n, 3, j), dtype)
     for axis in range(3):
         u = rot[:, :, axis]
         derivative = along(trace, u)
-        columns = widen(derivative.jac_params, x.size)
+        columns = jac[:, :, axis].T
+        columns[:, : derivative.jac_params.shape[1]] = derivative.jac_params
         scatter(columns, rows.target, derivative.jac_point)
         scatter(columns, rows.device[:, :3], -u)
         # −u·(δφ × r) = (u × r)·δφ
         scatter(columns, rows.device[:, 3:], np.einsum("ni,nik->nk", cross(u.T, lever.T).T, turned))
         scatter(columns, rows.time_offset, (derivative.jac_joints * rows.q_rate).sum(axis=1, keepdims=True))
-        jac[:, axis], jac_joints[:, axis] = columns, derivative.jac_joints
-    return Linearised((rows.xyz - predicted).ravel(), jac.reshape(-1, x.size), jac_joints.reshape(-1, j))
+        jac_joints[:, axis] = derivative.jac_joints
+    return Linearised((rows.xyz - predicted).ravel(), jac.reshape(x.size, -1).T, jac_joints.reshape(-1, j))
+
+
+def for_each(matrix: Callable[[Floats], Floats], turns: Floats) -> Floats:
+    """(n, 3, 3) a matrix of each rotation vector (n, 3), computed once where all are the same: one device, as a rule."""
+    if len(turns) and (turns == turns[0]).all():
+        return np.broadcast_to(matrix(turns[0]), (len(turns), 3, 3))
+    return matrix(turns)
 
 
 def place(p_device: Floats, p_base: Floats, weight: Floats) -> tuple[Floats, Floats]:
