@@ -219,7 +219,7 @@ class Observability(NamedTuple):
 class Addition(NamedTuple):
     """Something more to measure, and what of the robot would be seen then."""
 
-    kind: str  # "poses" | "pairing" | "chuck" | "sphere" | "ball" | "line" | "place"
+    kind: str  # "poses" | "pairing" | "chuck" | "sphere" | "ball_bar" (three of each) | "line" | "place"
     names: tuple[str, ...]  # the pairing's chuck and sphere; empty for what is new
     rank: int  # of the robot's free parameters, with it
     parameters: tuple[str, ...]  # those that could be told apart in addition

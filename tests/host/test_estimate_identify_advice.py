@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import ulb_bench
 from puma_bench import (
     BARS,
     CHAIN,
@@ -142,6 +143,29 @@ def test_poor_data_still_give_an_answer(solver, case):
     assert len(e.null_space) == 36 - e.rank
     assert e.additions
     assert np.isnan(e.sigma[FREE]).any()
+
+
+def test_a_chuck_known_with_sigma_helps_as_one_known_exactly(shells):
+    """Of several rigs, too: its numbers are named after the rig."""
+    loose = replace(RIG, chucks={k: replace(p, sigma=1e-4) for k, p in CHUCKS.items()})
+    few = shells.select(shells.chuck == "c0")
+    e = identify(CHAIN, {"day": loose}, replace(few, rig=np.full(len(few), "day")), free=FREE)
+    assert e.rank == 33
+    assert {a.names: a.rank for a in by_kind(e)["pairing"]} == {(c, s): 35 for c in ("c1", "c2") for s in SPHERES}
+
+
+@pytest.mark.parametrize(("sigma", "more"), [(None, 9), (0.1, 3)])
+def test_lines_alone_want_a_ball_bar(sigma, more):
+    """A point on the tool tells nothing of its orientation (3); devices that stand anywhere cannot place the base (6)."""
+    t = ulb_bench.lines(6, 12, ulb_bench.NOMINAL, np.random.default_rng(7))
+    t = replace(t, q=t.q + 0.1 * np.random.default_rng(8).normal(size=t.q.shape))  # the tool turns on its way
+    t = replace(t, xyz=ulb_bench.point_forward(ulb_bench.CHAIN, ulb_bench.NOMINAL, t.q, np.zeros(3)))
+    free = np.array([p.unit != "1" for p in ulb_bench.CHAIN.parameters])
+    rig = ulb_bench.rig(t, sigma=sigma, turn_sigma=sigma)
+    e = identify(ulb_bench.CHAIN, rig, t, free=free, solver="map", prior_sigma=np.full(free.size, 0.01))
+    (bar,) = by_kind(e)["ball_bar"]
+    assert bar.rank == e.rank + more
+    assert len(bar.parameters) == more
 
 
 def test_suggestions_among_all_54_are_the_papers_36():

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.estimate.identifiability import suggested_free
-from truearm.estimate.information import fold, observe
+from truearm.estimate.information import fold, observe, with_prior
 from truearm.estimate.problem import Rigs, build_problem, settled
 from truearm.model.chain import Chain, point_forward, point_jacobians
-from truearm.types import Addition, Device, Floats, ObservationTable, Point, Rig
+from truearm.types import Addition, BallBar, Device, Floats, ObservationTable, Point, Rig
 
 NEW = "(new)"  # brackets cannot stand in a rig's names
 TRIES = 40  # rows of each kind that a proposal is tried with; a new line or place has up to 6 unknowns of its own
@@ -73,7 +73,10 @@ def _with(
     theirs = [name for name, wanted in zip(of_problem, columns, strict=True) if wanted]
     every = [*names, *(name for name in theirs if name not in names)]
     wide = np.zeros((len(theirs), len(every)))
-    wide[:, [every.index(name) for name in theirs]] = observe(settled(problem, x), x, columns).root
+    # What is known of the new: the prior of the rest is in the root already.
+    sigma = np.where([name in names for name in theirs], np.inf, problem.prior_sigma[columns])
+    data = with_prior(observe(settled(problem, x), x, columns), np.zeros(len(theirs)), sigma)
+    wide[:, [every.index(name) for name in theirs]] = data.root
     padded = np.zeros((len(every), len(every)))
     padded[: len(names), : len(names)] = root
     return fold(padded, wide), n_robot
@@ -87,6 +90,8 @@ def _proposals(
     bars = table.select(table.kind == "ball_bar")
     if len(bars):
         yield from _with_bars(here, rig, bars, rng)
+    else:
+        yield "ball_bar", (), *_first_bar(here, rig, rng)
     ball = next(iter(rig.targets.values()), Point("", (0.0, 0.0, 0.0)))
     q = _about_one_point(here, table.q[len(table) // 2], np.array(ball.xyz), rng, reach=0.1)
     if len(q):
@@ -126,6 +131,18 @@ def _with_bars(
     more_spheres = replace(rig, spheres={**rig.spheres, NEW: new_sphere})
     yield "chuck", (), more_chucks, rows(few, [(NEW, s) for s in spheres])
     yield "sphere", (), more_spheres, rows(few, [(c, NEW) for c in chucks])
+
+
+def _first_bar(here: Chain, rig: Rig, rng: np.random.Generator) -> tuple[Rig, ObservationTable]:
+    """Three chucks at known places, three spheres on the end, a bar between them."""
+    corners = {
+        f"{NEW}{i}": Point(f"{NEW}{i}", (float(x), float(y), float(z))) for i, (x, y, z) in enumerate(np.diag(AWAY))
+    }
+    more = replace(rig, chucks=corners, spheres=corners, bars={NEW: BallBar(NEW, 1.0, 1.0, 0.1, LINE_SIGMA)})
+    pairs = [(chuck, sphere) for chuck in corners for sphere in corners]
+    chuck, sphere = (np.repeat([pair[k] for pair in pairs], TRIES) for k in (0, 1))
+    q = _anywhere(here, TRIES * len(pairs), rng)
+    return more, _rows(q, "ball_bar", value=np.ones(len(q)), bar=NEW, chuck=chuck, sphere=sphere)
 
 
 def _another(points: Sequence[tuple[float, float, float]]) -> Point:
