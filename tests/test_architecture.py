@@ -19,14 +19,15 @@ ROOMS = {
     "record": {"files", "sensors"},
     "files": {"model"},
     "report": set(),
-    "commands": {"model", "observe", "estimate", "sensors", "sync", "record", "files", "report", "cli"},
+    "reproduce": {"estimate", "observe", "model", "report"},
+    "commands": {"model", "observe", "estimate", "sensors", "sync", "record", "files", "report", "reproduce", "cli"},
     "cli": {"commands"},
     "__main__": {"cli"},
     "types": set(),
     "errors": set(),
 }
 WIRE_ALLOWED = {"record", "sync", "sensors"}
-SIMULATOR_ALLOWED = {"commands"}  # simulate and demo alone
+SIMULATOR_ALLOWED = {"commands"}  # simulate, demo and reproduce alone
 PURE = ("model", "observe", "estimate")  # compute; touch neither files nor the network
 IO_MODULES = {"socket", "serial", "urllib", "http", "subprocess", "shutil", "tempfile", "os", "mcap", "pathlib", "io"}
 DEVICE_MODULES = {"machine", "rp2"}
@@ -81,9 +82,11 @@ def test_host(path):
             assert top not in IO_MODULES, f"{room} does no input or output, yet imports {name}"
 
 
-def test_only_simulate_and_demo_know_the_simulator():
+def test_only_simulate_demo_and_reproduce_know_the_simulator():
     users = {p.stem for p in python_files(HOST) if any(i.startswith("truearm_sim") for i in imports(p))}
-    assert users <= {"simulate", "demo"}
+    assert users <= {"simulate", "demo", "reproduce"}
+    outside = [p for p in python_files(HOST / "reproduce") if any(i.startswith("truearm_sim") for i in imports(p))]
+    assert not outside  # the room; its command may
 
 
 @pytest.mark.parametrize("path", python_files(ROOT / "protocol" / "truearm_wire"), ids=lambda p: p.name)

@@ -20,11 +20,12 @@ from truearm.commands.demo import demo
 from truearm.commands.identify import identify
 from truearm.commands.inspect import inspect
 from truearm.commands.record import record
+from truearm.commands.reproduce import reproduce
 from truearm.commands.simulate import simulate
 from truearm.commands.terminal import one_line
 from truearm.errors import TruearmError
 
-COMMANDS = (demo, simulate, record, inspect, identify)
+COMMANDS = (demo, simulate, record, inspect, identify, reproduce)
 
 # Options and arguments that typer rejects raise a UsageError. That class lives in click or, in later versions, inside
 # typer, which exports only its subclass BadParameter.

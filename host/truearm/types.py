@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Strings = NDArray[np.str_]
+Matrix = tuple[tuple[float, ...], ...]  # rows of a small constant matrix; unlike an array it can be compared
 
 
 class Message(NamedTuple):
@@ -64,11 +65,54 @@ class SocketDistance:
 
 
 @dataclass(frozen=True)
-class Rig:
-    """What stands around the robot: chucks on the table, spheres on the endpoint, bars, sockets.
+class Device:
+    """A device that measures points in axes of its own: one placement of a line device, or a tracker.
 
-    Chucks are in the chuck fixture's frame, which is the chain's base frame; spheres are in the chain's end frame.
-    ``seat_sigma`` [m] is the standard deviation of each coordinate of a ball seated in a socket.
+    ``sensor_cov`` S_x [m²] is 3×3 in the device's axes; y is a line's longitudinal axis. ``xyz`` [m] and ``rotation``
+    (a rotation vector, rad) are the device's pose in the base frame; where ``xyz`` is None the device is first placed
+    by its own readings. ``sigma`` [m] and ``turn_sigma`` [rad] say how well that pose is known, each of its three
+    components: 0 exactly, finite a parameter with that prior, None a parameter without. ``rotation_sigma`` [rad] is
+    the standard deviation of each component of a measured orientation; only rows of kind ``pose`` need it.
+    """
+
+    name: str
+    sensor_cov: Matrix
+    xyz: tuple[float, float, float] | None = None
+    rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    sigma: float | None = None
+    turn_sigma: float | None = None
+    rotation_sigma: float | None = None
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A flat that the tool touches. ``xyz`` [m] is a point on it, ``normal`` points to the side where distances count up.
+
+    Both in the base frame. ``sigma`` [m] is of one touch; ``offset_sigma`` [m] and ``tilt_sigma`` [rad] say how well
+    the flat's place along its normal and its two tilts are known: 0 exactly, finite a prior, None not at all.
+    """
+
+    name: str
+    xyz: tuple[float, float, float]
+    normal: tuple[float, float, float]
+    sigma: float
+    offset_sigma: float | None = None
+    tilt_sigma: float | None = None
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What stands around the robot: chucks on the table, spheres on the endpoint, bars, sockets, lines, trackers, flats.
+
+    Chucks are in the chuck fixture's frame, which is the chain's base frame; spheres and targets (the points that
+    lines and trackers measure and flats are touched with) are in the chain's end frame. ``seat_sigma`` [m] is the
+    standard deviation of each coordinate of a ball seated in a socket.
+
+    A rig without ``lines`` takes any line that a row names, with ``line_sigma`` [m] along the device's x, y, z (Renders
+    1991, III-C); with some, it must have them all. ``line_placement``: how a line without a pose is first placed,
+    "least_squares" by all its points or "two_point" by its two ends. ``time_offset`` τ [s]: the joints were truly at
+    q(t) = q_reading(t + τ); ``time_offset_sigma`` as a Device's sigma. ``joint_cov`` S_q [rad², m²] is the covariance
+    of the joint readings, j×j, empty for none.
     """
 
     chucks: Mapping[str, Point] = field(default_factory=dict)
@@ -76,15 +120,33 @@ class Rig:
     bars: Mapping[str, BallBar] = field(default_factory=dict)
     socket_distances: tuple[SocketDistance, ...] = ()
     seat_sigma: float = 1e-4
+    targets: Mapping[str, Point] = field(default_factory=dict)
+    lines: Mapping[str, Device] = field(default_factory=dict)
+    line_sigma: tuple[float, float, float] = (62e-6, 100e-6, 62e-6)
+    line_placement: str = "least_squares"
+    trackers: Mapping[str, Device] = field(default_factory=dict)
+    planes: Mapping[str, Plane] = field(default_factory=dict)
+    time_offset: float = 0.0
+    time_offset_sigma: float | None = 0.0
+    joint_cov: Matrix = ()
+
+
+def _absent() -> Any:
+    """Stands for a column that was not given; ObservationTable fills it in."""
+    return None
 
 
 @dataclass(frozen=True)
 class ObservationTable:
     """Observations of one or several kinds, a row each (hop 5): what tables and sessions both become.
 
-    ``kind`` is ``ball_bar`` or ``seat``. ``value`` [m]: the measured length of a ball-bar row, NaN for a seat.
-    ``sigma`` [m]: its standard deviation, NaN where the rig's figure is to be used. The identifier columns hold ""
-    where a row has none. ``source`` says where a row comes from, for messages ("poses.csv row 17").
+    ``kind`` is ``ball_bar``, ``seat``, ``line``, ``position``, ``pose`` or ``plane``. ``value`` [m]: the measured length
+    of a ball-bar row, the distance from the flat of a plane row (NaN: touched, 0), NaN for other kinds. ``xyz`` [m]: the
+    measured point of a line, position or pose row in the device's axes; ``rotation`` [rad]: the measured rotation vector
+    of a pose row; ``q_rate``: the joints' velocities, NaN where the robot stood or nobody measured. ``sigma`` [m]: the
+    standard deviation of each coordinate, NaN where the rig's figure is to be used. The identifier columns hold ""
+    where a row has none. ``rig`` says which of several rigs a row belongs to, ``source`` where a row comes from, for
+    messages ("poses.csv row 17"). Columns that are not given are filled with NaN or "".
     """
 
     q: Floats  # (n, j) joint readings, rad or m
@@ -98,14 +160,26 @@ class ObservationTable:
     place: Strings  # (n,)
     shell: Strings  # (n,)
     source: Strings  # (n,)
+    xyz: Floats = field(default_factory=_absent)  # (n, 3)
+    rotation: Floats = field(default_factory=_absent)  # (n, 3)
+    q_rate: Floats = field(default_factory=_absent)  # (n, j) rad/s or m/s
+    target: Strings = field(default_factory=_absent)  # (n,)
+    line: Strings = field(default_factory=_absent)  # (n,)
+    tracker: Strings = field(default_factory=_absent)  # (n,)
+    plane: Strings = field(default_factory=_absent)  # (n,)
+    rig: Strings = field(default_factory=_absent)  # (n,)
 
     def __post_init__(self) -> None:
-        n = self.q.shape[0]
         if self.q.ndim != 2:
             raise ValueError(f"q must be (n, j), is {self.q.shape}")
-        for name in ("kind", "value", "sigma", "bar", "chuck", "sphere", "socket", "place", "shell", "source"):
-            if getattr(self, name).shape != (n,):
-                raise ValueError(f"{name} must be ({n},), is {getattr(self, name).shape}")
+        n = self.q.shape[0]
+        wide = {"q": self.q.shape, "q_rate": self.q.shape, "xyz": (n, 3), "rotation": (n, 3)}
+        for name in self.__dataclass_fields__:
+            shape = wide.get(name, (n,))
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.broadcast_to(np.array(np.nan if name in wide else ""), shape))
+            if getattr(self, name).shape != shape:
+                raise ValueError(f"{name} must be {shape}, is {getattr(self, name).shape}")
 
     def __len__(self) -> int:
         return int(self.q.shape[0])
@@ -139,13 +213,42 @@ class NullDirection:
     weights: tuple[float, ...]
 
 
+class Observability(NamedTuple):
+    """How well the identified parameters are seen; ``estimate.identifiability`` defines the four."""
+
+    o1: float
+    o2: float
+    o3: float
+    o4: float
+
+
+class Addition(NamedTuple):
+    """Something more to measure, and what of the robot would be seen then."""
+
+    kind: str  # "poses" | "pairing" | "chuck" | "sphere" | "ball_bar" (three of each) | "line" | "place"
+    names: tuple[str, ...]  # the pairing's chuck and sphere; empty for what is new
+    rank: int  # of the robot's free parameters, with it
+    parameters: tuple[str, ...]  # those that could be told apart in addition
+
+
+class Relabelling(NamedTuple):
+    """Rows that fit another chuck or sphere than they name."""
+
+    rows: tuple[int, ...]  # of the table
+    was: tuple[str, str]  # chuck, sphere
+    fits: tuple[str, str]
+    rms_before: float  # m, of the whole fit with the labels as they are
+    rms_after: float  # m, with this label and all others found beside it put right
+
+
 @dataclass(frozen=True)
 class Estimate:
     """The result of an identification (hop 7).
 
     Arrays run over all parameters of the problem: the robot's first, then the rig's (nuisance) parameters.
     ``sigma`` is NaN where the observations see nothing of a parameter or it was not free. ``covariance`` is (p, p),
-    zero rows where not free; ``identifiable`` is False where a parameter takes part in a null direction.
+    zero rows where not free; ``identifiable`` is False where a parameter takes part in a null direction. ``distance``
+    is standardised: χ of the row's number of residuals for a clean row, NaN where a row was held out.
     """
 
     status: str  # "converged" | "max_iterations" | "stalled"
@@ -175,3 +278,12 @@ class Estimate:
     residual_before: Floats  # (n,) m
     fitted: NDArray[np.bool_]  # (n,) True for fitting rows, False for held-out
     seconds: float
+    loss: str = "linear"
+    chi2_band: tuple[float, float] = (float("nan"), float("nan"))  # of chi2_reduced, 95 %, if σ and model are right
+    distance: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) of a row from what all others say of it, in σ
+    weight: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) 1 as declared, 0 left out, else a robust loss's
+    suspect: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (n,) beyond the gate
+    observability: Observability | None = None  # of the suggested free set
+    suggested_free: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (n_robot_parameters,)
+    additions: tuple[Addition, ...] = ()  # where the rank falls short of what is free
+    relabellings: tuple[Relabelling, ...] = ()

@@ -355,7 +355,7 @@ BAD_ARGUMENTS = {
     "no number": (["--max-iterations", "many"], "--max-iterations"),
     "below its range": (["--max-iterations", "0"], "--max-iterations"),
     "no such prior": (["--prior", "strong"], "strong"),
-    "no such robot": (["--robot", "puma561"], "there is puma560"),
+    "no such robot": (["--robot", "puma561"], "puma560, ulb"),
     "no such robot file": (["--robot", "none.urdf"], "none.urdf: no such file"),
     "no such rig": (["--rig", "none.toml"], "none.toml: no such file"),
     "tip of no URDF": (["--tip", "ball"], "--base and --tip"),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from truearm.estimate.identifiability import identifiability, project_out
+from truearm.estimate.identifiability import identifiability, observability, project_out, suggested_free
 from truearm.estimate.information import scaled_columns, seen, spectrum
 
 
@@ -79,3 +79,45 @@ def test_a_column_of_rounding_is_no_information():
     assert np.array_equal(scaled, np.diag([1.0, 1.0, 0.0]))
     assert np.array_equal(scale, [1.0, 2.0, 1.0])
     assert seen(spectrum(root)).sum() == 2
+
+
+def test_observability_by_hand():
+    """Columns of length 6, 2 and 3 in units of 1, 2 and 1/3: singular values 6, 4, 1."""
+    found = observability(np.diag([6.0, 2.0, 3.0]), 3, np.ones(3, bool), np.array([1.0, 2.0, 1.0 / 3.0]), 4)
+    assert found == pytest.approx((24.0 ** (1 / 3) / 2.0, 1.0 / 6.0, 1.0, 1.0 / 6.0))
+    blind = np.array([[1.0, 1.0], [0.0, 0.0]])
+    assert observability(blind, 2, np.ones(2, bool), np.ones(2), 4) == (0.0, 0.0, 0.0, 0.0)
+    assert observability(blind, 2, np.array([True, False]), np.ones(2), 4)[1] == 1.0
+    assert np.isnan(observability(np.zeros((0, 0)), 0, np.zeros(0, bool), np.zeros(0), 0)).all()
+
+
+def test_what_the_rig_explains_counts_nothing_for_observability():
+    root = np.linalg.qr(np.array([[3.0, 3.0], [4.0, 0.0]]), mode="r")  # the robot's column, then the rig's
+    assert observability(root, 1, np.ones(1, bool), np.ones(1), 2)[2] == pytest.approx(4.0)
+
+
+def test_the_suggested_set_holds_what_the_papers_hold():
+    """b = 2a and d = a + c: of a, b, d one may be free beside c, and the preference says which."""
+    rng = np.random.default_rng(3)
+    a, c = rng.normal(size=(2, 20))
+    root = np.linalg.qr(np.column_stack([a, 2 * a, c, a + c]), mode="r")
+    for prefer, expected in (("0110", "0110"), ("1010", "1010"), ("0001", None), ("0011", "0011")):
+        mask = np.array([ch == "1" for ch in prefer])
+        free = suggested_free(root, 4, mask)
+        assert free.sum() == 2
+        assert free[mask].all()
+        if expected:
+            assert free.tolist() == [ch == "1" for ch in expected]
+        assert np.linalg.matrix_rank(root[:, free]) == 2
+    with_rig = np.linalg.qr(np.column_stack([a, c, a + c, 3 * a]), mode="r")
+    assert suggested_free(with_rig, 3, np.ones(3, bool)).sum() == 1  # a is the rig's
+
+
+def test_more_rows_keep_the_set_and_add_to_it():
+    rng = np.random.default_rng(4)
+    rows = rng.normal(size=(3, 7))
+    first = suggested_free(np.linalg.qr(np.vstack([rows, np.zeros((4, 7))]), mode="r"), 7, np.ones(7, bool))
+    more = np.linalg.qr(np.vstack([rows, rng.normal(size=(2, 7)), np.zeros((2, 7))]), mode="r")
+    second = suggested_free(more, 7, np.ones(7, bool), first)
+    assert (first.sum(), second.sum()) == (3, 5)
+    assert second[first].all()

@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from device_bench import join, rows
 from puma_bench import BARS, CHAIN, CHUCKS, RIG, SPHERES, random_table
 
 from truearm.errors import ProblemError
 from truearm.estimate.identify import identify
 from truearm.estimate.prior import robot_prior
 from truearm.estimate.problem import build_problem
-from truearm.types import BallBar, ObservationTable, Point, Rig, SocketDistance
+from truearm.types import BallBar, Device, ObservationTable, Plane, Point, Rig, SocketDistance
 
 TABLE = random_table(18, np.random.default_rng(0))
 
@@ -44,7 +45,7 @@ def test_a_bad_cell(column, value, says):
 
 def test_bad_joint_readings():
     with pytest.raises(ProblemError, match="the table has 5 joints, robot puma560 has 6"):
-        build_problem(CHAIN, RIG, replace(TABLE, q=TABLE.q[:, :5]))
+        build_problem(CHAIN, RIG, replace(TABLE, q=TABLE.q[:, :5], q_rate=TABLE.q_rate[:, :5]))
     q = TABLE.q.copy()
     q[7, 2] = np.nan
     with pytest.raises(ProblemError, match="row 8: a joint reading is not a finite number"):
@@ -54,13 +55,13 @@ def test_bad_joint_readings():
 def test_an_empty_name_means_the_only_one():
     one = Rig(CHUCKS, SPHERES, {"b": BARS["short"]})
     problem = build_problem(CHAIN, one, replace(TABLE, bar=np.full(18, "")))
-    assert problem.groups[0].sigma == pytest.approx(BARS["short"].sigma)
+    np.testing.assert_allclose(problem.groups[0].sensor_cov, BARS["short"].sigma ** 2, rtol=1e-15)
 
 
 def test_sigma_of_the_row_comes_before_the_bars():
     problem = build_problem(CHAIN, RIG, with_cell("sigma", 3, 2e-3))
-    assert problem.groups[0].sigma[3] == 2e-3
-    assert problem.groups[0].sigma[4] == BARS["short"].sigma
+    assert problem.groups[0].sensor_cov[3, 0] == 2e-3**2
+    assert problem.groups[0].sensor_cov[4, 0] == BARS["short"].sigma ** 2
 
 
 def test_only_what_is_used_and_not_known_becomes_a_parameter():
@@ -153,3 +154,114 @@ def test_a_wild_prior_mean_of_the_bars_gain_does_no_harm():
     """Gains near zero divide by nearly nothing; the step is refused, not an exception."""
     rig = Rig(CHUCKS, SPHERES, {"short": BallBar("short", 0.46, 1e-6, 0.075, 84e-6, gain_sigma=10.0)})
     assert identify(CHAIN, rig, TABLE, max_iterations=5).status in ("converged", "max_iterations", "stalled")
+
+
+COV = ((1e-8, 0.0, 0.0), (0.0, 1e-8, 0.0), (0.0, 0.0, 1e-8))
+AT = (1.0, 0.0, 0.0)
+POINT = {"xyz": np.array([[0.0, 0.1, 0.0], [0.0, 0.2, 0.0]])}
+FLAT = Plane("p", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1e-5)
+Q = np.random.default_rng(2).uniform(-1.0, 1.0, (2, 6))
+TILTED = {"sensor_cov": ((1e-8, 1.0, 0.0), (1.0, 1e-8, 0.0), (0.0, 0.0, 1e-8))}
+
+
+def tracker(**fields):
+    return Rig(trackers={"t": replace(Device("t", COV, rotation_sigma=1e-4), **fields)})
+
+
+@pytest.mark.parametrize(
+    ("rig", "kind", "columns", "says"),
+    [
+        (Rig(), "line", {"line": "l"}, "line 1: a line row needs x, y and z"),
+        (Rig(), "position", {"tracker": "t", **POINT}, "position 1: tracker 't' is not in the rig, which has none"),
+        (Rig(lines={"l": Device("l", COV)}), "line", {"line": "k", **POINT}, "line 'k' is not in the rig, which has l"),
+        (Rig(line_placement="by eye"), "line", {"line": "l", **POINT}, "line_placement 'by eye' is not known"),
+        (
+            Rig(line_sigma=(0.0, 1.0, 1.0)),
+            "line",
+            {"line": "l", **POINT},
+            "sensor_cov of 'l' must be positive definite",
+        ),
+        (tracker(**TILTED), "position", {"tracker": "t", **POINT}, "positive definite"),
+        (tracker(sensor_cov=((1e-8,),)), "position", {"tracker": "t", **POINT}, "symmetric 3×3"),
+        (
+            tracker(sigma=0.0),
+            "position",
+            {"tracker": "t", **POINT},
+            r"tracker\.t has sigma 0, known exactly, but no xyz",
+        ),
+        (tracker(xyz=AT, sigma=-1.0), "position", {"tracker": "t", **POINT}, r"tracker\.t\.x is 1 ± -1"),
+        (tracker(xyz=(np.nan, 0.0, 0.0)), "position", {"tracker": "t", **POINT}, r"tracker\.t\.x is nan"),
+        (
+            tracker(xyz=AT, rotation=(np.inf, 0, 0)),
+            "position",
+            {"tracker": "t", **POINT},
+            "rotation that is not finite",
+        ),
+        (tracker(), "pose", {"tracker": "t", **POINT}, "pose 1: a pose row needs rx, ry and rz"),
+        (
+            tracker(rotation_sigma=None),
+            "pose",
+            {"tracker": "t", "rotation": np.zeros((2, 3)), **POINT},
+            "pose 1: a pose row needs a tracker with a rotation_sigma",
+        ),
+        (tracker(), "position", {"tracker": "t", "sigma": np.array([1e-5, 0.0]), **POINT}, "position 2: sigma must be"),
+        (
+            Rig(time_offset_sigma=None),
+            "line",
+            {"line": "l", "q_rate": np.array([[1.0] * 6, [1.0] * 5 + [np.nan]]), **POINT},
+            "line 2: needs the velocities of all joints",
+        ),
+        (Rig(time_offset=np.nan), "line", {"line": "l", **POINT}, "time_offset is nan"),
+        (Rig(), "plane", {"plane": "p"}, "plane 1: plane 'p' is not in the rig"),
+        (Rig(planes={"p": FLAT}), "plane", {"plane": "p", "value": np.array([0.0, np.inf])}, "plane 2: its distance"),
+        (Rig(planes={"p": replace(FLAT, normal=(0, 0, 0))}), "plane", {"plane": "p"}, "its normal not zero"),
+        (Rig(planes={"p": replace(FLAT, sigma=0.0)}), "plane", {"plane": "p"}, "plane 1: sigma must be positive"),
+        (Rig(joint_cov=((1.0,),)), "line", {"line": "l", **POINT}, "joint_cov must be 6×6"),
+        (Rig(joint_cov=((1.0, 0.0), (1.0,))), "line", {"line": "l", **POINT}, "joint_cov must be 6×6"),
+        (
+            Rig(joint_cov=tuple(map(tuple, -np.eye(6)))),
+            "line",
+            {"line": "l", **POINT},
+            "joint_cov has a negative eigenvalue",
+        ),
+        (
+            Rig(joint_cov=tuple(map(tuple, np.triu(np.ones((6, 6)))))),
+            "line",
+            {"line": "l", **POINT},
+            "joint_cov must be a symmetric",
+        ),
+    ],
+)
+def test_devices_and_rows_that_make_no_problem(rig, kind, columns, says):
+    with pytest.raises(ProblemError, match=says) as caught:
+        build_problem(CHAIN, rig, rows(kind, Q, **columns))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_device_goes_by_the_rigs_key_and_the_only_one_needs_no_name():
+    rig = Rig(trackers={"left": Device("same", COV), "right": Device("same", COV)})
+    t = rows("position", Q, tracker="left", **POINT)
+    both = build_problem(CHAIN, rig, replace(t, tracker=np.array(["left", "right"])))
+    assert both.names[54::6] == ("tracker.left.x", "tracker.right.x")
+    alone = build_problem(CHAIN, Rig(trackers={"left": Device("same", COV)}), replace(t, tracker=np.array(["", ""])))
+    assert alone.names[54] == "tracker.left.x"
+    assert build_problem(CHAIN, Rig(), rows("line", Q, **POINT)).names[54] == "line.x"
+
+
+def test_the_rows_sigma_comes_before_the_devices():
+    rig = tracker(sensor_cov=((1e-8, 1e-9, 0.0), (1e-9, 1e-8, 0.0), (0.0, 0.0, 1e-8)))
+    t = rows("position", Q, tracker="t", sigma=np.array([np.nan, 1e-3]), **POINT)
+    (group,) = build_problem(CHAIN, rig, t).groups
+    np.testing.assert_array_equal(group.sensor_cov[0], rig.trackers["t"].sensor_cov)
+    np.testing.assert_array_equal(group.sensor_cov[1], 1e-3**2 * np.eye(3))
+
+
+def test_unknowns_of_devices_have_units_and_priors():
+    rig = replace(tracker(xyz=AT, sigma=0.1, turn_sigma=0.05), planes={"p": replace(FLAT, offset_sigma=0.0)})
+    t = rows("position", Q, tracker="t", **POINT)
+    touch = rows("plane", Q, plane="p")
+    problem = build_problem(CHAIN, rig, join(t, touch))
+    assert problem.units[54:] == ("m", "m", "m", "rad", "rad", "rad", "rad", "rad")
+    np.testing.assert_array_equal(problem.prior_sigma[54:], [0.1] * 3 + [0.05] * 3 + [np.inf] * 2)
+    assert problem.names[60:] == ("plane.p.tilt1", "plane.p.tilt2")
+    np.testing.assert_array_equal(problem.start[54:], [1.0] + [0.0] * 7)

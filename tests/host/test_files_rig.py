@@ -1,17 +1,50 @@
 """Rig files: what is written comes back, what is wrong is told with entry and key."""
 
+import math
+import re
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from truearm.errors import RigError
 from truearm.files.rig import format_rig, parse_rig, read_rig, write_rig
-from truearm.types import BallBar, Point, Rig, SocketDistance
+from truearm.types import BallBar, Device, Plane, Point, Rig, SocketDistance
 
 FULL = """
 seat_sigma_mm = 0.05
+line_sigma_mm = [0.06, 0.1, 0.07]
+line_placement = "two_point"
+time_offset_sigma_ms = 5
+joint_sigma_deg = [0.01, 0.02]
+[[target]]
+name = "ball"
+xyz_mm = [0, 0, 120]
+[[line]]
+name = "left"
+sigma_mm = [0.06, 0.1, 0.06]
+[[line]]
+name = "right"
+covariance_m2 = [[1e-8, 1e-9, 0], [1e-9, 2e-8, 0], [0, 0, 1e-8]]
+position_sigma_mm = 100
+turn_sigma_deg = 5
+[[tracker]]
+name = "t"
+sigma_m = [1e-5, 1e-5, 2e-5]
+xyz_mm = [1000, 0, 500]
+rotation_deg = [0, 0, 90]
+position_sigma_m = 0
+turn_sigma_rad = 0
+rotation_sigma_rad = 1e-4
+[[plane]]
+name = "table"
+xyz_m = [0.5, 0, 0]
+normal = [0, 0, 1]
+sigma_mm = 0.02
+tilt_sigma_deg = 1
 [[chuck]]
 name = "c1"
 xyz_mm = [100, -200.5, 0]
@@ -50,6 +83,40 @@ def test_every_entry_is_read_in_si() -> None:
     assert rig.socket_distances[0].distance == pytest.approx(0.05, rel=1e-15)
 
 
+def test_devices_are_read_in_si() -> None:
+    rig = parse_rig(FULL, "rig.toml")
+    assert rig.targets["ball"].xyz == pytest.approx((0.0, 0.0, 0.12), rel=1e-15)
+    assert rig.line_sigma == pytest.approx((6e-5, 1e-4, 7e-5), rel=1e-15)
+    assert (rig.line_placement, rig.time_offset, rig.time_offset_sigma) == ("two_point", 0.0, 0.005)
+    assert np.diag(np.array(rig.joint_cov)) == pytest.approx(np.radians([0.01, 0.02]) ** 2, rel=1e-15)
+    left, right, tracker = rig.lines["left"], rig.lines["right"], rig.trackers["t"]
+    assert np.array(left.sensor_cov) == pytest.approx(np.diag([3.6e-9, 1e-8, 3.6e-9]), rel=1e-12)
+    assert (left.xyz, left.sigma, left.turn_sigma, left.rotation_sigma) == (None, None, None, None)
+    assert right.sensor_cov[0] == (1e-8, 1e-9, 0.0)
+    assert (right.sigma, right.turn_sigma) == pytest.approx((0.1, math.radians(5)), rel=1e-15)
+    assert tracker.rotation == pytest.approx((0.0, 0.0, math.pi / 2), rel=1e-15)
+    assert (tracker.xyz, tracker.sigma, tracker.turn_sigma, tracker.rotation_sigma) == ((1.0, 0.0, 0.5), 0.0, 0.0, 1e-4)
+    flat = rig.planes["table"]
+    assert (flat.normal, flat.offset_sigma, flat.tilt_sigma) == ((0.0, 0.0, 1.0), None, math.radians(1))
+
+
+def test_the_rig_of_the_document_is_one() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "table-format.md").read_text(encoding="utf-8")
+    rig = parse_rig(re.findall(r"```toml\n(.*?)```", text, re.DOTALL)[0], "table-format.md")
+    for name in (
+        "chucks",
+        "spheres",
+        "bars",
+        "socket_distances",
+        "targets",
+        "lines",
+        "trackers",
+        "planes",
+        "joint_cov",
+    ):
+        assert getattr(rig, name), f"{name} is missing in the example"
+
+
 def test_an_empty_rig_is_the_default_rig() -> None:
     assert parse_rig("", "rig.toml") == Rig()
 
@@ -62,20 +129,38 @@ bars = st.builds(BallBar, names, sizes, sizes, sizes, sizes, st.floats(0.0, 100.
 distances = st.builds(SocketDistance, st.lists(names, min_size=2, max_size=2, unique=True).map(tuple), sizes, sizes)
 
 
-@settings(max_examples=60, deadline=None)
-@given(
-    st.lists(points, max_size=3), st.lists(points, max_size=3), st.lists(bars, max_size=2), st.lists(distances), sizes
+turns = st.tuples(*[st.floats(-6.0, 6.0)] * 3)
+sigmas = st.none() | st.floats(0.0, 1.0)
+variances = st.floats(1e-12, 1e-4)
+covariances = st.builds(lambda a, b, c: ((a, 0.0, 0.0), (0.0, b, 0.0), (0.0, 0.0, c)), *[variances] * 3)
+placed = st.builds(Device, names, covariances, coordinates, turns, sigmas, sigmas, st.none() | st.floats(1e-9, 1.0))
+unplaced = st.builds(Device, names, covariances, sigma=st.none() | sizes, turn_sigma=st.none() | st.floats(1e-9, 1.0))
+devices = placed | unplaced
+planes = st.builds(Plane, names, coordinates, coordinates.filter(any), sizes, sigmas, sigmas)
+
+
+def by_name(things: st.SearchStrategy[Any]) -> st.SearchStrategy[dict[str, Any]]:
+    return st.lists(things, max_size=2).map(lambda some: {thing.name: thing for thing in some})
+
+
+rigs = st.builds(
+    Rig,
+    *(by_name(points), by_name(points), by_name(bars), st.lists(distances, max_size=2).map(tuple), sizes),
+    targets=by_name(points),
+    lines=by_name(devices),
+    line_sigma=st.tuples(*[st.floats(1e-9, 1.0)] * 3),
+    line_placement=st.sampled_from(["least_squares", "two_point"]),
+    trackers=by_name(devices),
+    planes=by_name(planes),
+    time_offset=st.floats(-1.0, 1.0),
+    time_offset_sigma=sigmas,
+    joint_cov=st.just(()) | covariances,
 )
-def test_a_written_rig_comes_back_bit_for_bit(
-    chucks: list[Point], spheres: list[Point], bars: list[BallBar], distances: list[SocketDistance], seat_sigma: float
-) -> None:
-    rig = Rig(
-        {p.name: p for p in chucks},
-        {p.name: p for p in spheres},
-        {b.name: b for b in bars},
-        tuple(distances),
-        seat_sigma,
-    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(rigs)
+def test_a_written_rig_comes_back_bit_for_bit(rig: Rig) -> None:
     assert parse_rig(format_rig(rig), "rig.toml") == rig
 
 
@@ -86,6 +171,7 @@ def test_write_and_read(tmp_path: Path) -> None:
 
 
 BAR = '[[bar]]\nname="b"\nzero_m=0.4\ntravel_m=0.1\nsigma_m=1e-4\n'
+LINE = '[[line]]\nname="l"\nsigma_mm=[0.1, 0.1, 0.1]\n'
 WRONG = {
     "no TOML": ("chuck = [", "is not TOML"),
     "deep": ("a = " + "[" * 100_000, "nested too deeply"),
@@ -109,6 +195,21 @@ WRONG = {
     "unknown word": ('[[chuck]]\nname = "c"\nxyz_m = [0, 0, 0]\nsigma_m = "unkown"\n', "sigma must be a number"),
     "two coordinates": ('[[sphere]]\nname = "s"\nxyz_m = [0, 0]\n', "three numbers"),
     "one socket": ('[[socket_distance]]\nsockets = ["0"]\n', "two names"),
+    "line known nowhere": (LINE + "position_sigma_m = 0\n", "[[line]] 1: a pose known exactly (sigma 0) needs xyz_m"),
+    "turned nowhere": (LINE + "rotation_rad = [0, 0, 1]\n", "has a rotation but no xyz_m"),
+    "one sigma of three": (LINE.replace("[0.1, 0.1, 0.1]", "0.1"), "sigma must be three numbers"),
+    "exact sensor": (LINE.replace("[0.1,", "[0.0,"), "sigma must be greater than 0"),
+    "sigma twice": (LINE + "covariance_m2 = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n", "both a sigma and a covariance_m2"),
+    "two rows": ('[[line]]\nname="l"\ncovariance_m2 = [[1, 0], [0, 1]]\n', "covariance_m2 must be 3 rows of 3"),
+    "skewed": ('[[line]]\nname="l"\ncovariance_m2 = [[1, 1, 0], [0, 1, 0], [0, 0, 1]]\n', "must be symmetric"),
+    "no covariance": ('[[line]]\nname="l"\ncovariance_m2 = [[1, 2, 0], [2, 1, 0], [0, 0, 1]]\n', "eigenvalue of -1"),
+    "singular sensor": ('[[line]]\nname="l"\ncovariance_m2 = [[1, 1, 0], [1, 1, 0], [0, 0, 1]]\n', "no covariance"),
+    "ragged joints": ("joint_cov_si = [[1, 0], [0]]\n", "joint_cov must be as many rows of as many numbers"),
+    "wild joints": ("joint_cov_si = [[-1.0]]\n", "eigenvalue of -1"),
+    "joints twice": ("joint_cov_si = [[1.0]]\njoint_sigma_rad = [1.0]\n", "both joint_cov_si and joint_sigma_rad"),
+    "unknown placement": ('line_placement = "by eye"\n', "line_placement must be 'least_squares' or 'two_point'"),
+    "listed placement": ("line_placement = [1]\n", "line_placement must be"),
+    "flat normal": ('[[plane]]\nname="p"\nxyz_m=[0,0,0]\nnormal=[0,0,0]\nsigma_m=1e-5\n', "normal must not be zero"),
     "same socket": ('[[socket_distance]]\nsockets = ["0", "0"]\n', "from itself"),
 }
 

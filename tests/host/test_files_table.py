@@ -9,10 +9,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from truearm.errors import TableError
-from truearm.files.table import check_against_rig, concatenate, format_table, parse_table, read_table, write_table
-from truearm.types import BallBar, ObservationTable, Point, Rig, SocketDistance
+from truearm.files.table import (
+    NEEDS,
+    check_against_rig,
+    concatenate,
+    format_table,
+    parse_table,
+    read_table,
+    write_table,
+)
+from truearm.types import BallBar, Device, ObservationTable, Plane, Point, Rig, SocketDistance
 
 GOOD = "kind,q1_rad,q2_deg,length_mm,sigma_mm,bar,chuck,sphere,shell\nball_bar,0.5,90,460.25,0.1,b46,c1,s1,low\n"
+LINE = "kind,q1_rad,qd1_deg_s,line,x_mm,y_mm,z_mm\nline,0.5,10,left,0.1,250.5,-2\n"
 SEAT = "kind,q1_rad,place,socket\nseat,0.5,front,0\n"
 
 
@@ -28,6 +37,19 @@ def test_seat_rows_have_no_length_and_prismatic_joints_are_in_metres() -> None:
     assert table.q[0, 0] == pytest.approx(0.25, rel=1e-15)
     assert math.isnan(table.value[0])
     assert math.isnan(table.sigma[0])
+
+
+def test_a_line_row_has_a_point_and_maybe_velocities() -> None:
+    table = parse_table(LINE + "line,0.5,,left,0.1,250.5,-2\n", "t.csv", ("rad",))
+    np.testing.assert_allclose(table.xyz, [[1e-4, 0.2505, -2e-3]] * 2, rtol=1e-15)
+    np.testing.assert_allclose(table.q_rate, [[math.radians(10.0)], [math.nan]], rtol=1e-15)
+    assert table.line.tolist() == ["left", "left"]
+    assert np.isnan(table.rotation).all()
+
+
+def test_only_x_in_metres_is_a_measurement() -> None:
+    table = parse_table(SEAT.replace("socket", "socket,x_cm,x_").replace("front,0", "front,0,warm,1"), "t.csv")
+    assert np.isnan(table.xyz).all()
 
 
 def test_blank_lines_do_not_count_as_rows() -> None:
@@ -53,22 +75,38 @@ lengths = st.floats(min_value=1e-9, max_value=100.0)
 @st.composite
 def tables(draw: st.DrawFn) -> ObservationTable:
     joints, n = draw(st.integers(1, 8)), draw(st.integers(1, 5))
-    bar = np.array(draw(st.lists(st.booleans(), min_size=n, max_size=n)))
-    column = [draw(st.lists(names, min_size=n, max_size=n)) for _ in range(6)]
-    measured = np.array(draw(st.lists(lengths, min_size=n, max_size=n)))
+    kind = np.array(draw(st.lists(st.sampled_from(sorted(NEEDS)), min_size=n, max_size=n)))
+
+    def identifier(*kinds: str) -> np.ndarray:
+        return np.where(np.isin(kind, kinds), draw(st.lists(names, min_size=n, max_size=n)), "")
+
+    def matrix(numbers: st.SearchStrategy[float], columns: int) -> np.ndarray:
+        row = st.lists(numbers, min_size=columns, max_size=columns)
+        return np.array(draw(st.lists(row, min_size=n, max_size=n)))
+
+    pointed, every = np.isin(kind, ("line", "position", "pose"))[:, None], sorted(NEEDS)
+    moving = np.array(draw(st.lists(st.booleans(), min_size=n, max_size=n)))[:, None]
     sigma = np.array(draw(st.lists(st.just(math.nan) | st.floats(1e-9, 0.1), min_size=n, max_size=n)))
     return ObservationTable(
-        q=np.array(draw(st.lists(st.lists(angles, min_size=joints, max_size=joints), min_size=n, max_size=n))),
-        kind=np.where(bar, "ball_bar", "seat"),
-        value=np.where(bar, measured, math.nan),
+        q=matrix(angles, joints),
+        kind=kind,
+        value=np.where(np.isin(kind, ("ball_bar", "plane")), matrix(lengths, 1)[:, 0], math.nan),
         sigma=sigma,
-        bar=np.where(bar, column[0], ""),
-        chuck=np.where(bar, column[1], ""),
-        sphere=np.array(column[2]),
-        socket=np.where(bar, "", column[3]),
-        place=np.array(column[4]),
-        shell=np.array(column[5]),
+        bar=identifier("ball_bar"),
+        chuck=identifier("ball_bar"),
+        sphere=identifier("ball_bar", "seat"),
+        socket=identifier("seat"),
+        place=identifier(*every),
+        shell=identifier(*every),
         source=np.array([f"t.csv row {i + 2}" for i in range(n)]),
+        xyz=np.where(pointed, matrix(st.floats(-100.0, 100.0), 3), math.nan),
+        rotation=np.where(kind[:, None] == "pose", matrix(st.floats(-6.0, 6.0), 3), math.nan),
+        q_rate=np.where(moving, matrix(angles, joints), math.nan),
+        target=identifier("line", "position", "pose", "plane"),
+        line=identifier("line"),
+        tracker=identifier("position", "pose"),
+        plane=identifier("plane"),
+        rig=identifier(*every),
     )
 
 
@@ -95,7 +133,7 @@ WRONG = {
     "no header": ("seat,0.5,front,0\n", "'seat'"),
     "semicolons": (SEAT.replace(",", ";"), "separate them by commas"),
     "no kind": ("q1_rad,place\n0,a\n", "no column 'kind'"),
-    "unknown column": ("kind,q1_rad,plaec\nseat,0,a\n", "did you mean place?"),
+    "unknown column": ("kind,q1_rad,plaec\nseat,0,a\n", "did you mean plane or place?"),
     "nothing like it": ("kind,q1_rad,temperature\nseat,0,20\n", "x_"),
     "no unit": ("kind,q1\nseat,0\n", "name it q1_rad or q1_deg"),
     "length without unit": ("kind,q1_rad,length\nball_bar,0,1\n", "name it length_m or length_mm"),
@@ -119,6 +157,20 @@ WRONG = {
     "no chuck": (GOOD.replace("c1", ""), "needs a chuck"),
     "no length": (GOOD.replace("460.25", ""), "needs length_mm or length_m"),
     "length of a seat": ("kind,q1_rad,length_m,place,socket\nseat,0,1,a,0\n", "has no length"),
+    "line without its name": (LINE.replace("left", ""), "a line row needs a line"),
+    "line without a point": ("kind,q1_rad,line\nline,0,left\n", "a line row needs x_mm, y_mm, z_mm"),
+    "half a point": (LINE.replace("250.5", ""), "row 2: needs x, y and z, or none of them"),
+    "point of a seat": (
+        SEAT.replace("socket", "socket,x_m,y_m,z_m").replace("front,0", "front,0,1,1,1"),
+        "has no x_mm",
+    ),
+    "point in cm": (LINE.replace("y_mm", "y_cm"), "unit 'cm' is not known"),
+    "pose without a turn": ("kind,q1_rad,tracker,x_m,y_m,z_m\npose,0,t,0,0,0\n", "needs rx_rad, ry_rad, rz_rad"),
+    "turn in degrees called rad": ("kind,q1_rad,rx_rad\nseat,0,90\n", "too large for rad"),
+    "touch of no plane": ("kind,q1_rad,plane\nplane,0,\n", "a plane row needs a plane"),
+    "speed of one joint": ("kind,q1_rad,q2_rad,qd1_rad_s,place,socket\nseat,0,0,0,a,0\n", "2 joint columns but 1"),
+    "speed of a slide": ("kind,q1_rad,qd1_mm_s,place,socket\nseat,0,0,a,0\n", "qd1_mm_s: does not fit q1_rad"),
+    "speed without per second": ("kind,q1_rad,qd1_rad\nseat,0,0\n", "'rad' is not known; use one of rad_s"),
     "degrees called rad": (SEAT.replace("0.5", "95"), "in another unit"),
     "mm called m": (GOOD.replace("length_mm", "length_m"), "in another unit"),
     "negative length": (GOOD.replace("460.25", "-1"), "greater than 0"),
@@ -166,6 +218,20 @@ def test_rows_that_name_what_the_rig_lacks_are_told() -> None:
     with pytest.raises(TableError, match=r"column chuck: 'c7' is not in the rig \(it has c1\)"):
         check_against_rig(parse_table(GOOD.replace("c1", "c7"), "t.csv"), rig)
     check_against_rig(parse_table(SEAT, "t.csv"), Rig())
+
+
+def test_devices_that_the_rig_lacks_are_told() -> None:
+    lines, point = parse_table(LINE, "t.csv"), (0.0, 0.0, 0.0)
+    check_against_rig(lines, Rig())  # lines come as they are, until a rig lists them
+    cov = ((1e-8, 0.0, 0.0), (0.0, 1e-8, 0.0), (0.0, 0.0, 1e-8))
+    with pytest.raises(TableError, match=r"column line: 'left' is not in the rig \(it has right\)"):
+        check_against_rig(lines, Rig(lines={"right": Device("right", cov)}))
+    with pytest.raises(TableError, match=r"column target: is empty; name one of the rig's \(a, b\)"):
+        check_against_rig(lines, Rig(targets={name: Point(name, point) for name in "ab"}))
+    touch = parse_table("kind,q1_rad,plane\nplane,0,floor\n", "t.csv")
+    check_against_rig(touch, Rig(planes={"floor": Plane("floor", point, (0.0, 0.0, 1.0), 1e-5)}))
+    with pytest.raises(TableError, match="column plane: 'floor' is not in the rig"):
+        check_against_rig(touch, Rig())
 
 
 def test_seats_that_do_not_fit_the_rig_are_told() -> None:

@@ -1,4 +1,4 @@
-"""Robot files: the built-in PUMA 560 and refusal of files with holes."""
+"""Robot files: the built-in PUMA 560, the four conventions, and refusal of files with holes."""
 
 import numpy as np
 import pytest
@@ -66,19 +66,37 @@ def test_units_of_a_file_become_si():
     ("old", "new", "says"),
     [
         ('name = "tiny"', "name = 3", "name must be a text"),
-        ("sheth_uicker", "dh", "convention 'dh' is not known"),
+        ('name = "tiny"', 'name = "a\\nb"', "name must be a text of one line"),
+        ('name = "tiny"', "", "name must be a text"),
+        ('name = "tiny"', 'name = "tiny"\nsource = ["x"]', "source must be a text"),
+        ("sheth_uicker", "hayati", "convention hayati is not known; use sheth_uicker, dh, modified_dh, elementary"),
+        ("sheth_uicker", "dh", "unknown table or key link1"),
+        ("[link1]", '["li\\nnk1"]', r"unknown table or key 'li\\nnk1'"),
         ("[link2]", "[link3]", "table or key link2|table or key link3"),
         ("z_m = { design = 1.0 }", "", "link1 needs exactly one of z_m, z_cm, z_mm"),
         ("z_m = { design = 1.0 }", "z_m = { design = 1.0 }\nz_cm = { design = 1.0 }", "exactly one of z_m"),
         ("z_m = { design = 1.0 }", "z = { design = 1.0 }", "link1 needs exactly one of z_m"),
-        ("z_m = { design = 1.0 }", "z_m = 1.0", "link1.z_m must be a table"),
+        ("z_m = { design = 1.0 }", 'z_m = "1.0"', "link1.z_m must be a finite number, or a table"),
+        ("z_m = { design = 1.0 }", "z_m = [1.0]", "link1.z_m must be a finite number, or a table"),
+        ("z_m = { design = 1.0 }", "z_m = { design = { design = 1.0 } }", "link1.z_m.design must be a finite number"),
+        ("z_m = { design = 1.0 }", "z_m = { design = 1e299 }", "more than any robot has"),
+        ("z_m = { design = 1.0 }", "z_m = { design = 1e400 }", "must be a finite number"),
+        ("z_m = { design = 1.0 }", f"z_m = {{ design = {'9' * 400} }}", "must be a finite number"),
+        ("z_m = { design = 1.0 }", f"z_m = {{ design = {'9' * 9000} }}", "not valid TOML"),
+        ("z_m = { design = 1.0 }", "z_m = { design = 1000 }", "is the unit right"),
+        ("z_m = { design = 1.0 }", "z_m = {}", "same sets of values"),
         ("z_m = { design = 1.0 }", "z_m = { design = inf }", "link1.z_m.design must be a finite number"),
         ("z_m = { design = 1.0 }", "z_m = { design = true }", "must be a finite number"),
         ("z_m = { design = 1.0 }", "z_m = { other = 1.0 }", "same sets of values"),
         ("z_m = { design = 1.0 }", "z_m = { design = 1.0, held = 1 }", "held must be true or false"),
         ("z_m = { design = 1.0 }", "z_m = { design = 1.0 }\nweight = 3", "unknown key link1.weight"),
         ('nominal = "design"', 'nominal = "drawing"', "'drawing' among them"),
-        ("prismatic", "ball", "joint1.kind is 'ball'"),
+        ("prismatic", "ball", "joint1.kind must be revolute or prismatic"),
+        ('kind = "prismatic"', "kind = []", "joint1.kind must be revolute or prismatic"),
+        ("gain = { design = 1.0 }", "gain = 1.0", "joint1.gain must be a table of values"),
+        ("gain = { design = 1.0 }", "gain = { design = 0.0 }", "none of them 0"),
+        ("[joint1]", "[joint2]", "missing table or key joint1|missing table or key link3|unknown table or key joint2"),
+        ("[joint1]", "[joint01]", "missing table or key joint1|unknown table or key joint01"),
         ("upper_mm = 5.0", "upper_mm = -5.0", "not below"),
         ("upper_mm = 5.0", "upper_deg = 5.0", "joint1 needs exactly one of upper_m"),
         ("[joint1]", "[joint1", "not valid TOML"),
@@ -97,6 +115,8 @@ def test_unknown_robot_and_oversized_file():
         parse_robot("#" * 2_000_000)
     with pytest.raises(RobotError, match="TOML"):
         parse_robot("a = " + "[" * 100_000)
+    with pytest.raises(RobotError, match="65 joints"):
+        parse_robot(TINY + "\n".join(f"[joint{i}]" for i in range(2, 66)))
 
 
 def test_sheth_uicker_checks_its_numbers():
@@ -105,3 +125,171 @@ def test_sheth_uicker_checks_its_numbers():
         chain_from_sheth_uicker("r", joints, np.zeros(13))
     with pytest.raises(RobotError, match=r"joint1\.gain is not finite"):
         chain_from_sheth_uicker("r", joints, np.where(np.arange(14) == 7, np.nan, 0.0))
+
+
+DH = """
+name = "two"
+convention = "dh"
+source = "made up"
+nominal = "design"
+base_frame = "base"
+end_frame = "end"
+[joint1]
+kind = "revolute"
+lower_deg = -90.0
+upper_deg = 90.0
+offset_deg = { design = 10.0, measured = 11.0 }
+gain = { design = -1.0, measured = -1.01, held = true }
+d_mm = 100
+a_mm = { design = 300.0, measured = 301.0 }
+alpha_deg = { design = 0.0, measured = 0.1 }
+beta_deg = { design = 0.0, measured = 0.2 }
+[joint2]
+kind = "prismatic"
+lower_mm = 0.0
+upper_mm = 200.0
+theta_deg = { design = 90.0, measured = 90.0 }
+offset_mm = { design = 50.0, measured = 50.0 }
+a_cm = { design = 20.0, measured = 20.0 }
+alpha_deg = { design = 180.0, measured = 180.0 }
+"""
+
+
+def test_a_number_is_a_constant_and_a_table_a_parameter():
+    robot = parse_robot(DH)
+    joint1 = ("joint1.offset", "joint1.gain", "joint1.a", "joint1.alpha", "joint1.beta")
+    assert robot.chain.parameter_names == (*joint1, "joint2.theta", "joint2.offset", "joint2.a", "joint2.alpha")
+    assert [p.unit for p in robot.chain.parameters] == ["rad", "1", "m", "rad", "rad", "rad", "m", "m", "rad"]
+    assert robot.source == "made up"
+    assert robot.free.tolist() == [True, False] + [True] * 7
+    assert robot.parameter_sets["measured"][2] == pytest.approx(0.301)
+    # joint 2 has no gain, so it is 1; joint 1 turns against its reading: 10° − 40° = −30°
+    pose = forward(robot.chain, robot.chain.params_nominal, np.array([np.radians(40.0), 0.02]))
+    c, s = np.cos(np.pi / 6), np.sin(np.pi / 6)
+    np.testing.assert_allclose(pose[:3, 3], [0.3 * c + 0.2 * s, -0.3 * s + 0.2 * c, 0.17], atol=1e-15)
+
+
+def test_the_same_rows_in_the_modified_form():
+    robot = parse_robot(DH.replace('"dh"', '"modified_dh"'))
+    joint1 = ("joint1.beta", "joint1.alpha", "joint1.a", "joint1.offset", "joint1.gain")
+    assert robot.chain.parameter_names == (*joint1, "joint2.alpha", "joint2.a", "joint2.theta", "joint2.offset")
+    # x of joint 1 lies 0.3 along the base's, y and z of joint 2 are turned over
+    pose = forward(robot.chain, robot.chain.params_nominal, np.array([np.radians(10.0), 0.02]))
+    np.testing.assert_allclose(pose[:3, 3], [0.5, 0.0, 0.1 - 0.07], atol=1e-15)
+
+
+def test_a_link_may_be_constant_in_part():
+    robot = parse_robot(TINY.replace("z_m = { design = 1.0 }", "z_m = 1.0"))
+    assert "link1.z" not in robot.chain.parameter_names
+    pose = forward(robot.chain, robot.chain.params_nominal, np.array([3e-3]))
+    np.testing.assert_allclose(pose[:3, 3], [1e-3, 1e-2, 1.005])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("d_mm = 100\n", "", "joint1 needs exactly one of d_m, d_cm, d_mm"),
+        ("beta_deg = { design = 0.0, measured = 0.2 }", "beta_mm = 1.0", "joint1 needs exactly one of beta_rad"),
+        ("theta_deg", "d_deg", "joint2 needs exactly one of theta_rad, theta_deg"),
+        ("a_cm = { design = 20.0, measured = 20.0 }", "a_cm = { design = 20.0 }", "same sets of values"),
+        ("[joint2]", "[tool]\nx_mm = 0.0\n[joint2]", "tool needs exactly one of y_m"),
+        ("[joint2]", "[base]\n[joint2]", "base needs exactly one of x_m"),
+        ("[joint2]", "[link1]\n[joint2]", "unknown table or key link1"),
+        ("[joint2]", "[[joint2]]", "joint2 must be a table"),
+        ('source = "made up"', 'source = ""', "source must be a text"),
+        ('convention = "dh"', 'convention = "modified dh"', "convention modified dh is not known"),
+    ],
+)
+def test_a_row_with_a_hole_is_one_clear_line(old, new, says):
+    with pytest.raises(RobotError, match=says) as caught:
+        parse_robot(DH.replace(old, new, 1))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_without_parameters_is_refused():
+    fixed = "".join(line.split("{")[0] + "0.0\n" if "{" in line else line for line in DH.splitlines(keepends=True))
+    with pytest.raises(RobotError, match=r"joint1\.gain must be a table"):
+        parse_robot(fixed)
+    with pytest.raises(RobotError, match="nothing can be identified"):
+        parse_robot(fixed.replace("gain = 0.0\n", ""))
+
+
+BY_HAND = """
+name = "hand"
+convention = "elementary"
+nominal = "design"
+base_frame = "floor"
+end_frame = "pen"
+[[transform]]
+motion = "tz"
+name = "column.height"
+amount_mm = { design = 500.0, held = true }
+[[transform]]
+motion = "rx"
+amount_deg = -90.0
+[[transform]]
+motion = "rz"
+joint = "swing"
+lower_deg = -170.0
+upper_deg = 170.0
+offset_deg = { design = 0.0 }
+gain = { design = 1.0 }
+[[transform]]
+motion = "tx"
+joint = "slide"
+lower_mm = 0.0
+upper_mm = 400.0
+"""
+
+
+def test_transforms_by_hand():
+    robot = parse_robot(BY_HAND)
+    assert robot.chain.parameter_names == ("column.height", "swing.offset", "swing.gain")
+    assert robot.free.tolist() == [False, True, True]
+    assert robot.chain.joints[1] == Joint("slide", "prismatic", 0.0, 0.4)
+    assert (robot.chain.base_frame, robot.chain.end_frame, robot.source) == ("floor", "pen", "")
+    pose = forward(robot.chain, robot.chain.params_nominal, np.array([np.pi / 2, 0.3]))
+    np.testing.assert_allclose(pose[:3, 3], [0.0, 0.0, 0.2], atol=1e-15)  # swung downwards
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('motion = "tz"', 'motion = "ta"', "transform 1: motion must be one of tx"),
+        ('motion = "tz"', "motion = []", "transform 1: motion must be one of tx"),
+        ('name = "column.height"\n', "", "transform 1: a parameter needs a name and a table of values"),
+        ("amount_deg = -90.0", 'name = "x"\namount_deg = -90.0', "transform 2: a parameter needs a name and a table"),
+        ('name = "column.height"', 'name = "column height"', "transform 1: name must be a name of letters"),
+        ('name = "column.height"', 'name = "swing.gain"', "transform 3: swing.gain is the name of an earlier one"),
+        ('joint = "slide"', 'joint = "swing"', "transform 4: swing.offset is the name of an earlier one"),
+        ('joint = "slide"', 'joint = "slide"\nname = "x"', "unknown key transform 4.name"),
+        ('joint = "slide"', 'joint = ""', "transform 4: joint must be a name"),
+        ("lower_mm = 0.0", "", "transform 4 needs exactly one of lower_m"),
+        ("lower_deg = -170.0", "lower_deg = 170.0", "transform 3's lower limit is not below"),
+        (
+            "offset_deg = { design = 0.0 }",
+            "offset_mm = { design = 0.0 }",
+            "transform 3 needs exactly one of offset_rad",
+        ),
+        ("amount_deg = -90.0", "amount_mm = -90.0", "transform 2 needs exactly one of amount_rad"),
+        ("[[transform]]", "[transform]", "not valid TOML"),
+        ('end_frame = "pen"', 'end_frame = "pen"\n[joint1]', "unknown table or key joint1"),
+    ],
+)
+def test_a_list_with_a_hole_is_one_clear_line(old, new, says):
+    with pytest.raises(RobotError, match=says) as caught:
+        parse_robot(BY_HAND.replace(old, new, 1))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_list_has_bounds():
+    head, first = BY_HAND.split("[[transform]]", 1)[0], '[[transform]]\nmotion = "rx"\namount_rad = 0.0\n'
+    for text, says in [
+        (head + "transform = 3", "transform must be 1 to 1000 tables"),
+        (head + "transform = []", "transform must be 1 to 1000 tables"),
+        (head + "transform = [1]", "transform 1 must be a table"),
+        (head + 1001 * first, "transform must be 1 to 1000 tables"),
+        (head + first, "0 joints"),
+    ]:
+        with pytest.raises(RobotError, match=says):
+            parse_robot(text)

@@ -7,6 +7,12 @@ of nonzero singular values of H or J").
 
 Null directions are made readable: of all bases of the null space the one in which each direction has a parameter of
 its own (a pivot, weight 1 in it and 0 in the others); all other parameters appear only as needed to undo the pivot.
+
+A set to free is suggested by the same columns: pivoted QR takes the one with the longest part that is not yet explained,
+until nothing is left. Which of several equivalent parameters to hold is a matter of taste, and the papers' taste comes
+with the robot's file (``Robot.free``): preferred columns are taken before all others. The columns taken before remain
+taken when rows are added, since rows cannot make independent columns dependent; so what an addition would add is the
+difference of two such sets.
 """
 
 from __future__ import annotations
@@ -19,7 +25,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from truearm.estimate.information import RANK_TOLERANCE, scaled_columns
-from truearm.types import Floats, NullDirection
+from truearm.types import Floats, NullDirection, Observability
 
 NO_PART = 1e-6  # weight, in scaled parameters, below which a parameter takes no part in a direction
 
@@ -48,6 +54,46 @@ def identifiability(root: Floats, n_robot: int, names: Sequence[str]) -> Identif
     )
     identifiable = np.linalg.norm(null_all, axis=1) < NO_PART
     return Identifiability(rank, _gap(singular, rank), singular, identifiable, directions)
+
+
+def observability(root: Floats, n_robot: int, chosen: NDArray[np.bool_], unit: Floats, n_rows: int) -> Observability:
+    """Indices of the robot's ``chosen`` (n_robot,) columns with the rig projected out; ``unit`` (n_robot,) scales them.
+
+    The columns are whitened by the noise, so a singular value s is how many σ of noise a change by one unit makes, over
+    all ``n_rows`` scalar residuals. With c columns: o1 = (Πs)^(1/c)/√n (Borm and Menq 1991), o2 = s_min/s_max (Driels
+    and Pathre 1990), o3 = s_min (Nahvi and others 1994), o4 = s_min²/s_max (Nahvi and Hollerbach 1996). All are 0 where
+    something is not seen at all, NaN where there is nothing to see.
+    """
+    scaled, scale = scaled_columns(root)
+    rest = project_out(scaled[:, :n_robot], scaled[:, n_robot:]) * (scale[:n_robot] * unit)
+    singular = np.linalg.svd(rest[:, chosen], compute_uv=False)
+    if singular.size == 0 or n_rows == 0:
+        return Observability(*(float("nan"),) * 4)
+    least, most = float(singular[-1]), float(singular[0])
+    if least <= RANK_TOLERANCE * most:
+        return Observability(0.0, 0.0, 0.0, 0.0)
+    mean = float(np.exp(np.log(singular).mean()))
+    return Observability(mean / float(np.sqrt(n_rows)), least / most, least, least**2 / most)
+
+
+def suggested_free(
+    root: Floats, n_robot: int, prefer: NDArray[np.bool_], taken: NDArray[np.bool_] | None = None
+) -> NDArray[np.bool_]:
+    """(n_robot,) a largest set of the robot's columns that the data tell apart from each other and from the rig.
+
+    ``prefer`` columns come first, ``taken`` ones, which must be independent, before them.
+    """
+    scaled, _ = scaled_columns(root)
+    rest = project_out(scaled[:, :n_robot], scaled[:, n_robot:])
+    out = np.zeros(n_robot, dtype=bool) if taken is None else taken.copy()
+    for group in (prefer & ~out, ~prefer & ~out):
+        left = project_out(rest[:, group], rest[:, out])
+        if left.size == 0:
+            continue
+        triangle, order = scipy.linalg.qr(left, mode="r", pivoting=True)
+        rank = int((np.abs(np.diag(triangle)) > RANK_TOLERANCE).sum())
+        out[np.flatnonzero(group)[order[:rank]]] = True
+    return out
 
 
 def project_out(wanted: Floats, unwanted: Floats) -> Floats:

@@ -10,28 +10,49 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
-from truearm.estimate.identifiability import Identifiability, identifiability
-from truearm.estimate.information import RANK_TOLERANCE, Information, covariance, observe, seen, spectrum, with_prior
-from truearm.estimate.lm import Minimum, minimise
-from truearm.estimate.problem import Problem, build_problem, evaluate, settled
+from truearm.estimate import ls, recursive, renders1991
+from truearm.estimate import map as map_
+from truearm.estimate.additions import additions
+from truearm.estimate.fit import fit
+from truearm.estimate.identifiability import identifiability, observability, suggested_free
+from truearm.estimate.information import RANK_TOLERANCE, Information, half, observe, seen, spectrum, with_prior
+from truearm.estimate.lm import DAMPING_START
+from truearm.estimate.prior import WEAK_SIGMA
+from truearm.estimate.problem import Problem, Rigs, build_problem, evaluate, settled
+from truearm.estimate.relabel import relabellings
+from truearm.estimate.robust import LOSSES
+from truearm.estimate.rows import only, standardised
+from truearm.estimate.solution import Options, Solution, Solver
+from truearm.estimate.uncertainty import chi2_band
 from truearm.model.chain import Chain
 from truearm.observe.socket_distance import SocketDistanceRows
-from truearm.types import Estimate, Floats, HeldOut, ObservationTable, Rig
+from truearm.types import Estimate, Floats, HeldOut, ObservationTable
 
-SOLVERS = ("lm",)
+SOLVERS: Mapping[str, Solver] = {
+    "lm": lambda problem, columns, x, options: fit(problem, columns, x, options, DAMPING_START),
+    "map": map_.solve,
+    "recursive": recursive.solve,
+    "renders-1991": renders1991.solve,
+    "ls": ls.solve,
+}
+WITH_LOSS = ("lm", "map")
+DAMPINGS = ("scaled", "plain")
 LEAST_FREEDOM = 1e-6  # share of a row's residuals that must be left to judge by; rounding leaves 1e-12
 Progress = Callable[[int, float], None]  # iteration, RMS of the residuals [m]
 
 
 def identify(
     chain: Chain,
-    rig: Rig,
+    rig: Rigs,
     table: ObservationTable,
     *,
     free: NDArray[np.bool_] | None = None,
     hold_out: NDArray[np.bool_] | None = None,
     prior_sigma: Mapping[str, float] | Floats | None = None,
     solver: str = "lm",
+    loss: str = "linear",
+    damping: str = "scaled",
+    prefer: NDArray[np.bool_] | None = None,
     max_iterations: int = 50,
     progress: Progress | None = None,
 ) -> Estimate:
@@ -39,118 +60,125 @@ def identify(
 
     free : (p,) robot parameters to identify, default all; the rig's unknowns always are.
     hold_out : (n,) rows that are not used to fit but to judge, default none. Unknowns of the rig that only these rows
-        touch (the sockets of a place that was held out) are estimated on them, with the robot fixed.
+        touch (the sockets of a place that was held out, the pose of a line) are estimated on them, with the robot fixed.
     prior_sigma : σ of robot parameters about their nominal values, by name or (p,) with inf for none; default none.
+    solver : one of SOLVERS; each is a module that says what it does.
+    loss : "linear", "huber" or "cauchy" (robust.py), for the solvers lm and map.
+    damping : of lm: "scaled" columns (Marquardt) or "plain" λI (Goswami's (10)).
+    prefer : (p,) parameters that the suggested free set should rather contain, a robot file's ``free``; default none.
     progress : called with (iteration, RMS [m]) after each step.
 
-    Raises ProblemError for masks of the wrong shape, no row to fit, an unknown solver, and what ``build_problem``
-    raises. Rank and convergence are fields of the result.
+    Raises ProblemError for masks of the wrong shape, no row to fit, an unknown solver, loss or damping, a loss for a
+    solver that has none, and what ``build_problem`` raises. Rank and convergence are fields of the result.
     """
     started = time.perf_counter()
     free = _mask("free", free, len(chain.parameters), default=True)
     held = _mask("hold_out", hold_out, len(table), default=False)
-    if solver not in SOLVERS:
-        raise ProblemError(f"solver {solver!r} is not known; use {', '.join(SOLVERS)}")
+    prefer = _mask("prefer", prefer, len(chain.parameters), default=False)
+    _check_choice(solver, loss, damping)
     if held.all():
         raise ProblemError("no observations are left to fit; hold out less")
     problem = build_problem(chain, rig, table.select(~held), prior_sigma)
     columns = np.concatenate([free, np.ones(len(problem.names) - free.size, dtype=bool)])
     history: list[float] = []
 
-    def on_step(iteration: int, information: Information) -> None:
-        history.append(_rms(information.residual))
+    def on_step(iteration: int, residual: Floats) -> None:
+        history.append(_rms(residual))
         if progress is not None:
             progress(iteration, history[-1])
 
     before = observe(problem, problem.start, columns).residual
-    minimum, x = solve(problem, columns, problem.start, max_iterations, on_step)
-    found, matrix = _what_is_seen(problem, columns, x, minimum)
-    identifiable = _spread(found.identifiable, columns)
-    variance = np.where(identifiable, np.diag(matrix), np.nan)
+    options = Options(max_iterations, loss, damping == "plain", on_step)
+    found = SOLVERS[solver](problem, columns, problem.start, options)
+    x, information = found.x, found.information
+    parts = spectrum(information.root)
+    freedom = information.n_residuals - int(seen(parts).sum())
+    data = _data_root(problem, columns, found)
+    names = [name for name, is_free in zip(problem.names, columns, strict=True) if is_free]
+    sight = identifiability(data.root, int(free.sum()), names)
+    suggested = suggested_free(data.root, int(free.sum()), prefer[free])
+    unit = np.array([WEAK_SIGMA[p.unit] for p in chain.parameters])[free]
+    known = dict(zip(problem.names, x, strict=True))
+    distance, beyond = standardised(problem, x, columns, half(parts), found.weight)
+    identifiable = _spread(sight.identifiable, columns)
+    matrix = np.zeros((x.size, x.size))
+    matrix[np.ix_(columns, columns)] = found.covariance
     held_before, error_before = _judge(problem, problem.start, rig, table, held)
     held_after, error_after = _judge(problem, x, rig, table, held)
-    freedom = minimum.information.n_residuals - int(seen(spectrum(minimum.information.root)).sum())
-    return Estimate(
-        status=minimum.status,
-        message=minimum.message,
+    estimate = Estimate(
+        status=found.status,
+        message=found.message,
         solver=solver,
-        iterations=minimum.iterations,
+        iterations=found.iterations,
         parameter_names=problem.names,
         units=problem.units,
         nominal=problem.start,
         value=x,
-        sigma=np.sqrt(variance),
+        sigma=np.sqrt(np.where(identifiable, np.diag(matrix), np.nan)),
         free=columns,
         identifiable=identifiable,
         covariance=matrix,
         n_robot_parameters=problem.n_robot,
         n_observations=problem.n_rows,
-        rank=found.rank,
-        rank_gap=found.gap,
-        null_space=found.null_space,
+        rank=sight.rank,
+        rank_gap=sight.gap,
+        null_space=sight.null_space,
         rms_before=_rms(before),
-        rms_after=_rms(minimum.information.residual),
+        rms_after=_rms(information.residual),
         rms_history=(_rms(before), *history),
-        chi2_reduced=minimum.information.chi2 / freedom if freedom > 0 else float("nan"),
+        chi2_reduced=information.chi2 / freedom if freedom > 0 else float("nan"),
         held_out=held_after,
         held_out_before=held_before,
-        residual=_merge(minimum.information.residual, error_after, held),
+        residual=_merge(information.residual, error_after, held),
         residual_before=_merge(before, error_before, held),
         fitted=~held,
-        seconds=time.perf_counter() - started,
+        seconds=0.0,
+        loss=loss,
+        chi2_band=chi2_band(freedom),
+        distance=_merge(distance, np.nan, held),
+        weight=_merge(found.weight, np.nan, held),
+        suspect=_spread(beyond, ~held),
+        observability=observability(data.root, int(free.sum()), suggested, unit, data.n_residuals),
+        suggested_free=_spread(suggested, free),
+        additions=additions(chain, rig, table.select(~held), names, data.root, known, suggested),
+        relabellings=relabellings(chain, rig, table, ~held, free, prior_sigma, _rms(information.residual)),
     )
+    return replace(estimate, seconds=time.perf_counter() - started)
 
 
-def solve(
-    problem: Problem,
-    columns: NDArray[np.bool_],
-    x: Floats,
-    max_iterations: int = 50,
-    on_step: Callable[[int, Information], None] | None = None,
-) -> tuple[Minimum, Floats]:
-    """Minimise over x[columns] from x (P,), priors included; returns the minimum and the whole x."""
-
-    def whole(part: Floats) -> Floats:
-        out = x.copy()
-        out[columns] = part
-        return out
-
-    def linearise(part: Floats) -> Information:
-        error = problem.start[columns] - part
-        return with_prior(observe(problem, whole(part), columns), error, problem.prior_sigma[columns])
-
-    minimum = minimise(linearise, x[columns], max_iterations, on_step)
-    return minimum, whole(minimum.x)
+def _check_choice(solver: str, loss: str, damping: str) -> None:
+    for what, given, known in (("solver", solver, SOLVERS), ("loss", loss, LOSSES), ("damping", damping, DAMPINGS)):
+        if given not in known:
+            raise ProblemError(f"{what} {given!r} is not known; use {', '.join(known)}")
+    if loss != "linear" and solver not in WITH_LOSS:
+        raise ProblemError(f"solver {solver} has no robust loss; use {' or '.join(WITH_LOSS)}, or loss linear")
+    if damping != "scaled" and solver != "lm":
+        raise ProblemError(f"solver {solver} has no damping to choose; use lm")
 
 
-def _what_is_seen(
-    problem: Problem, columns: NDArray[np.bool_], x: Floats, minimum: Minimum
-) -> tuple[Identifiability, Floats]:
-    """Rank and null space by the data and what is known of the rig, without the robot's prior; covariance with all."""
+def _data_root(problem: Problem, columns: NDArray[np.bool_], found: Solution) -> Information:
+    """What the rows that were used say, and what is known of the rig, without the robot's prior."""
     n_robot = int(columns[: problem.n_robot].sum())
     rig_prior = problem.prior_sigma[columns]
     rig_prior[:n_robot] = np.inf
-    data = with_prior(observe(settled(problem, x), x, columns), (problem.start - x)[columns], rig_prior)
-    names = [name for name, is_free in zip(problem.names, columns, strict=True) if is_free]
-    matrix = np.zeros((x.size, x.size))
-    matrix[np.ix_(columns, columns)] = covariance(spectrum(minimum.information.root))
-    return identifiability(data.root, n_robot, names), matrix
+    used = settled(only(problem, found.weight > 0.0), found.x)
+    return with_prior(observe(used, found.x, columns), (problem.start - found.x)[columns], rig_prior)
 
 
 def _judge(
-    fit: Problem, x_fit: Floats, rig: Rig, table: ObservationTable, held: NDArray[np.bool_]
+    fitted: Problem, x_fit: Floats, rig: Rigs, table: ObservationTable, held: NDArray[np.bool_]
 ) -> tuple[HeldOut | None, Floats]:
     """Errors on the held-out rows with the robot of x_fit; the rig's unknowns from x_fit, or else from these rows."""
     if not held.any():
         return None, np.zeros(0)
-    problem = build_problem(fit.chain, rig, table.select(held))
+    problem = build_problem(fitted.chain, rig, table.select(held))
     # The known distance between sockets must not help to place them: the error is the spread about each socket.
     problem = replace(problem, groups=tuple(g for g in problem.groups if not isinstance(g, SocketDistanceRows)))
-    known = dict(zip(fit.names, x_fit, strict=True))
+    known = dict(zip(fitted.names, x_fit, strict=True))
     columns = np.array([name not in known for name in problem.names])
     x = np.array([known.get(name, value) for name, value in zip(problem.names, problem.start, strict=True)])
-    minimum, x = solve(problem, columns, x)
-    error = minimum.information.residual
+    solution = fit(problem, columns, x, Options(), DAMPING_START)
+    error, x = solution.information.residual, solution.x
     judging = _has_freedom(problem, columns, x)
     if not judging.any():
         return None, error
@@ -199,7 +227,7 @@ def _spread(flags: NDArray[np.bool_], columns: NDArray[np.bool_]) -> NDArray[np.
     return out
 
 
-def _merge(fitted: Floats, held_out: Floats, held: NDArray[np.bool_]) -> Floats:
+def _merge(fitted: Floats, held_out: Floats | float, held: NDArray[np.bool_]) -> Floats:
     out = np.empty(held.size)
     out[~held], out[held] = fitted, held_out
     return out

@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from truearm.errors import ProblemError
+from truearm.model.chain import Chain
 from truearm.observe.rows import Indices
-from truearm.types import BallBar, ObservationTable, Point, Strings
+from truearm.types import BallBar, ObservationTable, Plane, Point, Rig, Strings
 
 XYZ = ("x", "y", "z")
+
+
+class Scope(NamedTuple):
+    """One rig, the table that holds its rows, and ``prefix``, which the names of its unknowns begin with."""
+
+    chain: Chain
+    rig: Rig
+    table: ObservationTable
+    prefix: str
 
 
 class Number(NamedTuple):
@@ -62,27 +72,30 @@ def enumerate_labels(labels: Sequence[Hashable]) -> tuple[list[Hashable], Indice
     return list(order), which
 
 
-def use(
-    table: ObservationTable,
-    rows: Indices,
-    column: Strings,
-    known: Mapping[str, Point] | Mapping[str, BallBar],
-    what: str,
-) -> Used:
-    """Look a column's names up in the rig; an empty name means the only one there is.
+def look_up(
+    scope: Scope, rows: Indices, column: Strings, known: Mapping[str, Any], what: str
+) -> tuple[list[Hashable], Indices]:
+    """The distinct names of a column, checked against the rig, and which of them each row has.
 
-    Raises ProblemError that names the first row of a name the rig does not have.
+    An empty name means the only one there is. Raises ProblemError that names the first row of a name that the rig does
+    not have.
     """
     names, which = enumerate_labels(column[rows].tolist())
     labels: list[Hashable] = []
     for i, name in enumerate(names):
         label = next(iter(known)) if name == "" and len(known) == 1 else str(name)
         if label not in known:
-            source = table.source[rows[int(np.argmax(which == i))]]
+            source = scope.table.source[rows[int(np.argmax(which == i))]]
             have = ", ".join(sorted(known)) or "none"
             raise ProblemError(f"{source}: {what} {label!r} is not in the rig, which has {have}")
         labels.append(label)
-    return Used(labels, [_numbers(what, str(label), known[str(label)]) for label in labels], which)
+    return labels, which
+
+
+def use(scope: Scope, rows: Indices, column: Strings, known: Mapping[str, Point | BallBar | Plane], what: str) -> Used:
+    """Look a column's names up in the rig (``look_up``), with the numbers that stand for them."""
+    labels, which = look_up(scope, rows, column, known, what)
+    return Used(labels, [_numbers(f"{scope.prefix}{what}.{label}", known[str(label)]) for label in labels], which)
 
 
 def unknown_point(name: str, xyz: Sequence[float]) -> list[Number]:
@@ -90,9 +103,16 @@ def unknown_point(name: str, xyz: Sequence[float]) -> list[Number]:
     return [Number(f"{name}.{k}", "m", float(v), np.inf) for k, v in zip(XYZ, xyz, strict=True)]
 
 
-def _numbers(what: str, label: str, thing: Point | BallBar) -> list[Number]:
+def or_inf(sigma: float | None) -> float:
+    """A rig's sigma as a number: None, not known at all, is inf."""
+    return np.inf if sigma is None else sigma
+
+
+def _numbers(name: str, thing: Point | BallBar | Plane) -> list[Number]:
     if isinstance(thing, BallBar):
-        zero = Number(f"bar.{label}.zero", "m", thing.zero, thing.zero_sigma)
-        return [zero, Number(f"bar.{label}.gain", "1", thing.gain, thing.gain_sigma)]
-    sigma = np.inf if thing.sigma is None else thing.sigma
-    return [Number(f"{what}.{label}.{k}", "m", v, sigma) for k, v in zip(XYZ, thing.xyz, strict=True)]
+        zero = Number(f"{name}.zero", "m", thing.zero, thing.zero_sigma)
+        return [zero, Number(f"{name}.gain", "1", thing.gain, thing.gain_sigma)]
+    if isinstance(thing, Plane):
+        tilts = [Number(f"{name}.tilt{k}", "rad", 0.0, or_inf(thing.tilt_sigma)) for k in (1, 2)]
+        return [Number(f"{name}.offset", "m", 0.0, or_inf(thing.offset_sigma)), *tilts]
+    return [Number(f"{name}.{k}", "m", v, or_inf(thing.sigma)) for k, v in zip(XYZ, thing.xyz, strict=True)]

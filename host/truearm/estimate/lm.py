@@ -7,11 +7,15 @@ pure number. With the scaled root R D⁻¹ = U diag(s) Vᵀ and Qᵀf = z the st
     Δ = D⁻¹ V diag(s / (s² + λ)) Uᵀ z ,
 
 over the singular values that are seen (``information.seen``) only: along directions that the observations cannot see x does not move,
-so a model with redundant parameters (54 where 36 can be seen) converges like one without.
+so a model with redundant parameters (54 where 36 can be seen) converges like one without. ``plain`` takes D = I, the
+paper's own λI, with λ counted in s_max², which makes it independent of the noise's unit but not of the parameters'.
 
 λ falls by 10 to 1000 after a step, the more the better the linearised problem foretold it, and grows by 10 after a
 step that did not reduce χ². The end: what the linearised problem still promises, ‖Uᵀz‖, is below 1e-6 of ‖f‖ (then x
 is within some 1e-5 σ of the minimum), or below 1e-10 a residual (data without noise), or the step is rounding.
+
+Where weights depend on x (joint noise, information.py), x is compared with x + Δ under the weights of x: with each
+under its own, χ² has its minimum beside the point where the gradient Jᵀ C f vanishes, and no step would reach that.
 """
 
 from __future__ import annotations
@@ -47,14 +51,21 @@ def minimise(
     x: Floats,
     max_iterations: int,
     on_step: Callable[[int, Information], None] | None = None,
+    *,
+    damping: float = DAMPING_START,
+    plain: bool = False,
+    cost: Callable[[Floats, Floats], float] | None = None,
 ) -> Minimum:
     """Minimise χ² = fᵀf from x (k,). ``linearise`` gives root, Qᵀf and χ² at an x; ``on_step`` hears of each step.
 
+    ``damping`` 0 begins with full Gauss–Newton steps; ``plain`` damps by λI instead of Marquardt's scaled columns.
+    ``cost(there, here)`` is χ² at ``there`` with the weights of ``here``; needed only where weights depend on x.
     An iteration is an accepted step. Not to converge is a status, not an exception.
     """
     here = linearise(x)
-    damping = DAMPING_START
     for iteration in range(max_iterations + 1):
+        if not (np.isfinite(here.chi2) and np.isfinite(here.root).all()):
+            return Minimum(x, "stalled", "residuals or derivatives are not finite numbers", iteration, here)
         parts = spectrum(here.root)
         promised = promise(parts, here.rhs)
         if promised @ promised <= max(RELATIVE_END**2 * here.chi2, ABSOLUTE_END**2 * here.n_residuals):
@@ -64,21 +75,33 @@ def minimise(
             return Minimum(x, "converged", "the step is below rounding", iteration, here)
         if iteration == max_iterations:
             break
+        if plain:
+            parts = _unscaled(here.root)
+            promised = promise(parts, here.rhs)
+        unit = parts.singular[0] ** 2 if plain else 1.0
         while True:
-            delta, foretold = step(parts, promised, damping)
+            delta, foretold = step(parts, promised, damping * unit)
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 there = linearise(x + delta)
-            if there.chi2 < here.chi2:  # False for a step so wild that χ² is no number
+                chi2 = there.chi2 if cost is None else cost(x + delta, x)
+            if chi2 < here.chi2:  # False for a step so wild that χ² is no number
                 break
-            damping = max(damping * 10.0, DAMPING_MIN)
+            damping = max(damping * 10.0, DAMPING_MIN if damping else DAMPING_START)
             if damping > DAMPING_MAX:
                 return Minimum(x, "stalled", "no step reduces the residuals", iteration, here)
-        gain = (here.chi2 - there.chi2) / foretold
-        damping = max(damping * (1e-3 if gain > 0.9 else 0.1 if gain > 0.25 else 1.0), DAMPING_MIN)
+        gain = (here.chi2 - chi2) / foretold
+        damping *= 1e-3 if gain > 0.9 else 0.1 if gain > 0.25 else 1.0
+        damping = max(damping, DAMPING_MIN) if damping else 0.0
         x, here = x + delta, there
         if on_step is not None:
             on_step(iteration + 1, here)
     return Minimum(x, "max_iterations", f"not converged after {max_iterations} iterations", max_iterations, here)
+
+
+def _unscaled(root: Floats) -> Spectrum:
+    """The root decomposed as it is, for damping by λI."""
+    u, singular, vt = np.linalg.svd(root)
+    return Spectrum(u, singular, vt, np.ones(root.shape[1]))
 
 
 def promise(parts: Spectrum, rhs: Floats) -> Floats:

@@ -9,10 +9,16 @@ from typing import NamedTuple
 
 from truearm.errors import TableError
 
-UNITS = {"q": ("rad", "deg", "m", "mm"), "length": ("m", "mm"), "sigma": ("m", "mm")}
-IDS = ("bar", "chuck", "sphere", "socket", "place", "shell")
+UNITS = {
+    "q": ("rad", "deg", "m", "mm"),
+    "qd": ("rad_s", "deg_s", "m_s", "mm_s"),
+    **dict.fromkeys(("length", "sigma", "x", "y", "z"), ("m", "mm")),
+    **dict.fromkeys(("rx", "ry", "rz"), ("rad", "deg")),
+}
+IDS = ("bar", "chuck", "sphere", "socket", "place", "shell", "target", "line", "tracker", "plane", "rig")
+MEASURED_X = ("x_m", "x_mm")  # the only titles in x_… that are not the user's own
 
-_QUANTITY = re.compile(r"(q[1-9][0-9]{0,2}|length|sigma)(?:_(\w*))?")
+_QUANTITY = re.compile(r"(qd?[1-9][0-9]{0,2}|length|sigma|r?[xyz])(?:_(\w*))?")
 
 
 class Column(NamedTuple):
@@ -24,7 +30,7 @@ class Column(NamedTuple):
 
 
 def read_header(header: list[str], name: str) -> dict[str, Column]:
-    """Columns by quantity (``kind``, ``q1``, ``length``, ``bar`` …); columns x_… and note are passed over."""
+    """Columns by quantity (``kind``, ``q1``, ``length``, ``bar`` …); columns x_… but x_m, x_mm and note are passed over."""
     columns: dict[str, Column] = {}
     seen: set[str] = set()
     for position, title in enumerate(header):
@@ -32,14 +38,14 @@ def read_header(header: list[str], name: str) -> dict[str, Column]:
         if title in seen:
             raise TableError(f"{where}: stands twice in the header; keep one")
         seen.add(title)
-        if title == "note" or title.startswith("x_"):
+        if title == "note" or (title.startswith("x_") and title not in MEASURED_X):
             continue
         quantity, unit = _quantity(title, where)
         if quantity in columns:
             raise TableError(f"{where}: {quantity} is given twice, as {columns[quantity].name} too; keep one")
         columns[quantity] = Column(title, position, unit)
     if "kind" not in columns:
-        raise TableError(f"{name}: has no column 'kind' (ball_bar or seat); is the first row a header?")
+        raise TableError(f"{name}: has no column 'kind' (ball_bar, line, ...); is the first row a header?")
     return columns
 
 
@@ -60,20 +66,18 @@ def _quantity(title: str, where: str) -> tuple[str, str]:
 
 
 def _suggestion(title: str) -> str:
-    known = ["kind", *IDS, "length_mm", "length_m", "sigma_mm", "sigma_m", *(f"q{i}_rad" for i in range(1, 8))]
-    close = difflib.get_close_matches(title[:40].lower(), known, n=1)
-    return f"did you mean {close[0]}?" if close else "begin its name with x_ if it is to be ignored"
+    joints = [f"{quantity}{i}_{unit}" for quantity, unit in (("q", "rad"), ("qd", "rad_s")) for i in range(1, 8)]
+    numbers = [f"{quantity}_{unit}" for quantity, units in UNITS.items() if quantity[0] != "q" for unit in units]
+    known = ["kind", *IDS, *numbers, *joints]
+    close = difflib.get_close_matches(title[:40].lower(), known, n=2)
+    return f"did you mean {' or '.join(close)}?" if close else "begin its name with x_ if it is to be ignored"
 
 
 def joint_columns(columns: dict[str, Column], joint_units: Sequence[str] | None, name: str) -> list[Column]:
     """The joint columns in joint order, checked against the robot."""
-    numbers = sorted(int(quantity[1:]) for quantity in columns if _is_joint(quantity))
-    if not numbers:
+    joints = _numbered(columns, "q", name)
+    if not joints:
         raise TableError(f"{name}: has no joint columns; name them q1_rad, q2_rad, ... (or q1_deg, ...)")
-    missing = set(range(1, numbers[-1] + 1)) - set(numbers)
-    if missing:
-        raise TableError(f"{name}: has columns up to q{numbers[-1]} but none for q{min(missing)}")
-    joints = [columns[f"q{number}"] for number in numbers]
     if joint_units is None:
         return joints
     if len(joints) != len(joint_units):
@@ -85,13 +89,29 @@ def joint_columns(columns: dict[str, Column], joint_units: Sequence[str] | None,
     return joints
 
 
-def _is_joint(quantity: str) -> bool:
-    return quantity[0] == "q"
+def rate_columns(columns: dict[str, Column], joints: list[Column], name: str) -> list[Column]:
+    """The columns of the joints' velocities in joint order, none or one for each joint."""
+    rates = _numbered(columns, "qd", name)
+    if rates and len(rates) != len(joints):
+        raise TableError(f"{name}: has {len(joints)} joint columns but {len(rates)} of velocities; give all or none")
+    for joint, rate in zip(joints, rates, strict=False):
+        if base_unit(rate.unit) != base_unit(joint.unit):
+            raise TableError(f"{name} column {rate.name}: does not fit {joint.name}; one turns, the other slides")
+    return rates
+
+
+def _numbered(columns: dict[str, Column], letter: str, name: str) -> list[Column]:
+    """Columns of one quantity a joint, in joint order, without gaps."""
+    numbers = sorted(int(q[len(letter) :]) for q in columns if q.startswith(letter) and q[len(letter) :].isdecimal())
+    missing = set(range(1, max(numbers, default=0) + 1)) - set(numbers)
+    if missing:
+        raise TableError(f"{name}: has columns up to {letter}{numbers[-1]} but none for {letter}{min(missing)}")
+    return [columns[f"{letter}{number}"] for number in numbers]
 
 
 def base_unit(unit: str) -> str:
-    """The SI unit that a joint column is turned into."""
-    return "rad" if unit in ("rad", "deg") else "m"
+    """The SI unit that a joint's column is turned into, of a velocity without its "per second"."""
+    return "rad" if unit.removesuffix("_s") in ("rad", "deg") else "m"
 
 
 def shown(text: str) -> str:

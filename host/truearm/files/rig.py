@@ -7,21 +7,48 @@ errors.
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 from truearm.errors import RigError
 from truearm.files.disk import parse_toml, read_text, write_atomic
-from truearm.types import BallBar, Point, Rig, SocketDistance
+from truearm.files.rig_devices import (
+    device,
+    device_text,
+    joint_cov,
+    matrix_text,
+    numbers,
+    plane,
+    plane_text,
+    sigma_text,
+)
+from truearm.files.rig_values import (
+    LARGEST,
+    check_keys,
+    in_si,
+    is_name,
+    keys,
+    length,
+    name_of,
+    number,
+    positive,
+    sigma_or_unknown,
+    three,
+    within,
+)
+from truearm.types import BallBar, Device, Plane, Point, Rig, SocketDistance
 
 MAX_BYTES = 2**20
-HUGE = 1e12
-LARGEST = 100.0  # m; a longer one was written in mm
-
-_NAME = re.compile(r"[\w-]{1,64}")
-_T = TypeVar("_T", Point, BallBar)
+SECONDS = {"s": 1.0, "ms": 1e-3}
+PLACEMENTS = ("least_squares", "two_point")
+ENTRIES = {"chuck", "sphere", "bar", "socket_distance", "target", "line", "tracker", "plane"}
+TOP_LEVEL = {
+    *keys(("seat_sigma", "line_sigma")),
+    *keys(("time_offset", "time_offset_sigma"), SECONDS),
+    *("line_placement", "joint_sigma_rad", "joint_sigma_deg", "joint_cov_si"),
+}
+_T = TypeVar("_T", Point, BallBar, Device, Plane)
 
 
 def read_rig(path: Path) -> Rig:
@@ -32,14 +59,30 @@ def read_rig(path: Path) -> Rig:
 def parse_rig(text: str, name: str) -> Rig:
     """Parse the text of a rig file; ``name`` stands for the file in messages. See ``read_rig``."""
     data = parse_toml(text, name, RigError)
-    _check_keys(data, {"chuck", "sphere", "bar", "socket_distance", "seat_sigma_m", "seat_sigma_mm"}, name)
-    seat_sigma = _length(data, "seat_sigma", name, default=Rig().seat_sigma)
+    check_keys(data, ENTRIES | TOP_LEVEL, name)
+    default = Rig()
+    seat_sigma = length(data, "seat_sigma", name, default=default.seat_sigma)
+    placement = data.get("line_placement", default.line_placement)
+    if placement not in PLACEMENTS:
+        raise RigError(f"{name}: line_placement must be {' or '.join(map(repr, PLACEMENTS))}")
+    line_sigma = three(data, "line_sigma", name, default=default.line_sigma)
+    positive(min(line_sigma), "line_sigma", name)
+    offset, seconds = in_si(data, "time_offset", name, SECONDS, default.time_offset)
     return Rig(
         chucks=_named(_entries(data, "chuck", name), _point),
         spheres=_named(_entries(data, "sphere", name), _point),
         bars=_named(_entries(data, "bar", name), _bar),
         socket_distances=tuple(_socket_distance(*entry) for entry in _entries(data, "socket_distance", name)),
-        seat_sigma=_positive(seat_sigma, "seat_sigma", name),
+        seat_sigma=positive(seat_sigma, "seat_sigma", name),
+        targets=_named(_entries(data, "target", name), _point),
+        lines=_named(_entries(data, "line", name), device),
+        line_sigma=line_sigma,
+        line_placement=placement,
+        trackers=_named(_entries(data, "tracker", name), device),
+        planes=_named(_entries(data, "plane", name), plane),
+        time_offset=within(number(offset, "time_offset", name) * seconds, -LARGEST, "time_offset", name),
+        time_offset_sigma=sigma_or_unknown(data, "time_offset_sigma", name, 0.0, SECONDS),
+        joint_cov=joint_cov(data, name),
     )
 
 
@@ -56,7 +99,7 @@ def _named(
 ) -> dict[str, _T]:
     result: dict[str, _T] = {}
     for table, where in entries:
-        item = build(table, _name(table, where), where)
+        item = build(table, name_of(table, where), where)
         if item.name in result:
             raise RigError(f"{where}: the name {item.name!r} stands twice; give each its own")
         result[item.name] = item
@@ -64,118 +107,64 @@ def _named(
 
 
 def _point(table: Mapping[str, Any], name: str, where: str) -> Point:
-    _check_keys(table, {"name", "xyz_m", "xyz_mm", "sigma_m", "sigma_mm"}, where)
-    x, y, z = _coordinates(table, where)
-    unknown = _in_metres(table, "sigma", where, 0.0)[0] == "unknown"
-    return Point(name, (x, y, z), None if unknown else _length(table, "sigma", where, default=0.0, smallest=0.0))
+    check_keys(table, {"name"} | keys(("xyz", "sigma")), where)
+    return Point(name, three(table, "xyz", where), sigma_or_unknown(table, "sigma", where, 0.0))
 
 
 def _bar(table: Mapping[str, Any], name: str, where: str) -> BallBar:
-    lengths = ("zero", "travel", "sigma", "zero_sigma")
-    _check_keys(table, {"name", "gain", "gain_sigma", *(f"{q}_{u}" for q in lengths for u in ("m", "mm"))}, where)
+    check_keys(table, {"name", "gain", "gain_sigma"} | keys(("zero", "travel", "sigma", "zero_sigma")), where)
     return BallBar(
         name=name,
-        zero=_positive(_length(table, "zero", where), "zero", where),
-        gain=_positive(_number(table.get("gain", 1.0), "gain", where), "gain", where),
-        travel=_positive(_length(table, "travel", where), "travel", where),
-        sigma=_positive(_length(table, "sigma", where), "sigma", where),
-        zero_sigma=_length(table, "zero_sigma", where, default=0.0, smallest=0.0),
-        gain_sigma=_within(_number(table.get("gain_sigma", 0.0), "gain_sigma", where), 0.0, "gain_sigma", where),
+        zero=positive(length(table, "zero", where), "zero", where),
+        gain=positive(number(table.get("gain", 1.0), "gain", where), "gain", where),
+        travel=positive(length(table, "travel", where), "travel", where),
+        sigma=positive(length(table, "sigma", where), "sigma", where),
+        zero_sigma=length(table, "zero_sigma", where, default=0.0, smallest=0.0),
+        gain_sigma=within(number(table.get("gain_sigma", 0.0), "gain_sigma", where), 0.0, "gain_sigma", where),
     )
 
 
 def _socket_distance(table: Mapping[str, Any], where: str) -> SocketDistance:
-    keys = {f"{q}_{u}" for q in ("distance", "sigma") for u in ("m", "mm")}
-    _check_keys(table, {"sockets", *keys}, where)
+    check_keys(table, {"sockets"} | keys(("distance", "sigma")), where)
     sockets = table.get("sockets")
-    if not isinstance(sockets, list) or len(sockets) != 2 or not all(_is_name(socket) for socket in sockets):
+    if not isinstance(sockets, list) or len(sockets) != 2 or not all(is_name(socket) for socket in sockets):
         raise RigError(f'{where}: sockets must be two names as in the table, such as ["0", "1"]')
     if sockets[0] == sockets[1]:
         raise RigError(f"{where}: the distance of socket {sockets[0]!r} from itself is no measurement")
-    distance = _positive(_length(table, "distance", where), "distance", where)
-    return SocketDistance((sockets[0], sockets[1]), distance, _positive(_length(table, "sigma", where), "sigma", where))
-
-
-def _check_keys(table: Mapping[str, Any], known: set[str], where: str) -> None:
-    for key in table:
-        if key not in known:
-            raise RigError(f"{where}: unknown key {key[:40]!r}; known are {', '.join(sorted(known))}")
-
-
-def _is_name(value: object) -> bool:
-    return isinstance(value, str) and _NAME.fullmatch(value) is not None
-
-
-def _name(table: Mapping[str, Any], where: str) -> str:
-    name = table.get("name")
-    if not isinstance(name, str) or not _is_name(name):
-        raise RigError(f"{where}: needs a name of up to 64 letters, digits, '-' and '_', as in the table")
-    return name
-
-
-def _length(
-    table: Mapping[str, Any], quantity: str, where: str, default: float | None = None, smallest: float = -LARGEST
-) -> float:
-    """The length written as ``quantity_m`` or ``quantity_mm``, in metres."""
-    value = _in_metres(table, quantity, where, default)
-    return _within(_number(value[0], quantity, where) * value[1], smallest, quantity, where)
-
-
-def _in_metres(table: Mapping[str, Any], quantity: str, where: str, default: object = None) -> tuple[Any, float]:
-    """The raw value of a quantity and the factor that makes it metres."""
-    metres, millimetres = f"{quantity}_m", f"{quantity}_mm"
-    if metres in table and millimetres in table:
-        raise RigError(f"{where}: has both {metres} and {millimetres}; keep one")
-    if metres in table:
-        return table[metres], 1.0
-    if millimetres in table:
-        return table[millimetres], 1e-3
-    if default is None:
-        raise RigError(f"{where}: needs {metres} (or {millimetres})")
-    return default, 1.0
-
-
-def _coordinates(table: Mapping[str, Any], where: str) -> list[float]:
-    value, scale = _in_metres(table, "xyz", where)
-    if not isinstance(value, list) or len(value) != 3:
-        raise RigError(f"{where}: xyz must be three numbers")
-    return [_within(_number(v, "xyz", where) * scale, -LARGEST, "xyz", where) for v in value]
-
-
-def _number(value: object, key: str, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        shown = repr(value[:40]) if isinstance(value, str) else f"of type {type(value).__name__}"
-        raise RigError(f"{where}: {key} must be a number, is {shown}")
-    if not abs(value) <= HUGE:  # NaN too; an integer of a thousand digits has no float and no text
-        raise RigError(f"{where}: {key} must be a finite number of reasonable size")
-    return float(value)
-
-
-def _within(value: float, smallest: float, key: str, where: str) -> float:
-    if not smallest <= value <= LARGEST:
-        raise RigError(f"{where}: {key} must lie between {smallest:g} and {LARGEST:g} (SI units), is {value:g}")
-    return value
-
-
-def _positive(value: float, key: str, where: str) -> float:
-    if value <= 0.0:
-        raise RigError(f"{where}: {key} must be greater than 0, is {value:g}")
-    return value
+    distance = positive(length(table, "distance", where), "distance", where)
+    return SocketDistance((sockets[0], sockets[1]), distance, positive(length(table, "sigma", where), "sigma", where))
 
 
 def format_rig(rig: Rig) -> str:
     """The text of a rig file, in metres so that every number comes back bit for bit."""
-    blocks = [f"seat_sigma_m = {rig.seat_sigma!r}"]
+    blocks = [_top_text(rig)]
     blocks += [_point_text("chuck", point) for point in rig.chucks.values()]
     blocks += [_point_text("sphere", point) for point in rig.spheres.values()]
     blocks += [_bar_text(bar) for bar in rig.bars.values()]
     blocks += [_socket_distance_text(distance) for distance in rig.socket_distances]
+    blocks += [_point_text("target", point) for point in rig.targets.values()]
+    blocks += [device_text("line", line) for line in rig.lines.values()]
+    blocks += [device_text("tracker", tracker) for tracker in rig.trackers.values()]
+    blocks += [plane_text(flat) for flat in rig.planes.values()]
     return "\n\n".join(blocks) + "\n"
 
 
+def _top_text(rig: Rig) -> str:
+    lines = [
+        f"seat_sigma_m = {float(rig.seat_sigma)!r}",
+        f"line_sigma_m = {numbers(rig.line_sigma)}",
+        f"line_placement = {json.dumps(rig.line_placement)}",
+        f"time_offset_s = {float(rig.time_offset)!r}",
+        f"time_offset_sigma_s = {sigma_text(rig.time_offset_sigma)}",
+    ]
+    if rig.joint_cov:
+        lines.append(f"joint_cov_si = {matrix_text(rig.joint_cov)}")
+    return "\n".join(lines)
+
+
 def _point_text(key: str, point: Point) -> str:
-    sigma = '"unknown"' if point.sigma is None else repr(float(point.sigma))
-    return f"[[{key}]]\nname = {json.dumps(point.name)}\nxyz_m = {[float(v) for v in point.xyz]}\nsigma_m = {sigma}"
+    place = f"xyz_m = {numbers(point.xyz)}\nsigma_m = {sigma_text(point.sigma)}"
+    return f"[[{key}]]\nname = {json.dumps(point.name)}\n{place}"
 
 
 def _bar_text(bar: BallBar) -> str:

@@ -23,13 +23,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from truearm.errors import RobotError
-from truearm.model.transforms import MOTIONS, apply, axis_of, cross, elementary, move, turn
+from truearm.model.transforms import MOTIONS, apply, axis_of, before, cross, elementary, move, turn
 from truearm.types import Floats
 
 
@@ -90,6 +90,10 @@ class Chain:
             raise RobotError(f"robot {self.name}: two parameters have the same name")
         if [e.joint for e in self.elements if e.joint is not None] != list(range(len(self.joints))):
             raise RobotError(f"robot {self.name}: joints must move once each, in the order they are listed")
+
+    def __hash__(self) -> int:
+        """Cheap, since ``_folded`` looks chains up once a block of poses; equal chains have equal names."""
+        return hash(self.name)
 
     @cached_property
     def parameter_names(self) -> tuple[str, ...]:
@@ -200,7 +204,7 @@ def trace_point(chain: Chain, params: Floats, q: Floats, p_end_point: Floats) ->
     """Carry a point of the end, (3,) or (…, 3), inwards to the base; leading axes of q are flattened to n."""
     params, q = _checked(chain, params, q)
     q = q.reshape(math.prod(q.shape[:-1]), len(chain.joints))
-    links = tuple(fold_link(run, params) for run in chain.links)
+    links = folded(chain, params)
     gains = tuple(_amount(params, m.gain, 1.0) for m in chain.movers)
     offsets = [_amount(params, m.parameter, m.value) for m in chain.movers]
     amounts = [offsets[i] + gains[i] * q[:, i] for i in range(len(gains))]
@@ -243,6 +247,24 @@ def along(trace: PointTrace, direction: Floats) -> Rows:
     return Rows(jac_params.T, jac_joints.T, u.T)
 
 
+def folded(chain: Chain, params: Floats) -> tuple[FoldedLink, ...]:
+    """All links multiplied out, j + 1 of them.
+
+    Remembered for the last few params: poses come in blocks, and 54 constants take 0.5 ms, as long as the poses do.
+    """
+    return _folded(chain, params.tobytes(), params.dtype.str)
+
+
+@lru_cache(maxsize=4)
+def _folded(chain: Chain, params: bytes, dtype: str) -> tuple[FoldedLink, ...]:
+    values = np.frombuffer(params, dtype)
+    links = tuple(fold_link(run, values) for run in chain.links)
+    for link in links:
+        link.transform.setflags(write=False)
+        link.twists.setflags(write=False)
+    return links
+
+
 def fold_link(run: tuple[Element, ...], params: Floats) -> FoldedLink:
     """Multiply a run of constants out; twists of its parameters by Ad(B⁻¹)ξ, B the product of what follows."""
     beyond = np.eye(4)
@@ -251,7 +273,7 @@ def fold_link(run: tuple[Element, ...], params: Floats) -> FoldedLink:
         if element.parameter is not None:
             twists.append(_twist_beyond(element.motion, beyond))
             columns.append(element.parameter)
-        beyond = elementary(element.motion, _amount(params, element.parameter, element.value)) @ beyond
+        beyond = before(element.motion, _amount(params, element.parameter, element.value), beyond)
     stacked = np.stack(twists[::-1], axis=1) if twists else np.zeros((6, 0))
     return FoldedLink(beyond, stacked, tuple(columns[::-1]))
 
@@ -262,13 +284,14 @@ def _twist_beyond(motion: str, beyond: Floats) -> Floats:
     rot, shift = beyond[:3, :3], beyond[:3, 3]
     if motion[0] == "t":
         return np.concatenate([rot[k], np.zeros(3)])
-    return np.concatenate([-rot.T @ np.cross(shift, np.eye(3)[k]), rot[k]])
+    a, b = (k + 1) % 3, (k + 2) % 3  # t × e_k = t_b e_a − t_a e_b
+    return np.concatenate([shift[a] * rot[b] - shift[b] * rot[a], rot[k]])
 
 
 def _far_frames(chain: Chain, params: Floats, q: Floats) -> list[Floats]:
     """Frames (…, 4, 4) in the base frame: each joint's after its motion (j of them), then the end."""
     params, q = _checked(chain, params, q)
-    links = [fold_link(run, params).transform for run in chain.links]
+    links = [link.transform for link in folded(chain, params)]
     here = np.broadcast_to(links[0], (*q.shape[:-1], 4, 4))
     frames = []
     for i, mover in enumerate(chain.movers):

@@ -12,42 +12,31 @@ from collections.abc import Sequence
 import numpy as np
 
 from truearm.errors import RobotError
-from truearm.model.chain import Chain, Element, Joint, Parameter
+from truearm.model.chain import Chain, Joint
+from truearm.model.slots import Slot, chain_from_slots, gain_name, six_slots
 from truearm.types import Floats
 
-LINK = (("x", "tx"), ("y", "ty"), ("z", "tz"), ("alpha", "rz"), ("beta", "ry"), ("gamma", "rx"))
 
-
-def parameter_units(joints: Sequence[Joint]) -> tuple[tuple[str, str], ...]:
-    """(name, unit) of every parameter in the paper's order: link1.x … link1.gamma, joint1.offset, joint1.gain, …"""
-    out: list[tuple[str, str]] = []
-    for i in range(len(joints) + 1):
-        out += [(f"link{i + 1}.{key}", "m" if motion[0] == "t" else "rad") for key, motion in LINK]
-        if i < len(joints):
-            out += [(f"joint{i + 1}.offset", "m" if joints[i].kind == "prismatic" else "rad")]
-            out += [(f"joint{i + 1}.gain", "1")]
+def sheth_uicker_slots(joints: Sequence[Joint]) -> tuple[Slot, ...]:
+    """link1.x … link1.gamma, joint1.offset, link2.x, …: the paper's order."""
+    out = [*six_slots("link1")]
+    for i, joint in enumerate(joints):
+        motion = "tz" if joint.kind == "prismatic" else "rz"
+        out += [Slot(f"joint{i + 1}.offset", motion, i), *six_slots(f"link{i + 2}")]
     return tuple(out)
 
 
 def chain_from_sheth_uicker(
     name: str, joints: Sequence[Joint], nominal: Floats, base_frame: str = "base", end_frame: str = "end"
 ) -> Chain:
-    """The chain of the joints with ``nominal`` (8j + 6,) [m, rad, 1] in the order of ``parameter_units``.
+    """The chain of the joints with ``nominal`` (8j + 6,) [m, rad, 1] in the paper's order, a gain after each offset.
 
     Raises RobotError if nominal has another length or is not finite.
     """
-    named = parameter_units(joints)
+    slots = sheth_uicker_slots(joints)
+    names = [n for s in slots for n in ((s.name,) if s.joint is None else (s.name, gain_name(s)))]
     nominal = np.asarray(nominal, dtype=float)
-    if nominal.shape != (len(named),):
-        raise RobotError(f"robot {name}: {len(named)} parameters are needed, got {nominal.shape}")
-    if not np.isfinite(nominal).all():
-        raise RobotError(f"robot {name}: parameter {named[int(np.argmin(np.isfinite(nominal)))][0]} is not finite")
-    elements: list[Element] = []
-    for i in range(len(joints) + 1):
-        at = 8 * i
-        elements += [Element(motion, parameter=at + k) for k, (_, motion) in enumerate(LINK)]
-        if i < len(joints):
-            motion = "tz" if joints[i].kind == "prismatic" else "rz"
-            elements.append(Element(motion, parameter=at + 6, joint=i, gain=at + 7))
-    parameters = tuple(Parameter(n, u, float(v)) for (n, u), v in zip(named, nominal, strict=True))
-    return Chain(name, tuple(elements), parameters, tuple(joints), base_frame, end_frame)
+    if nominal.shape != (len(names),):
+        raise RobotError(f"robot {name}: {len(names)} parameters are needed, got {nominal.shape}")
+    amounts = dict(zip(names, nominal.tolist(), strict=True))
+    return chain_from_slots(name, joints, slots, amounts, (), base_frame, end_frame)

@@ -26,7 +26,7 @@ class BallBarRows:
     """n ball-bar observations; indices point into x followed by ``constants``."""
 
     row: Indices  # (n,) rows of the table
-    sigma: Floats  # (n,) m
+    sensor_cov: Floats  # (n, 1) m²
     q: Floats  # (n, j)
     length: Floats  # (n,) measured, m
     sphere: Indices  # (n, 3)
@@ -41,16 +41,16 @@ def evaluate(chain: Chain, rows: BallBarRows, x: Floats) -> Linearised:
     p = len(chain.parameters)
     trace = trace_point(chain, x[:p], rows.q, gather(x, rows.constants, rows.sphere))
     bar = trace.p_base - gather(x, rows.constants, rows.chuck)
-    d = np.linalg.norm(bar, axis=1)
-    # A sphere in the chuck's centre has no direction: such a row says nothing to first order.
-    u = np.divide(bar, d[:, None], out=np.zeros_like(bar), where=d[:, None] > 0.0)
+    d = np.sqrt((bar * bar).sum(axis=1))
     zero, gain = gather(x, rows.constants, rows.scale).T
     declared_zero, declared_gain = rows.declared.T
     ratio = declared_gain / gain
     predicted = declared_zero + ratio * (d - zero)
-    derivative = along(trace, u * ratio[:, None])
+    # A sphere in the chuck's centre has no direction: such a row says nothing to first order.
+    u = bar * (ratio / np.where(d > 0.0, d, 1.0))[:, None]
+    derivative = along(trace, u)
     jac = widen(derivative.jac_params, x.size)
     scatter(jac, rows.sphere, derivative.jac_point)
-    scatter(jac, rows.chuck, -u * ratio[:, None])
+    scatter(jac, rows.chuck, -u)
     scatter(jac, rows.scale, np.stack([-ratio, -ratio * (d - zero) / gain], axis=1))
     return Linearised(rows.length - predicted, jac, derivative.jac_joints)

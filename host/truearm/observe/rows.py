@@ -37,14 +37,19 @@ def take(rows: AnyRows, which: slice | NDArray[Any]) -> AnyRows:
 
 
 def gather(x: Floats, constants: Floats, index: Indices) -> Floats:
-    """Values at ``index`` (any shape) of x followed by constants."""
-    return np.concatenate([x, constants])[index]
+    """Values at ``index`` (n, c) of x followed by constants; each of the c lies together in memory."""
+    return np.concatenate([x, constants]).take(index.T).T
 
 
 def widen(jac_robot: Floats, n_params: int) -> Floats:
-    """The robot's columns (m, p) followed by zeros for the rig's unknowns, (m, P)."""
-    missing = n_params - jac_robot.shape[1]
-    return np.concatenate([jac_robot, np.zeros((jac_robot.shape[0], missing), jac_robot.dtype)], axis=1)
+    """The robot's columns (m, p) followed by zeros for the rig's unknowns, (m, P); columns lie together in memory.
+
+    Without unknowns of the rig it is the robot's columns themselves.
+    """
+    m, p = jac_robot.shape
+    if p == n_params:
+        return jac_robot
+    return np.concatenate([jac_robot.T, np.zeros((n_params - p, m), jac_robot.dtype)]).T
 
 
 def scatter(jac: Floats, index: Indices, values: Floats) -> None:

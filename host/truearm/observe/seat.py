@@ -22,7 +22,7 @@ class SeatRows:
     """n seats; indices point into x followed by ``constants``."""
 
     row: Indices  # (n,) rows of the table
-    sigma: Floats  # (n,) m, of each coordinate
+    sensor_cov: Floats  # (n, 3) m²
     q: Floats  # (n, j)
     sphere: Indices  # (n, 3) the ball, in the end frame
     socket: Indices  # (n, 3) in the base frame

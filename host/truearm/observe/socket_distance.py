@@ -20,7 +20,7 @@ WIDTH = 1  # scalar residuals an observation
 class SocketDistanceRows:
     """n places where both sockets were used; indices point into x followed by ``constants``."""
 
-    sigma: Floats  # (n,) m
+    sensor_cov: Floats  # (n, 1) m²
     distance: Floats  # (n,) measured, m
     first: Indices  # (n, 3)
     second: Indices  # (n, 3)

@@ -1,0 +1,73 @@
+"""The batch fit behind ``lm`` and ``map``: one cost, observations and one fixed prior, minimised from x.
+
+With a robust loss the fit runs in stages, least squares first (robust.py says why). With uncertain joint readings the
+weights belong to the x at which they were computed: they are renewed at each linearisation, and two x are compared
+under those of the first (``information.weighed``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.estimate import lm
+from truearm.estimate.information import Information, covariance, observe, spectrum, weighed, with_prior
+from truearm.estimate.problem import Problem
+from truearm.estimate.robust import STAGES, sandwich
+from truearm.estimate.rows import observe_robustly
+from truearm.estimate.solution import Options, Solution, prior_error, whole
+from truearm.types import Floats
+
+
+def fit(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Options, damping: float) -> Solution:
+    """Minimise from x (P,) over x[columns], beginning with ``damping``; the prior's mean is the problem's start."""
+    part, iterations = x[columns], 0
+    for loss in STAGES[options.loss]:
+        linearise, cost = _callbacks(problem, columns, x, loss)
+        minimum = lm.minimise(
+            linearise,
+            part,
+            options.max_iterations - iterations,
+            _counted(iterations, options),
+            damping=damping,
+            plain=options.plain,
+            cost=cost,
+        )
+        part, iterations = minimum.x, iterations + minimum.iterations
+    x = whole(x, columns, part)
+    message = minimum.message.replace(f"after {minimum.iterations} ", f"after {iterations} ")
+    if options.loss == "linear":
+        claimed = covariance(spectrum(minimum.information.root))
+        return Solution(x, minimum.status, message, iterations, minimum.information, claimed, np.ones(problem.n_rows))
+    _, moments, weights = observe_robustly(problem, x, columns, options.loss)
+    data = observe(problem, x, columns)
+    claimed = sandwich(data.root, problem.prior_sigma[columns], moments, data.n_residuals)
+    information = with_prior(data, *prior_error(problem, columns, x))
+    return Solution(x, minimum.status, message, iterations, information, claimed, weights)
+
+
+def _counted(before: int, options: Options) -> Callable[[int, Information], None]:
+    """Tell of each step, counting on over the stages."""
+
+    def on_step(iteration: int, information: Information) -> None:
+        if options.on_step is not None:
+            options.on_step(before + iteration, information.residual)
+
+    return on_step
+
+
+def _callbacks(
+    problem: Problem, columns: NDArray[np.bool_], x: Floats, loss: str
+) -> tuple[Callable[[Floats], Information], Callable[[Floats, Floats], float] | None]:
+    """``linearise`` and ``cost`` for ``lm.minimise``."""
+
+    def at(of: Problem, part: Floats) -> Information:
+        here = whole(x, columns, part)
+        data = observe(of, here, columns) if loss == "linear" else observe_robustly(of, here, columns, loss)[0]
+        return with_prior(data, *prior_error(problem, columns, here))
+
+    if problem.joint_cov is None:
+        return lambda part: at(problem, part), None
+    return lambda part: at(problem, part), lambda there, here: at(weighed(problem, whole(x, columns, here)), there).chi2

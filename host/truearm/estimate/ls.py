@@ -1,0 +1,37 @@
+"""Plain least squares, for comparison (Renders 1991, II-I): S_x = I, S_q = 0, P(0) = P₀·I with P₀ large.
+
+Every residual counts alike in metres, joint readings are taken as exact, no parameter is known beforehand. The noise is
+then read from the residuals: the covariance is s²·(JᵀJ + I/P₀)⁻¹ with s² = Σf²/(m − k). χ² of the result is still by the
+declared σ, so that results of several solvers can be laid side by side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.estimate.fit import fit
+from truearm.estimate.information import observe, seen, spectrum
+from truearm.estimate.problem import Problem
+from truearm.estimate.solution import Options, Solution
+from truearm.types import Floats
+
+P0 = 1e6  # m² and rad², "an arbitrary large number"
+
+
+def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Options) -> Solution:
+    """Least squares over x[columns] from x (P,)."""
+    found = fit(unweighted(problem), columns, x, options._replace(loss="linear", plain=False), 0.0)
+    data = observe(problem, found.x, columns)
+    rank = int(seen(spectrum(data.root)).sum())
+    square = found.information.chi2 - float((((problem.start - found.x)[columns]) ** 2).sum()) / P0
+    variance = square / max(data.n_residuals - rank, 1)
+    return found._replace(information=data, covariance=found.covariance * variance)
+
+
+def unweighted(problem: Problem, p0: float = P0) -> Problem:
+    """The problem as plain least squares sees it."""
+    groups = tuple(replace(g, sensor_cov=np.ones(g.sensor_cov.shape[:2])) for g in problem.groups)
+    return replace(problem, groups=groups, joint_cov=None, prior_sigma=np.full(problem.start.size, np.sqrt(p0)))

@@ -1,0 +1,26 @@
+"""Iterated maximum a posteriori (Renders 1991, II-E) with one fixed prior: the default for a line's problem.
+
+At each linearisation the paper's batch solution (12), corrected to stay about the prior's own mean,
+
+    Δ = (M_θ + ΣJᵢᵀCᵢJᵢ)⁻¹ [ΣJᵢᵀCᵢΔxᵢ + M_θ(θ₀ − θ)] ,   Cᵢ = (S_x + J₂S_qJ₂ᵀ)⁻¹ ,
+
+in square-root form, taken in full: with a prior the information is regular and Gauss–Newton needs no damping. Only where
+a full step would raise the cost does Marquardt's damping set in, so that a poor start ends at the same place as ``lm``.
+The prior is about the nominal values in every iteration and counts once, as do the data: the inverse of the information
+at the end is the covariance of the error (II-G).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.estimate.fit import fit
+from truearm.estimate.problem import Problem
+from truearm.estimate.solution import Options, Solution
+from truearm.types import Floats
+
+
+def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Options) -> Solution:
+    """Maximise the posterior over x[columns] from x (P,)."""
+    return fit(problem, columns, x, options._replace(plain=False), 0.0)

@@ -1,0 +1,49 @@
+"""What every solver is given and gives back, so that ``identify`` can treat them alike."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.estimate.information import Information
+from truearm.estimate.problem import Problem
+from truearm.types import Floats
+
+
+class Options(NamedTuple):
+    """How to solve; a solver ignores what it has no use for."""
+
+    max_iterations: int = 50
+    loss: str = "linear"  # one of robust.LOSSES, for lm and map
+    plain: bool = False  # damp by λI, for lm
+    on_step: Callable[[int, Floats], None] | None = None  # hears iteration and residuals (n_rows,) in m
+
+
+class Solution(NamedTuple):
+    """Where a solver ended. ``status`` is "converged", "max_iterations" or "stalled"."""
+
+    x: Floats  # (P,)
+    status: str
+    message: str
+    iterations: int
+    information: Information  # at x, of the observations that were used and the prior, unweighted
+    covariance: Floats  # (k, k) as the solver claims it; zero along what is not seen
+    weight: Floats  # (n_rows,) 1: as declared; 0: left out; between: a robust loss's
+
+
+Solver = Callable[[Problem, NDArray[np.bool_], Floats, Options], Solution]
+
+
+def whole(x: Floats, columns: NDArray[np.bool_], part: Floats) -> Floats:
+    """x (P,) with x[columns] replaced."""
+    out = x.copy()
+    out[columns] = part
+    return out
+
+
+def prior_error(problem: Problem, columns: NDArray[np.bool_], x: Floats) -> tuple[Floats, Floats]:
+    """The prior about x[columns]: mean − x (k,) and σ (k,)."""
+    return (problem.start - x)[columns], problem.prior_sigma[columns]

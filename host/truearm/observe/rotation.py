@@ -1,0 +1,94 @@
+"""Rotation vectors, batched and differentiable: how a device's orientation moves with its three parameters.
+
+R = exp([ω]×) turns by |ω| about ω. To first order exp([ω + δω]×) = exp([J_l(ω) δω]×)·exp([ω]×): J_l(ω) turns a change
+of the parameters into a small turn about the base axes, which is what Renders' Δφ (1991, (28)) is. With θ = |ω|
+
+    exp = I + a [ω]× + b [ω]×²     a = sin θ/θ     b = (1 − cos θ)/θ²
+    J_l = I + b [ω]× + c [ω]×²     c = (θ − sin θ)/θ³ .
+
+a, b and c are analytic in θ², near 0 they are summed as series; so a complex step passes through unharmed.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from truearm.types import Floats
+
+SERIES_BELOW = 0.1  # θ²: eight terms leave 0.1⁸/19! ≈ 1e-25; above it θ − sin θ has lost less than three digits
+
+
+def skew(vector: Floats) -> Floats:
+    """[v]× (…, 3, 3) of v (…, 3), so that [v]× w = v × w."""
+    x, y, z = np.moveaxis(np.asarray(vector), -1, 0)
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
+
+
+def rotation(vector: Floats) -> Floats:
+    """exp([ω]×) (…, 3, 3) of rotation vectors (…, 3) [rad]."""
+    a, b, _ = _coefficients(vector)
+    return _series(vector, a, b)
+
+
+def left_jacobian(vector: Floats) -> Floats:
+    """J_l(ω) (…, 3, 3): the small turn about the base axes per change of the rotation vector (…, 3)."""
+    _, b, c = _coefficients(vector)
+    return _series(vector, b, c)
+
+
+def rotation_vector(rot: Floats) -> Floats:
+    """ω (…, 3) with exp([ω]×) = rot (…, 3, 3) and |ω| ≤ π.
+
+    Through the unit quaternion, whose largest component is taken from the diagonal: no angle loses digits.
+    """
+    m = np.moveaxis(np.asarray(rot, dtype=float), (-2, -1), (0, 1))
+    trace = m[0, 0] + m[1, 1] + m[2, 2]
+    # Four times the outer product of the quaternion (x, y, z, w) with itself: every row is a multiple of it.
+    outer = np.empty((*m.shape[2:], 4, 4))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        outer[..., i, i] = 1.0 + 2.0 * m[i, i] - trace
+        outer[..., i, j] = outer[..., j, i] = m[i, j] + m[j, i]
+        outer[..., i, 3] = outer[..., 3, i] = m[k, j] - m[j, k]
+    outer[..., 3, 3] = 1.0 + trace
+    best = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
+    quaternion = np.take_along_axis(outer, best[..., None, None], axis=-2)[..., 0, :]
+    quaternion *= np.where(quaternion[..., 3:] < 0.0, -1.0, 1.0)
+    xyz, w = quaternion[..., :3], quaternion[..., 3]
+    size = np.linalg.norm(xyz, axis=-1)
+    turned = size > 0.0
+    per_size = np.where(turned, 2.0 * np.arctan2(size, w) / np.where(turned, size, 1.0), 2.0 / np.where(turned, 1.0, w))
+    return np.asarray(per_size[..., None] * xyz)
+
+
+def _series(vector: Floats, first: Floats, second: Floats) -> Floats:
+    """I + first [ω]× + second [ω]×², with [ω]×² = ωωᵀ − θ² I."""
+    vector = np.asarray(vector)
+    square = vector[..., :, None] * vector[..., None, :]
+    theta2 = (vector * vector).sum(axis=-1)
+    eye = (1.0 - second * theta2)[..., None, None] * np.eye(3)
+    return np.asarray(eye + first[..., None, None] * skew(vector) + second[..., None, None] * square)
+
+
+def _coefficients(vector: Floats) -> tuple[Floats, Floats, Floats]:
+    """a, b and c (…) of the module's docstring."""
+    vector = np.asarray(vector)
+    t = (vector * vector).sum(axis=-1)
+    near = np.abs(t) < SERIES_BELOW
+    theta = np.sqrt(np.where(near, 1.0, t))
+    sine, half = np.sin(theta), np.sin(theta / 2.0)
+    far = (sine / theta, 2.0 * (half / theta) ** 2, (theta - sine) / theta**3)
+    a, b, c = (np.where(near, _taylor(t, start), value) for start, value in zip((1, 2, 3), far, strict=True))
+    return a, b, c
+
+
+def _taylor(t: Floats, start: int) -> Any:
+    """Σ (−t)^i / (2i + start)!"""
+    total = 0.0 * t
+    for i in reversed(range(8)):
+        total = 1.0 / math.factorial(2 * i + start) - t * total
+    return total

@@ -1,0 +1,192 @@
+"""One HTML page that lays a paper's numbers beside those of this program, for ``truearm reproduce``.
+
+A claim is a number of the paper (or none, where only we have one), ours, and what theory expects. Its verdict is not
+written by anyone but follows from the numbers: reproduced where they agree within the tolerance, which must be given
+with its reason; in kind where the paper leaves open what would be needed to compute its number.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
+
+from truearm.report.figures import Figure
+from truearm.report.page import POLICY
+from truearm.report.tables import step_table
+from truearm.report.text import ABSENT, escape, figures
+
+REPRODUCED, NOT_REPRODUCED, IN_KIND, OURS = "reproduced", "not reproduced", "in kind", "ours alone"
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One number. ``expected`` is what theory says of ours; ``why`` explains a difference, or how ours came about."""
+
+    what: str
+    unit: str  # "mm", "rad", "1" …; "" for a count
+    paper: float | None
+    ours: float
+    expected: float | None = None
+    tolerance: float | None = 0.0  # of ours about the paper's number; None: the paper does not say enough
+    why: str = ""
+
+    @property
+    def verdict(self) -> str:
+        if self.paper is None:
+            return OURS
+        if self.tolerance is None:
+            return IN_KIND
+        return REPRODUCED if abs(self.ours - self.paper) <= self.tolerance else NOT_REPRODUCED
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of cells that are text already; the first column names its row."""
+
+    title: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True)
+class Chapter:
+    """A table or figure of the paper, or a paragraph's worth of numbers."""
+
+    title: str
+    text: str
+    claims: tuple[Claim, ...] = ()
+    tables: tuple[Table, ...] = ()
+    figures: tuple[Figure, ...] = ()
+
+
+@dataclass(frozen=True)
+class ReproducePage:
+    """A paper, chapter by chapter; ``steps`` are names and seconds, ``command`` what makes the page again."""
+
+    title: str
+    source: str
+    chapters: tuple[Chapter, ...]
+    steps: tuple[tuple[str, float], ...] = ()
+    command: str = ""
+
+
+def counts(page: ReproducePage) -> dict[str, int]:
+    """How many claims have which verdict."""
+    every = [claim.verdict for chapter in page.chapters for claim in chapter.claims]
+    return {verdict: every.count(verdict) for verdict in (REPRODUCED, IN_KIND, NOT_REPRODUCED, OURS)}
+
+
+def document(page: ReproducePage) -> dict[str, Any]:
+    """All numbers of the page, for JSON."""
+    return {
+        "format": "truearm-reproduce-1",
+        "paper": page.source,
+        "counts": counts(page),
+        "chapters": [
+            {
+                "title": chapter.title,
+                "claims": [_claim_document(claim) for claim in chapter.claims],
+                "tables": [vars(table) for table in chapter.tables],
+            }
+            for chapter in page.chapters
+        ],
+    }
+
+
+def _claim_document(claim: Claim) -> dict[str, Any]:
+    """JSON has no NaN: a number that does not exist is null."""
+    fields = {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in vars(claim).items()}
+    return fields | {"verdict": claim.verdict}
+
+
+def render(page: ReproducePage) -> str:
+    """The page as HTML text, to be written as UTF-8."""
+    style = files("truearm.report").joinpath("page.css").read_text(encoding="utf-8")
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        '<meta name="color-scheme" content="light dark">\n'
+        f"<title>{escape(page.title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
+        f'<header><p class="brand">truearm reproduce</p><h1>{escape(page.title)}</h1>'
+        f'<p class="subtitle">{escape(page.source, 400)}</p></header>\n<main>\n{_summary(page)}'
+        f"{''.join(map(_chapter, page.chapters))}{_making(page)}</main>\n</body>\n</html>\n"
+    )
+
+
+def _summary(page: ReproducePage) -> str:
+    notes = {
+        REPRODUCED: ("fit", "within a tolerance that its remark explains"),
+        IN_KIND: ("old", "the paper leaves open what its number depends on"),
+        NOT_REPRODUCED: ("val", "the remark says why"),
+        OURS: ("old", "the paper has no such number"),
+    }
+    tiles = "".join(
+        f'<div class="tile {notes[verdict][0]}"><p class="name">{verdict}</p><p class="figure">{number}</p>'
+        f'<p class="small">{notes[verdict][1]}</p></div>'
+        for verdict, number in counts(page).items()
+    )
+    return (
+        '<section><h2 class="verdict">Every number in the column “ours” was computed when this page was made; the '
+        f'column “paper” quotes.</h2><div class="tiles">{tiles}</div></section>\n'
+    )
+
+
+def _chapter(chapter: Chapter) -> str:
+    parts = [f"<p>{escape(chapter.text, 2000)}</p>", _claims(chapter.claims), *map(_table, chapter.tables)]
+    if chapter.figures:
+        parts.append(f'<div class="pictures">{"".join(map(_figure, chapter.figures))}</div>')
+    return f"<section><h2>{escape(chapter.title)}</h2>{''.join(parts)}</section>\n"
+
+
+def _claims(claims: Sequence[Claim]) -> str:
+    if not claims:
+        return ""
+    head = "".join(f'<th scope="col">{name}</th>' for name in ("", "paper", "ours", "theory", "unit", "verdict"))
+    rows = "".join(_claim(claim) for claim in claims)
+    table = f'<table class="claims"><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>'
+    return f'<div class="scroll" tabindex="0" role="region" aria-label="numbers">{table}</div>'
+
+
+def _claim(claim: Claim) -> str:
+    paper = ABSENT if claim.paper is None else f"{claim.paper:.4g}"  # as printed: no figures that it does not have
+    cells = "".join(f"<td>{v}</td>" for v in (paper, _number(claim.ours), _number(claim.expected)))
+    css = claim.verdict.replace(" ", "-")
+    why = f'<tr class="why"><td colspan="6">{escape(claim.why, 800)}</td></tr>' if claim.why else ""
+    return (
+        f'<tr class="{css}"><th scope="row">{escape(claim.what, 300)}</th>{cells}<td class="unit">'
+        f'{escape(claim.unit)}</td><td class="note">{claim.verdict}</td></tr>{why}'
+    )
+
+
+def _number(value: float | None) -> str:
+    if value is None or not math.isfinite(value):
+        return ABSENT
+    whole = abs(value) < 1e6 and value == round(value)
+    return str(round(value)) if whole else figures(value)
+
+
+def _table(table: Table) -> str:
+    head = "".join(f'<th scope="col">{escape(name)}</th>' for name in table.head)
+    rows = "".join(
+        f'<tr><th scope="row">{escape(row[0])}</th>{"".join(f"<td>{escape(cell)}</td>" for cell in row[1:])}</tr>'
+        for row in table.rows
+    )
+    title = escape(table.title)
+    inner = f'<table class="plain"><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>'
+    return f'<h3>{title}</h3><div class="scroll" tabindex="0" role="region" aria-label="{title}">{inner}</div>'
+
+
+def _figure(figure: Figure) -> str:
+    css = ' class="wide"' if figure.wide else ""
+    caption = f"<figcaption>{escape(figure.caption, 800)}</figcaption>"
+    return f"<figure{css}><h3>{escape(figure.title)}</h3>{figure.drawing}{caption}</figure>\n"
+
+
+def _making(page: ReproducePage) -> str:
+    command = f'<pre tabindex="0"><code>{escape(page.command, 2000)}</code></pre>' if page.command else ""
+    steps = step_table(page.steps) if page.steps else ""
+    return f"<section><h2>How it was made</h2>{command}{steps}</section>\n" if command or steps else ""

@@ -1,0 +1,112 @@
+"""Lines, trackers and flats about the PUMA for tests: rows that a true robot and true devices would have given."""
+
+import numpy as np
+from puma_bench import CHAIN, TRUTH, random_poses
+
+from truearm.model.chain import forward, point_forward, point_jacobians
+from truearm.observe.plane import frame_of
+from truearm.observe.rotation import rotation, rotation_vector
+from truearm.types import ObservationTable, Point
+
+TARGETS = {
+    "ball": Point("ball", (0.02, -0.03, 0.12)),
+    "other": Point("other", (-0.05, 0.04, 0.08)),
+    "third": Point("third", (0.06, 0.05, 0.10)),
+}
+
+
+def rows(kind, q, **columns):
+    """A table of one kind; what is not given is empty. Identifiers may be one word for all rows."""
+    n = len(q)
+    text = {name: np.full(n, "") for name in ("bar", "chuck", "sphere", "socket", "place", "shell")}
+    nan = {name: np.full(n, np.nan) for name in ("value", "sigma")}
+    given = {k: np.full(n, v) if isinstance(v, str) else v for k, v in columns.items()}
+    source = np.array([f"{kind} {i + 1}" for i in range(n)])
+    return ObservationTable(**{"q": q, "kind": np.full(n, kind), "source": source, **text, **nan, **given})
+
+
+def join(*tables):
+    names = ObservationTable.__dataclass_fields__
+    return ObservationTable(**{name: np.concatenate([getattr(t, name) for t in tables]) for name in names})
+
+
+def in_device(p_base, xyz, vector):
+    """(n, 3) points of the base in the axes of a device at xyz, turned by a rotation vector."""
+    return (p_base - np.asarray(xyz)) @ rotation(np.asarray(vector))
+
+
+def target(q, name="ball", params=TRUTH):
+    """(n, 3) where the robot has a target."""
+    return point_forward(CHAIN, params, q, np.array(TARGETS[name].xyz))
+
+
+def random_pose(rng):
+    """A device's position within reach and its rotation vector, any orientation."""
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    turn *= np.sign(np.linalg.det(turn))
+    return rng.uniform([0.2, -0.4, 0.3], [0.6, 0.4, 0.8]), rotation_vector(turn)
+
+
+def joints_at(points, rng, params=TRUTH, name="ball", tries=10):
+    """(n, 6) joint readings that bring a target of the robot to points (n, 3), each with an orientation of its own.
+
+    NaN where none of the random starts got there.
+    """
+    p_end = np.array(TARGETS[name].xyz)
+    q = random_poses(len(points) * tries, rng)
+    goal = np.repeat(points, tries, axis=0)
+    for _ in range(40):
+        p, _, jac = point_jacobians(CHAIN, params, q, p_end)
+        square = jac @ jac.swapaxes(1, 2) + 1e-6 * np.eye(3)
+        step = (jac.swapaxes(1, 2) @ np.linalg.solve(square, (goal - p)[..., None]))[..., 0]
+        q = q + np.clip(step, -0.3, 0.3)
+    good = np.linalg.norm(point_forward(CHAIN, params, q, p_end) - goal, axis=1) < 1e-12
+    first = np.argmax(good.reshape(-1, tries), axis=1) + tries * np.arange(len(points))
+    return np.where(good[first, None], q[first], np.nan)
+
+
+def line_rows(name, n, rng, transverse=5e-3):
+    """n points of one line, 0.5 m long, anywhere within reach, and its pose (6,) x y z rx ry rz.
+
+    Transverse readings are up to ±``transverse``.
+    """
+    while True:
+        xyz, vector = random_pose(rng)
+        measured = rng.uniform(-transverse, transverse, (n, 3))
+        measured[:, 1] = np.linspace(-0.25, 0.25, n)
+        q = joints_at(xyz + measured @ rotation(vector).T, rng)
+        if np.isfinite(q).all():
+            return rows("line", q, xyz=measured, line=name, target="ball"), np.concatenate([xyz, vector])
+
+
+def tracked(kind, n, pose, rng, name="ball", **columns):
+    """n rows of kind position or pose of one target at random joints, by tracker "t" at ``pose``."""
+    q = random_poses(n, rng)
+    if kind == "pose":
+        turned = rotation(np.asarray(pose[3:])).T @ orientation(q)
+        columns["rotation"] = rotation_vector(turned)
+    return rows(kind, q, xyz=in_device(target(q, name), pose[:3], pose[3:]), tracker="t", target=name, **columns)
+
+
+def touches(plane, n, rng, offset=0.0, tilt=(0.0, 0.0), ball=5e-3):
+    """n touches, by a ball, of the flat that a declared plane is when moved by its three parameters."""
+    e1, e2, n0 = frame_of(np.array(plane.normal))
+    turn = rotation(tilt[0] * e1 + tilt[1] * e2)
+    while True:
+        across = rng.uniform(-0.2, 0.2, (n, 2)) @ (turn @ np.stack([e1, e2], axis=1)).T
+        q = joints_at(np.array(plane.xyz) + (offset + ball) * (turn @ n0) + across, rng)
+        if np.isfinite(q).all():
+            return rows("plane", q, plane=plane.name, target="ball", value=np.full(n, ball))
+
+
+def values(problem, truth):
+    """x (P,) with the true robot, and of the rig what ``truth`` says by name; None of it may be missing."""
+    return np.concatenate([TRUTH, [truth[name] for name in problem.names[len(TRUTH) :]]])
+
+
+def named(thing, numbers, parts=("x", "y", "z", "rx", "ry", "rz")):
+    return {f"{thing}.{k}": v for k, v in zip(parts, numbers, strict=False)}
+
+
+def orientation(q, params=TRUTH):
+    return forward(CHAIN, params, q)[:, :3, :3]

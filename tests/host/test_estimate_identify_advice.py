@@ -1,0 +1,242 @@
+"""What an identification advises: rows to distrust, labels to put right, what to measure next, and bad input."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import ulb_bench
+from puma_bench import (
+    BARS,
+    CHAIN,
+    CHUCKS,
+    DESIGN,
+    FREE,
+    RIG,
+    SIGMA,
+    SPHERES,
+    TRUTH,
+    all_pairs,
+    constant_orientation_poses,
+    lengths,
+    points,
+    random_poses,
+    random_table,
+    shell_table,
+    table,
+)
+
+from truearm.estimate.identify import SOLVERS, identify
+from truearm.types import Rig
+
+
+@pytest.fixture(scope="module")
+def shells():
+    return shell_table(400, 0.46, np.random.default_rng(0), SIGMA)
+
+
+@pytest.mark.parametrize("solver", sorted(SOLVERS))
+def test_every_solver_arrives_at_the_noise(shells, solver):
+    e = identify(CHAIN, RIG, shells, free=FREE, solver=solver)
+    assert e.status == "converged"
+    assert e.solver == solver
+    assert e.rms_before > 2e-3
+    assert e.rms_after == pytest.approx(SIGMA, rel=0.15)
+    assert len(e.rms_history) == e.iterations + 1
+    assert e.rank == 36
+    assert e.suggested_free.sum() == 36
+    assert (e.additions, e.relabellings) == ((), ())
+
+
+def test_distances_are_chi_and_bands_hold(shells):
+    e = identify(CHAIN, RIG, shells, free=FREE)
+    assert e.chi2_band[0] < e.chi2_reduced < e.chi2_band[1]
+    # Deleted residuals have unit variance; the mean of 400 squares has a standard error of sqrt(2/400).
+    assert abs(np.mean(e.distance**2) - 1.0) < 4 * np.sqrt(2 / 400)
+    assert (e.weight == 1.0).all()
+    held = np.arange(400) % 4 == 0
+    part = identify(CHAIN, RIG, shells, free=FREE, hold_out=held)
+    assert np.isnan(part.distance[held]).all()
+    assert not part.suspect[held].any()
+
+
+def test_least_squares_reads_the_noise_from_the_residuals(shells):
+    """Its σ are those of lm times s/σ, whatever σ the rig declares."""
+    lied = {k: replace(b, sigma=10 * SIGMA) for k, b in BARS.items()}
+    e = identify(CHAIN, Rig(CHUCKS, SPHERES, lied), shells, free=FREE, solver="ls")
+    lm = identify(CHAIN, RIG, shells, free=FREE)
+    np.testing.assert_allclose(e.sigma[FREE], lm.sigma[FREE] * np.sqrt(lm.chi2_reduced), rtol=1e-3)
+    assert e.chi2_reduced == pytest.approx(lm.chi2_reduced / 100, rel=1e-3)
+
+
+# --- what to measure next -------------------------------------------------------------------------------------------
+
+
+def by_kind(e):
+    out = {}
+    for addition in e.additions:
+        out.setdefault(addition.kind, []).append(addition)
+    return out
+
+
+def test_one_chuck_and_two_spheres_want_more(shells):
+    """Table I: 32 as it stands, a second chuck makes 34, a third sphere 33, both 35."""
+    few = shells.select((shells.chuck == "c0") & (shells.sphere != "s2"))
+    e = identify(CHAIN, RIG, few, free=FREE)
+    assert e.rank == 32
+    assert e.suggested_free.sum() == 32
+    found = by_kind(e)
+    assert {a.rank for a in found["chuck"]} == {34}
+    assert {a.rank for a in found["sphere"]} == {33}
+    assert {a.names: a.rank for a in found["pairing"]} == {
+        ("c1", "s0"): 34, ("c1", "s1"): 34, ("c2", "s0"): 34, ("c2", "s1"): 34, ("c0", "s2"): 33, ("c1", "s2"): 35, ("c2", "s2"): 35,
+    }  # fmt: skip
+    for a in e.additions:
+        assert len(a.parameters) == a.rank - 32
+        assert not e.suggested_free[[CHAIN.parameter_names.index(n) for n in a.parameters]].any()
+    assert [a.rank for a in e.additions] == sorted((a.rank for a in e.additions), reverse=True)
+
+
+def test_an_advice_taken_brings_what_it_promised(shells):
+    few = shells.select((shells.chuck == "c0") & (shells.sphere != "s2"))
+    e = identify(CHAIN, RIG, few, free=FREE)
+    chuck, sphere = e.additions[0].names
+    more = shells.select(
+        ((shells.chuck == "c0") & (shells.sphere != "s2")) | ((shells.chuck == chuck) & (shells.sphere == sphere))
+    )
+    assert identify(CHAIN, RIG, more, free=FREE).rank == e.additions[0].rank
+
+
+def test_a_constant_tool_orientation_wants_other_poses():
+    """The design robot itself: any other's orientation is not quite constant, which hides the loss behind a poor o2."""
+    q, pairs = constant_orientation_poses(200, np.random.default_rng(1)), all_pairs(200)
+    e = identify(CHAIN, RIG, table(q, lengths(DESIGN, q, pairs), pairs), free=FREE)
+    nearly = identify(CHAIN, RIG, table(q, lengths(TRUTH, q, pairs), pairs), free=FREE)
+    varied = identify(CHAIN, RIG, random_table(200, np.random.default_rng(1)), free=FREE)
+    assert nearly.rank == 36
+    assert nearly.observability.o2 < 0.1 * varied.observability.o2
+    assert e.rank == 33
+    assert by_kind(e)["poses"][0].rank == 36
+    assert "pairing" not in by_kind(e)  # all nine are there already
+
+
+def test_collinear_chucks_want_another_chuck():
+    rig = Rig(points("c", [(0.4, 0.0, 0.2), (0.5, 0.05, 0.25), (0.6, 0.1, 0.3)]), SPHERES, BARS)
+    q, pairs = random_poses(300, np.random.default_rng(2)), all_pairs(300)
+    e = identify(CHAIN, rig, table(q, lengths(TRUTH, q, pairs, rig.chucks), pairs), free=FREE)
+    assert e.rank == 35
+    assert [a.rank for a in by_kind(e)["chuck"]] == [36]
+    assert "sphere" not in by_kind(e)
+
+
+@pytest.mark.parametrize("solver", sorted(SOLVERS))
+@pytest.mark.parametrize("case", ["alike", "few", "one"])
+def test_poor_data_still_give_an_answer(solver, case):
+    """All poses alike, fewer rows than parameters, a single row: no solver raises, all say what they do not see."""
+    rng = np.random.default_rng(3)
+    n = {"alike": 80, "few": 12, "one": 1}[case]
+    q = np.tile(random_poses(1, rng), (n, 1)) if case == "alike" else random_poses(n, rng)
+    pairs = all_pairs(n)
+    e = identify(CHAIN, RIG, table(q, lengths(TRUTH, q, pairs), pairs), free=FREE, solver=solver, max_iterations=20)
+    assert e.status in ("converged", "max_iterations", "stalled")
+    assert np.isfinite(e.value).all()
+    assert e.rank <= n
+    assert len(e.null_space) == 36 - e.rank
+    assert e.additions
+    assert np.isnan(e.sigma[FREE]).any()
+
+
+def test_a_chuck_known_with_sigma_helps_as_one_known_exactly(shells):
+    """Of several rigs, too: its numbers are named after the rig."""
+    loose = replace(RIG, chucks={k: replace(p, sigma=1e-4) for k, p in CHUCKS.items()})
+    few = shells.select(shells.chuck == "c0")
+    e = identify(CHAIN, {"day": loose}, replace(few, rig=np.full(len(few), "day")), free=FREE)
+    assert e.rank == 33
+    assert {a.names: a.rank for a in by_kind(e)["pairing"]} == {(c, s): 35 for c in ("c1", "c2") for s in SPHERES}
+
+
+@pytest.mark.parametrize(("sigma", "more"), [(None, 9), (0.1, 3)])
+def test_lines_alone_want_a_ball_bar(sigma, more):
+    """A point on the tool tells nothing of its orientation (3); devices that stand anywhere cannot place the base (6)."""
+    t = ulb_bench.lines(6, 12, ulb_bench.NOMINAL, np.random.default_rng(7))
+    t = replace(t, q=t.q + 0.1 * np.random.default_rng(8).normal(size=t.q.shape))  # the tool turns on its way
+    t = replace(t, xyz=ulb_bench.point_forward(ulb_bench.CHAIN, ulb_bench.NOMINAL, t.q, np.zeros(3)))
+    free = np.array([p.unit != "1" for p in ulb_bench.CHAIN.parameters])
+    rig = ulb_bench.rig(t, sigma=sigma, turn_sigma=sigma)
+    e = identify(ulb_bench.CHAIN, rig, t, free=free, solver="map", prior_sigma=np.full(free.size, 0.01))
+    (bar,) = by_kind(e)["ball_bar"]
+    assert bar.rank == e.rank + more
+    assert len(bar.parameters) == more
+
+
+def test_suggestions_among_all_54_are_the_papers_36():
+    e = identify(CHAIN, RIG, random_table(300, np.random.default_rng(4), SIGMA), prefer=FREE)
+    np.testing.assert_array_equal(e.suggested_free, FREE)
+    assert e.observability is not None
+    assert e.observability.o3 > 0.0
+    few = identify(CHAIN, RIG, random_table(300, np.random.default_rng(4), SIGMA), free=FREE)
+    assert few.observability == pytest.approx(e.observability, rel=1e-3)
+
+
+# --- swapped labels -------------------------------------------------------------------------------------------------
+
+
+def relabelled(t, **columns):
+    changed = {}
+    for name, moves in columns.items():
+        column = getattr(t, name).astype(object)
+        for rows, label in moves:
+            column[rows] = label
+        changed[name] = column.astype(str)
+    return replace(t, **changed)
+
+
+def of(t, chuck, sphere):
+    return (t.chuck == chuck) & (t.sphere == sphere)
+
+
+@pytest.mark.parametrize(
+    ("column", "was", "called"),
+    [("chuck", ("c0", "s1"), "c2"), ("sphere", ("c1", "s1"), "s2"), ("sphere", ("c2", "s0"), "s1")],
+)
+def test_one_shell_with_a_wrong_label_is_named(shells, column, was, called):
+    rows = of(shells, *was)
+    wrong = relabelled(shells, **{column: [(rows, called)]})
+    e = identify(CHAIN, RIG, wrong, free=FREE)
+    assert e.rms_after > 5e-3
+    (found,) = e.relabellings
+    assert list(found.rows) == np.flatnonzero(rows).tolist()
+    assert found.fits == was
+    assert found.was == ((called, was[1]) if column == "chuck" else (was[0], called))
+    assert found.rms_after < 2 * SIGMA
+    assert found.rms_before > 5e-3
+
+
+def test_two_shells_exchanged_are_named(shells):
+    one, other = of(shells, "c0", "s1"), of(shells, "c0", "s2")
+    wrong = relabelled(shells, sphere=[(one, "s2"), (other, "s1")])
+    found = identify(CHAIN, RIG, wrong, free=FREE).relabellings
+    assert {(r.was, r.fits) for r in found} == {(("c0", "s2"), ("c0", "s1")), (("c0", "s1"), ("c0", "s2"))}
+    assert sorted(i for r in found for i in r.rows) == np.flatnonzero(one | other).tolist()
+
+
+def test_two_chucks_exchanged_everywhere_are_named(shells):
+    wrong = relabelled(shells, chuck=[(shells.chuck == "c0", "c2"), (shells.chuck == "c2", "c0")])
+    found = identify(CHAIN, RIG, wrong, free=FREE).relabellings
+    assert len(found) == 6
+    assert {r.was[0] + r.fits[0] for r in found} == {"c0c2", "c2c0"}
+
+
+def test_held_out_rows_are_not_relabelled_and_noise_is_no_label(shells):
+    rows = of(shells, "c0", "s1")
+    wrong = relabelled(shells, chuck=[(rows, "c2")])
+    assert identify(CHAIN, RIG, wrong, free=FREE, hold_out=rows).relabellings == ()
+    loud = replace(shells, value=shells.value + 5e-4 * np.random.default_rng(5).normal(size=400))
+    assert identify(CHAIN, RIG, loud, free=FREE).relabellings == ()
+
+
+def test_when_nothing_fits_nothing_is_named(shells):
+    """Lengths of another world: large residuals, but no label that would explain them."""
+    wild = replace(shells, value=np.random.default_rng(6).uniform(0.3, 0.8, 400))
+    e = identify(CHAIN, RIG, wild, free=FREE, max_iterations=5)
+    assert e.rms_after > 1e-2
+    assert e.relabellings == ()

@@ -1,0 +1,236 @@
+"""The recursive estimator: the same as the batch, and a gate whose verdict does not hang on the order of the rows."""
+
+import numpy as np
+import pytest
+from puma_bench import CHAIN, FREE, RIG, SIGMA, random_table, shell_table
+from scipy import stats
+from ulb_bench import AT, OFFSETS, free, lines, rig
+from ulb_bench import CHAIN as ULB
+from ulb_bench import NOMINAL as ULB_NOMINAL
+
+from truearm.estimate.fit import fit
+from truearm.estimate.identify import identify
+from truearm.estimate.information import covariance, observe, spectrum, with_prior
+from truearm.estimate.problem import build_problem
+from truearm.estimate.recursive import Filter, Rows, rows_of, run, start, update
+from truearm.estimate.recursive import minimise as pass_after_pass
+from truearm.estimate.rows import deleted_distance, gate
+from truearm.estimate.solution import Options
+
+PRIOR = {ULB.parameter_names[i]: 0.052 for i in OFFSETS}
+
+
+def matrices(jac, residual, noise=None):
+    """Whitened rows (n, w, k) as a filter takes them."""
+    n, w, _ = jac.shape
+    unit = np.tile(np.eye(w), (n, 1, 1)) if noise is None else noise
+    return Rows(jac, residual, np.full(n, w), np.arange(n), unit)
+
+
+def test_one_update_is_the_papers_18_and_20():
+    rng = np.random.default_rng(0)
+    k, w = 7, 3
+    half = rng.normal(size=(k, k))
+    P, delta, J, C = half @ half.T, rng.normal(size=k), rng.normal(size=(w, k)), np.diag([2.0, 5.0, 0.3])
+    dx = rng.normal(size=w)
+    P_after = P - P @ J.T @ np.linalg.inv(J @ P @ J.T + np.linalg.inv(C)) @ J @ P  # (18)
+    after = delta + P_after @ J.T @ C @ (dx - J @ delta)  # (20) with its plus
+    white = np.sqrt(np.diag(C))
+    found, innovation, distance = update(Filter(delta, half), white[:, None] * J, white * dx)
+    np.testing.assert_allclose(found.root @ found.root.T, P_after, atol=1e-12 * np.abs(P).max())
+    np.testing.assert_allclose(found.delta, after, atol=1e-11)
+    np.testing.assert_allclose(innovation, white * (dx - J @ delta))
+    nu = dx - J @ delta
+    assert distance == pytest.approx(nu @ np.linalg.solve(J @ P @ J.T + np.linalg.inv(C), nu))
+
+
+@pytest.fixture(scope="module")
+def ulb():
+    """Four lines of 12 points, as in III-E, offsets wrong by some degrees."""
+    rng = np.random.default_rng(1)
+    truth = ULB_NOMINAL.copy()
+    truth[OFFSETS] += 0.052 * rng.normal(size=5)
+    return lines(4, 12, truth, rng)
+
+
+def test_a_pass_is_the_batch_solution(ulb):
+    """(12) against (18), (20): the same to 1e-7 of a σ, P to 1e-10."""
+    problem = build_problem(ULB, rig(ulb), ulb, PRIOR)
+    columns = np.concatenate([free(*OFFSETS), np.ones(24, dtype=bool)])
+    x, sigma = problem.start, problem.prior_sigma[columns]
+    rows = rows_of(problem, x, columns)
+    passed = run(start(np.zeros(29), sigma), rows, np.ones(48, dtype=bool)).filter
+    data = with_prior(observe(problem, x, columns), np.zeros(29), sigma)
+    P = np.linalg.inv(data.root.T @ data.root)
+    batch = np.linalg.solve(data.root, data.rhs)
+    scale = np.sqrt(np.diag(P))
+    np.testing.assert_allclose(passed.delta / scale, batch / scale, rtol=1e-7, atol=1e-7)
+    got = passed.root @ passed.root.T
+    np.testing.assert_allclose(got / scale / scale[:, None], P / scale / scale[:, None], atol=1e-10)
+    order = np.random.default_rng(2).permutation(48)
+    mixed = Rows(*(part[order] for part in rows))
+    again = run(start(np.zeros(29), sigma), mixed, np.ones(48, dtype=bool)).filter
+    np.testing.assert_allclose(again.delta / scale, passed.delta / scale, rtol=1e-7, atol=1e-7)
+
+
+def test_relinearised_it_ends_where_map_ends(ulb):
+    """The data count once: estimate and σ are those of the batch with one fixed prior."""
+    map_, recursive = (
+        identify(ULB, rig(ulb), ulb, free=free(*OFFSETS), prior_sigma=PRIOR, solver=s) for s in ("map", "recursive")
+    )
+    assert (map_.status, recursive.status) == ("converged", "converged")
+    seen = map_.identifiable & map_.free
+    # Both end within 1e-6 of flat in whitened units.
+    np.testing.assert_allclose(recursive.value[seen], map_.value[seen], atol=1e-4 * map_.sigma[seen].min())
+    np.testing.assert_allclose(recursive.sigma[seen], map_.sigma[seen], rtol=1e-5)
+    assert recursive.rms_after == pytest.approx(map_.rms_after, rel=1e-6)
+    assert recursive.rms_before > 10 * recursive.rms_after
+
+
+def test_without_a_prior_it_ends_where_lm_ends():
+    t = random_table(200, np.random.default_rng(3), SIGMA)
+    lm, recursive = (identify(CHAIN, RIG, t, free=FREE, solver=s) for s in ("lm", "recursive"))
+    assert recursive.status == "converged"
+    np.testing.assert_allclose(recursive.value[FREE], lm.value[FREE], atol=1e-3 * lm.sigma[FREE].min())
+    np.testing.assert_allclose(recursive.sigma[FREE], lm.sigma[FREE], rtol=1e-5)
+
+
+def test_with_redundant_parameters_it_converges_and_says_what_it_cannot_see():
+    t = random_table(200, np.random.default_rng(3), SIGMA)
+    e = identify(CHAIN, RIG, t, solver="recursive", prefer=FREE)
+    assert (e.status, e.rank, len(e.null_space)) == ("converged", 36, 18)
+    np.testing.assert_array_equal(e.suggested_free, FREE)
+
+
+def test_deleted_distance_is_that_of_a_fit_without_the_row():
+    rng = np.random.default_rng(4)
+    jac, residual = rng.normal(size=(12, 2, 5)), rng.normal(size=(12, 2))
+    flat, values = jac.reshape(-1, 5), residual.ravel()
+    P = np.linalg.inv(flat.T @ flat)
+    left = residual - jac @ (P @ flat.T @ values)
+    found = deleted_distance(jac, left, np.linalg.cholesky(P), np.ones(12))
+    for i in range(12):
+        keep = np.repeat(np.arange(12) != i, 2)
+        rest = np.linalg.inv(flat[keep].T @ flat[keep])
+        nu = residual[i] - jac[i] @ rest @ flat[keep].T @ values[keep]
+        expected = nu @ np.linalg.solve(np.eye(2) + jac[i] @ rest @ jac[i].T, nu)
+        assert found[i] == pytest.approx(expected, rel=1e-9)
+        out = deleted_distance(jac[i : i + 1], nu[None], np.linalg.cholesky(rest), np.zeros(1))
+        assert out[0] == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_row_that_alone_determines_an_unknown_is_never_suspected():
+    jac = np.array([[[1.0, 0.0]], [[1.0, 0.0]], [[0.0, 1e-3]]])
+    P = np.diag([0.5, 1e6])
+    assert deleted_distance(jac, np.array([[0.5], [-0.5], [1e-9]]), np.sqrt(P), np.ones(3))[2] == 0.0
+
+
+def test_the_gate_is_the_quantile():
+    assert gate(1) == pytest.approx(stats.chi2.isf(1e-6, 1))
+    np.testing.assert_allclose(gate(np.array([1, 3])), stats.chi2.isf(1e-6, [1, 3]))
+
+
+@pytest.fixture(scope="module")
+def shells():
+    """800 noise-free lengths on the 46 cm shells."""
+    return shell_table(800, 0.46, np.random.default_rng(5))
+
+
+def noisy(t, seed, fault=None, size=10.0):
+    noise = np.random.default_rng(seed).normal(size=len(t))
+    if fault is not None:
+        noise[fault] = size
+    return type(t)(**{**vars(t), "value": t.value + SIGMA * noise})
+
+
+@pytest.mark.parametrize("solver", ["recursive", "cauchy", "huber"])
+@pytest.mark.parametrize("at", [0, 1, 5, 35, 36, 400, 799])
+def test_one_fault_is_named_wherever_it_stands(shells, solver, at):
+    """10 σ among 800, first, among the first that determine anything, in the middle, last."""
+    how = {"solver": "recursive"} if solver == "recursive" else {"solver": "lm", "loss": solver}
+    e = identify(CHAIN, RIG, noisy(shells, at, at), free=FREE, **how)
+    assert np.flatnonzero(e.suspect).tolist() == [at]
+    assert e.distance[at] > 8.0
+    if solver == "recursive":
+        assert np.flatnonzero(e.weight == 0.0).tolist() == [at]
+        clean = identify(CHAIN, RIG, noisy(shells, at, at).select(np.arange(800) != at), free=FREE)
+        np.testing.assert_allclose(e.value[FREE], clean.value[FREE], atol=1e-3 * clean.sigma[FREE].min())
+    else:
+        assert np.argmin(e.weight) == at
+
+
+def test_live_the_first_rows_look_faulty_and_in_the_end_none_is(shells):
+    """What the re-evaluation is for: poor at first, the linearisation makes clean rows look faulty."""
+    t = noisy(shells, 0)
+    problem = build_problem(CHAIN, RIG, t, np.where([p.unit == "m" for p in CHAIN.parameters], 1e-2, 2e-2))
+    columns = FREE
+
+    def linearise(part):
+        x = problem.start.copy()
+        x[columns] = part
+        return rows_of(problem, x, columns)
+
+    end = pass_after_pass(linearise, problem.start[columns], problem.start[columns], problem.prior_sigma[columns], 50)
+    assert (end.first.distance > gate(1)).sum() > 3
+    assert end.used.all()
+
+
+def test_no_clean_row_is_left_out(shells):
+    """20 seeds of 800 rows: 0.016 rows beyond 1e-6 are to be expected in all of them together."""
+    for seed in range(20):
+        e = identify(CHAIN, RIG, noisy(shells, 100 + seed), free=FREE, solver="recursive", max_iterations=20)
+        assert e.status == "converged"
+        assert not e.suspect.any()
+        assert (e.weight == 1.0).all()
+
+
+def test_gross_faults_do_not_take_their_neighbours_along(shells):
+    t = noisy(shells, 1)
+    at = [3, 250, 251, 600]
+    t.value[at] += [1.0, -0.05, 0.03, 0.002]
+    e = identify(CHAIN, RIG, t, free=FREE, solver="recursive")
+    assert e.status == "converged"
+    assert np.flatnonzero(e.weight == 0.0).tolist() == at
+    assert "4 of 800" in e.message
+
+
+def test_not_converging_is_a_status(ulb):
+    e = identify(ULB, rig(ulb), ulb, free=free(*OFFSETS), prior_sigma=PRIOR, solver="recursive", max_iterations=1)
+    assert (e.status, e.iterations) == ("max_iterations", 1)
+
+
+def test_numbers_beyond_reason_end_as_stalled():
+    t = random_table(60, np.random.default_rng(6), SIGMA)
+    t.value[3] = 1e300
+    for solver in ("lm", "map", "recursive", "ls", "renders-1991"):
+        with np.errstate(over="ignore"):
+            e = identify(CHAIN, RIG, t, free=FREE, solver=solver, max_iterations=3)
+        assert e.status in ("stalled", "max_iterations"), solver
+
+
+def test_an_empty_set_of_free_parameters():
+    t = random_table(20, np.random.default_rng(7), SIGMA)
+    e = identify(CHAIN, RIG, t, free=np.zeros(54, bool), solver="recursive")
+    assert e.rms_after == e.rms_before
+
+
+def test_p_is_the_inverse_of_the_information(shells):
+    problem = build_problem(CHAIN, RIG, noisy(shells, 2), np.full(54, 0.05))
+    found = fit(problem, FREE, problem.start, Options(), 0.0)
+
+    def linearise(part):
+        x = problem.start.copy()
+        x[FREE] = part
+        return rows_of(problem, x, FREE)
+
+    end = pass_after_pass(linearise, found.x[FREE], problem.start[FREE], problem.prior_sigma[FREE], 5)
+    expected = covariance(spectrum(found.information.root))
+    scale = np.sqrt(np.diag(expected))
+    # Linearised at points 1e-6 σ apart.
+    np.testing.assert_allclose(end.covariance / scale / scale[:, None], expected / scale / scale[:, None], atol=1e-8)
+
+
+def test_joint_offset_names(ulb):
+    """The bench frees what III-E frees."""
+    assert [ULB.parameter_names[i] for i in OFFSETS] == [f"joint{i}.offset" for i in range(2, 7)]
+    assert AT["joint2.offset"] in OFFSETS

@@ -1,0 +1,190 @@
+"""Denavit–Hartenberg builders: rows multiplied out by hand, derivatives, what β is for, and what a convention misses."""
+
+import numpy as np
+import pytest
+from rank_bench import random_joints, rank_and_gap, sensitivity
+
+from truearm.errors import RobotError
+from truearm.model.chain import Joint, forward, point_forward, point_jacobians
+from truearm.model.dh import chain_from_dh, chain_from_modified_dh
+
+BUILDERS = (chain_from_dh, chain_from_modified_dh)
+BOTH = pytest.mark.parametrize("build", BUILDERS)
+
+
+def joints(kinds):
+    return tuple(Joint(f"j{i}", {"R": "revolute", "P": "prismatic"}[k], -1.5, 1.5) for i, k in enumerate(kinds))
+
+
+def random_rows(n, rng):
+    return rng.uniform(-1.0, 1.0, (n, 4))
+
+
+def distal(theta, d, a, alpha):
+    """The matrix of a row as textbooks print it."""
+    ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
+    return np.array([[ct, -st * ca, st * sa, a * ct], [st, ct * ca, -ct * sa, a * st], [0, sa, ca, d], [0, 0, 0, 1]])
+
+
+def proximal(theta, d, a, alpha):
+    """Craig's (3.6)."""
+    ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
+    return np.array([[ct, -st, 0, a], [st * ca, ct * ca, -sa, -sa * d], [st * sa, ct * sa, ca, ca * d], [0, 0, 0, 1]])
+
+
+def about_y(beta):
+    c, s = np.cos(beta), np.sin(beta)
+    return np.array([[c, 0, s, 0], [0, 1, 0, 0], [-s, 0, c, 0], [0, 0, 0, 1]])
+
+
+@pytest.mark.parametrize(("build", "row_matrix"), [(chain_from_dh, distal), (chain_from_modified_dh, proximal)])
+def test_rows_by_the_textbook(build, row_matrix):
+    rng = np.random.default_rng(1)
+    rows, q = random_rows(3, rng), rng.uniform(-1, 1, 3)
+    chain = build("r", joints("RPR"), rows, base=None, tool=None)
+    moved = rows.copy()
+    moved[[0, 2], 0] += q[[0, 2]]
+    moved[1, 1] += q[1]
+    expected = row_matrix(*moved[0]) @ row_matrix(*moved[1]) @ row_matrix(*moved[2])
+    np.testing.assert_allclose(forward(chain, chain.params_nominal, q), expected, atol=1e-15)
+
+
+def test_beta_stands_at_the_far_end_of_a_distal_row_and_at_the_near_end_of_a_modified_one():
+    rng = np.random.default_rng(2)
+    rows, beta = random_rows(2, rng), 0.3
+    for build, first in (
+        (chain_from_dh, distal(*rows[0]) @ about_y(beta) @ distal(*rows[1])),
+        (chain_from_modified_dh, about_y(beta) @ proximal(*rows[0]) @ proximal(*rows[1])),
+    ):
+        chain = build("r", joints("RR"), rows, twisted=(0,), base=None, tool=None)
+        params = np.where(np.array(chain.parameter_names) == "joint1.beta", beta, chain.params_nominal)
+        np.testing.assert_allclose(forward(chain, params, np.zeros(2)), first, atol=1e-15)
+
+
+@BOTH
+def test_mountings_offset_and_gain(build):
+    six = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+    chain = build("r", joints("R"), np.zeros((1, 4)), base=six, tool=six, base_frame="world", end_frame="pen")
+    bare = build("r", joints("R"), np.zeros((1, 4)), base=None, tool=None)
+    assert (chain.base_frame, chain.end_frame) == ("world", "pen")
+    assert chain.parameter_names[:6] == tuple(f"base.{k}" for k in ("x", "y", "z", "alpha", "beta", "gamma"))
+    mounting = forward(chain, chain.params_nominal, np.zeros(1))
+    params = chain.params_nominal.copy()
+    params[[chain.parameter_names.index(n) for n in ("joint1.offset", "joint1.gain")]] = 0.2, 0.9
+    based = build("r", joints("R"), np.zeros((1, 4)), base=six, tool=None)
+    half = np.linalg.inv(forward(based, based.params_nominal, np.zeros(1)))
+    turned = half @ forward(chain, params, np.array([0.5])) @ np.linalg.inv(half @ mounting)
+    np.testing.assert_allclose(turned, forward(bare, bare.params_nominal, np.array([0.2 + 0.9 * 0.5])), atol=1e-15)
+
+
+@BOTH
+@pytest.mark.parametrize("kinds", ["RRRRRR", "RRPR", "PPP", "R"])
+def test_derivatives_by_complex_steps(build, kinds):
+    rng = np.random.default_rng(3)
+    chain = build("r", joints(kinds), random_rows(len(kinds), rng), twisted=(0,), base=rng.normal(size=6))
+    q, p_end = rng.uniform(-1, 1, (4, len(kinds))), rng.normal(size=3)
+    _, jac_params, jac_joints = point_jacobians(chain, chain.params_nominal, q, p_end)
+    step = 1e-30  # no difference is formed, so the step costs no digits; what is left is rounding
+    for i, unit in enumerate(np.eye(len(chain.parameters))):
+        moved = point_forward(chain, chain.params_nominal + 1j * step * unit, q, p_end)
+        np.testing.assert_allclose(jac_params[..., i], moved.imag / step, atol=1e-13)
+    for i, unit in enumerate(np.eye(len(kinds))):
+        moved = point_forward(chain, chain.params_nominal, q + 1j * step * unit, p_end)
+        np.testing.assert_allclose(jac_joints[..., i], moved.imag / step, atol=1e-13)
+
+
+def seen(chain, params=None, seed=4):
+    q = random_joints(chain, 60, np.random.default_rng(seed))
+    rank, gap = rank_and_gap(sensitivity(chain, chain.params_nominal if params is None else params, q))
+    assert gap > 1e6, "no count without a gap"
+    return rank
+
+
+@BOTH
+@pytest.mark.parametrize("kinds", ["RRRRRR", "RPRRR", "RRPRP", "PPPRRR", "P", "R"])
+def test_skew_axes_reach_n(build, kinds):
+    """Between base and tool four constants a joint are complete where no axes are parallel."""
+    chain = build("r", joints(kinds), random_rows(len(kinds), np.random.default_rng(5)))
+    assert seen(chain) == 5 * kinds.count("R") + 3 * kinds.count("P") + 6
+
+
+# θ, d, a, α with axes 2, 3 and 4 parallel, as in a UR; each convention writes the twist in its own row.
+UR = np.array([[0, 0.2, 0, 1.5], [0, 0, -0.4, 0], [0, 0, -0.4, 0], [0, 0.1, 0, 1.5], [0, 0.1, 0, -1.5], [0, 0.1, 0, 0]])
+UR_MODIFIED = np.column_stack([UR[:, :2], np.roll(UR[:, 2:], 1, axis=0)])
+
+
+@pytest.mark.parametrize(
+    ("build", "rows", "pairs"), [(chain_from_dh, UR, (1, 2)), (chain_from_modified_dh, UR_MODIFIED, (2, 3))]
+)
+def test_parallel_axes_lose_a_parameter_each_without_beta(build, rows, pairs):
+    plain, one, twisted = (build("r", joints("RRRRRR"), rows, twisted=t) for t in ((), pairs[:1], pairs))
+    assert [seen(chain) for chain in (plain, one, twisted)] == [34, 35, 36]
+    assert len(twisted.parameters) == len(plain.parameters)  # β has taken the place of d
+
+
+@pytest.mark.parametrize(("build", "twisted"), [(chain_from_dh, (0, 1, 2)), (chain_from_modified_dh, (1, 2, 3))])
+def test_a_scara_reaches_n_with_beta(build, twisted):
+    rows = np.array([[0, 0.4, 0.3, 0], [0, 0, 0.25, 0], [0, 0, 0, 0], [0, 0, 0, 0]])
+    rows = rows if build is chain_from_dh else np.column_stack([rows[:, :2], np.roll(rows[:, 2:], 1, axis=0)])
+    assert seen(build("scara", joints("RRPR"), rows, twisted=twisted)) == 5 * 3 + 3 + 6
+    assert seen(build("scara", joints("RRPR"), rows)) < 5 * 3 + 3 + 6
+
+
+def test_nearly_parallel_axes_are_counted_but_not_determined():
+    """Without β the smallest singular value that counts falls with the square of the angle α between the axes.
+
+    Sliding the common normal along them by δ moves the next axis by α·δ sideways, which θ_i and θ_{i+1} undo turning by
+    α·δ/a; what is left, and all there is to tell a tilt about y by, is that axis tilted by α times this turn: α²·δ/a.
+    """
+    rows, smallest = UR.copy(), {}
+    rows[2, 3] = 0.7  # one pair, axes 2 and 3
+    for alpha in (1e-2, 1e-3, 1e-4):
+        rows[1, 3] = alpha
+        for twisted in ((), (1,)):
+            chain = chain_from_dh("r", joints("RRRRRR"), rows, twisted=twisted)
+            q = random_joints(chain, 60, np.random.default_rng(6))
+            smallest[alpha, len(twisted)] = np.linalg.svd(sensitivity(chain, chain.params_nominal, q))[1][35]
+    for alpha in (1e-2, 1e-3):  # up to the next order in the angle
+        assert smallest[alpha / 10, 0] == pytest.approx(smallest[alpha, 0] / 100, rel=alpha)
+        assert smallest[alpha / 10, 1] == pytest.approx(smallest[alpha, 1], rel=alpha)
+
+
+@BOTH
+def test_rows_alone_see_n_less_six(build):
+    """Frame 0 has its z on the first axis and the last row cannot place a general end frame: 5n of 5n + 6."""
+    rows = random_rows(6, np.random.default_rng(7))
+    counts = [
+        seen(build("r", joints("RRRRRR"), rows, base=base, tool=tool))
+        for base, tool in ((None, None), ((0,) * 6, None), (None, (0,) * 6), ((0,) * 6, (0,) * 6))
+    ]
+    # distal: base gives the 4 of the first axis, tool the 2 that the last row lacks; modified: the other way round
+    assert counts == ([30, 34, 32, 36] if build is chain_from_dh else [30, 32, 34, 36])
+
+
+def test_the_last_row_and_the_tool_stand_for_each_other():
+    """d6, a6, α6 and θ6 move the end as tool.z, .x, .gamma and .alpha do, so one of each pair has to be held."""
+    chain = chain_from_dh("r", joints("RRRRRR"), UR, twisted=(1, 2))
+    q = random_joints(chain, 60, np.random.default_rng(8))
+    jac = dict(zip(chain.parameter_names, sensitivity(chain, chain.params_nominal, q).T, strict=True))
+    for row, tool in (("d", "z"), ("a", "x"), ("alpha", "gamma"), ("offset", "alpha")):
+        np.testing.assert_allclose(jac[f"joint6.{row}"], jac[f"tool.{tool}"], atol=1e-14)
+    for row, base in (("d", "z"), ("offset", "alpha")):
+        np.testing.assert_allclose(jac[f"joint1.{row}"], jac[f"base.{base}"], atol=1e-14)
+
+
+@BOTH
+@pytest.mark.parametrize(
+    ("rows", "more", "says"),
+    [
+        (np.zeros((1, 4)), {}, "2 rows of θ, d, a, α are needed"),
+        (np.zeros((2, 3)), {}, "2 rows"),
+        (np.full((2, 4), np.nan), {}, r"joint1\.\w+ is not finite"),
+        (np.zeros((2, 4)), {"twisted": (2,)}, "twisted joints must be indices below 2"),
+        (np.zeros((2, 4)), {"twisted": (-1,)}, "twisted joints must be indices below 2"),
+        (np.zeros((2, 4)), {"base": (0.0,)}, "base needs six numbers"),
+        (np.zeros((2, 4)), {"tool": (np.inf,) * 6}, r"tool\.x is not finite"),
+    ],
+)
+def test_rows_that_make_no_sense_are_refused(build, rows, more, says):
+    with pytest.raises(RobotError, match=says):
+        build("r", joints("RR"), rows, **more)

@@ -1,0 +1,226 @@
+"""Lines, trackers, poses and flats: signs, derivatives by every unknown, first placement."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from device_bench import TARGETS, in_device, join, line_rows, named, random_pose, rows, target, touches, tracked, values
+from puma_bench import CHAIN, TRUTH, random_poses
+
+from truearm.estimate.information import observe, spectrum
+from truearm.estimate.problem import blocks, build_problem, evaluate
+from truearm.model.chain import joint_jacobian, point_jacobians, trace_point
+from truearm.observe.line import placement_weights
+from truearm.observe.plane import frame_of
+from truearm.observe.pose import PoseRows, about
+from truearm.observe.position import place
+from truearm.observe.rotation import rotation, rotation_vector, skew
+from truearm.types import Device, Plane, Point, Rig
+
+COV = ((1e-8, 1e-9, 0.0), (1e-9, 2e-8, 0.0), (0.0, 0.0, 3e-8))
+FLAT = Plane("table", (0.45, 0.0, 0.2), (0.1, 0.2, 1.0), 1e-5)
+TRACKER = Device("t", COV, (0.1, 0.2, 0.3), (0.5, -1.0, 2.0), 0.1, 0.1, 1e-4)
+# Everything that can be unknown, is.
+RIG = Rig(
+    targets={"ball": Point("ball", TARGETS["ball"].xyz, None), "other": Point("other", TARGETS["other"].xyz, 1e-3)},
+    trackers={"t": TRACKER},
+    planes={"table": FLAT},
+    time_offset_sigma=None,
+)
+
+
+def every_kind(rng):
+    q = random_poses(4, rng)
+    free = {"xyz": rng.normal(size=(4, 3)), "q_rate": rng.normal(size=(4, 6))}
+    return join(
+        rows("line", q, line="l", target="ball", **free),
+        rows("position", q, tracker="t", target="other", **free),
+        rows("pose", q, tracker="t", target="other", rotation=rng.normal(size=(4, 3)), **free),
+        rows("plane", q, plane="table", target="ball"),
+    )
+
+
+def test_derivatives_by_every_unknown():
+    rng = np.random.default_rng(0)
+    problem = build_problem(CHAIN, RIG, every_kind(rng))
+    # 54, two targets, a line and a tracker, the time offset, a plane
+    assert len(problem.names) == 54 + 6 + 12 + 1 + 3
+    x = problem.start + 0.02 * rng.normal(size=problem.start.size)
+    kinds = list(blocks(problem))
+    assert [type(b).__name__ for b in kinds] == ["PositionRows", "PositionRows", "PoseRows", "PlaneRows"]
+    for block in kinds:
+        jac = evaluate(problem, block, x).jac_params
+        for i, unit in enumerate(np.eye(x.size)):
+            if isinstance(block, PoseRows):  # the logarithm of a rotation takes no complex step
+                # Truncation h²/6 times a curvature of some units (a pose far off, at worst 0.1 rad from half a turn),
+                # rounding 1e-15/h.
+                up, down = (evaluate(problem, block, x + s * 1e-6 * unit).residual for s in (1, -1))
+                np.testing.assert_allclose(jac[:, i], (up - down) / -2e-6, atol=5e-9, err_msg=problem.names[i])
+            else:
+                step = evaluate(problem, block, x + 1e-30j * unit).residual.imag / -1e-30
+                np.testing.assert_allclose(jac[:, i], step, atol=1e-14, err_msg=problem.names[i])
+
+
+def test_derivatives_by_the_joint_readings():
+    rng = np.random.default_rng(1)
+    problem = build_problem(CHAIN, RIG, every_kind(rng))
+    h = 1e-6
+    for block in blocks(problem):
+        jac = evaluate(problem, block, problem.start).jac_joints
+        for i, unit in enumerate(np.eye(6)):
+            up, down = (
+                evaluate(problem, replace(block, q=block.q + s * h * unit), problem.start).residual for s in (1, -1)
+            )
+            np.testing.assert_allclose(jac[:, i], -(up - down) / (2 * h), atol=5e-9)
+
+
+def test_renders_28_with_its_lever_in_base_axes():
+    """A device parallel to nothing: −R_dᵀ (I, −[R_d m]×), and not [m]×, is what turning it does."""
+    rng = np.random.default_rng(3)
+    pose = np.concatenate(random_pose(rng))
+    t = tracked("position", 5, pose, rng)
+    rig = replace(RIG, trackers={"t": Device("t", COV, tuple(pose[:3]), tuple(pose[3:]))})
+    problem = build_problem(CHAIN, rig, t)
+    x = problem.start.copy()
+    x[:54] = TRUTH
+    (block,) = blocks(problem)
+    at = problem.names.index("tracker.t.x")
+    jac = evaluate(problem, block, x).jac_params[:, at : at + 6].reshape(5, 3, 6)
+    rot = rotation(pose[3:])
+    for m, found in zip(t.xyz, jac, strict=True):
+        np.testing.assert_allclose(found, -rot.T @ np.hstack([np.eye(3), -skew(rot @ m)]), atol=1e-14)
+
+
+def test_residual_is_measured_minus_predicted_in_the_devices_axes():
+    rng = np.random.default_rng(4)
+    pose = np.concatenate(random_pose(rng))
+    error = np.array([1e-3, -2e-3, 3e-3])
+    t = tracked("pose", 7, pose, rng)
+    flat = touches(FLAT, 5, rng)
+    rig = Rig(TARGETS, targets=TARGETS, planes={"table": replace(FLAT, offset_sigma=0.0, tilt_sigma=0.0)})
+    known = Device("t", COV, tuple(pose[:3]), tuple(pose[3:]), 0.0, 0.0, 1e-4)
+    both = join(replace(t, xyz=t.xyz + error), replace(flat, value=flat.value + 1e-3))
+    problem = build_problem(CHAIN, replace(rig, trackers={"t": known}), both)
+    assert len(problem.names) == 54  # all of the rig is known
+    pose_block, plane_block = blocks(problem)
+    found = evaluate(problem, pose_block, TRUTH).residual.reshape(7, 6)
+    np.testing.assert_allclose(found[:, :3], np.tile(error, (7, 1)), atol=2e-15)
+    np.testing.assert_allclose(found[:, 3:], 0.0, atol=4e-15)
+    # The touching joints were solved to 1e-12.
+    np.testing.assert_allclose(evaluate(problem, plane_block, TRUTH).residual, 1e-3, atol=2e-12)
+
+
+def test_a_measured_turn_is_in_the_trackers_axes():
+    rng = np.random.default_rng(5)
+    pose = np.concatenate(random_pose(rng))
+    small = np.array([1e-3, 2e-3, -1e-3])
+    t = tracked("pose", 4, pose, rng)
+    t = replace(t, rotation=rotation_vector(rotation(small) @ rotation(t.rotation)))
+    known = Device("t", COV, tuple(pose[:3]), tuple(pose[3:]), 0.0, 0.0, 1e-4)
+    problem = build_problem(CHAIN, Rig(targets=TARGETS, trackers={"t": known}), t)
+    (block,) = blocks(problem)
+    found = evaluate(problem, block, TRUTH).residual.reshape(4, 6)
+    np.testing.assert_allclose(found[:, 3:], np.tile(small, (4, 1)), atol=4e-15)
+
+
+def test_the_true_joints_are_the_readings_moved_by_the_time_offset():
+    """q(t) = q_reading(t + τ): what was read a little late was true a little earlier."""
+    rng = np.random.default_rng(6)
+    tau, q_rate = 4e-3, rng.normal(size=(5, 6))
+    pose = np.concatenate(random_pose(rng))
+    t = tracked("position", 5, pose, rng, q_rate=q_rate)
+    t = replace(t, q=t.q - tau * q_rate)
+    known = {"t": Device("t", COV, tuple(pose[:3]), tuple(pose[3:]), 0.0, 0.0)}
+    problem = build_problem(CHAIN, Rig(targets=TARGETS, trackers=known, time_offset_sigma=1e-2), t)
+    assert problem.names[54:] == ("time_offset",)
+    assert problem.units[54:] == ("s",)
+    (block,) = blocks(problem)
+    found = evaluate(problem, block, np.append(TRUTH, tau))
+    np.testing.assert_allclose(found.residual, 0.0, atol=2e-15)
+    by_hand = (found.jac_joints.reshape(5, 3, 6) @ q_rate[..., None]).ravel()
+    np.testing.assert_allclose(found.jac_params[:, 54], by_hand, atol=1e-14)
+
+
+def test_rows_without_velocities_have_no_time_offset():
+    t = tracked("position", 4, np.concatenate(random_pose(np.random.default_rng(7))), np.random.default_rng(7))
+    problem = build_problem(CHAIN, replace(RIG, targets=TARGETS), t)
+    assert problem.names[54:] == tuple(f"tracker.t.{k}" for k in ("x", "y", "z", "rx", "ry", "rz"))
+
+
+def driven(rng, there_and_back):
+    """A line driven at constant speed: rows with the joint velocities that belong to it, and the line's pose."""
+    t, pose = line_rows("l", 20, rng)
+    speed = np.where(np.arange(20) % 2 == 0, 0.2, -0.2 if there_and_back else 0.2)
+    along = speed[:, None] * rotation(pose[3:])[:, 1]
+    _, _, jac = point_jacobians(CHAIN, TRUTH, t.q, np.array(TARGETS["ball"].xyz))
+    return replace(t, q_rate=(np.linalg.pinv(jac) @ along[..., None])[..., 0]), pose
+
+
+@pytest.mark.parametrize("there_and_back", [False, True])
+def test_the_time_offset_needs_the_line_driven_there_and_back(there_and_back):
+    t, pose = driven(np.random.default_rng(8), there_and_back)
+    problem = build_problem(CHAIN, Rig(targets=TARGETS, time_offset_sigma=None), t)
+    x = values(problem, {**named("line.l", pose), "time_offset": 0.0})
+    columns = np.arange(x.size) >= 54
+    singular = spectrum(observe(problem, x, columns).root).singular
+    assert (singular[-1] / singular[0] > 1e-3) == there_and_back
+    assert (singular[-1] / singular[0] < 1e-12) != there_and_back
+
+
+def test_a_device_is_placed_where_it_stands():
+    rng = np.random.default_rng(9)
+    xyz, vector = random_pose(rng)
+    p = rng.normal(size=(4, 3))
+    found = place(in_device(p, xyz, vector), p, rng.uniform(0.1, 1.0, 4))
+    np.testing.assert_allclose(found, [xyz, vector], atol=2e-14)
+
+
+def test_a_mirrored_device_is_still_placed_by_a_rotation():
+    p = np.random.default_rng(10).normal(size=(6, 3))
+    _, vector = place(p * [1.0, 1.0, -1.0], p, np.ones(6))
+    assert np.linalg.det(rotation(vector)) == pytest.approx(1.0, abs=1e-14)
+
+
+def test_few_points_place_a_device_as_far_as_they_go():
+    rng = np.random.default_rng(11)
+    for n in (1, 2):
+        p_device, p_base = rng.normal(size=(2, n, 3))
+        if n == 2:  # as far apart here as there
+            p_base[1] = p_base[0] + (p_base[1] - p_base[0]) * np.linalg.norm(np.ptp(p_device, axis=0)) / np.linalg.norm(
+                np.ptp(p_base, axis=0)
+            )
+        xyz, vector = place(p_device, p_base, np.ones(n))
+        np.testing.assert_allclose(xyz + p_device @ rotation(vector).T, p_base, atol=1e-14)
+
+
+def test_the_two_point_rule_lays_a_line_through_its_ends():
+    t, _ = line_rows("l", 12, np.random.default_rng(12), transverse=0.0)
+    bent = target(t.q, params=CHAIN.params_nominal)
+    start = {}
+    for rule in ("least_squares", "two_point"):
+        xyz, vector = place(t.xyz, bent, placement_weights(t.xyz, rule))
+        problem = build_problem(CHAIN, Rig(targets=TARGETS, line_placement=rule), t)
+        np.testing.assert_array_equal(problem.start[54:], np.concatenate([xyz, vector]))
+        start[rule] = bent - (xyz + t.xyz @ rotation(vector).T)
+    ends = start["two_point"][[0, -1]]
+    # What is left at the ends is along the line, their distance being wrong, and 1e-9 of the other points.
+    chord = bent[-1] - bent[0]
+    np.testing.assert_allclose(np.cross(ends, chord / np.linalg.norm(chord)), 0.0, atol=1e-10)
+    assert np.sum(start["least_squares"] ** 2) < np.sum(start["two_point"] ** 2)
+
+
+def test_axes_of_a_flat_are_right_handed():
+    for normal in ([0, 0, 2], [1, 0, 0], [0, -1, 0], [0.3, -0.2, 0.9]):
+        frame = frame_of(np.array(normal, dtype=float))
+        np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=4e-16)
+        np.testing.assert_allclose(frame[2] * np.linalg.norm(normal), normal, atol=4e-16)
+        assert np.linalg.det(frame) == pytest.approx(1.0, abs=1e-15)
+
+
+def test_turning_derivatives_are_the_chains_angular_velocity():
+    rng = np.random.default_rng(13)
+    q = random_poses(6, rng)
+    direction = rng.normal(size=(6, 3))
+    found = about(trace_point(CHAIN, TRUTH, q, np.zeros(3)), direction).jac_joints
+    expected = np.einsum("ni,nij->nj", direction, joint_jacobian(CHAIN, TRUTH, q)[:, 3:])
+    np.testing.assert_allclose(found, expected, atol=1e-14)

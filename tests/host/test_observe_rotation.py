@@ -1,0 +1,55 @@
+"""Rotation vectors: axioms, the logarithm at every angle, the left Jacobian against central differences."""
+
+import numpy as np
+import pytest
+
+from truearm.observe.rotation import left_jacobian, rotation, rotation_vector, skew
+
+ANGLES = [0.0, 1e-12, 1e-6, 0.3, 0.32, 1.0, 2.0, 3.0, np.pi - 1e-6, np.pi - 1e-12]
+
+
+def vectors(angle, n=50):
+    axes = np.random.default_rng(0).normal(size=(n, 3))
+    axes[:3] = np.eye(3)
+    return angle * axes / np.linalg.norm(axes, axis=1)[:, None]
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+def test_exponential_and_logarithm(angle):
+    v = vectors(angle)
+    rot = rotation(v)
+    # Entries of order 1 after some ten roundings.
+    np.testing.assert_allclose(rot @ np.swapaxes(rot, 1, 2), np.broadcast_to(np.eye(3), rot.shape), atol=4e-15)
+    np.testing.assert_allclose(np.linalg.det(rot), 1.0, atol=4e-15)
+    np.testing.assert_allclose((rot @ v[..., None])[..., 0], v, atol=4e-15)
+    np.testing.assert_allclose(rotation_vector(rot), v, atol=4e-15)
+
+
+def test_a_quarter_turn_about_z():
+    np.testing.assert_allclose(
+        rotation(np.array([0.0, 0.0, np.pi / 2])), [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=2e-16
+    )
+    np.testing.assert_allclose(rotation_vector(np.diag([1.0, -1.0, -1.0])), [np.pi, 0.0, 0.0], atol=1e-15)
+
+
+def test_skew_is_the_cross_product():
+    v, w = np.random.default_rng(1).normal(size=(2, 5, 3))
+    np.testing.assert_allclose((skew(v) @ w[..., None])[..., 0], np.cross(v, w), atol=1e-15)
+
+
+@pytest.mark.parametrize("angle", [*ANGLES, 5.0])
+def test_the_left_jacobian_is_the_turn_about_the_base_axes(angle):
+    v = vectors(angle)
+    h = 1e-6
+    for k, unit in enumerate(np.eye(3)):
+        turn = rotation(v + h * unit) @ np.swapaxes(rotation(v - h * unit), 1, 2)
+        # Truncation h²/6 and rounding 1e-16/h.
+        np.testing.assert_allclose(left_jacobian(v)[:, :, k], rotation_vector(turn) / (2 * h), atol=2e-9)
+
+
+def test_a_complex_step_passes_through():
+    v, h = vectors(0.3), 1e-30
+    for v_ in (v, vectors(1e-9), vectors(2.5)):
+        step = rotation(v_ + 1j * h * np.array([1.0, 0.0, 0.0])).imag / h
+        by_hand = skew(left_jacobian(v_)[:, :, 0]) @ rotation(v_)
+        np.testing.assert_allclose(step, by_hand, atol=4e-15)
