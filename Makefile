@@ -37,8 +37,17 @@ pytest: .venv/installed-test micropython ## the tests
 soak: .venv/installed-test micropython ## the long proofs
 	@$(BIN)/pytest -m soak
 
-bench: .venv/installed-test micropython ## the measurements that the documents quote
+bench: .venv/installed-test micropython build/bench-venv/installed ## the measurements that the documents quote
 	@for file in $(wildcard bench/*.py); do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+
+# Each peer in an environment of its own: they want different numpys. One that cannot be installed is said to be missing.
+build/bench-venv/installed: $(wildcard bench/peers/*.txt)
+	@for file in $^; do \
+	  folder=$(@D)/$$(basename $$file .txt); echo "installing $$file into $$folder"; \
+	  $(PYTHON) -m venv $$folder && $$folder/bin/pip --disable-pip-version-check --quiet install -r $$file \
+	    || { echo "bench: going on without $$file"; rm -rf $$folder; }; \
+	done
+	@touch $@
 
 micropython: .venv/installed ## a MicroPython for the simulated box (found, else downloaded; nothing is installed)
 	@$(BIN)/python hil_sim/truearm_sim/micropython.py --get

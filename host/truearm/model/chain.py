@@ -218,15 +218,17 @@ def trace_point(chain: Chain, params: Floats, q: Floats, p_end_point: Floats) ->
     return PointTrace(chain, links, q, gains, cos_sin, tuple(reversed(p_links)), p_base)
 
 
-def along(trace: PointTrace, direction: Floats) -> Rows:
+def along(trace: PointTrace, direction: Floats, out: Floats | None = None) -> Rows:
     """Derivatives of direction·p_base for a traced point; direction (3,) or (n, 3) in the base frame.
+
+    ``out`` (p, n), any strides, takes the derivatives by the parameters; it must be zero where nothing is written.
 
     Measured: 0.3 µs a pose for 54 parameters in blocks of 800, 1.2 µs in blocks of 10,000 (out of cache).
     """
     chain, n = trace.chain, trace.q.shape[0]
     u = np.broadcast_to(np.asarray(direction).reshape(-1, 3).T, (3, n))
     dtype = np.result_type(u, trace.p_base)
-    jac_params = np.zeros((len(chain.parameters), n), dtype)
+    jac_params = np.zeros((len(chain.parameters), n), dtype) if out is None else out
     jac_joints = np.zeros((len(chain.joints), n), dtype)
     for i, link in enumerate(trace.links):
         u = link.transform[:3, :3].T @ u

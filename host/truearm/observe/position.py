@@ -71,9 +71,8 @@ def in_device_axes(trace: PointTrace, rows: PositionRows, x: Floats, device: Flo
     jac, jac_joints = np.zeros((x.size, n, 3), dtype), np.empty((n, 3, j), dtype)
     for axis in range(3):
         u = rot[:, :, axis]
-        derivative = along(trace, u)
         columns = jac[:, :, axis].T
-        columns[:, : derivative.jac_params.shape[1]] = derivative.jac_params
+        derivative = along(trace, u, columns.T[: len(trace.chain.parameters)])
         scatter(columns, rows.target, derivative.jac_point)
         scatter(columns, rows.device[:, :3], -u)
         # −u·(δφ × r) = (u × r)·δφ

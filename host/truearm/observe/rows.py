@@ -54,8 +54,10 @@ def widen(jac_robot: Floats, n_params: int) -> Floats:
 
 def scatter(jac: Floats, index: Indices, values: Floats) -> None:
     """Add ``values`` (m, c) to the columns ``index`` (m, c) of jac (m, P) in place; constants have no column."""
+    unknown = index < jac.shape[1]
+    if not unknown.any():
+        return
     rows = np.arange(jac.shape[0])
-    for column, value in zip(index.T, values.T, strict=True):
-        unknown = column < jac.shape[1]
-        if unknown.any():
-            jac[rows[unknown], column[unknown]] += value[unknown]
+    for k in np.flatnonzero(unknown.any(axis=0)):
+        some = unknown[:, k]
+        jac[rows[some], index[some, k]] += values[some, k]

@@ -1,0 +1,36 @@
+"""The least that any least-squares step over n rows of 54 columns needs: JᵀJ by one dsyrk, J already in memory.
+
+    .venv/bin/python bench/workers/run_floor.py - dsyrk N RUNS
+
+Beside it one linearisation of ours at the same n (``observe``: 54 + 1 columns computed, weighed and folded by QR).
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+from measure import tell, timed
+from run_truearm import ROBOTS, forget, rig_and_table
+from scipy.linalg import blas
+
+from truearm.estimate.information import observe
+from truearm.estimate.problem import build_problem
+from truearm.model.robot import builtin_robot
+
+
+def main(_: str, kind: str, path: str, runs: int) -> None:
+    data = dict(np.load(path))
+    chain = builtin_robot(ROBOTS[kind]).chain
+    problem = build_problem(chain, *rig_and_table(kind, data))
+    every = np.ones(len(problem.start), dtype=bool)
+    jac = np.asfortranarray(np.random.default_rng(0).normal(size=(len(data["q"]), 54)))
+    floor, ours = float("inf"), float("inf")
+    for _ in range(runs):  # in turn, so that a busy machine hits both alike
+        floor = min(floor, timed(lambda: blas.dsyrk(1.0, jac, trans=1))[1])
+        ours = min(ours, timed(lambda: observe(problem, problem.start, every), afresh=forget)[1])
+    tell(seconds=ours, floor=floor, held_out_mm=None, iterations=1, status="")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:4], int(sys.argv[4]))

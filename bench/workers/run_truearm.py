@@ -1,0 +1,83 @@
+"""truearm on a problem file: the fit alone (``build_problem`` and ``lm``), or the whole of ``identify``.
+
+.venv/bin/python bench/workers/run_truearm.py lm|identify position|ball_bar FILE RUNS
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+from measure import tell, timed
+
+from data import CHUCKS, SIGMA, SPHERES, TARGET
+from truearm.estimate.fit import fit
+from truearm.estimate.identify import identify
+from truearm.estimate.lm import DAMPING_START
+from truearm.estimate.problem import build_problem
+from truearm.estimate.solution import Options
+from truearm.model.chain import _folded, point_forward
+from truearm.model.robot import builtin_robot
+from truearm.types import BallBar, Device, ObservationTable, Point, Rig
+
+ROBOTS = {"position": "ur10e", "ball_bar": "puma560"}
+
+
+forget = _folded.cache_clear  # a second run at the same parameters would find its links folded
+
+
+def named(prefix: str, points) -> dict[str, Point]:
+    return {f"{prefix}{i}": Point(f"{prefix}{i}", xyz) for i, xyz in enumerate(points)}
+
+
+def rig_and_table(kind: str, data) -> tuple[Rig, ObservationTable]:
+    n = len(data["q"])
+    none, no_number = np.broadcast_to(np.array(""), n), np.broadcast_to(np.array(np.nan), n)
+    text = dict.fromkeys(("bar", "chuck", "sphere", "socket", "place", "shell", "source"), none)
+    common = {"q": data["q"], "kind": np.full(n, kind), "sigma": no_number}
+    if kind == "position":
+        cov = tuple(map(tuple, SIGMA[kind] ** 2 * np.eye(3)))
+        tracker = Device("tracker", cov, (0.0, 0.0, 0.0), sigma=0.0, turn_sigma=0.0)
+        rig = Rig(trackers={"tracker": tracker}, targets={"target": Point("target", TARGET)})
+        return rig, ObservationTable(**common, **text, value=no_number, xyz=data["y"])
+    rig = Rig(named("c", CHUCKS), named("s", SPHERES), {"bar": BallBar("bar", 0.5, 1.0, 10.0, SIGMA[kind])})
+    text |= {
+        "chuck": np.array(list(rig.chucks))[data["pair"][0]],
+        "sphere": np.array(list(rig.spheres))[data["pair"][1]],
+    }
+    return rig, ObservationTable(**common, **text, value=data["y"])
+
+
+def held_out(kind: str, data, params: np.ndarray) -> float:
+    """Root mean square error on the held-out poses [m], of a point's distance or a length."""
+    chain = builtin_robot(ROBOTS[kind]).chain
+    if kind == "position":
+        return float(
+            np.sqrt(((point_forward(chain, params, data["q_held"], TARGET) - data["y_held"]) ** 2).sum(1).mean())
+        )
+    chuck, sphere = data["pair_held"]
+    bar = point_forward(chain, params, data["q_held"], np.array(SPHERES)[sphere]) - np.array(CHUCKS)[chuck]
+    return float(np.sqrt(((np.linalg.norm(bar, axis=1) - data["y_held"]) ** 2).mean()))
+
+
+def main(what: str, kind: str, path: str, runs: int) -> None:
+    data = dict(np.load(path))
+    robot = builtin_robot(ROBOTS[kind])
+    chain = robot.chain
+    free = robot.free if kind == "position" else np.ones(len(chain.parameters), dtype=bool)
+    rig, table = rig_and_table(kind, data)
+
+    def run():
+        if what == "identify":
+            return identify(chain, rig, table, free=free)
+        problem = build_problem(chain, rig, table)
+        return fit(problem, free, problem.start, Options(), DAMPING_START)
+
+    found, seconds = timed(run, runs, forget)
+    x = found.value if what == "identify" else found.x
+    error = held_out(kind, data, x[: free.size])
+    tell(seconds=seconds, held_out_mm=1e3 * error, iterations=found.iterations, status=found.status)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:4], int(sys.argv[4]))
