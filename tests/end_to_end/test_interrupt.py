@@ -20,6 +20,8 @@ def test_interrupted_demo_is_one_line_and_130(tmp_path, after_s):
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        # a suite that runs in the background inherits an ignored SIGINT, and so would this process
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     time.sleep(after_s)
     os.killpg(process.pid, signal.SIGINT)
