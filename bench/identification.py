@@ -49,7 +49,6 @@ CASES = (
     Case("position", "truearm lm", "run_truearm", "lm", (*SMALL, LARGE, HUGE)),
     Case("position", "truearm identify", "run_truearm", "identify", (*SMALL, LARGE)),
     Case("position", "pybotics", "run_pybotics", "fit", SMALL),
-    Case("position", "pybotics to 1e-12", "run_pybotics", "tight", (100, 800)),
     Case("position", "figaroh", "run_figaroh", "fit", SMALL),
     Case("ball_bar", "truearm lm", "run_truearm", "lm", (*SMALL, LARGE, HUGE)),
     Case("ball_bar", "truearm identify", "run_truearm", "identify", (*SMALL, LARGE)),
@@ -77,7 +76,7 @@ def main(quick: bool) -> None:
 def compared(n: int) -> list[dict]:
     """All programs at n poses, in turn, several rounds; of each the round that took least."""
     best: dict[Case, dict] = {}
-    rounds, runs = (3, 2) if n <= 800 else (1, 1)  # the same for all
+    rounds, runs = (2, 2) if n <= 800 else (1, 1)  # the same for all
     for _ in range(rounds):
         for case in (case for case in CASES if n in case.sizes):
             venv = str(VENVS.get(case.program.split()[0], ROOT / ".venv"))

@@ -1,8 +1,8 @@
 """The two problems of bench/identification.py as files of plain arrays, so that every program reads the same numbers.
 
 ``position``: a UR10e whose lengths stray by 1 mm and angles by 2 mrad from the design, a target on the tool, measured as
-a point in the base frame with 0.05 mm of noise an axis. The errors are such that every program's model can hold them
-exactly: those of Denavit and Hartenberg's parameters, of the base and of the tool, but no tilt β of the parallel axes,
+a point in the base frame with 0.05 mm of noise an axis. The errors are such that every program's geometry can hold
+them: those of Denavit and Hartenberg's parameters, of the base and of the tool, but no tilt β of the parallel axes,
 which the modified form cannot hold. ``ball_bar``: a PUMA 560 likewise, three chucks, three spheres, lengths at poses anywhere
 within the limits with 0.084 mm of noise; all 54 parameters free, of which 36 can be seen.
 

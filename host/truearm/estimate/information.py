@@ -123,8 +123,8 @@ def fold(triangle: Floats, rows: Floats) -> Floats:
 def _keep_freed_memory() -> None:
     """Let the blocks' arrays live in memory that the process keeps, at most some 60 MB.
 
-    glibc gives large pieces back to the system when they are freed, and each block faults its pages in again: half the
-    time of a fit of 800 points. Its thresholds grow with the largest piece that was freed (mallopt(3), M_MMAP_THRESHOLD),
+    glibc gives large pieces back to the system when they are freed, and each block faults its pages in again: a third
+    of the time of a fit of 800 points. Its thresholds grow with the largest piece that was freed (mallopt(3), M_MMAP_THRESHOLD),
     so one is made and freed untouched. Where the allocator is another this does nothing.
     """
     np.empty(KEPT_BYTES, np.uint8)

@@ -252,7 +252,7 @@ def along(trace: PointTrace, direction: Floats, out: Floats | None = None) -> Ro
 def folded(chain: Chain, params: Floats) -> tuple[FoldedLink, ...]:
     """All links multiplied out, j + 1 of them.
 
-    Remembered for the last few params: poses come in blocks, and 54 constants take 0.5 ms, as long as the poses do.
+    Remembered for the last few params: poses come in blocks, and 54 constants take 0.3 ms, as long as some 700 poses.
     """
     return _folded(chain, params.tobytes(), params.dtype.str)
 

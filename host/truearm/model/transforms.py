@@ -33,7 +33,7 @@ def elementary(motion: str, amount: Any) -> Floats:
 
 
 def before(motion: str, amount: Any, transform: Floats) -> Floats:
-    """elementary(motion, amount) @ transform for one amount and a transform (4, 4), in a third of the time."""
+    """elementary(motion, amount) @ transform for one amount and a transform (4, 4)."""
     out = transform.astype(np.result_type(transform, amount))
     k = axis_of(motion)
     if motion[0] == "t":
