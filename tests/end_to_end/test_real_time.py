@@ -11,6 +11,7 @@ from mcap.reader import make_reader
 from tests.end_to_end.conftest import truearm
 
 from truearm.commands.session import observations_of_session
+from truearm_sim.clocks import draw_clocks
 
 
 class Simulator:
@@ -62,9 +63,11 @@ def test_recorded_over_a_real_port(simulator, tmp_path):
     result = observations_of_session(session)
     assert result.losses.frames_lost == result.losses.samples_lost == result.losses.samples_overrun == 0
     assert len(result.table) >= 1
-    # the sample clock is the divider's, whatever the wall did
+    # the box's crystal as the simulator drew it, to what the clock's own bound at both ends of the recording allows
     (report,) = result.clock_reports
-    assert abs(report.rate_ppm) < 100
+    span_us = report.device_us[1] - report.device_us[0]
+    truth = draw_clocks(1).device.ppm
+    assert abs(report.rate_ppm - truth) <= 1e6 * 2 * report.bound_ns / (1e3 * span_us)
 
 
 def test_interrupt_completes_the_file(simulator, tmp_path):
