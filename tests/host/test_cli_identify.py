@@ -2,9 +2,11 @@
 
 import json
 import math
+import re
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,11 +14,15 @@ import numpy as np
 import pytest
 
 from truearm import cli
+from truearm.commands.identify import Loss, Solver
+from truearm.estimate.identify import SOLVERS
+from truearm.estimate.robust import LOSSES
 from truearm.files.result import parse_result, read_result
 from truearm.files.rig import write_rig
 from truearm.files.robot import load_robot
 from truearm.files.table import read_table, write_table
 from truearm.model.chain import point_forward
+from truearm.model.robot import builtin_names
 from truearm.types import BallBar, ObservationTable, Point, Rig
 
 ROOT = Path(__file__).parents[2]
@@ -121,6 +127,7 @@ SCALARS: dict[str, type | tuple[type, ...]] = {
     "status": str,
     "message": str,
     "solver": str,
+    "loss": str,
     "prior": str,
     "iterations": int,
     "n_observations": int,
@@ -141,12 +148,16 @@ PARAMETER = {
     "seen": bool,
     "of": str,
 }
-LISTS = {"inputs", "observations", "free", "null_space", "rms_history_mm", "held_out_by", "parameters"}
+LISTS = {
+    *("inputs", "observations", "free", "null_space", "rms_history_mm", "held_out_by", "parameters"),
+    *("suggested_free", "additions", "relabellings", "chi2_band", "suspect"),
+}
+OBJECTS = {"robot", "held_out", "held_out_before", "covariance", "observability"}
 
 
 def check_schema(result: dict[str, Any]) -> None:
     """docs/result-format.md, as far as a machine can hold it."""
-    assert set(result) == {*SCALARS, *LISTS, "robot", "held_out", "held_out_before", "covariance"}
+    assert set(result) == {*SCALARS, *LISTS, *OBJECTS}
     for key, kind in SCALARS.items():
         assert isinstance(result[key], kind), key
     for parameter in result["parameters"]:
@@ -161,6 +172,10 @@ def check_schema(result: dict[str, Any]) -> None:
     assert unseen == {p["name"] for p in result["parameters"] if p["free"] and not p["seen"] and p["of"] == "robot"}
     for direction in result["null_space"]:
         assert max(map(abs, direction["weights"])) == pytest.approx(1.0)
+    assert len(result["suggested_free"]) == result["rank"]
+    assert set(result["suggested_free"]) <= set(free)
+    assert set(result["observability"]) == {"o1", "o2", "o3", "o4"}
+    assert len(result["chi2_band"]) == 2
     for key in ("held_out", "held_out_before"):
         assert result[key] is None or set(result[key]) == HELD_OUT_KEYS
 
@@ -208,8 +223,9 @@ def test_every_field_is_documented() -> None:
         "weights",
         "matrix",
         "units",
+        *("source", "distance", "weight", "was", "fits", "rows", "o1", "o4"),
     }
-    for field in {*SCALARS, *PARAMETER, *LISTS, *nested, "robot", "held_out", "held_out_before", "covariance"}:
+    for field in {*SCALARS, *PARAMETER, *LISTS, *nested, *OBJECTS}:
         assert f"`{field}`" in text, field
 
 
@@ -264,9 +280,81 @@ def test_stopping_early_and_a_rank_that_is_not_full_are_results(run: Run, tmp_pa
     assert outcome.code == 0
     assert "rank 33 of 54 free" in outcome.out  # the paper's Table I: one chuck, three spheres
     assert "The fit stopped early" in outcome.out
-    assert "three chucks, not in one line: 1 see up to 3 combinations less" in outcome.out
-    assert "three spheres" not in outcome.out
+    # The paper's Table I: a second chuck makes 35, a third sphere is there already.
+    assert "Next: measure with one more chuck, not in line with the others, to tell 2 more parameters" in outcome.out
+    assert "one more sphere" not in outcome.out
     assert json.loads(run(*arguments, "--max-iterations", 1, "--json").out)["status"] == "max_iterations"
+
+
+SIGMA = 8.4e-5  # m, of the bar
+
+
+@pytest.fixture(scope="module")
+def noisy() -> tuple[ObservationTable, Rig]:
+    table, rig = exact_lengths(180)
+    return replace(table, value=table.value + np.random.default_rng(6).normal(0.0, SIGMA, 180)), rig
+
+
+def identified(run: Run, folder: Path, table: ObservationTable, rig: Rig, *more: object) -> tuple[dict[str, Any], str]:
+    """The result as JSON, and what a person reads."""
+    write_table(folder / "t.csv", table, ("rad",) * 6)
+    write_rig(folder / "rig.toml", rig)
+    arguments = ["identify", folder / "t.csv", "--robot", "puma560", "--rig", folder / "rig.toml", *more]
+    outcomes = run(*arguments, "--json"), run(*arguments)
+    assert [outcome.code for outcome in outcomes] == [0, 0]
+    return json.loads(outcomes[0].out), outcomes[1].out
+
+
+@pytest.mark.parametrize(
+    ("solver", "prior"),
+    [("lm", "none"), ("map", "weak"), ("recursive", "none"), ("renders-1991", "none"), ("ls", "none")],
+)
+def test_every_solver_can_be_asked_for(
+    run: Run, tmp_path: Path, noisy: tuple[ObservationTable, Rig], solver: str, prior: str
+) -> None:
+    result, text = identified(run, tmp_path, *noisy, "--solver", solver)
+    assert (result["solver"], result["loss"], result["prior"]) == (solver, "linear", prior)
+    check_schema(result)
+    assert ("solver map gives a covariance that holds" in " ".join(text.split())) == (solver == "renders-1991")
+
+
+@pytest.mark.parametrize("options", [("--loss", "huber"), ("--loss", "cauchy"), ("--solver", "recursive")])
+def test_a_faulty_row_is_named(
+    run: Run, tmp_path: Path, noisy: tuple[ObservationTable, Rig], options: tuple[str, str]
+) -> None:
+    table, rig = noisy
+    value = table.value.copy()
+    value[70] += 20 * SIGMA
+    result, text = identified(run, tmp_path, replace(table, value=value), rig, *options)
+    # Row 1 is the header.
+    assert [entry["source"] for entry in result["suspect"]] == ["t.csv row 72"]
+    assert result["suspect"][0]["weight"] < 0.5
+    assert "t.csv row 72 (" in text
+    assert ("1 left out of the fit" in text) == (options[1] == "recursive")
+    assert identified(run, tmp_path, *noisy, *options)[0]["suspect"] == []
+
+
+def test_a_wrong_label_is_the_first_thing_said(run: Run, tmp_path: Path, noisy: tuple[ObservationTable, Rig]) -> None:
+    table, rig = noisy
+    order = np.lexsort((table.sphere, table.chuck))
+    table = table.select(order)
+    sphere = table.sphere.copy()
+    sphere[:20] = "s1"  # the first pairing's rows are of c0 and s0
+    result, text = identified(run, tmp_path, replace(table, sphere=sphere), rig)
+    assert result["relabellings"]
+    assert all((r["was"], r["fits"]) == (["c0", "s1"], ["c0", "s0"]) for r in result["relabellings"])
+    assert result["relabellings"][0]["rms_after_mm"] < 0.1 * result["relabellings"][0]["rms_before_mm"]
+    named = {source for r in result["relabellings"] for source in r["rows"]}
+    assert named == {f"t.csv row {i + 2}" for i in range(20)}
+    first = "Wrong label? 20 rows from t.csv row 2 to t.csv row 21: named chuck c0, sphere s1, fit chuck c0, sphere s0."
+    assert text.startswith(first)
+
+
+def test_chi2_is_shown_with_its_band(run: Run, tmp_path: Path, noisy: tuple[ObservationTable, Rig]) -> None:
+    result, text = identified(run, tmp_path, *noisy)
+    low, high = result["chi2_band"]
+    assert low < result["chi2_reduced"] < high
+    assert f"χ² per degree of freedom {result['chi2_reduced']:.3g}, within the {low:.3g} to {high:.3g}" in text
 
 
 def test_free_and_freeze_choose_parameters(run: Run, good: list[object]) -> None:
@@ -355,6 +443,10 @@ BAD_ARGUMENTS = {
     "no number": (["--max-iterations", "many"], "--max-iterations"),
     "below its range": (["--max-iterations", "0"], "--max-iterations"),
     "no such prior": (["--prior", "strong"], "strong"),
+    "no such solver": (["--solver", "magic"], "renders-1991"),
+    "no such loss": (["--loss", "l1"], "cauchy"),
+    "a loss for a solver without": (["--solver", "recursive", "--loss", "huber"], "lm and map; recursive has no"),
+    "a prior for a solver without": (["--solver", "ls", "--prior", "weak"], "which knows no prior"),
     "no such robot": (["--robot", "puma561"], "puma560, ulb"),
     "no such robot file": (["--robot", "none.urdf"], "none.urdf: no such file"),
     "no such rig": (["--rig", "none.toml"], "none.toml: no such file"),
@@ -387,6 +479,14 @@ def test_help_and_version_and_no_command_are_no_errors(run: Run) -> None:
     assert "Example:" in run("identify", "--help").out
     assert run().code == 0
     assert run("--version").out.startswith("truearm ")
+
+
+def test_help_names_what_there_is(run: Run) -> None:
+    """The names are written out in the command, since --help must not import what knows them."""
+    words = set(re.findall(r"[\w-]+", run("identify", "--help").out))
+    assert {*builtin_names(), *SOLVERS, *LOSSES} <= words
+    assert [s.value for s in Solver] == list(SOLVERS)
+    assert [loss.value for loss in Loss] == list(LOSSES)
 
 
 def test_help_imports_nothing_slow() -> None:

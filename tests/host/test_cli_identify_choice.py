@@ -76,6 +76,17 @@ def test_a_name_that_is_a_place_and_a_shell_must_say_which() -> None:
         held_out_rows(table, ["b"], 0)
 
 
+def test_a_line_is_a_group() -> None:
+    rows = "".join(f"line,0.{i},{line},1,2,3\n" for line in ("left", "right") for i in range(5))
+    table = parse_table("kind,q1_rad,line,x_mm,y_mm,z_mm\n" + rows, "t.csv")
+    mask = held_out_rows(table, ["line=left"], 0)
+    assert mask is not None
+    assert mask.tolist() == [True] * 5 + [False] * 5
+    share = held_out_rows(table, ["0.4"], 0)
+    assert share is not None
+    assert (share[:5].sum(), share[5:].sum()) == (2, 2)
+
+
 def test_patterns_choose_the_free_parameters() -> None:
     default = np.array([True, False, True, True])
     for free, freeze, expected in (

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from truearm.errors import InputError
 from truearm.files.result import RobotFrames, document_of, format_document, input_of, parse_result, write_result
 from truearm.files.table import parse_table
-from truearm.types import Estimate, HeldOut, NullDirection
+from truearm.types import Addition, Estimate, HeldOut, NullDirection, Observability, Relabelling
 
 ROBOT = RobotFrames("arm", "base", "tip", ("rad",))
 TABLE = parse_table("kind,q1_rad,place,socket\nseat,0,a,0\nseat,1,a,0\nseat,2,b,0\n", "t.csv")
@@ -58,6 +58,14 @@ def estimates(draw: st.DrawFn) -> Estimate:
         residual_before=np.zeros(3),
         fitted=np.array([True, True, False]),
         seconds=0.1,
+        chi2_band=(draw(numbers), draw(numbers)),
+        distance=np.array([draw(numbers), draw(numbers), math.nan]),
+        weight=np.array([1.0, 0.0, math.nan]),
+        suspect=np.array([*draw(st.tuples(st.booleans(), st.booleans())), False]),
+        observability=draw(st.none() | st.builds(Observability, numbers, numbers, numbers, numbers)),
+        suggested_free=np.zeros(0, dtype=bool),
+        additions=(Addition("pairing", ("c0", "s1"), 2, ("link0.x",)),),
+        relabellings=(Relabelling((0, 2), ("c0", "s0"), ("c1", "s0"), draw(numbers), draw(numbers)),),
     )
 
 
@@ -80,6 +88,18 @@ def test_any_estimate_is_strict_json_and_comes_back(estimate: Estimate) -> None:
     np.testing.assert_array_equal(stored.sigma, np.where(shown, estimate.sigma, math.nan))
     np.testing.assert_array_equal(stored.covariance, estimate.covariance[np.ix_(estimate.free, estimate.free)])
     np.testing.assert_array_equal(stored.of_robot, np.arange(len(estimate.units)) < estimate.n_robot_parameters)
+
+
+@settings(max_examples=20, deadline=None)
+@given(estimates())
+def test_rows_are_named_by_their_source(estimate: Estimate) -> None:
+    document = document_of(estimate, TABLE, ROBOT, [])
+    assert document["relabellings"][0]["rows"] == ["t.csv row 2", "t.csv row 4"]
+    assert document["additions"] == [{"kind": "pairing", "names": ["c0", "s1"], "rank": 2, "parameters": ["link0.x"]}]
+    named = {f"t.csv row {row + 2}" for row in np.flatnonzero(estimate.suspect)}
+    assert {entry["source"] for entry in document["suspect"]} == named
+    far = [entry["distance"] for entry in document["suspect"]]
+    assert None in far or far == sorted(far, reverse=True)
 
 
 @settings(max_examples=20, deadline=None)

@@ -15,7 +15,8 @@ from truearm.types import ObservationTable
 Mask = NDArray[np.bool_]
 
 GROUPS = ("place", "shell")  # what a bare identifier may mean
-COLUMNS = (*GROUPS, "bar", "chuck", "sphere", "socket")
+COLUMNS = (*GROUPS, "line", "bar", "chuck", "sphere", "socket", "target", "tracker", "plane", "rig")
+DRAWN_FROM = (*GROUPS, "socket", "line")  # a fraction takes its share of each
 
 
 def held_out_rows(table: ObservationTable, wanted: Sequence[str], seed: int) -> Mask | None:
@@ -94,7 +95,7 @@ def _listed(what: str, known: Sequence[str]) -> str:
 def _random_rows(table: ObservationTable, fraction: float, seed: int) -> Mask:
     """Every row gets its place in a random order of its own group, as a share of the group; the lowest are taken."""
     rng = np.random.default_rng(seed)
-    keys = np.stack([table.kind.astype("U64"), *(getattr(table, c).astype("U64") for c in (*GROUPS, "socket"))], axis=1)
+    keys = np.stack([table.kind.astype("U64"), *(getattr(table, c).astype("U64") for c in DRAWN_FROM)], axis=1)
     _, group = np.unique(keys, axis=0, return_inverse=True)
     share = np.empty(len(table))
     for index in range(int(group.max()) + 1):

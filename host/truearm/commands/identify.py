@@ -26,6 +26,24 @@ class Prior(StrEnum):
     weak = "weak"
 
 
+class Solver(StrEnum):
+    """Names of ``estimate.identify.SOLVERS``, which --help must not import."""
+
+    lm = "lm"
+    map = "map"
+    recursive = "recursive"
+    renders_1991 = "renders-1991"
+    ls = "ls"
+
+
+class Loss(StrEnum):
+    """Names of ``estimate.robust.LOSSES``."""
+
+    linear = "linear"
+    huber = "huber"
+    cauchy = "cauchy"
+
+
 @dataclass(frozen=True)
 class _Request:
     """The command line, checked by typer."""
@@ -40,6 +58,8 @@ class _Request:
     free: list[str]
     freeze: list[str]
     prior: Prior | None
+    solver: Solver
+    loss: Loss
     max_iterations: int
     save_table: Path | None
     allow_damaged: bool
@@ -50,7 +70,11 @@ def identify(
         list[Path], typer.Argument(metavar="INPUT", help="Sessions (.mcap) and tables (.csv); all are read as one.")
     ],
     robot: Annotated[
-        str, typer.Option(metavar="ROBOT", help="Built-in robot (puma560), robot file (.toml) or URDF (.urdf).")
+        str,
+        typer.Option(
+            metavar="ROBOT",
+            help="Built-in robot (iiwa14, irb120, panda, puma560, ulb, ur10e, ur5e), robot file (.toml) or URDF (.urdf).",
+        ),
     ],
     base: Annotated[
         str | None, typer.Option(metavar="LINK", help="Link of the URDF where the chain begins; default: its root.")
@@ -63,7 +87,8 @@ def identify(
         list[str] | None,
         typer.Option(
             metavar="GROUP|FRACTION",
-            help="Rows to judge by and not to fit: bar=bar61, shell=s1, place=front, chuck=, sphere= or socket= (repeatable), or a fraction such as 0.2.",
+            help="Rows to judge by and not to fit: bar=bar61, shell=s1, place=front, line=left, likewise chuck, sphere, socket, "
+            "target, tracker, plane or rig (repeatable), or a fraction such as 0.2.",
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="Draws the rows of a held-out fraction.")] = 0,
@@ -79,8 +104,20 @@ def identify(
     ] = False,
     prior: Annotated[
         Prior | None,
-        typer.Option(help="weak: nominal to 1 mm, 5 mrad. Default: weak for a URDF, none for other robots."),
+        typer.Option(
+            help="weak: nominal to 1 mm, 5 mrad. Default: weak for a URDF and for --solver map, none else; ls has none."
+        ),
     ] = None,
+    solver: Annotated[
+        Solver,
+        typer.Option(
+            help="lm: Levenberg-Marquardt. map: maximum a posteriori. recursive: row by row, leaves faulty rows out. "
+            "ls, renders-1991: to compare with."
+        ),
+    ] = Solver.lm,
+    loss: Annotated[
+        Loss, typer.Option(help="huber and cauchy bear faulty rows; with the solvers lm and map.")
+    ] = Loss.linear,
     max_iterations: Annotated[
         int, typer.Option(min=1, max=10_000, metavar="N", help="Stop there, converged or not.")
     ] = 50,
@@ -109,6 +146,7 @@ def identify(
     """
     from truearm.files.result import format_document, write_result
 
+    _check_solver(solver, loss, prior)
     _check_files(inputs, robot, rig, out, save_table)
     request = _Request(
         inputs=inputs,
@@ -121,6 +159,8 @@ def identify(
         free=["*"] if all_free else free or [],
         freeze=freeze or [],
         prior=prior,
+        solver=solver,
+        loss=loss,
         max_iterations=max_iterations,
         save_table=save_table,
         allow_damaged=allow_damaged,
@@ -134,6 +174,21 @@ def identify(
         from truearm.commands.show import show_result
 
         show_result(document, out)
+
+
+def _check_solver(solver: Solver, loss: Loss, prior: Prior | None) -> None:
+    """Raise InputError for what a solver would silently ignore."""
+    if loss is not Loss.linear and solver not in (Solver.lm, Solver.map):
+        raise InputError(f"--loss {loss} goes with the solvers lm and map; {solver} has no robust loss")
+    if prior is Prior.weak and solver is Solver.ls:
+        raise InputError("--prior weak is nothing to --solver ls, which knows no prior; use map")
+
+
+def _prior(request: _Request, is_urdf: bool) -> Prior:
+    """What was asked for; else what the solver or the robot needs."""
+    if request.prior is not None or request.solver is Solver.ls:
+        return request.prior or Prior.none
+    return Prior.weak if is_urdf or request.solver is Solver.map else Prior.none
 
 
 def _check_files(inputs: list[Path], robot: str, rig: Path | None, out: Path | None, save_table: Path | None) -> None:
@@ -172,12 +227,12 @@ def _identified(request: _Request) -> dict[str, Any]:
     held_out = held_out_rows(table, request.hold_out, request.seed)
     # A URDF says nothing of what to hold; its constants are redundant, which the weak prior settles.
     by_default = free_without_gains(chain) if is_urdf(request.robot) else robot.free
-    prior = request.prior or (Prior.weak if is_urdf(request.robot) else Prior.none)
+    prior = _prior(request, is_urdf(request.robot))
     free = free_parameters(chain.parameter_names, by_default, request.free, request.freeze)
     if request.save_table is not None:
         write_table(request.save_table, table, units)
 
-    def fit(mask: Mask) -> Estimate:
+    def fit(mask: Mask, solver: str, loss: str) -> Estimate:
         return estimate_parameters(
             chain,
             rig,
@@ -185,10 +240,15 @@ def _identified(request: _Request) -> dict[str, Any]:
             free=mask,
             hold_out=held_out,
             prior_sigma=weak_prior(chain) if prior is Prior.weak else None,
+            solver=solver,
+            loss=loss,
+            prefer=by_default,
             max_iterations=request.max_iterations,
         )
 
-    estimate = _with_fair_before(fit(free), fit)
+    estimate = fit(free, request.solver, request.loss)
+    # The nominal robot's errors are no faults of rows: no gate and no robust loss where the rig is fitted to it.
+    estimate = _with_fair_before(estimate, lambda mask: fit(mask, Solver.lm, Loss.linear))
     frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, units)
     files = hashed_inputs(request.inputs, request.robot, request.rig)
     return document_of(estimate, table, frames, files, request.hold_out, prior.value)

@@ -22,9 +22,8 @@ BORDER = {"m": ("mm", 1e3, 4), "rad": ("deg", 180.0 / math.pi, 5), "1": ("", 1.0
 MAX_DIRECTIONS = 6
 MAX_TERMS = 4
 SMALLEST_WEIGHT = 0.005  # below it "0.00" would be shown
-# How many combinations that few chucks (or spheres) lose (Goswami 1993, Table I).
-LOST_WITH = {1: 3, 2: 1}
-RESIDUALS = {"ball_bar": 1, "seat": 3}  # of an observation
+MAX_ROWS = 6
+RESIDUALS = {"ball_bar": 1, "seat": 3, "line": 3, "position": 3, "pose": 6, "plane": 1}  # of an observation
 CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
 
 
@@ -33,15 +32,43 @@ def show_result(document: Document, out: Path | None) -> None:
     # Names come from strangers' files: no markup. Into a pipe rich would wrap at 80 columns.
     width = None if sys.stdout.isatty() else 120
     console = Console(markup=False, highlight=False, emoji=False, width=width)
+    for line in relabelled(document):
+        console.print(line)
     console.print(headline(document))
     console.print(_parameter_table(document))
     for line in unseen(document):
         console.print(line)
     console.print(_error_table(document))
-    for line in held_out_notes(document):
+    for line in (*chi2_notes(document), *suspects(document), *held_out_notes(document)):
         console.print(line)
     for line in advice(document, out):
         console.print(line)
+
+
+def relabelled(document: Document) -> list[str]:
+    """Warnings of rows that fit another chuck or sphere than they name."""
+    entries = document["relabellings"]
+    if not entries:
+        return []
+    rows: dict[str, list[str]] = {}
+    for entry in entries:
+        change = f"named {_pairing(entry['was'])}, fit {_pairing(entry['fits'])}"
+        rows.setdefault(change, []).extend(entry["rows"])
+    before, after = (_mm(entries[0][key]) for key in ("rms_before_mm", "rms_after_mm"))
+    return [
+        *(f"Wrong label? {_rows(sources)}: {change}." for change, sources in rows.items()),
+        f"As labelled the RMS error is {before} mm, put right {after} mm. What follows is as labelled.",
+    ]
+
+
+def _rows(sources: list[str]) -> str:
+    if len(sources) == 1:
+        return one_line(sources[0])
+    return f"{len(sources)} rows from {one_line(sources[0])} to {one_line(sources[-1])}"
+
+
+def _pairing(names: list[str]) -> str:
+    return f"chuck {one_line(names[0])}, sphere {one_line(names[1])}"
 
 
 def headline(document: Document) -> str:
@@ -111,6 +138,28 @@ def _error_table(document: Document) -> Table:
     return table
 
 
+def chi2_notes(document: Document) -> list[str]:
+    """χ² and where it should be."""
+    low, high = document["chi2_band"]
+    if None in (low, high, document["chi2_reduced"]):
+        return []
+    chi2 = document["chi2_reduced"]
+    where = "within" if low <= chi2 <= high else "above" if chi2 > high else "below"
+    return [f"χ² per degree of freedom {chi2:.3g}, {where} the {low:.3g} to {high:.3g} of right sigmas (95 %)."]
+
+
+def suspects(document: Document) -> list[str]:
+    """The rows that disagree with all others."""
+    rows = document["suspect"]
+    if not rows:
+        return []
+    named = ", ".join(f"{one_line(row['source'])} ({row['distance']:.1f} σ)" for row in rows[:MAX_ROWS])
+    more = f" and {len(rows) - MAX_ROWS} more (suspect in the JSON result)" if len(rows) > MAX_ROWS else ""
+    out = sum(row["weight"] == 0.0 for row in rows)
+    end = f"; {out} left out of the fit" if out else ""
+    return [f"{len(rows)} rows disagree with all others beyond chance{end}: {named}{more}."]
+
+
 def held_out_notes(document: Document) -> list[str]:
     """What the held-out error does not say by itself."""
     held_out, notes = document["held_out"], []
@@ -134,15 +183,22 @@ def _mm(value: float | None) -> str:
 def advice(document: Document, out: Path | None) -> list[str]:
     """What to do next, a line each."""
     lines = []
-    if document["status"] != "converged":
+    if document["solver"] == "renders-1991":
+        lines.append(f"The solver {one_line(document['message'])}.")
+    elif document["status"] != "converged":
         lines.append(
             f"The fit stopped early: {one_line(document['message'])}. Raise --max-iterations, or check the units."
         )
     if document["chi2_reduced"] is not None and document["chi2_reduced"] > CHI2_DOUBTFUL:
         factor = math.sqrt(document["chi2_reduced"])
+        # Least squares and robust losses read the noise from the residuals.
+        read_off = document["solver"] == "ls" or document["loss"] != "linear"
+        prior = ", or the prior is too tight" * (document["prior"] != "none")
         lines.append(
-            f"Residuals are {factor:.1f} times what the declared sigmas allow: the robot has errors that these "
-            "parameters do not model, or the sigmas are too small. The sigmas above are too small by as much."
+            f"Residuals are {factor:.1f} times what the declared sigmas allow: the robot has errors that these parameters "
+            f"do not model, or the sigmas are too small{prior}."
+            + " The sigmas above are too small by as much."
+            * (not read_off)
         )
     spare = sum(RESIDUALS[k["kind"]] * k["fitted"] for k in document["observations"]) - document["rank"]
     if spare < document["rank"]:
@@ -150,7 +206,7 @@ def advice(document: Document, out: Path | None) -> list[str]:
             f"Only {max(spare, 0)} residuals more than the {document['rank']} combinations that they determine: the error "
             "after says little, so many can be fitted to anything. Measure more, and judge by rows held out."
         )
-    lines += _missing_points(document)
+    lines += further_measurements(document)
     if document["held_out"] is None:
         lines.append(
             "Next: judge the result on rows that it has not seen, with --hold-out shell=..., place=... or 0.2."
@@ -162,11 +218,30 @@ def advice(document: Document, out: Path | None) -> list[str]:
     return lines
 
 
-def _missing_points(document: Document) -> list[str]:
-    """Chucks and spheres that would let a ball-bar see more."""
-    return [
-        f"Next: measure with three {what}, not in one line: {kind[what]} see up to {LOST_WITH[kind[what]]} combinations less."
-        for kind in document["observations"]
-        for what in ("chucks", "spheres")
-        if kind["kind"] == "ball_bar" and kind[what] in LOST_WITH
-    ]
+def further_measurements(document: Document) -> list[str]:
+    """The most useful proposal of each kind."""
+    best: dict[str, Mapping[str, Any]] = {}
+    for addition in document["additions"]:  # the most useful first
+        best.setdefault(addition["kind"], addition)
+    return [f"Next: {_proposal(a)} to tell {len(a['parameters'])} more parameters: {_few(a)}." for a in best.values()]
+
+
+def _proposal(addition: Mapping[str, Any]) -> str:
+    match addition["kind"]:
+        case "pairing":
+            return f"measure with {_pairing(addition['names'])} too"
+        case "poses":
+            return "measure with what is mounted in poses that differ more"
+        case "chuck" | "sphere" as what:
+            return f"measure with one more {what}, not in line with the others,"
+        case "ball_bar":
+            return "measure with a ball-bar, three chucks and three spheres,"
+        case "line":
+            return "measure one more line with the line device"
+        case _:
+            return "seat the ball at one more place"
+
+
+def _few(addition: Mapping[str, Any]) -> str:
+    names = [one_line(name) for name in addition["parameters"]]
+    return ", ".join(names[:MAX_TERMS]) + (f" and {len(names) - MAX_TERMS} others" if len(names) > MAX_TERMS else "")

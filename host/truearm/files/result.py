@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from truearm import __version__
 from truearm.errors import InputError
 from truearm.files.disk import read_text, sha256, write_atomic
-from truearm.types import Estimate, Floats, HeldOut, ObservationTable
+from truearm.types import Estimate, Floats, HeldOut, Observability, ObservationTable, Relabelling
 
 FORMAT = "truearm-result"
 FORMAT_VERSION = 1
@@ -98,6 +98,7 @@ def document_of(
         "status": estimate.status,
         "message": estimate.message,
         "solver": estimate.solver,
+        "loss": estimate.loss,
         "prior": prior,
         "iterations": estimate.iterations,
         "n_observations": estimate.n_observations,
@@ -106,11 +107,17 @@ def document_of(
         "rank": estimate.rank,
         "rank_gap": _number(estimate.rank_gap),
         "free": names[estimate.free].tolist(),
+        "suggested_free": names[np.flatnonzero(estimate.suggested_free)].tolist(),
         "null_space": [{"names": list(d.names), "weights": _numbers(d.weights)} for d in estimate.null_space],
+        "observability": _observability(estimate.observability),
+        "additions": [_lists(addition._asdict()) for addition in estimate.additions],
+        "relabellings": [_relabelling(r, table) for r in estimate.relabellings],
         "rms_before_mm": _mm(estimate.rms_before),
         "rms_after_mm": _mm(estimate.rms_after),
         "rms_history_mm": [_mm(rms) for rms in estimate.rms_history],
         "chi2_reduced": _number(estimate.chi2_reduced),
+        "chi2_band": _numbers(estimate.chi2_band),
+        "suspect": _suspects(estimate, table),
         "held_out_by": list(held_out_by),
         "held_out": _held_out(estimate.held_out),
         "held_out_before": _held_out(estimate.held_out_before),
@@ -152,6 +159,42 @@ def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
             "of": "robot" if i < estimate.n_robot_parameters else "rig",
         }
         for i, name in enumerate(estimate.parameter_names)
+    ]
+
+
+def _observability(indices: Observability | None) -> dict[str, float | None] | None:
+    return None if indices is None else {name: _number(value) for name, value in indices._asdict().items()}
+
+
+def _lists(record: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in record.items()}
+
+
+def _relabelling(relabelling: Relabelling, table: ObservationTable) -> dict[str, Any]:
+    return {
+        "rows": [_source(table, row) for row in relabelling.rows],
+        "was": list(relabelling.was),
+        "fits": list(relabelling.fits),
+        "rms_before_mm": _mm(relabelling.rms_before),
+        "rms_after_mm": _mm(relabelling.rms_after),
+    }
+
+
+def _source(table: ObservationTable, row: int) -> str:
+    """Where a row comes from, without the folder, as in ``input_of``."""
+    return Path(str(table.source[row])).name
+
+
+def _suspects(estimate: Estimate, table: ObservationTable) -> list[dict[str, Any]]:
+    """The rows beyond the gate, the farthest first."""
+    rows = np.flatnonzero(estimate.suspect)
+    return [
+        {
+            "source": _source(table, int(row)),
+            "distance": _number(estimate.distance[row]),
+            "weight": _number(estimate.weight[row]),
+        }
+        for row in rows[np.argsort(-estimate.distance[rows], kind="stable")]
     ]
 
 
