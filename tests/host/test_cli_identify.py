@@ -377,6 +377,33 @@ def test_several_tables_are_one_and_save_table_writes_it(run: Run, good: list[ob
     np.testing.assert_array_equal(back.value, np.concatenate([table.value, table.value]))
 
 
+def test_rigs_with_names_are_of_the_rows_that_name_them(
+    run: Run, tmp_path: Path, noisy: tuple[ObservationTable, Rig]
+) -> None:
+    """Other spheres were mounted on the second day, and nobody measured them."""
+    table, rig = noisy
+    day = np.where(np.arange(len(table)) % 2 == 0, "mon", "tue")
+    table = replace(table, rig=day)
+    unknown = {name: replace(point, sigma=None) for name, point in rig.spheres.items()}
+    write_table(tmp_path / "t.csv", table, ("rad",) * 6)
+    write_rig(tmp_path / "mon.toml", rig)
+    write_rig(tmp_path / "tue.toml", replace(rig, spheres=unknown))
+    mon, tue = (f"{name}={tmp_path / name}.toml" for name in ("mon", "tue"))
+    arguments = ["identify", tmp_path / "t.csv", "--robot", "puma560", "--json"]
+    outcome = run(*arguments, "--rig", mon, "--rig", tue)
+    assert outcome.code == 0, outcome.err
+    result = json.loads(outcome.out)
+    assert "tue.sphere.s0.x" in result["free"]
+    assert [entry["name"] for entry in result["inputs"]] == ["t.csv", "mon.toml", "tue.toml"]
+    assert result["chi2_band"][0] < result["chi2_reduced"] < result["chi2_band"][1]
+    bare = tmp_path / "mon.toml"
+    told(run(*arguments, "--rig", mon), "belongs to rig 'tue'; given: mon")
+    told(run(*arguments, "--rig", mon, "--rig", mon), "rig mon is given twice")
+    told(run(*arguments, "--rig", mon, "--rig", bare), "several rigs need names")
+    told(run(*arguments, "--rig", bare, "--rig", bare), "several rigs need names")
+    told(run(*arguments, "--rig", mon, "--rig", tue, "--rig", f"wed={bare}"), "no row has that name")
+
+
 def documented_figures() -> list[list[str]]:
     rows = [line.strip("| ").split(" | ") for line in (MUKCA / "README.md").read_text().splitlines() if line[:1] == "|"]
     return [row for row in rows if row[0] in ("panda_1", "panda_3", "kuka_14")]
@@ -449,20 +476,25 @@ BAD_ARGUMENTS = {
     "a prior for a solver without": (["--solver", "ls", "--prior", "weak"], "which knows no prior"),
     "no such robot": (["--robot", "puma561"], "puma560, ulb"),
     "no such robot file": (["--robot", "none.urdf"], "none.urdf: no such file"),
-    "no such rig": (["--rig", "none.toml"], "none.toml: no such file"),
     "tip of no URDF": (["--tip", "ball"], "--base and --tip"),
     "no such group": (["--hold-out", "shell=s99"], "there is inner, outer"),
     "every group": (["--hold-out", "inner", "--hold-out", "outer"], "nothing would be left"),
     "no such parameter": (["--free", "link9.*"], "--free link9.*: matches no parameter"),
     "no such folder": (["--out", "/none/result.json"], "does not exist"),
     "a folder": (["--out", "/"], "is a directory"),
-    "line breaks in a name": (["--rig", "a\nb\x1b[31m.toml"], "a b\\x1b[31m.toml"),
+    "line breaks in a name": (["--out", "a\nb\x1b[31m/r.json"], "a b\\x1b[31m"),
 }
 
 
 @pytest.mark.parametrize(("arguments", "message"), BAD_ARGUMENTS.values(), ids=BAD_ARGUMENTS.keys())
 def test_bad_arguments(run: Run, good: list[object], arguments: list[str], message: str) -> None:
     told(run(*good, *arguments), message)
+
+
+def test_a_rig_that_is_not_there(run: Run, good: list[object]) -> None:
+    told(run(*good[:4], "--rig", "none.toml"), "none.toml: no such file")
+    told(run(*good[:4], "--rig", "mon=none.toml"), "none.toml: no such file")
+    told(run(*good[:4], "--rig", "a\nb\x1b[31m.toml"), "a b\\x1b[31m.toml")
 
 
 def test_bad_input_as_the_shell_sees_it(good: list[object], tmp_path: Path) -> None:

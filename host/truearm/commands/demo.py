@@ -185,7 +185,7 @@ def calibrate(out: Path, table: ObservationTable) -> Calibration:
     """Fit the 46 cm shells, judge by the 61 cm ones; writes result.json."""
     import numpy as np
 
-    from truearm.commands.identify import hashed_inputs
+    from truearm.commands.inputs import hashed_inputs
     from truearm.estimate.identify import identify
     from truearm.files.result import RobotFrames, document_of, write_result
     from truearm.files.rig import read_rig

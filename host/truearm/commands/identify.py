@@ -15,8 +15,7 @@ from truearm.errors import InputError
 
 if TYPE_CHECKING:
     from truearm.commands.choice import Mask
-    from truearm.files.result import Input
-    from truearm.types import Estimate, ObservationTable, Rig
+    from truearm.types import Estimate
 
 
 class Prior(StrEnum):
@@ -52,7 +51,7 @@ class _Request:
     robot: str
     base: str | None
     tip: str | None
-    rig: Path | None
+    rigs: dict[str, Path]  # by the name that rows have in their column rig, "" for the one of all rows
     hold_out: list[str]
     seed: int
     free: list[str]
@@ -82,7 +81,14 @@ def identify(
     tip: Annotated[
         str | None, typer.Option(metavar="LINK", help="Link of the URDF where the chain ends; default: its only leaf.")
     ] = None,
-    rig: Annotated[Path | None, typer.Option(metavar="FILE", help="Chucks, spheres, bars, sockets (.toml).")] = None,
+    rig: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[NAME=]FILE",
+            help="Chucks, spheres, bars, sockets, devices (.toml). With a name: for the rows that have it in their "
+            "column rig (repeatable).",
+        ),
+    ] = None,
     hold_out: Annotated[
         list[str] | None,
         typer.Option(
@@ -144,16 +150,18 @@ def identify(
     Example:
       truearm identify poses.csv --robot puma560 --rig rig.toml --hold-out shell=s61
     """
+    from truearm.commands.inputs import check_files, rig_files
     from truearm.files.result import format_document, write_result
 
     _check_solver(solver, loss, prior)
-    _check_files(inputs, robot, rig, out, save_table)
+    rigs = rig_files(rig or [])
+    check_files(inputs, robot, rigs, out, save_table)
     request = _Request(
         inputs=inputs,
         robot=robot,
         base=base,
         tip=tip,
-        rig=rig,
+        rigs=rigs,
         hold_out=hold_out or [],
         seed=seed,
         free=["*"] if all_free else free or [],
@@ -191,39 +199,19 @@ def _prior(request: _Request, is_urdf: bool) -> Prior:
     return Prior.weak if is_urdf or request.solver is Solver.map else Prior.none
 
 
-def _check_files(inputs: list[Path], robot: str, rig: Path | None, out: Path | None, save_table: Path | None) -> None:
-    """No input twice (its sigmas would shrink), no output over an input or a stranger's file. Raises InputError."""
-    from truearm.files.disk import check_writable, same_file
-    from truearm.files.result import looks_like_result
-    from truearm.files.robot import robot_file
-    from truearm.files.table import looks_like_table
-
-    for i, path in enumerate(inputs):
-        if any(same_file(path, other) for other in inputs[:i]):
-            raise InputError(f"{path}: is given twice; its observations would count twice")
-    read = [*inputs, *filter(None, (rig, robot_file(robot)))]
-    if out is not None:
-        check_writable(out, inputs=read, ours=looks_like_result)
-    if save_table is not None:
-        check_writable(save_table, inputs=[*read, *filter(None, [out])], ours=looks_like_table)
-
-
 def _identified(request: _Request) -> dict[str, Any]:
     """Read everything, identify, and return the content of result.json."""
     from truearm.commands.choice import free_parameters, held_out_rows
+    from truearm.commands.inputs import hashed_inputs, observed
     from truearm.estimate.identify import identify as estimate_parameters
     from truearm.estimate.prior import free_without_gains, weak_prior
     from truearm.files.result import RobotFrames, document_of
-    from truearm.files.rig import read_rig
     from truearm.files.robot import is_urdf, joint_units, load_robot
-    from truearm.files.table import check_against_rig, write_table
-    from truearm.types import Rig
+    from truearm.files.table import write_table
 
     robot = load_robot(request.robot, request.base, request.tip)
     chain, units = robot.chain, joint_units(robot.chain)
-    rig = read_rig(request.rig) if request.rig else rig_of_sessions(request.inputs) or Rig()
-    table = read_inputs(request.inputs, units, rig, request.allow_damaged)
-    check_against_rig(table, rig)
+    rig, table = observed(request.inputs, request.rigs, units, request.allow_damaged)
     held_out = held_out_rows(table, request.hold_out, request.seed)
     # A URDF says nothing of what to hold; its constants are redundant, which the weak prior settles.
     by_default = free_without_gains(chain) if is_urdf(request.robot) else robot.free
@@ -250,7 +238,7 @@ def _identified(request: _Request) -> dict[str, Any]:
     # The nominal robot's errors are no faults of rows: no gate and no robust loss where the rig is fitted to it.
     estimate = _with_fair_before(estimate, lambda mask: fit(mask, Solver.lm, Loss.linear))
     frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, units)
-    files = hashed_inputs(request.inputs, request.robot, request.rig)
+    files = hashed_inputs(request.inputs, request.robot, *request.rigs.values())
     return document_of(estimate, table, frames, files, request.hold_out, prior.value)
 
 
@@ -273,48 +261,3 @@ def _with_fair_before(estimate: Estimate, fit: Callable[[Mask], Estimate]) -> Es
         held_out_before=nominal.held_out,
         residual_before=nominal.residual,
     )
-
-
-def read_inputs(
-    paths: list[Path], joint_units: tuple[str, ...], rig: Rig, allow_damaged: bool = False
-) -> ObservationTable:
-    """The observations of all inputs, one after the other."""
-    from truearm.files.table import concatenate
-
-    return concatenate([_read_input(path, joint_units, rig, allow_damaged) for path in paths])
-
-
-def _read_input(path: Path, joint_units: tuple[str, ...], rig: Rig, allow_damaged: bool) -> ObservationTable:
-    from truearm.commands.session import is_session, observations_of_session
-    from truearm.files.table import read_table
-
-    if not is_session(path):
-        return read_table(path, joint_units)
-    table = observations_of_session(path, rig, allow_damaged).table
-    if table.q.shape[1] != len(joint_units):
-        raise InputError(f"{path}: its robot has {table.q.shape[1]} joints, the robot given has {len(joint_units)}")
-    return table
-
-
-def rig_of_sessions(paths: list[Path]) -> Rig | None:
-    """The rig that all sessions among the inputs were recorded with. Raises InputError if they differ."""
-    from truearm.commands.session import attached_rig, is_session
-    from truearm.record.session import open_session
-
-    rigs = [attached_rig(open_session(path, allow_damaged=True), path) for path in paths if is_session(path)]
-    if any(rig != rigs[0] for rig in rigs):
-        raise InputError("the sessions were recorded with different rigs; say with --rig which one holds")
-    return rigs[0] if rigs else None
-
-
-def hashed_inputs(inputs: list[Path], robot: str, rig: Path | None) -> list[Input]:
-    """Name and SHA-256 of every file that an identification read."""
-    from truearm.files.result import input_of
-    from truearm.files.robot import robot_file
-
-    file = robot_file(robot)
-    return [
-        *(input_of("observations", path) for path in inputs),
-        *([input_of("rig", rig)] if rig else []),
-        *([input_of("robot", file)] if file else []),
-    ]

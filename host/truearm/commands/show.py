@@ -157,7 +157,8 @@ def suspects(document: Document) -> list[str]:
     more = f" and {len(rows) - MAX_ROWS} more (suspect in the JSON result)" if len(rows) > MAX_ROWS else ""
     out = sum(row["weight"] == 0.0 for row in rows)
     end = f"; {out} left out of the fit" if out else ""
-    return [f"{len(rows)} rows disagree with all others beyond chance{end}: {named}{more}."]
+    who = "1 row disagrees" if len(rows) == 1 else f"{len(rows)} rows disagree"
+    return [f"{who} with all others beyond chance{end}: {named}{more}."]
 
 
 def held_out_notes(document: Document) -> list[str]:
@@ -237,9 +238,9 @@ def _proposal(addition: Mapping[str, Any]) -> str:
         case "ball_bar":
             return "measure with a ball-bar, three chucks and three spheres,"
         case "line":
-            return "measure one more line with the line device"
+            return "measure a new line with the line device"
         case _:
-            return "seat the ball at one more place"
+            return "seat the ball at a new place"
 
 
 def _few(addition: Mapping[str, Any]) -> str:
