@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+import ulb_bench
 
 from truearm import cli
 from truearm.commands.identify import Loss, Solver
@@ -402,6 +403,30 @@ def test_rigs_with_names_are_of_the_rows_that_name_them(
     told(run(*arguments, "--rig", mon, "--rig", bare), "several rigs need names")
     told(run(*arguments, "--rig", bare, "--rig", bare), "several rigs need names")
     told(run(*arguments, "--rig", mon, "--rig", tue, "--rig", f"wed={bare}"), "no row has that name")
+
+
+def test_lines_are_fitted_and_held_out(run: Run, tmp_path: Path) -> None:
+    """Renders' problem on tables: two of six lines judge, each settled on its own rows."""
+    wrong = ulb_bench.NOMINAL.copy()
+    wrong[ulb_bench.OFFSETS] += 0.01
+    table = ulb_bench.lines(6, 12, wrong, np.random.default_rng(2))
+    write_table(tmp_path / "t.csv", table, ("rad",) * 6)
+    write_rig(tmp_path / "rig.toml", ulb_bench.rig(table))
+    arguments = ["identify", tmp_path / "t.csv", "--robot", "ulb", "--rig", tmp_path / "rig.toml", "--solver", "map"]
+    arguments += ["--free", "joint[2-6].offset", "--hold-out", "line=l0", "--hold-out", "line=l1"]
+    result = json.loads(run(*arguments, "--prior", "none", "--json").out)
+    assert result["status"] == "converged"
+    assert (result["held_out"]["n"], result["held_out"]["n_settled"]) == (24, 12)
+    assert result["held_out"]["rms_mm"] < 0.2 * result["held_out_before"]["rms_mm"]
+    assert result["rank"] == 4  # the tool lies on the last axis, which its offset turns about
+    assert result["additions"][0]["parameters"] == ["joint6.offset"]
+    for p in result["parameters"]:
+        if p["of"] == "robot" and p["sigma"] is not None:
+            # 4 σ: one of four clean parameters lies beyond in one draw of 4,000
+            assert abs(p["value"] - p["nominal"] - 0.01) < 4 * p["sigma"]
+    text = run(*arguments).out
+    assert "1 combination of parameters cannot be seen" in text
+    assert "to tell 1 more parameter: joint6.offset" in text
 
 
 def documented_figures() -> list[list[str]]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sized
 from pathlib import Path
 from typing import Any
 
@@ -108,7 +108,10 @@ def unseen(document: Document) -> list[str]:
     directions = document["null_space"]
     if not directions:
         return ["The observations see every free parameter."]
-    lines = [f"{len(directions)} combinations of parameters cannot be seen; predictions do not depend on them:"]
+    what = _counted(directions, "combination")
+    lines = [
+        f"{what} of parameters cannot be seen; predictions do not depend on {'it' if what[:2] == '1 ' else 'them'}:"
+    ]
     lines += [f"  {direction_text(direction)}" for direction in directions[:MAX_DIRECTIONS]]
     if len(directions) > MAX_DIRECTIONS:
         lines.append(f"  and {len(directions) - MAX_DIRECTIONS} more (null_space in the JSON result)")
@@ -224,7 +227,13 @@ def further_measurements(document: Document) -> list[str]:
     best: dict[str, Mapping[str, Any]] = {}
     for addition in document["additions"]:  # the most useful first
         best.setdefault(addition["kind"], addition)
-    return [f"Next: {_proposal(a)} to tell {len(a['parameters'])} more parameters: {_few(a)}." for a in best.values()]
+    return [
+        f"Next: {_proposal(a)} to tell {_counted(a['parameters'], 'more parameter')}: {_few(a)}." for a in best.values()
+    ]
+
+
+def _counted(things: Sized, name: str) -> str:
+    return f"{len(things)} {name}{'s' * (len(things) != 1)}"
 
 
 def _proposal(addition: Mapping[str, Any]) -> str:
