@@ -121,14 +121,15 @@ def write_setup(out: Path, plan: Plan, world: World) -> None:
 
 def record_virtually(out: Path, plan: Plan, world: World, box: SimulatedBox, osr: int, seed: int) -> None:
     """The recorder on the lab's links and clock: session.mcap."""
-    from truearm.commands.record import plan_rows
+    from truearm.commands.record import asked_to_stop, plan_rows
     from truearm.record.recorder import record
     from truearm.record.session_writer import SessionWriter
     from truearm_sim.lab import Lab
 
     lab = Lab(world, box, seed)
     writer = SessionWriter(out / "session.mcap", lab.clock, overwrite=True)
-    with _progress(world.duration) as progress:
+    # An exception in the middle of a grant would leave the box's process waiting for its other half.
+    with asked_to_stop() as interrupted, _progress(world.duration) as progress:
         summary = record(
             lab.box_link,
             writer,
@@ -137,6 +138,7 @@ def record_virtually(out: Path, plan: Plan, world: World, box: SimulatedBox, osr
             plan=plan_rows(plan),
             rig_toml=(out / "rig.toml").read_bytes(),
             osr=osr,
+            interrupted=interrupted,
             progress=progress,
         )
     if summary.reason == "interrupted":

@@ -121,7 +121,7 @@ def _record(
         closing(SerialLink(device, clock)) as link,
         _robot_link(robot, clock) as robot_link,
         SessionWriter(out, clock, overwrite=force, hold=True) as writer,
-        _signals() as interrupted,
+        asked_to_stop() as interrupted,
         _progress(duration) as progress,
     ):
         try:
@@ -215,7 +215,7 @@ def plan_rows(plan: Plan) -> list[dict[str, Any]]:
 
 
 @contextmanager
-def _signals() -> Iterator[Callable[[], bool]]:
+def asked_to_stop() -> Iterator[Callable[[], bool]]:
     """Ctrl-C and SIGTERM only raise a flag: an exception could strike in the middle of a record of the file."""
     asked = threading.Event()
     before = {number: signal.signal(number, lambda *_: asked.set()) for number in (signal.SIGINT, signal.SIGTERM)}
