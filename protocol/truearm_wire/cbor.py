@@ -37,7 +37,6 @@ class Tag:
 
 DEPTH_MAX = 12
 SINT32_LE = 78
-UINT16_LE = 69
 
 
 def put_head(buf, at, major, n):
