@@ -365,6 +365,16 @@ def test_free_and_freeze_choose_parameters(run: Run, good: list[object]) -> None
     assert all(p["value"] == p["nominal"] and p["sigma"] is None for p in held)
 
 
+def test_parameters_are_freed_beside_the_robot_files_own(run: Run, good: list[object]) -> None:
+    """The PUMA's file holds all offsets, which the angles of the links make up for: the rank stays, the counts do not."""
+    plain = json.loads(run(*good, "--json").out)
+    more = json.loads(run(*good, "--also-free", "joint[23].offset,link2.z", "--json").out)
+    assert set(more["free"]) - set(plain["free"]) == {"joint2.offset", "joint3.offset", "link2.z"}
+    assert (plain["n_free"], more["n_free"]) == (36, 39)
+    assert more["rank"] == plain["rank"] == 36
+    told(run(*good, "--also-free", "joint2.ofset"), "names are like joint2.offset")
+
+
 def test_several_tables_are_one_and_save_table_writes_it(run: Run, good: list[object], tmp_path: Path) -> None:
     saved = tmp_path / "all.csv"
     first = good[1]

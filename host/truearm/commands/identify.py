@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from truearm.errors import InputError
-
-if TYPE_CHECKING:
-    from truearm.commands.choice import Mask
-    from truearm.types import Estimate
 
 
 class Prior(StrEnum):
@@ -55,6 +50,7 @@ class _Request:
     hold_out: list[str]
     seed: int
     free: list[str]
+    also_free: list[str]
     freeze: list[str]
     prior: Prior | None
     solver: Solver
@@ -86,7 +82,7 @@ def identify(
         typer.Option(
             metavar="[NAME=]FILE",
             help="Chucks, spheres, bars, sockets, devices (.toml). With a name: for the rows that have it in their "
-            "column rig (repeatable).",
+            "column rig, and for the session of that name, a.mcap's being a (repeatable). Default: each session's own.",
         ),
     ] = None,
     hold_out: Annotated[
@@ -101,6 +97,13 @@ def identify(
     free: Annotated[
         list[str] | None,
         typer.Option(metavar="PATTERN", help="Identify only parameters that match, as 'joint*.offset' (repeatable)."),
+    ] = None,
+    also_free: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATTERN",
+            help="Identify these too, beside what the robot file frees: '*.gain,link3.y' (repeatable).",
+        ),
     ] = None,
     freeze: Annotated[
         list[str] | None, typer.Option(metavar="PATTERN", help="Hold parameters that match (repeatable).")
@@ -150,7 +153,8 @@ def identify(
     Example:
       truearm identify poses.csv --robot puma560 --rig rig.toml --hold-out shell=s61
     """
-    from truearm.commands.inputs import check_files, rig_files
+    from truearm.commands.inputs import check_files
+    from truearm.commands.rigs import rig_files
     from truearm.files.result import format_document, write_result
 
     _check_solver(solver, loss, prior)
@@ -165,6 +169,7 @@ def identify(
         hold_out=hold_out or [],
         seed=seed,
         free=["*"] if all_free else free or [],
+        also_free=also_free or [],
         freeze=freeze or [],
         prior=prior,
         solver=solver,
@@ -216,48 +221,22 @@ def _identified(request: _Request) -> dict[str, Any]:
     # A URDF says nothing of what to hold; its constants are redundant, which the weak prior settles.
     by_default = free_without_gains(chain) if is_urdf(request.robot) else robot.free
     prior = _prior(request, is_urdf(request.robot))
-    free = free_parameters(chain.parameter_names, by_default, request.free, request.freeze)
+    free = free_parameters(chain.parameter_names, by_default, request.free, request.freeze, request.also_free)
     if request.save_table is not None:
         write_table(request.save_table, table, units)
 
-    def fit(mask: Mask, solver: str, loss: str) -> Estimate:
-        return estimate_parameters(
-            chain,
-            rig,
-            table,
-            free=mask,
-            hold_out=held_out,
-            prior_sigma=weak_prior(chain) if prior is Prior.weak else None,
-            solver=solver,
-            loss=loss,
-            prefer=by_default,
-            max_iterations=request.max_iterations,
-        )
-
-    estimate = fit(free, request.solver, request.loss)
-    # The nominal robot's errors are no faults of rows: no gate and no robust loss where the rig is fitted to it.
-    estimate = _with_fair_before(estimate, lambda mask: fit(mask, Solver.lm, Loss.linear))
+    estimate = estimate_parameters(
+        chain,
+        rig,
+        table,
+        free=free,
+        hold_out=held_out,
+        prior_sigma=weak_prior(chain) if prior is Prior.weak else None,
+        solver=request.solver,
+        loss=request.loss,
+        prefer=by_default,
+        max_iterations=request.max_iterations,
+    )
     frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, units)
     files = hashed_inputs(request.inputs, request.robot, *request.rigs.values())
     return document_of(estimate, table, frames, files, request.hold_out, prior.value)
-
-
-def _with_fair_before(estimate: Estimate, fit: Callable[[Mask], Estimate]) -> Estimate:
-    """The estimate with, as "before", what the nominal robot reaches once the rig's unknowns are fitted to it.
-
-    A ball or a chuck whose place nobody measured is no error of the robot; with the rig as guessed the identification
-    would be credited with finding it.
-    """
-    import numpy as np
-
-    n_robot = estimate.n_robot_parameters
-    if len(estimate.parameter_names) == n_robot:
-        return estimate
-    nominal = fit(np.zeros(n_robot, dtype=bool))
-    return replace(
-        estimate,
-        rms_before=nominal.rms_after,
-        rms_history=(nominal.rms_after, *estimate.rms_history[1:]),
-        held_out_before=nominal.held_out,
-        residual_before=nominal.residual,
-    )
