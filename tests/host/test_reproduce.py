@@ -12,6 +12,7 @@ from truearm.cli import main
 from truearm.commands.reproduce import planned_bench
 from truearm.model.chain import forward, point_forward
 from truearm.model.robot import builtin_robot
+from truearm.observe.line import PLACEMENTS
 from truearm.report.reproduce_page import (
     IN_KIND,
     NOT_REPRODUCED,
@@ -23,7 +24,7 @@ from truearm.report.reproduce_page import (
     render,
 )
 from truearm.reproduce import goswami, renders
-from truearm.reproduce.lines import ANGLE_SIGMA, PLACEMENTS, line_rig, measured_lines
+from truearm.reproduce.lines import ANGLE_SIGMA, line_rig, measured_lines
 
 PAPERS = ("goswami", "renders")
 ULB = builtin_robot("ulb")
@@ -197,11 +198,11 @@ def test_a_perfect_robot_finds_its_lines():
     for rule in PLACEMENTS:
         before = renders.before(chain, session, rule)
         # Roll about the line is set up to 3°, off-axis points are some micrometres: it costs nothing here.
-        assert before < (5e-3 if rule == "first_two" else 1e-3)
+        assert before < (5e-3 if rule == "two_point" else 1e-3)
     p = point_forward(chain, chain.params_nominal, session.table.q, np.zeros(3)).reshape(3, 12, 3)
     length = np.linalg.norm(p[:, -1] - p[:, 0], axis=1)
     np.testing.assert_allclose(length, 0.5, atol=2e-3)  # joint noise of 0.3 mrad on some decimetres
-    rig = line_rig(chain, session, "least_squares", 0.1)
+    rig = line_rig(session, "least_squares", 0.1)
     assert [d.sigma for d in rig.lines.values()] == [0.1] * 3
     assert {d.turn_sigma for d in rig.lines.values()} == {ANGLE_SIGMA}
 

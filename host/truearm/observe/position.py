@@ -24,11 +24,12 @@ import numpy as np
 
 from truearm.model.chain import Chain, PointTrace, along, trace_point
 from truearm.model.transforms import cross
-from truearm.observe.rotation import left_jacobian, rotation, rotation_vector
+from truearm.observe.rotation import left_jacobian, rotation
 from truearm.observe.rows import Indices, Linearised, gather, scatter
 from truearm.types import Floats
 
 WIDTH = 3  # scalar residuals an observation: x, y, z in the device's axes
+STRAIGHT = 1e-9  # points that leave a line by 3e-5 of its length do not show the roll about it
 
 
 @dataclass(frozen=True)
@@ -89,16 +90,27 @@ def for_each(matrix: Callable[[Floats], Floats], turns: Floats) -> Floats:
     return matrix(turns)
 
 
-def place(p_device: Floats, p_base: Floats, weight: Floats) -> tuple[Floats, Floats]:
-    """The pose of a device that brings points (n, 3) of its own axes onto points of the base, by weighted least squares.
+def place(p_device: Floats, p_base: Floats, declared: Floats) -> tuple[Floats, Floats]:
+    """The pose of a device that brings points (n, 3) of its own axes onto points of the base, by least squares.
 
-    Returns its position (3,) and rotation vector (3,). The rotation is V diag(1, 1, ±1) Uᵀ of the points' correlation
-    U S Vᵀ (Arun, Huang, Blostein 1987; the sign keeps it a rotation); points on one line leave the roll about it, a
-    single point the whole orientation, to whatever the decomposition returns.
+    Returns its position (3,) and rotation (3, 3). What the points do not show of the orientation stays as ``declared``
+    (3, 3): the roll about points on one line, all of it for a single point.
     """
-    w = (weight / weight.sum())[:, None]
-    middle_device, middle_base = (w * p_device).sum(axis=0), (w * p_base).sum(axis=0)
-    u, _, vt = np.linalg.svd((w * (p_device - middle_device)).T @ (p_base - middle_base))
-    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(vt) * np.linalg.det(u))])
-    rot = (vt.T * sign) @ u.T
-    return middle_base - rot @ middle_device, rotation_vector(rot)
+    middle_device, middle_base = p_device.mean(axis=0), p_base.mean(axis=0)
+    rot = nearest_rotation((p_base - middle_base).T @ (p_device - middle_device), declared)
+    return middle_base - rot @ middle_device, rot
+
+
+def nearest_rotation(correlation: Floats, declared: Floats, most: int = 2) -> Floats:
+    """The rotation R (3, 3) of the largest tr(Rᵀ H); among equals the one turned least away from ``declared`` R_r.
+
+    ``correlation`` H (3, 3) = Σ p_base p_deviceᵀ = U S Vᵀ is U diag(1, 1, ±1) Vᵀ's (Arun, Huang, Blostein 1987; the sign
+    keeps it a rotation) where two singular values count. Of points on a line one counts: H says that v₁ is turned to u₁,
+    and R = u₁v₁ᵀ + U⊥ Q V⊥ᵀ, where Q (2, 2) is in the same way nearest to what R_r has there. ``most`` 1 lets but one
+    count: the roll about the line is then the declared one, whatever the points say of it.
+    """
+    u, size, vt = np.linalg.svd(correlation)
+    k = min(most, int((size > STRAIGHT * size[0]).sum()), 2)
+    left, _, right = np.linalg.svd(u[:, k:].T @ declared @ vt[k:].T)
+    left[:, -1] *= np.sign(np.linalg.det(u) * np.linalg.det(vt) * np.linalg.det(left) * np.linalg.det(right))
+    return np.asarray(u[:, :k] @ vt[:k] + u[:, k:] @ left @ right @ vt[k:])

@@ -70,7 +70,7 @@ def case(
 ) -> Case:
     """Identify ``free`` on all lines but the last, judge by that one."""
     free, table, p = frozenset(free), session.table, len(chain.parameters)
-    rig = line_rig(chain, session, rule, device_sigma, joint_noise)
+    rig = line_rig(session, rule, device_sigma, joint_noise)
     last = table.line == table.line[-1]
     problem = build_problem(chain, rig, table.select(~last), prior_of(chain))
     columns = np.array([name in free or name.startswith("line.") for name in problem.names])
@@ -93,7 +93,7 @@ def _on_other_line(problem: Problem, params: Floats) -> float:
 def before(chain: Chain, session: Session, rule: str) -> float:
     """Mean error [m] of the identification lines as the nominal robot and a placement rule have them."""
     table = session.table
-    problem = build_problem(chain, line_rig(chain, session, rule, WIDE), table.select(table.line != table.line[-1]))
+    problem = build_problem(chain, line_rig(session, rule, WIDE), table.select(table.line != table.line[-1]))
     return _mean(observe(problem, problem.start, np.ones(problem.start.size, dtype=bool)).residual)
 
 
@@ -122,7 +122,7 @@ def convergence(robot: Robot, n_points: int, p0s: Sequence[float], rng: np.rando
     sigma = {name: min(s, SMALL_ANGLE) for name, s in prior_of(chain).items()}
     truth = errors_added(chain, {n: sigma[n] * rng.standard_normal() for n in chain.parameter_names if n in free})
     session = measured_lines(chain, truth, N_LINES - 1, n_points + 2, rng)
-    rig = line_rig(chain, session, "first_two", WIDE)
+    rig = line_rig(session, "two_point", WIDE)
     used = np.arange(len(session.table)) % (n_points + 2) >= 2
     problem = build_problem(chain, rig, session.table.select(used), sigma)
     columns = np.array([name in free or name.startswith("line.") for name in problem.names])
@@ -197,7 +197,7 @@ def error_map(chain: Chain, where: Section, errors: Mapping[str, float]) -> Floa
 
 def batch_against_recursive(chain: Chain, session: Session) -> tuple[float, float]:
     """Largest relative difference of (12) in one step and (18), (20) point by point: of Δ, and of P."""
-    rig = line_rig(chain, session, "least_squares", WIDE)
+    rig = line_rig(session, "least_squares", WIDE)
     problem = build_problem(chain, rig, session.table, prior_of(chain))
     columns = np.array([name in CASE_E or name.startswith("line.") for name in problem.names])
     sigma = problem.prior_sigma[columns]

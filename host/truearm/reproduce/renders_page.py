@@ -8,13 +8,14 @@ import numpy as np
 
 from truearm.model.chain import Chain
 from truearm.model.robot import builtin_robot
+from truearm.observe.line import PLACEMENTS
 from truearm.report import svg
 from truearm.report.figures import Figure
 from truearm.report.reproduce_page import Chapter, Claim, Table
 from truearm.report.text import figures, number
 from truearm.reproduce import renders
 from truearm.reproduce.goswami_page import Step
-from truearm.reproduce.lines import ANGLE_SIGMA, LENGTH_SIGMA, PLACEMENTS, measured_lines
+from truearm.reproduce.lines import ANGLE_SIGMA, LENGTH_SIGMA, measured_lines
 from truearm.reproduce.renders import CASE_E, CASE_F, GEAR, N_LINES, N_POINTS, WIDE, Case, Convergence
 from truearm.types import Floats
 
@@ -123,7 +124,7 @@ def _identified(chain: Chain, name: str, sets: int, seed: int) -> Chapter:
     )
     title = "III-E: errors of the joint encoders' zeroes" if name == "E" else "III-F: offsets and four lengths"
     head = ("placement of a line", "mean error before [mm]")
-    words = {"least_squares": "least squares", "two_ends": "through its two ends", "first_two": "its first two points"}
+    words = {"least_squares": "least squares", "two_point": "its first two points"}
     table = Table(
         "What “before” depends on", head, tuple((words[rule], number(value, 2)) for rule, value in placed.items())
     )
@@ -141,7 +142,7 @@ def _case_claims(
             "mean error before, lines placed by their first two points",
             "mm",
             PAPER_E[0],
-            placed["first_two"],
+            placed["two_point"],
             None,
             None,
             f"{UNSTATED} III-G places lines by two points; by least squares it is {figures(placed['least_squares'])} mm.",
