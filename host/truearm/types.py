@@ -280,6 +280,7 @@ class Estimate:
     seconds: float
     loss: str = "linear"
     chi2_band: tuple[float, float] = (float("nan"), float("nan"))  # of chi2_reduced, 95 %, if σ and model are right
+    chi2_freedom: float = float("nan")  # effective: residuals less what the fit follows them with
     distance: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) of a row from what all others say of it, in σ
     weight: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) 1 as declared, 0 left out, else a robust loss's
     suspect: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (n,) beyond the gate
@@ -287,3 +288,4 @@ class Estimate:
     suggested_free: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (n_robot_parameters,)
     additions: tuple[Addition, ...] = ()  # where the rank falls short of what is free
     relabellings: tuple[Relabelling, ...] = ()
+    relabelling_search: str = "not needed"  # | "done" | "too many groups" (estimate.relabel)

@@ -46,8 +46,13 @@ def show_result(document: Document, out: Path | None) -> None:
 
 
 def relabelled(document: Document) -> list[str]:
-    """Warnings of rows that fit another chuck or sphere than they name."""
+    """Warnings of rows that fit another chuck or sphere than they name, or that this was not looked for."""
     entries = document["relabellings"]
+    if document["relabelling_search"] == "too many groups":
+        return [
+            "Wrong labels? The residuals are as large as wrong chucks or spheres would make them, but the rows have too "
+            "many pairings to search them all. Identify fewer pairings at a time."
+        ]
     if not entries:
         return []
     rows: dict[str, list[str]] = {}

@@ -144,7 +144,7 @@ def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Opti
     data = data._replace(residual=observe(problem, x, columns).residual)
     information = with_prior(data, *prior_error(problem, columns, x))
     claimed = covariance(spectrum(information.root))
-    return Solution(x, ending.status, ending.message, ending.passes, information, claimed, weight)
+    return Solution(x, ending.status, ending.message, ending.passes, information, claimed, weight, sigma)
 
 
 def rows_of(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> Rows:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.estimate.information import Information, covariance, fold, observe, spectrum
+from truearm.estimate.information import Information, covariance, fold, observe, spectrum, with_prior
 from truearm.estimate.lm import promise, step
 from truearm.estimate.problem import Problem
 from truearm.estimate.solution import Options, Solution, prior_error, whole
@@ -43,9 +43,11 @@ def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Opti
         if abs(gain) < RUN_END:
             status = "converged"
             break
-    information = Information(prior, np.zeros_like(error), data.chi2, data.n_residuals, data.residual)
+    # x itself follows the data about as with one prior and k times their weight, so with σ of the prior times √k.
+    sigma = sigma * np.sqrt(max(runs, 1))
+    information = with_prior(data, (problem.start - x)[columns], sigma)
     claimed = covariance(spectrum(prior))
-    return Solution(x, status, warning(runs), runs, information, claimed, np.ones(problem.n_rows))
+    return Solution(x, status, warning(runs), runs, information, claimed, np.ones(problem.n_rows), sigma)
 
 
 def warning(runs: int) -> str:
