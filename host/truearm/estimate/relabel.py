@@ -37,7 +37,7 @@ from truearm.types import Floats, ObservationTable, Point, Relabelling, Rig
 SUSPICIOUS = 0.01  # of the least distance between two labelled points
 TENFOLD = 0.1
 ROWS_A_GROUP = 30  # enough to tell centimetres
-MAX_GROUPS = 18
+MAX_GROUPS = 40  # 4 s at worst
 MAX_GROUPS_IN_PAIRS = 9
 SEARCH_ITERATIONS = 10
 
