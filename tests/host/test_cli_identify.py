@@ -138,6 +138,8 @@ SCALARS: dict[str, type | tuple[type, ...]] = {
     "rms_before_mm": float,
     "rms_after_mm": float,
     "chi2_reduced": (float, type(None)),
+    "chi2_freedom": float,
+    "relabelling_search": str,
 }
 PARAMETER = {
     "name": str,
