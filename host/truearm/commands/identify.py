@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from dataclasses import dataclass
 from enum import StrEnum
@@ -57,10 +58,13 @@ class _Request:
     loss: Loss
     max_iterations: int
     save_table: Path | None
+    report: Path | None
+    command: str
     allow_damaged: bool
 
 
 def identify(
+    context: typer.Context,
     inputs: Annotated[
         list[Path], typer.Argument(metavar="INPUT", help="Sessions (.mcap) and tables (.csv); all are read as one.")
     ],
@@ -135,6 +139,9 @@ def identify(
     save_table: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write all observations as one table (CSV).")
     ] = None,
+    report: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a page about the result, with pictures (HTML).")
+    ] = None,
     allow_damaged: Annotated[
         bool,
         typer.Option(
@@ -159,7 +166,7 @@ def identify(
 
     _check_solver(solver, loss, prior)
     rigs = rig_files(rig or [])
-    check_files(inputs, robot, rigs, out, save_table)
+    check_files(inputs, robot, rigs, out, save_table, report)
     request = _Request(
         inputs=inputs,
         robot=robot,
@@ -176,6 +183,8 @@ def identify(
         loss=loss,
         max_iterations=max_iterations,
         save_table=save_table,
+        report=report,
+        command=shlex.join(["truearm", *(context.obj or [])]),
         allow_damaged=allow_damaged,
     )
     document = _identified(request)
@@ -208,6 +217,7 @@ def _identified(request: _Request) -> dict[str, Any]:
     """Read everything, identify, and return the content of result.json."""
     from truearm.commands.choice import free_parameters, held_out_rows
     from truearm.commands.inputs import hashed_inputs, observed
+    from truearm.commands.page import judge, write_page
     from truearm.estimate.identify import identify as estimate_parameters
     from truearm.estimate.prior import free_without_gains, weak_prior
     from truearm.files.result import RobotFrames, document_of
@@ -237,6 +247,9 @@ def _identified(request: _Request) -> dict[str, Any]:
         prefer=by_default,
         max_iterations=request.max_iterations,
     )
+    judged = judge(chain, rig, table, estimate)
+    if request.report is not None:
+        write_page(request.report, chain, rig, table, estimate, judged, prior.value, request.command)
     frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, units)
     files = hashed_inputs(request.inputs, request.robot, *request.rigs.values())
-    return document_of(estimate, table, frames, files, request.hold_out, prior.value)
+    return document_of(estimate, table, frames, files, request.hold_out, prior.value, *judged)

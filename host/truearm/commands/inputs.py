@@ -15,11 +15,17 @@ from truearm.files.result import Input, input_of, looks_like_result
 from truearm.files.rig import read_rig
 from truearm.files.robot import robot_file
 from truearm.files.table import check_against_rig, concatenate, looks_like_table, read_table
+from truearm.report.page import looks_like_page
 from truearm.types import ObservationTable, Rig
 
 
 def check_files(
-    inputs: list[Path], robot: str, rigs: dict[str, Path], out: Path | None, save_table: Path | None
+    inputs: list[Path],
+    robot: str,
+    rigs: dict[str, Path],
+    out: Path | None,
+    save_table: Path | None,
+    report: Path | None = None,
 ) -> None:
     """No input twice (its sigmas would shrink), no output over an input or a stranger's file. Raises InputError."""
     for i, path in enumerate(inputs):
@@ -30,6 +36,8 @@ def check_files(
         check_writable(out, inputs=read, ours=looks_like_result)
     if save_table is not None:
         check_writable(save_table, inputs=[*read, *filter(None, [out])], ours=looks_like_table)
+    if report is not None:
+        check_writable(report, inputs=[*read, *filter(None, [out, save_table])], ours=looks_like_page)
 
 
 def observed(
