@@ -13,9 +13,7 @@ from ulb_bench import CHAIN, NOMINAL, OFFSETS, S_Q, free, lines, rig, rows, stra
 from truearm.estimate.identifiability import identifiability, suggested_free
 from truearm.estimate.identify import identify
 from truearm.estimate.information import observe
-from truearm.estimate.ls import unweighted
 from truearm.estimate.problem import build_problem
-from truearm.estimate.recursive import rows_of, run, start
 from truearm.model.chain import Chain, Element, Joint, Parameter, point_forward
 from truearm.types import Rig
 
@@ -172,47 +170,3 @@ def test_what_the_paper_freezes_is_what_cannot_be_seen(a6, all_free, frozen):
         assert "theta6" in held
         assert len(held & {"theta5", "a5"}) == 1
         assert len(held & {"alpha5", "d5"}) == 1
-
-
-# --- Fig. 4 ----------------------------------------------------------------------------------------------------------
-
-TENTH = 0.1  # of III-C's tolerances: a pass linearised at the nominal robot is then not ruled by what it neglects
-NAMES = CHAIN.parameter_names
-FIGURE = [
-    i
-    for i, name in enumerate(NAMES)
-    if name.startswith("joint") and "gain" not in name and name not in ("joint1.offset", "joint1.d", "joint6.alpha")
-]
-TOLERANCE = np.array([1e-3 if CHAIN.parameters[i].unit == "m" else 0.052 for i in FIGURE]) * TENTH
-
-
-def prediction_errors(points, seed):
-    """(2, 4 · points) m: the prediction error at each step of one pass, maximum likelihood and least squares."""
-    rng = np.random.default_rng(seed)
-    truth = NOMINAL.copy()
-    truth[FIGURE] += TOLERANCE * rng.normal(size=len(FIGURE))
-    t = lines(4, points, truth, rng)
-    ml = build_problem(CHAIN, rig(t), t, {NAMES[i]: s for i, s in zip(FIGURE, TOLERANCE, strict=True)})
-    columns = np.concatenate([free(*FIGURE), np.ones(24, bool)])
-    out = []
-    for problem in (ml, unweighted(ml)):
-        batch = rows_of(problem, problem.start, columns)
-        first = start(np.zeros(columns.sum()), problem.prior_sigma[columns])
-        innovation = run(first, batch, np.ones(4 * points, bool)).innovation
-        out.append(np.linalg.norm((batch.noise_root @ innovation[..., None])[..., 0], axis=1))
-    return np.array(out)
-
-
-def test_with_few_points_maximum_likelihood_predicts_better():
-    ml, ls = np.mean([prediction_errors(8, seed) for seed in range(16)], axis=0)
-    assert (ml <= ls).mean() >= 0.9
-    starts = ml[
-        [8, 16, 24]
-    ]  # "each time that a new measuring line is taken up, the prediction error abruptly increases"
-    assert (starts > 3 * ml[[7, 15, 23]]).all()
-
-
-def test_with_many_points_the_two_are_nearly_identical():
-    ml, ls = np.mean([prediction_errors(60, seed) for seed in range(8)], axis=0)
-    # The second half of the last line, when its six unknowns have been told.
-    assert ls[-30:].mean() == pytest.approx(ml[-30:].mean(), rel=0.03)
