@@ -318,7 +318,7 @@ def identified(run: Run, folder: Path, table: ObservationTable, rig: Rig, *more:
 
 @pytest.mark.parametrize(
     ("solver", "prior"),
-    [("lm", "none"), ("map", "weak"), ("recursive", "none"), ("renders-1991", "none"), ("ls", "none")],
+    [("lm", "none"), ("map", "wide"), ("recursive", "none"), ("renders-1991", "none"), ("ls", "none")],
 )
 def test_every_solver_can_be_asked_for(
     run: Run, tmp_path: Path, noisy: tuple[ObservationTable, Rig], solver: str, prior: str
@@ -519,6 +519,7 @@ BAD_ARGUMENTS = {
     "no such loss": (["--loss", "l1"], "cauchy"),
     "a loss for a solver without": (["--solver", "recursive", "--loss", "huber"], "lm and map; recursive has no"),
     "a prior for a solver without": (["--solver", "ls", "--prior", "weak"], "which knows no prior"),
+    "a wide prior for it": (["--solver", "ls", "--prior", "wide"], "which knows no prior"),
     "no such robot": (["--robot", "puma561"], "puma560, ulb"),
     "no such robot file": (["--robot", "none.urdf"], "none.urdf: no such file"),
     "tip of no URDF": (["--tip", "ball"], "--base and --tip"),
@@ -630,13 +631,13 @@ def test_the_page_tells_what_the_result_tells(run: Run, tmp_path: Path, noisy: t
     assert '<p class="subtitle">t.csv</p>' in page
     assert "t.csv row 72" in page
     assert "huber: rows far from all others count less" in page
-    assert "weak: nominal to 1 mm" in page
+    assert "wide: nominal to 10 mm" in page
     assert f"<code>truearm identify {tmp_path / 't.csv'} --robot puma560" in page
     predicted = result["predicted_error"]
     assert (predicted["n"], predicted["relative"]) == (180, False)
     assert 0.0 < predicted["rms_mm"] < predicted["max_mm"]
     assert f"By these sigmas the tool errs by {predicted['rms_mm']:.4f} mm RMS over 180 poses, at most" in text
-    assert "Solved by map with a weak prior of the robot, huber loss." in text
+    assert "Solved by map with a wide prior of the robot, huber loss." in text
     o1 = result["observability"]["o1"]
     assert f"Observability of {len(result['suggested_free'])} parameters: O1 {o1:.3g}" in text
     (entry,) = result["observations"]

@@ -7,6 +7,7 @@ how fast a fit arrives, what their recipe does to the covariance, what is to be 
 from dataclasses import replace
 
 import numpy as np
+import puma_bench
 import pytest
 from ulb_bench import CHAIN, NOMINAL, OFFSETS, S_Q, free, lines, rig, rows, straights
 
@@ -85,6 +86,15 @@ def test_more_runs_of_the_recipe_help_slowly():
     few, many = (identify(CHAIN, rig(t), t, max_iterations=m, **how) for m in (3, 30))
     assert many.rms_after < few.rms_after
     assert many.sigma[OFFSETS[0]] < few.sigma[OFFSETS[0]] / 1.5
+
+
+@pytest.mark.parametrize(("truth", "runs"), [(puma_bench.TRUTH, range(5, 30)), (puma_bench.DESIGN, range(1, 2))])
+def test_the_recipe_ends_on_data_without_noise(truth, runs):
+    """Its error fades as that of the first run over k, so what run k gains as 1/k²: below 0.01 σ after ten or twenty."""
+    t = puma_bench.random_table(200, np.random.default_rng(0), truth=truth)
+    e = identify(puma_bench.CHAIN, puma_bench.RIG, t, free=puma_bench.FREE, solver="renders-1991")
+    assert (e.status, e.iterations in runs) == ("converged", True)
+    assert e.rms_after < 0.2 * puma_bench.SIGMA  # (runs − 1)⁻¹ of 1.6 σ after the first
 
 
 def test_first_run_of_the_recipe_is_the_first_of_map():

@@ -19,6 +19,7 @@ class Prior(StrEnum):
 
     none = "none"
     weak = "weak"
+    wide = "wide"
 
 
 class Solver(StrEnum):
@@ -118,7 +119,8 @@ def identify(
     prior: Annotated[
         Prior | None,
         typer.Option(
-            help="weak: nominal to 1 mm, 5 mrad. Default: weak for a URDF and for --solver map, none else; ls has none."
+            help="Nominal to 1 mm, 5 mrad (weak) or 10 mm, 52 mrad (wide). Default: weak for a URDF, else wide for "
+            "--solver map, none for the others; ls has none."
         ),
     ] = None,
     solver: Annotated[
@@ -202,15 +204,17 @@ def _check_solver(solver: Solver, loss: Loss, prior: Prior | None) -> None:
     """Raise InputError for what a solver would silently ignore."""
     if loss is not Loss.linear and solver not in (Solver.lm, Solver.map):
         raise InputError(f"--loss {loss} goes with the solvers lm and map; {solver} has no robust loss")
-    if prior is Prior.weak and solver is Solver.ls:
-        raise InputError("--prior weak is nothing to --solver ls, which knows no prior; use map")
+    if prior in (Prior.weak, Prior.wide) and solver is Solver.ls:
+        raise InputError(f"--prior {prior} is nothing to --solver ls, which knows no prior; use map")
 
 
 def _prior(request: _Request, is_urdf: bool) -> Prior:
     """What was asked for; else what the solver or the robot needs."""
     if request.prior is not None or request.solver is Solver.ls:
         return request.prior or Prior.none
-    return Prior.weak if is_urdf or request.solver is Solver.map else Prior.none
+    if is_urdf:
+        return Prior.weak
+    return Prior.wide if request.solver is Solver.map else Prior.none
 
 
 def _identified(request: _Request) -> dict[str, Any]:
@@ -219,7 +223,7 @@ def _identified(request: _Request) -> dict[str, Any]:
     from truearm.commands.inputs import hashed_inputs, observed
     from truearm.commands.page import judge, write_page
     from truearm.estimate.identify import identify as estimate_parameters
-    from truearm.estimate.prior import free_without_gains, weak_prior
+    from truearm.estimate.prior import free_without_gains, weak_prior, wide_prior
     from truearm.files.result import RobotFrames, document_of
     from truearm.files.robot import is_urdf, joint_units, load_robot
     from truearm.files.table import write_table
@@ -241,7 +245,7 @@ def _identified(request: _Request) -> dict[str, Any]:
         table,
         free=free,
         hold_out=held_out,
-        prior_sigma=weak_prior(chain) if prior is Prior.weak else None,
+        prior_sigma=None if prior is Prior.none else {Prior.weak: weak_prior, Prior.wide: wide_prior}[prior](chain),
         solver=request.solver,
         loss=request.loss,
         prefer=by_default,

@@ -36,7 +36,11 @@ LOSSES = {
     "huber": "huber: rows far from all others count less",
     "cauchy": "cauchy: rows far from all others hardly count",
 }
-PRIORS = {"none": "none", "weak": "weak: nominal to 1 mm, 5 mrad, 0.001 of a gain"}
+PRIORS = {
+    "none": "none",
+    "weak": "weak: nominal to 1 mm, 5 mrad, 0.001 of a gain",
+    "wide": "wide: nominal to 10 mm, 52 mrad, 0.01 of a gain",
+}
 POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 
 
