@@ -301,6 +301,7 @@ class Estimate:
     suspect: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (n,) beyond the gate
     observability: Observability | None = None  # of the suggested free set
     suggested_free: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (n_robot_parameters,)
-    additions: tuple[Addition, ...] = ()  # where the rank falls short of what is free
+    hardly_seen: tuple[NullDirection, ...] = ()  # seen, but to less than a drawing tells (estimate.identifiability)
+    additions: tuple[Addition, ...] = ()  # where something free is unseen, else where it is hardly seen
     relabellings: tuple[Relabelling, ...] = ()
     relabelling_search: str = "not needed"  # | "done" | "too many groups" (estimate.relabel)

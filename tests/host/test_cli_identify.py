@@ -154,7 +154,7 @@ PARAMETER = {
 }
 LISTS = {
     *("inputs", "observations", "free", "null_space", "rms_history_mm", "held_out_by", "parameters"),
-    *("suggested_free", "additions", "relabellings", "chi2_band", "suspect"),
+    *("suggested_free", "additions", "relabellings", "chi2_band", "suspect", "hardly_seen"),
 }
 OBJECTS = {"robot", "held_out", "held_out_before", "covariance", "observability", "predicted_error"}
 KIND_RMS = {"rms_before_mm", "rms_after_mm", "rms_held_out_mm", "rms_rotation_deg"}

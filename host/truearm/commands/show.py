@@ -123,16 +123,29 @@ def parameter_cells(parameter: Mapping[str, Any]) -> tuple[str, ...]:
 
 def unseen(document: Document) -> list[str]:
     """What the observations cannot see, a line each."""
-    directions = document["null_space"]
-    if not directions:
+    directions, weak = document["null_space"], document["hardly_seen"]
+    if not directions and not weak:
         return ["The observations see every free parameter."]
-    what = _counted(directions, "combination")
-    lines = [
-        f"{what} of parameters cannot be seen; predictions do not depend on {'it' if what[:2] == '1 ' else 'them'}:"
-    ]
-    lines += [f"  {direction_text(direction)}" for direction in directions[:MAX_DIRECTIONS]]
+    lines = []
+    if directions:
+        what = _counted(directions, "combination")
+        which = "it" if what[:2] == "1 " else "them"
+        lines.append(f"{what} of parameters cannot be seen; predictions do not depend on {which}:")
+        lines += _directions(directions, "null_space")
+    if weak:
+        what = _counted(weak, "combination")
+        lines.append(
+            f"{what} of parameters {'is' if what[:2] == '1 ' else 'are'} hardly seen, less well than a drawing tells "
+            "(1 mm, 5 mrad, 0.001 of a gain):"
+        )
+        lines += _directions(weak, "hardly_seen")
+    return lines
+
+
+def _directions(directions: list[Mapping[str, Any]], field: str) -> list[str]:
+    lines = [f"  {direction_text(direction)}" for direction in directions[:MAX_DIRECTIONS]]
     if len(directions) > MAX_DIRECTIONS:
-        lines.append(f"  and {len(directions) - MAX_DIRECTIONS} more (null_space in the JSON result)")
+        lines.append(f"  and {len(directions) - MAX_DIRECTIONS} more ({field} in the JSON result)")
     return lines
 
 

@@ -14,7 +14,7 @@ from truearm.estimate import ls, recursive, renders1991
 from truearm.estimate import map as map_
 from truearm.estimate.additions import additions
 from truearm.estimate.fit import fit
-from truearm.estimate.identifiability import identifiability, observability, suggested_free
+from truearm.estimate.identifiability import hardly_seen, identifiability, observability, suggested_free, told_apart
 from truearm.estimate.information import RANK_TOLERANCE, Information, half, observe, spectrum, with_prior
 from truearm.estimate.lm import DAMPING_START
 from truearm.estimate.prior import WEAK_SIGMA
@@ -98,6 +98,9 @@ def identify(
     sight = identifiability(data.root, int(free.sum()), names)
     suggested = suggested_free(data.root, int(free.sum()), prefer[free])
     unit = np.array([WEAK_SIGMA[p.unit] for p in chain.parameters])[free]
+    weak = hardly_seen(data.root, suggested.size, unit, names)
+    only_weak = suggested.all() and len(weak) > 0
+    wanting = (told_apart(data.root, suggested.size, unit), unit) if only_weak else (suggested, None)
     known = dict(zip(problem.names, x, strict=True))
     labels = relabellings(chain, rig, table, ~held, free, prior_sigma, _rms(information.residual))
     distance, beyond = standardised(problem, x, columns, half(parts), found.weight)
@@ -142,7 +145,8 @@ def identify(
         suspect=_spread(beyond, ~held),
         observability=observability(data.root, int(free.sum()), suggested, unit, data.n_residuals),
         suggested_free=_spread(suggested, free),
-        additions=additions(chain, rig, table.select(~held), names, data.root, known, suggested),
+        hardly_seen=weak,
+        additions=additions(chain, rig, table.select(~held), names, data.root, known, *wanting),
         relabellings=labels.found,
         relabelling_search=labels.status,
     )

@@ -112,6 +112,7 @@ def document_of(
         "free": names[estimate.free].tolist(),
         "suggested_free": names[np.flatnonzero(estimate.suggested_free)].tolist(),
         "null_space": [{"names": list(d.names), "weights": _numbers(d.weights)} for d in estimate.null_space],
+        "hardly_seen": [{"names": list(d.names), "weights": _numbers(d.weights)} for d in estimate.hardly_seen],
         "observability": _observability(estimate.observability),
         "additions": [_lists(addition._asdict()) for addition in estimate.additions],
         "relabellings": [_relabelling(r, table) for r in estimate.relabellings],
