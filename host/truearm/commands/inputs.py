@@ -15,7 +15,6 @@ from truearm.files.result import Input, input_of, looks_like_result
 from truearm.files.rig import read_rig
 from truearm.files.robot import robot_file
 from truearm.files.table import check_against_rig, concatenate, looks_like_table, read_table
-from truearm.report.page import looks_like_page
 from truearm.types import ObservationTable, Rig
 
 
@@ -28,6 +27,10 @@ def check_files(
     report: Path | None = None,
 ) -> None:
     """No input twice (its sigmas would shrink), no output over an input or a stranger's file. Raises InputError."""
+    if Path("-") in inputs:
+        raise InputError("-: standard input is not read; save the data to a file first")
+    if Path("-") in (out, save_table, report):
+        raise InputError("-: is no file name; --json prints the result to standard output")
     for i, path in enumerate(inputs):
         if any(same_file(path, other) for other in inputs[:i]):
             raise InputError(f"{path}: is given twice; its observations would count twice")
@@ -37,6 +40,8 @@ def check_files(
     if save_table is not None:
         check_writable(save_table, inputs=[*read, *filter(None, [out])], ours=looks_like_table)
     if report is not None:
+        from truearm.report.page import looks_like_page
+
         check_writable(report, inputs=[*read, *filter(None, [out, save_table])], ours=looks_like_page)
 
 

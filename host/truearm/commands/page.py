@@ -12,8 +12,6 @@ from truearm.estimate.prediction import orientation_residuals, predicted_point_e
 from truearm.estimate.problem import Rigs
 from truearm.files.disk import write_atomic
 from truearm.model.chain import Chain, point_forward
-from truearm.report.page import CalibrationPage, render
-from truearm.report.rows import row_name
 from truearm.types import Estimate, Floats, ObservationTable, PredictedError, Rig
 
 UNPREDICTED = (
@@ -46,6 +44,9 @@ def write_page(
     command: str = "",
 ) -> None:
     """Write the page whole or not at all. Raises InputError when the place cannot be written."""
+    from truearm.report.page import CalibrationPage, render
+    from truearm.report.rows import row_name
+
     files = dict.fromkeys(row_name(source).rsplit(" ", 2)[0] for source in table.source)  # "poses.csv row 17"
     page = CalibrationPage(
         title=f"Calibration of {chain.name}",
