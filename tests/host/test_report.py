@@ -569,6 +569,15 @@ def test_what_is_not_seen_is_marked_and_said():
     assert f"{name}: not seen at all" in text
 
 
+def test_what_is_hardly_seen_is_said():
+    page = make_page(50)
+    weak = (NullDirection(("link2.z", "link3.z"), (1.0, -1.0)), NullDirection(("link6.z",), (1.0,)))
+    text = render(replace(page, estimate=replace(page.estimate, hardly_seen=weak)))
+    assert "2 combinations of parameters are hardly seen: by the observations alone less well than a drawing" in text
+    assert "<li>link2.z up, link3.z down by as much</li><li>link6.z: by itself</li>" in text
+    assert "hardly seen" not in render(page)
+
+
 def test_parameters_of_the_rig_stand_apart():
     page = make_page(50)
     text = render(replace(page, estimate=replace(page.estimate, n_robot_parameters=48)))
@@ -794,6 +803,7 @@ def full_page():
         additions=(Addition("pairing", ("c3", "s2"), 35, LINK), Addition("line", (), 34, LINK)),
         relabellings=(Relabelling((4, 5, 9), ("c1", "s1"), ("c2", "s1"), 8e-3, 9e-5),),
         null_space=(NullDirection(("link1.x", "link2.x"), (1.0, -1.0)),),
+        hardly_seen=(NullDirection(("link2.z",), (1.0,)),),
     )
     return replace(
         page,
