@@ -104,10 +104,11 @@ def place(p_device: Floats, p_base: Floats, declared: Floats) -> tuple[Floats, F
 def nearest_rotation(correlation: Floats, declared: Floats, most: int = 2) -> Floats:
     """The rotation R (3, 3) of the largest tr(Rᵀ H); among equals the one turned least away from ``declared`` R_r.
 
-    ``correlation`` H (3, 3) = Σ p_base p_deviceᵀ = U S Vᵀ is U diag(1, 1, ±1) Vᵀ's (Arun, Huang, Blostein 1987; the sign
-    keeps it a rotation) where two singular values count. Of points on a line one counts: H says that v₁ is turned to u₁,
-    and R = u₁v₁ᵀ + U⊥ Q V⊥ᵀ, where Q (2, 2) is in the same way nearest to what R_r has there. ``most`` 1 lets but one
-    count: the roll about the line is then the declared one, whatever the points say of it.
+    With ``correlation`` H (3, 3) = Σ p_base p_deviceᵀ = U S Vᵀ and two singular values that count, R = U diag(1, 1, ±1) Vᵀ
+    (Arun, Huang, Blostein 1987; the sign keeps it a rotation). Of points on a line one counts: H says that v₁ is turned to
+    u₁ and no more, so R = u₁v₁ᵀ + U⊥ Q V⊥ᵀ, with Q (2, 2) in the same way nearest to what R_r has there. Of a single point
+    none counts, and R = R_r. ``most`` 1 lets but one count: the roll about the line is then the declared one, whatever
+    the points say of it.
     """
     u, size, vt = np.linalg.svd(correlation)
     k = min(most, int((size > STRAIGHT * size[0]).sum()), 2)
