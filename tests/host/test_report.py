@@ -373,7 +373,8 @@ def test_kinds_have_pictures_of_their_own():
     names = titles(render(page))
     assert "Residuals after calibration · ball-bar" in names
     assert "Residuals after calibration · ball-in-socket" in names
-    assert "ball-bar and ball-in-socket" in verdict(page)
+    assert "The ball-bar and ball-in-socket error" in verdict(page)
+    assert "The ball-bar, line and ball-in-socket error" in verdict(both(page, make_page(20, "line")))
 
 
 def cells_of(text, label):

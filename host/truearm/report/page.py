@@ -144,7 +144,8 @@ def _list(sentences: Sequence[str], css: str) -> str:
 def verdict(page: CalibrationPage) -> str:
     """The result in one line of plain text."""
     e, judged = page.estimate, page.judged
-    kinds = " and ".join(kind_name(str(kind)) for kind in sorted(set(page.table.kind)))
+    *several, last = (kind_name(str(kind)) for kind in sorted(set(page.table.kind)))
+    kinds = f"{', '.join(several)} and {last}" if several else last
     factor = e.rms_before / e.rms_after if e.rms_after > 0.0 else math.inf
     better = f"{figures(factor, 2)} times smaller" if factor >= 1.0 and math.isfinite(factor) else "changed"
     line = (
