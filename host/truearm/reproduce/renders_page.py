@@ -48,7 +48,7 @@ def chapters(quick: bool, seed: int, step: Step) -> Iterator[Chapter]:
     with step(f"II-G: is the covariance true? {runs} experiments a solver"):
         yield _covariance(chain, runs, seed)
     with step("Fig. 4: maximum likelihood and least squares"):
-        yield _figure_four(P0[3:] if quick else P0, 2 if quick else 24, 1 if quick else 8, seed)
+        yield _figure_four(P0[3:] if quick else P0, 2 if quick else 16, 1 if quick else 8, seed)
     with step("II-D and Fig. 5: error maps"):
         yield _maps(chain)
     yield Chapter(
