@@ -9,10 +9,10 @@ from puma_bench import CHAIN, TRUTH, random_poses
 
 from truearm.estimate.information import observe, spectrum
 from truearm.estimate.problem import blocks, build_problem, evaluate
-from truearm.model.chain import joint_jacobian, point_jacobians, trace_point
+from truearm.model.chain import about, joint_jacobian, point_jacobians, trace_point
 from truearm.observe.line import PLACEMENTS
 from truearm.observe.plane import frame_of
-from truearm.observe.pose import PoseRows, about
+from truearm.observe.pose import PoseRows
 from truearm.observe.position import place
 from truearm.observe.rotation import rotation, rotation_vector, skew
 from truearm.types import Device, Plane, Point, Rig
@@ -224,7 +224,7 @@ def started(t, device, rule):
 def test_a_line_of_known_orientation_keeps_its_roll(rule):
     """Through a robot that errs by millimetres the points seem to say something of the roll; it is not listened to."""
     t, bent, device = set_up_by_hand(np.random.default_rng(12))
-    _, turn, rot = started(t, device, rule)
+    _, turn, _ = started(t, device, rule)
     there = bent[1] - bent[0] if rule == "two_point" else np.linalg.svd(bent - bent.mean(axis=0))[2][0]
     there /= np.linalg.norm(there)
     # No part of the turn is about the line; a least-squares line by the points of both sides is the bent points' own
