@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from truearm.cli import main
-from truearm.commands.reproduce import planned_bench
+from truearm.commands.reproduce import planned_bench, write
 from truearm.model.chain import forward, point_forward
 from truearm.model.robot import builtin_robot
 from truearm.observe.line import PLACEMENTS
 from truearm.report.reproduce_page import (
     IN_KIND,
+    NOT_JUDGED,
     NOT_REPRODUCED,
     OURS,
     REPRODUCED,
@@ -79,6 +80,8 @@ def test_goswami_numbers(made):
     # 20 runs of 800 residuals; the parameters' part is common to a run's residuals, which widens it a little.
     assert far["ours"] == pytest.approx(far["expected"], rel=4 / math.sqrt(2 * 20 * 800) + 0.01)
     assert far["verdict"] == NOT_REPRODUCED
+    # The gears' size was chosen to give the paper's figure: to agree is no success.
+    assert [named(numbers, s)["verdict"] for s in ("the same with gear", "its residual on")] == [IN_KIND, IN_KIND]
     assert named(numbers, "amplification at R_b")["ours"] == pytest.approx(4.0, rel=0.02)
     nees, chi2 = named(numbers, "normalised"), named(numbers, "χ²")
     assert abs(nees["ours"] - 36) < 4 * math.sqrt(2 * 36 / 20)
@@ -101,6 +104,16 @@ def test_renders_numbers(made):
     assert recipe > 3 * fixed
     true, claimed = (named(numbers, f"normalised squared error, {w}")["ours"] for w in ("map", "the paper's"))
     assert claimed > 10 * true
+
+
+def test_two_experiments_do_not_judge_figure_four(made):
+    for what in ("steps at which ML", "the same, P₀ chosen", "ML over LS at the end"):
+        claim = named(made["renders"][0], what, "Fig. 4")
+        assert claim["verdict"] == NOT_JUDGED, claim
+        assert "without --quick" in claim["why"]
+    assert made["renders"][0]["counts"][NOT_JUDGED] == 3
+    assert NOT_JUDGED not in made["goswami"][0]["counts"]
+    assert f'<p class="name">{NOT_JUDGED}</p>' in made["renders"][1]
 
 
 @pytest.mark.parametrize("paper", PAPERS)
@@ -150,6 +163,23 @@ def test_bad_input(tmp_path, capsys):
 )
 def test_a_verdict_follows_from_the_numbers(paper, ours, tolerance, verdict):
     assert Claim("a", "mm", paper, ours, tolerance=tolerance).verdict == verdict
+
+
+def test_the_terminal_lists_what_is_not_reproduced(tmp_path, capsys):
+    claims = (
+        Claim("a", "mm", 1.0, 2.0, why="W."),
+        Claim("b", "", 4, 7),
+        Claim("c", "1", 1.0, 0.5),
+        Claim("d", "1", 1, 1),
+    )
+    write(tmp_path, ReproducePage("t", "s", (Chapter("c", "", claims),)))
+    lines = capsys.readouterr().out.splitlines()
+    assert "1 reproduced, 0 in kind, 3 not reproduced, 0 ours alone" in lines
+    assert [line for line in lines if line.startswith("  ")] == [
+        "  a: paper 1 mm, ours 2 mm. W.",
+        "  b: paper 4, ours 7.",
+        "  c: paper 1, ours 0.5.",
+    ]
 
 
 def test_text_of_a_claim_is_escaped_and_a_missing_number_is_a_dash():

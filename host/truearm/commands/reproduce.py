@@ -102,5 +102,8 @@ def write(folder: Path, page: ReproducePage) -> None:
     for chapter in page.chapters:
         for claim in chapter.claims:
             if claim.verdict == NOT_REPRODUCED:
-                typer.echo(f"  {claim.what}: paper {claim.paper:g}, ours {claim.ours:.3g} {claim.unit}. {claim.why}")
+                unit = f" {claim.unit}" * (claim.unit not in ("", "1"))
+                typer.echo(
+                    f"  {claim.what}: paper {claim.paper:g}{unit}, ours {claim.ours:.3g}{unit}. {claim.why}".rstrip()
+                )
     typer.echo(f"\nreport          {folder / 'report.html'}\nnumbers         {folder / 'numbers.json'}")

@@ -27,6 +27,7 @@ SOURCE = (
 PAPER_E, PAPER_F = (11.28, 4.95, 0.89, 0.81), {1: 3.15, 12: 0.61}  # mm, mean error before and after each run
 RUNS_E, RUNS_F = 3, 12
 P0 = (1e2, 1e3, 1e4, 1e5, 1e6)
+SETS_8, SETS_60 = 16, 8  # experiments with 8 and with 60 points a line; with fewer, chance decides
 TAIL = 30  # of the last line's 60 points, when its six unknowns have been told
 LEAP = "A new line begins every 8 points, with six unknowns of its own: there the error leaps."
 LEVEL = "What is left is mostly the noise of the point itself."
@@ -48,7 +49,7 @@ def chapters(quick: bool, seed: int, step: Step) -> Iterator[Chapter]:
     with step(f"II-G: is the covariance true? {runs} experiments a solver"):
         yield _covariance(chain, runs, seed)
     with step("Fig. 4: maximum likelihood and least squares"):
-        yield _figure_four(P0[3:] if quick else P0, 2 if quick else 16, 1 if quick else 8, seed)
+        yield _figure_four(quick, seed)
     with step("II-D and Fig. 5: error maps"):
         yield _maps(chain)
     yield Chapter(
@@ -266,8 +267,15 @@ def _covariance(chain: Chain, runs: int, seed: int) -> Chapter:
     return Chapter("II-G: properties of the estimator", text, claims)
 
 
-def _figure_four(p0s: Sequence[float], few_sets: int, many_sets: int, seed: int) -> Chapter:
+def _figure_four(quick: bool, seed: int) -> Chapter:
     robot = builtin_robot("ulb")
+    p0s, few_sets, many_sets = (P0[3:], 2, 1) if quick else (P0, SETS_8, SETS_60)
+
+    def too_few(made: int, needed: int) -> str:
+        made_here = f"{made} experiment{'s' * (made != 1)}, too few to judge: without --quick {needed} are made. "
+        return made_here if made < needed else ""
+
+    few_8, few_60 = too_few(few_sets, SETS_8), too_few(many_sets, SETS_60)
     few = [convergence(robot, 8, p0s, np.random.default_rng([seed, k])) for k in range(few_sets)]
     ml, plain = _means(few)
     best = int(np.argmin(plain.mean(axis=1)))
@@ -285,9 +293,10 @@ def _figure_four(p0s: Sequence[float], few_sets: int, many_sets: int, seed: int)
             float(ahead[-1]),
             1.0,
             0.1,
-            f"P₀ = {figures(p0s[-1], 1)}, the “arbitrary large number” of II-I. “Prediction errors obtained by the ML algorithm "
+            f"{few_8}P₀ = {figures(p0s[-1], 1)}, the “arbitrary large number” of II-I. “Prediction errors obtained by the ML algorithm "
             f"are smaller” (III-G): mean error over {few_sets} sets of lines, step by step. Tolerance: a tenth of the steps, at "
             "which noise may decide.",
+            not few_8,
         ),
         Claim(
             "the same, P₀ chosen for LS",
@@ -296,8 +305,9 @@ def _figure_four(p0s: Sequence[float], few_sets: int, many_sets: int, seed: int)
             float(ahead[best]),
             1.0,
             0.1,
-            f"Fig. 4 has P₀ “such that convergence rate was optimal”: here, of {len(p0s)} values, the one with the smallest mean "
+            f"{few_8}Fig. 4 has P₀ “such that convergence rate was optimal”: here, of {len(p0s)} values, the one with the smallest mean "
             f"error, {figures(p0s[best], 1)}.",
+            not few_8,
         ),
         Claim("mean prediction error, ML", "mm", None, float(ml.mean())),
         Claim("the same, LS with the P₀ chosen for it", "mm", None, float(plain[best].mean())),
@@ -308,8 +318,9 @@ def _figure_four(p0s: Sequence[float], few_sets: int, many_sets: int, seed: int)
             float(tails[-1]),
             1.0,
             0.03,
-            "“The accuracy levels become nearly identical if a large number of measurement points is used”: the last "
+            f"{few_60}“The accuracy levels become nearly identical if a large number of measurement points is used”: the last "
             f"{TAIL} steps, P₀ = {figures(p0s[-1], 1)}, tolerance 3 %.",
+            not few_60,
         ),
     )
     pictures = (
