@@ -228,3 +228,15 @@ def test_wrong_shapes_are_refused():
         forward(chain, chain.params_nominal, np.zeros(4))
     with pytest.raises(RobotError, match="4 parameters"):
         forward(chain, np.zeros(5), np.zeros(3))
+
+
+def test_whole_numbers_are_numbers_too():
+    """Integer params must not cut a fixed constant, 0.7 rad, to 0."""
+    elements = (Element("rx", 0.7), Element("tx", parameter=0), Element("rz", joint=0), Element("ty", 0.5))
+    chain = Chain("c", elements, (Parameter("a", "m", 0.0),), (Joint("j", "revolute", -3.0, 3.0),))
+    np.testing.assert_array_equal(forward(chain, np.array([1]), np.array([2])), forward(chain, [1.0], [2.0]))
+    whole, real = (
+        point_jacobians(chain, np.array([1], kind), np.array([[2]], kind), np.zeros(3)) for kind in (int, float)
+    )
+    for a, b in zip(whole, real, strict=True):
+        np.testing.assert_array_equal(a, b)

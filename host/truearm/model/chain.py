@@ -287,6 +287,7 @@ def _far_frames(chain: Chain, params: Floats, q: Floats) -> list[Floats]:
 
 def _checked(chain: Chain, params: Floats, q: Floats) -> tuple[Floats, Floats]:
     params, q = np.asarray(params), np.asarray(q)
+    params = params.astype(np.result_type(params, float), copy=False)  # whole numbers would cut the fixed constants
     if params.shape != (len(chain.parameters),):
         raise RobotError(f"robot {chain.name} has {len(chain.parameters)} parameters, got shape {params.shape}")
     if q.ndim < 1 or q.shape[-1] != len(chain.joints):
