@@ -168,7 +168,16 @@ def test_constant_tool_orientation_silently_loses_parameters():
     def still():
         return random_poses(80, rng) * (1, 1, 1, 0, 0, 0) + np.radians([0, 0, 0, 20, 60, 30])
 
+    def on_shell(pair):
+        return constant_orientation_poses(80, rng, shell=(CHUCKS[pair[0]], SPHERES[pair[1]]))
+
+    def tilted(of):
+        tilt = {name: 0.3 * rng.normal(size=3) for name in (*CHUCKS, *SPHERES)}
+        return lambda pair: constant_orientation_poses(80, rng, tilt[pair[of]])
+
     assert rank(roots(DESIGN, lambda _: constant_orientation_poses(80, rng)), PAIRS) == 33
+    assert rank(roots(DESIGN, on_shell), PAIRS) == 33
+    assert [rank(roots(DESIGN, tilted(of)), PAIRS) for of in (0, 1)] == [36, 36]
     assert rank(roots(DESIGN, lambda _: vertical(flips=2)), PAIRS) == 33
     assert rank(roots(DESIGN, lambda _: vertical(turns=2)), PAIRS) == 29
     assert rank(roots(DESIGN, lambda _: vertical(turns=3)), PAIRS) == 29
