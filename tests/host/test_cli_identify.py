@@ -17,6 +17,7 @@ import ulb_bench
 
 from truearm import cli
 from truearm.commands.identify import Loss, Solver
+from truearm.commands.show import advice
 from truearm.estimate.identify import SOLVERS
 from truearm.estimate.robust import LOSSES
 from truearm.files.result import parse_result, read_result
@@ -294,7 +295,24 @@ def test_stopping_early_and_a_rank_that_is_not_full_are_results(run: Run, tmp_pa
     # The paper's Table I: a second chuck makes 35, a third sphere is there already.
     assert "Next: measure with one more chuck, not in line with the others, to tell 2 more parameters" in outcome.out
     assert "one more sphere" not in outcome.out
-    assert json.loads(run(*arguments, "--max-iterations", 1, "--json").out)["status"] == "max_iterations"
+    document = json.loads(run(*arguments, "--max-iterations", 1, "--json").out)
+    assert document["status"] == "max_iterations"
+    (stopped,) = (line for line in advice(document, None) if "stopped early" in line)
+    assert "--max-iterations" in stopped
+    assert "roll" not in stopped
+    (stopped,) = (line for line in advice({**document, "status": "stalled"}, None) if "stopped early" in line)
+    assert "--max-iterations" not in stopped  # more of them would not help
+
+
+def test_a_fit_that_creeps_is_told_what_holds_it(run: Run, tmp_path: Path) -> None:
+    table = ulb_bench.lines(2, 12, ulb_bench.NOMINAL, np.random.default_rng(2))
+    write_table(tmp_path / "t.csv", table, ("rad",) * 6)
+    document = json.loads(run("identify", tmp_path / "t.csv", "--robot", "ulb", "--max-iterations", 1, "--json").out)
+    assert document["status"] == "max_iterations"
+    (stopped,) = (line for line in advice(document, None) if "stopped early" in line)
+    assert "A straight line hardly shows its device's roll: give it in the rig, with turn_sigma_deg." in stopped
+    (stopped,) = (line for line in advice({**document, "hardly_seen": document["null_space"]}, None) if "early" in line)
+    assert "--solver map" in stopped
 
 
 SIGMA = 8.4e-5  # m, of the bar

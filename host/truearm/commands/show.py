@@ -6,6 +6,7 @@ Everything is taken from the content of result.json, so that what is printed and
 from __future__ import annotations
 
 import math
+import re
 import sys
 from collections.abc import Mapping, Sized
 from pathlib import Path
@@ -256,9 +257,7 @@ def advice(document: Document, out: Path | None) -> list[str]:
     if document["solver"] == "renders-1991":
         lines.append(f"The solver {one_line(document['message'])}.")
     elif document["status"] != "converged":
-        lines.append(
-            f"The fit stopped early: {one_line(document['message'])}. Raise --max-iterations, or check the units."
-        )
+        lines.append(_stopped(document))
     if document["chi2_reduced"] is not None and document["chi2_reduced"] > CHI2_DOUBTFUL:
         factor = math.sqrt(document["chi2_reduced"])
         # Least squares and robust losses read the noise from the residuals.
@@ -286,6 +285,17 @@ def advice(document: Document, out: Path | None) -> list[str]:
     else:
         lines.append(f"Written: {one_line(str(out))}")
     return lines
+
+
+def _stopped(document: Document) -> str:
+    """Why a fit may not have come to its end: what is hardly seen is a long valley, in which Levenberg–Marquardt creeps."""
+    raised = "Raise --max-iterations, or check" if document["status"] == "max_iterations" else "Check"
+    line = f"The fit stopped early: {one_line(document['message'])}. {raised} the units."
+    if any(re.fullmatch(r"(.*\.)?line\.[^.]*\.rx", parameter["name"]) for parameter in document["parameters"]):
+        line += " A straight line hardly shows its device's roll: give it in the rig, with turn_sigma_deg."
+    if document["hardly_seen"] and document["prior"] == "none":
+        line += " What is hardly seen makes a fit creep: a prior holds it, as --solver map has."
+    return line
 
 
 def further_measurements(document: Document) -> list[str]:
