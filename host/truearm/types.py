@@ -107,7 +107,8 @@ class Rig:
 
     Chucks are in the chuck fixture's frame, which is the chain's base frame; spheres and targets (the points that
     lines and trackers measure and flats are touched with) are in the chain's end frame. ``seat_sigma`` [m] is the
-    standard deviation of each coordinate of a ball seated in a socket.
+    standard deviation of each coordinate of a ball seated in a socket. ``sockets`` [base frame] are those of which
+    something is known; all others are placed by their own seats.
 
     A rig without ``lines`` takes any line that a row names, with ``line_sigma`` [m] along the device's x, y, z (Renders
     1991, III-C); with some, it must have them all. ``line_placement``: how a line without a pose is first placed,
@@ -130,6 +131,7 @@ class Rig:
     time_offset: float = 0.0
     time_offset_sigma: float | None = 0.0
     joint_cov: Matrix = ()
+    sockets: Mapping[tuple[str, str], Point] = field(default_factory=dict)  # by place and socket
 
 
 def _absent() -> Any:

@@ -321,6 +321,30 @@ def test_a_socket_is_the_mean_weighted_by_each_seats_sigma(seated_clean):
     np.testing.assert_allclose(e.sigma[at : at + 3], weight.sum() ** -0.5, rtol=1e-9)
 
 
+@pytest.mark.parametrize("sigma", [0.0, 1e-4, None])
+def test_sockets_whose_place_is_known(seated_clean, sigma):
+    """Known, they place the base as three chucks do; known to a σ, that well; of nothing known but a guess, not at all."""
+    places = zip(seated_clean.place.tolist(), seated_clean.socket.tolist(), strict=True)
+    ball = np.array([*SPHERES["s0"].xyz, 1.0])
+    at = {key: (forward(CHAIN, TRUTH, q) @ ball)[:3] for key, q in zip(places, seated_clean.q, strict=True)}
+    sockets = {key: Point(key[1], tuple(map(float, xyz)), sigma) for key, xyz in at.items()}
+    e = identify(CHAIN, Rig(spheres=SPHERES, seat_sigma=1e-4, sockets=sockets), seated_clean, free=FREE)
+    unknown = [name for name in e.parameter_names if name.startswith("socket")]
+    assert len(unknown) == (0 if sigma == 0.0 else 30)
+    assert e.rank == 36 - 3 - (
+        7 if sigma is None else 0
+    )  # one sphere: the tool's orientation; the base's pose and the scale
+    assert e.rms_after < 1e-9
+    if sigma is not None:
+        # Of the same point all 25 seats and the declaration speak; the robot's own errors come on top.
+        seen = dict(zip(e.parameter_names, e.sigma, strict=True))
+        assert all(seen[name] < sigma for name in unknown)
+    guessed = {key: replace(point, xyz=tuple(np.array(point.xyz) + 5e-3)) for key, point in sockets.items()}
+    moved = identify(CHAIN, Rig(spheres=SPHERES, seat_sigma=1e-4, sockets=guessed), seated_clean, free=FREE)
+    shift = (moved.value - e.value)[:6]
+    assert (np.abs(shift[:3] - 5e-3) < 1e-8).all() == (sigma is not None)
+
+
 def test_the_distance_between_sockets_brings_the_scale(seated_clean):
     """Without it the lengths follow their prior; the true arm is shorter or longer by the declared distance."""
     longer = replace(SEAT_RIG, socket_distances=(SocketDistance(("a", "b"), 0.08 * 1.002, 1e-7),))

@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,14 @@ gain_sigma = 0.01
 sockets = ["0", "1"]
 distance_mm = 50.0
 sigma_mm = 0.1
+[[socket]]
+place = "front"
+name = "0"
+xyz_mm = [400, 0, 50]
+sigma_mm = 0.02
+[[socket]]
+name = "0"
+xyz_m = [0.5, 0, 0]
 """
 
 
@@ -80,6 +89,9 @@ def test_every_entry_is_read_in_si() -> None:
     assert rig.bars["b46"].zero == pytest.approx(0.46, rel=1e-15)
     assert (rig.bars["b46"].gain, rig.bars["b46"].gain_sigma) == (1.0, 0.01)
     assert rig.socket_distances[0].sockets == ("0", "1")
+    assert rig.sockets["", "0"] == Point("0", (0.5, 0.0, 0.0), 0.0)
+    assert rig.sockets["front", "0"].xyz == pytest.approx((0.4, 0.0, 0.05), rel=1e-15)
+    assert rig.sockets["front", "0"].sigma == pytest.approx(2e-5, rel=1e-15)
     assert rig.socket_distances[0].distance == pytest.approx(0.05, rel=1e-15)
 
 
@@ -108,6 +120,7 @@ def test_the_rig_of_the_document_is_one() -> None:
         "spheres",
         "bars",
         "socket_distances",
+        "sockets",
         "targets",
         "lines",
         "trackers",
@@ -157,6 +170,9 @@ rigs = st.builds(
     time_offset=st.floats(-1.0, 1.0),
     time_offset_sigma=sigmas,
     joint_cov=st.just(()) | covariances,
+    sockets=st.dictionaries(st.tuples(st.just("") | names, names), points, max_size=3).map(
+        lambda found: {key: replace(point, name=key[1]) for key, point in found.items()}
+    ),
 )
 
 
@@ -174,6 +190,7 @@ def test_write_and_read(tmp_path: Path) -> None:
 
 BAR = '[[bar]]\nname="b"\nzero_m=0.4\ntravel_m=0.1\nsigma_m=1e-4\n'
 LINE = '[[line]]\nname="l"\nsigma_mm=[0.1, 0.1, 0.1]\n'
+SOCKET = '[[socket]]\nplace = "p"\nname = "0"\nxyz_m = [0, 0, 0]\n'
 WRONG = {
     "no TOML": ("chuck = [", "is not TOML"),
     "deep": ("a = " + "[" * 100_000, "nested too deeply"),
@@ -211,6 +228,8 @@ WRONG = {
     "unknown placement": ('line_placement = "by eye"\n', "line_placement must be 'least_squares' or 'two_point'"),
     "listed placement": ("line_placement = [1]\n", "line_placement must be"),
     "flat normal": ('[[plane]]\nname="p"\nxyz_m=[0,0,0]\nnormal=[0,0,0]\nsigma_m=1e-5\n', "normal must not be zero"),
+    "socket twice": (SOCKET + SOCKET, "[[socket]] 2: socket '0' of place 'p' stands twice"),
+    "odd place": (SOCKET.replace('"p"', '"a b"'), "[[socket]] 1: place must be a name"),
     "same socket": ('[[socket_distance]]\nsockets = ["0", "0"]\n', "from itself"),
 }
 

@@ -243,6 +243,9 @@ def test_seats_that_do_not_fit_the_rig_are_told() -> None:
     with pytest.raises(TableError, match=r"row 2 column sphere: is empty; name one of the rig's \(s1, s2\)"):
         check_against_rig(seats, Rig(spheres=balls))
     check_against_rig(seats, Rig(socket_distances=(SocketDistance(("0", "1"), 0.05, 1e-4),)))
+    check_against_rig(seats, Rig(sockets={("front", "1"): Point("1", (0.0, 0.0, 0.0))}))
+    with pytest.raises(TableError, match="the rig's socket 1 at place 'back' is of no use: no row is seated in it"):
+        check_against_rig(seats, Rig(sockets={("back", "1"): Point("1", (0.0, 0.0, 0.0))}))
     with pytest.raises(TableError, match="socket distance 0 to 2 is of no use: the seats are in sockets 0, 1, 2"):
         check_against_rig(seats, Rig(socket_distances=(SocketDistance(("0", "2"), 0.05, 1e-4),)))
 

@@ -21,7 +21,7 @@ from truearm.estimate.layout import (
     enumerate_labels,
     look_up,
     or_inf,
-    unknown_point,
+    point_numbers,
     use,
 )
 from truearm.model.chain import point_forward
@@ -275,16 +275,21 @@ def _nominal(scope: Scope, rows: Indices, targets: Used) -> Floats:
 
 
 def _sockets(scope: Scope, rows: Indices, balls: Used) -> Used:
-    """The sockets of the seat rows, by (place, socket), each at the mean of the ball's predicted positions."""
+    """The sockets of the seat rows, by (place, socket): the rig's, else unknown and first at the mean of the predicted ball."""
     table = scope.table
     labels, which = enumerate_labels(list(zip(table.place[rows].tolist(), table.socket[rows].tolist(), strict=True)))
-    names = [".".join(("socket", *(part for part in label if part))) for label in labels if isinstance(label, tuple)]
+    pairs = [label for label in labels if isinstance(label, tuple)]
+    names = [".".join(("socket", *(part for part in pair if part))) for pair in pairs]
     if len(set(names)) < len(names):
         raise ProblemError(f"two sockets would both be called {max(names, key=names.count)}; rename places or sockets")
     total = np.zeros((len(names), 3))
     np.add.at(total, which, _nominal(scope, rows, balls))
     mean = total / np.bincount(which)[:, None]
-    numbers = [unknown_point(f"{scope.prefix}{name}", xyz) for name, xyz in zip(names, mean, strict=True)]
+    points = [
+        scope.rig.sockets.get(pair, Point(name, tuple(xyz), None))
+        for pair, name, xyz in zip(pairs, names, mean.tolist(), strict=True)
+    ]
+    numbers = [point_numbers(f"{scope.prefix}{name}", point) for name, point in zip(names, points, strict=True)]
     return Used(labels, numbers, which)
 
 

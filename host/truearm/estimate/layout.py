@@ -97,9 +97,9 @@ def use(scope: Scope, rows: Indices, column: Strings, known: Mapping[str, Point 
     return Used(labels, [_numbers(f"{scope.prefix}{what}.{label}", known[str(label)]) for label in labels], which)
 
 
-def unknown_point(name: str, xyz: Sequence[float]) -> list[Number]:
-    """Three coordinates of which nothing is known but a place to start."""
-    return [Number(f"{name}.{k}", "m", float(v), np.inf) for k, v in zip(XYZ, xyz, strict=True)]
+def point_numbers(name: str, point: Point) -> list[Number]:
+    """Three coordinates of a point of the rig."""
+    return [Number(f"{name}.{k}", "m", v, or_inf(point.sigma)) for k, v in zip(XYZ, point.xyz, strict=True)]
 
 
 def or_inf(sigma: float | None) -> float:
@@ -114,4 +114,4 @@ def _numbers(name: str, thing: Point | BallBar | Plane) -> list[Number]:
     if isinstance(thing, Plane):
         tilts = [Number(f"{name}.tilt{k}", "rad", 0.0, or_inf(thing.tilt_sigma)) for k in (1, 2)]
         return [Number(f"{name}.offset", "m", 0.0, or_inf(thing.offset_sigma)), *tilts]
-    return [Number(f"{name}.{k}", "m", v, or_inf(thing.sigma)) for k, v in zip(XYZ, thing.xyz, strict=True)]
+    return point_numbers(name, thing)

@@ -42,7 +42,7 @@ from truearm.types import BallBar, Device, Plane, Point, Rig, SocketDistance
 MAX_BYTES = 2**20
 SECONDS = {"s": 1.0, "ms": 1e-3}
 PLACEMENTS = ("least_squares", "two_point")
-ENTRIES = {"chuck", "sphere", "bar", "socket_distance", "target", "line", "tracker", "plane"}
+ENTRIES = {"chuck", "sphere", "bar", "socket", "socket_distance", "target", "line", "tracker", "plane"}
 TOP_LEVEL = {
     *keys(("seat_sigma", "line_sigma")),
     *keys(("time_offset", "time_offset_sigma"), SECONDS),
@@ -83,6 +83,7 @@ def parse_rig(text: str, name: str) -> Rig:
         time_offset=within(number(offset, "time_offset", name) * seconds, -LARGEST, "time_offset", name),
         time_offset_sigma=sigma_or_unknown(data, "time_offset_sigma", name, 0.0, SECONDS),
         joint_cov=joint_cov(data, name),
+        sockets=_sockets(_entries(data, "socket", name)),
     )
 
 
@@ -103,6 +104,18 @@ def _named(
         if item.name in result:
             raise RigError(f"{where}: the name {item.name!r} stands twice; give each its own")
         result[item.name] = item
+    return result
+
+
+def _sockets(entries: list[tuple[Mapping[str, Any], str]]) -> dict[tuple[str, str], Point]:
+    result: dict[tuple[str, str], Point] = {}
+    for table, where in entries:
+        place, name = table.get("place", ""), name_of(table, where)
+        if place != "" and not is_name(place):
+            raise RigError(f"{where}: place must be a name as in the table")
+        if (place, name) in result:
+            raise RigError(f"{where}: socket {name!r} of place {place!r} stands twice")
+        result[place, name] = _point({k: v for k, v in table.items() if k != "place"}, name, where)
     return result
 
 
@@ -141,6 +154,7 @@ def format_rig(rig: Rig) -> str:
     blocks += [_point_text("chuck", point) for point in rig.chucks.values()]
     blocks += [_point_text("sphere", point) for point in rig.spheres.values()]
     blocks += [_bar_text(bar) for bar in rig.bars.values()]
+    blocks += [_point_text("socket", point, place) for (place, _), point in rig.sockets.items()]
     blocks += [_socket_distance_text(distance) for distance in rig.socket_distances]
     blocks += [_point_text("target", point) for point in rig.targets.values()]
     blocks += [device_text("line", line) for line in rig.lines.values()]
@@ -162,9 +176,9 @@ def _top_text(rig: Rig) -> str:
     return "\n".join(lines)
 
 
-def _point_text(key: str, point: Point) -> str:
-    place = f"xyz_m = {numbers(point.xyz)}\nsigma_m = {sigma_text(point.sigma)}"
-    return f"[[{key}]]\nname = {json.dumps(point.name)}\n{place}"
+def _point_text(key: str, point: Point, place: str = "") -> str:
+    lines = [f"[[{key}]]", *([f"place = {json.dumps(place)}"] if place else []), f"name = {json.dumps(point.name)}"]
+    return "\n".join([*lines, f"xyz_m = {numbers(point.xyz)}", f"sigma_m = {sigma_text(point.sigma)}"])
 
 
 def _bar_text(bar: BallBar) -> str:

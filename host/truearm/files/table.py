@@ -137,7 +137,7 @@ def concatenate(tables: Sequence[ObservationTable]) -> ObservationTable:
 def check_against_rig(table: ObservationTable, rig: Rig) -> None:
     """Raise TableError for the first row that names a bar, chuck, sphere, … which the rig does not have.
 
-    Likewise for a socket distance of the rig that no place of a table with seats has: it would silently do nothing.
+    Likewise for a socket, or a distance of sockets, that no row of a table with seats has: it would silently do nothing.
     """
     known_things: dict[str, Mapping[str, object]] = {
         **{"bar": rig.bars, "chuck": rig.chucks, "sphere": rig.spheres, "target": rig.targets},
@@ -160,6 +160,9 @@ def check_against_rig(table: ObservationTable, rig: Rig) -> None:
             names = ", ".join(sorted(points))
             raise TableError(f"{table.source[nameless[0]]} column {column}: is empty; name one of the rig's ({names})")
     used = set(zip(table.place[seats].tolist(), table.socket[seats].tolist(), strict=True))
+    for place, socket in rig.sockets if used else ():
+        if (place, socket) not in used:
+            raise TableError(f"the rig's socket {socket} at place {place!r} is of no use: no row is seated in it")
     for distance in rig.socket_distances if used else ():
         if not any({(place, socket) for socket in distance.sockets} <= used for place, _ in used):
             sockets = ", ".join(sorted({socket for _, socket in used})[:12])
