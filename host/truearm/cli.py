@@ -74,7 +74,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _complain(str(exc))
         return exc.exit_code
     except _UsageError as exc:
-        _complain(f"{exc.format_message()} (see {exc.ctx.command_path if exc.ctx else 'truearm'} --help)")
+        message = exc.format_message().replace("Value error, ", "")  # words of the parser's own
+        _complain(f"{message} (see {exc.ctx.command_path if exc.ctx else 'truearm'} --help)")
         return 2
     except (KeyboardInterrupt, typer.Abort):
         _complain("interrupted")

@@ -532,7 +532,7 @@ BAD_ARGUMENTS = {
     "no such option": (["--nonsense"], "--nonsense"),
     "no number": (["--max-iterations", "many"], "--max-iterations"),
     "below its range": (["--max-iterations", "0"], "--max-iterations"),
-    "no such prior": (["--prior", "strong"], "strong"),
+    "no such prior": (["--prior", "strong"], "'--prior': 'strong' is not one of"),
     "no such solver": (["--solver", "magic"], "renders-1991"),
     "no such loss": (["--loss", "l1"], "cauchy"),
     "a loss for a solver without": (["--solver", "recursive", "--loss", "huber"], "lm and map; recursive has no"),
@@ -619,7 +619,7 @@ def test_outputs_over_inputs_and_inputs_twice_are_refused(run: Run, tmp_path: Pa
     for more, text in (
         (["--out", table], "is also read"),
         (["--save-table", table], "is also read"),
-        (["--out", tmp_path / "x", "--save-table", tmp_path / "x"], "is also read"),
+        (["--out", tmp_path / "x", "--save-table", tmp_path / "x"], "two outputs in one file"),
         (["--out", mine], "nothing that truearm wrote"),
         ([table], "is given twice"),
     ):
@@ -671,7 +671,7 @@ def test_the_page_replaces_a_page_but_nothing_else(run: Run, good: list[object],
         assert run(*good, "--report", page).code == 0
     told(run(*good, "--report", diary), "nothing that truearm wrote")
     new = tmp_path / "new"
-    told(run(*good, "--report", new, "--out", new), "is also read")
+    told(run(*good, "--report", new, "--out", new), "two outputs in one file")
     told(run(*good, "--report", good[1]), "is also read")
     told(run(*good, "--report", tmp_path / "none" / "r.html"), "does not exist")
     assert diary.read_text() == "<!DOCTYPE html><p>Dear diary</p>"

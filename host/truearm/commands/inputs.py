@@ -26,7 +26,7 @@ def check_files(
     save_table: Path | None,
     report: Path | None = None,
 ) -> None:
-    """No input twice (its sigmas would shrink), no output over an input or a stranger's file. Raises InputError."""
+    """No input twice (its sigmas would shrink), no output over an input, another or a stranger's file. Raises InputError."""
     if Path("-") in inputs:
         raise InputError("-: standard input is not read; save the data to a file first")
     if Path("-") in (out, save_table, report):
@@ -34,15 +34,19 @@ def check_files(
     for i, path in enumerate(inputs):
         if any(same_file(path, other) for other in inputs[:i]):
             raise InputError(f"{path}: is given twice; its observations would count twice")
+    outputs = [path for path in (out, save_table, report) if path is not None]
+    for i, path in enumerate(outputs):
+        if any(same_file(path, other) for other in outputs[:i]):
+            raise InputError(f"{path}: would be two outputs in one file; give each its own")
     read = [*inputs, *rigs.values(), *filter(None, [robot_file(robot)])]
     if out is not None:
         check_writable(out, inputs=read, ours=looks_like_result)
     if save_table is not None:
-        check_writable(save_table, inputs=[*read, *filter(None, [out])], ours=looks_like_table)
+        check_writable(save_table, inputs=read, ours=looks_like_table)
     if report is not None:
         from truearm.report.page import looks_like_page
 
-        check_writable(report, inputs=[*read, *filter(None, [out, save_table])], ours=looks_like_page)
+        check_writable(report, inputs=read, ours=looks_like_page)
 
 
 def observed(
