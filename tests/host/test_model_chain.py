@@ -139,6 +139,39 @@ def test_wrenches_are_as_many_as_parameters_can_be_seen(name):
     assert np.linalg.matrix_rank(rows.wrenches, tol=1e-9 * np.linalg.norm(rows.wrenches)) == n
 
 
+def with_all_constants(kinds, rng):
+    """Joints about or along z, "r" or "t", each with a gain, and six constants before, between and after them."""
+    elements, parameters, joints = [], [], []
+
+    def parameter(unit, nominal):
+        parameters.append(Parameter(f"p{len(parameters)}", unit, nominal))
+        return len(parameters) - 1
+
+    def link():
+        for motion in MOTIONS:
+            elements.append(Element(motion, parameter=parameter("m" if motion[0] == "t" else "rad", rng.normal())))
+
+    link()
+    for i, kind in enumerate(kinds):
+        joints.append(Joint(f"q{i}", {"r": "revolute", "t": "prismatic"}[kind], -3.0, 3.0))
+        elements.append(Element(f"{kind}z", joint=i, gain=parameter("1", 1.0)))
+        link()
+    return Chain(kinds, tuple(elements), tuple(parameters), tuple(joints))
+
+
+@pytest.mark.parametrize("kinds", ["r", "t", "rtr", "ttt", "trrt"])
+def test_n_parameters_are_seen_of_sliding_joints_too(kinds):
+    """N = 5·n_r + 3·n_p + 6 (Goswami et al., (1)) of points and directions, and as many wrenches."""
+    rng = np.random.default_rng(5)
+    chain = with_all_constants(kinds, rng)
+    q, p_end, u = (rng.normal(size=(200, c)) for c in (len(kinds), 3, 3))
+    rows = along(trace_point(chain, chain.params_nominal, q, p_end), u)
+    n = 5 * kinds.count("r") + 3 * kinds.count("t") + 6
+    assert rows.wrenches.shape == (200, n)
+    for matrix in (rows.wrenches, rows.jac_params):
+        assert np.linalg.matrix_rank(matrix, tol=1e-9 * np.linalg.norm(matrix)) == n
+
+
 def test_cosine_and_sine_by_the_half_angle():
     rng = np.random.default_rng(4)
     turns = np.pi * np.arange(-6, 7) / 2
