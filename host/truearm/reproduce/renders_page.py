@@ -332,9 +332,9 @@ def _figure_four(quick: bool, seed: int) -> Chapter:
         "row parameters that can be told apart are free and as uncertain as III-C says, 1 mm and 0.052 rad. The paper leaves two "
         "things open that decide what is seen, since such a robot errs by centimetres. Each prediction here is made with the "
         "model linearised where the estimate is by then, and a new line is placed through the robot as its estimator knows it by "
-        "then. In one pass linearised at the nominal robot, with lines placed through that, ML is ahead at 78 % of the steps "
-        "(mean over 24 sets, any P₀ from 1e2 to 1e6): it loses the first two points of each new line, which show a placement "
-        "wrong by 30 to 40 mm to both, and the late points, where what the linear model leaves out is larger than the noise."
+        "then. In one pass linearised at the nominal robot, with lines placed through that, ML is ahead at fewer steps: it loses "
+        "the first two points of each new line, which show a placement wrong by centimetres to both, and the late points, where "
+        "what the linear model leaves out is larger than the noise."
     )
     return Chapter("Fig. 4: maximum likelihood and least squares", text, claims, figures=pictures)
 
