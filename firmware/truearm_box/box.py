@@ -1,22 +1,40 @@
 """The box's main loop. What the board has to offer:
 
+    name                      "rp2040", "vm"
+    uid, boot_id (4 bytes), reset_cause, ring_slots, config_path, error_path
     now(buf)                  8 bytes, big endian: microseconds since boot. Never steps, never wraps.
     ticks(), ticks_diff(a, b) microseconds for durations, small integers
     receive(buf) → n          bytes that came over the link, at most len(buf)
     send(buf, at, n) → taken  of buf[at:at + n], 0 … n
-    start(osr), stop()        the converter
-    take(n, dst, at, index, stamp) → bool
-                              if n contiguous samples wait: move them (16 bytes each) to dst[at:], the first one's index since
-                              start to index (8 bytes) and the lower half of its hardware stamp to stamp (4 bytes, big endian)
-    waiting() → n             samples that wait
-    lost() → n                samples lost in the board before those just taken; counts from zero again
-    converter_fault() → bool  the converter reported a fault since the last call
-    edge(edge) → bool         if a trigger edge waits: line, rising, stamp (1, 1, 4 bytes) to edge
+    adc, mag                  the sources of samples, see below
+    configure(settings)       the configuration (config.DEFAULT shows one) is in force from now on: gains, blanking and time-out, the
+                              watchdog. At boot and whenever it changed, never while sampling
+    edge(edge) → bool         if a trigger edge waits: line, rising, stamp (1, 1, 4 bytes) to edge. Lines 0 and 1 are the inputs, 2 is
+                              the box's own output
+    output(level)             sets the trigger output
+    alive()                   feeds the watchdog; called once a step, so it may blink the LED too
+    led(code)                 what the LED shows from now on: health.IDLE, STREAMING, HOST_GONE or FAULT
+    self_test(settings) → dict  measurements by name, integers in the units of selftest.LIMITS; what cannot be measured is left out.
+                              Never while sampling. May take a second, in which it feeds the watchdog itself
     idle()                    nothing to do: wait for an interrupt, at most some milliseconds
     console(text), reset()    the way out of an exception
-    heap_free(), temperature_mdegc(), reset_cause, uid, boot_id (4 bytes), ring_slots, config_path
+    to_repl(), boot_loader()  the ways out by command; to_repl() returns, and then main ends
+    heap_free(), temperature_mdegc()
 
-None of them may allocate but console and reset.
+A source samples by itself, in hardware, into a buffer of its own:
+
+    channels                  4 and 1: a sample is 4 * channels bytes, little-endian 32-bit integers
+    start(rate), stop()       rate: oversampling (adc), period in ns (mag). A start forgets what was there and counts from 0
+    waiting() → n             samples that wait
+    take(n, dst, at, index, stamp) → bool
+                              if n contiguous samples wait: move them to dst[at:], the first one's index since start to index (8
+                              bytes) and the lower half of its hardware stamp to stamp (4 bytes, big endian)
+    lost() → n                samples lost in the board before those just taken; counts from zero again
+    fault() → flags           of those just taken, FLAG_CONVERTER and FLAG_MISSING_STOP of the wire
+    crc_errors, resets        counters since boot that wrap at 2^30 (adc: frames with a wrong CRC, resets of the converter by itself)
+    missing                   the same (mag: samples without a stop, which are 0)
+
+None of them may allocate but configure, self_test, output, console, reset, to_repl and boot_loader.
 """
 
 import gc
