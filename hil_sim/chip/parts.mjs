@@ -1,0 +1,21 @@
+// The parts on the Pico's pins. A part is a module with
+//
+//   attach(pico, signals) → {sampling(), control(message)}
+//
+// that listens to pins and buses (pico.watchPin, pico.chip.spi[0].onTransmit), answers on them (pico.setPin, completeTransmit),
+// keeps time with pico.clock alarms and takes what it measures from signals (signals.mjs).
+
+const PARTS = {}; // name in control messages → module's attach
+
+/** All parts as one. */
+export function attachParts(pico, signals) {
+  const attached = Object.fromEntries(Object.entries(PARTS).map(([name, attach]) => [name, attach(pico, signals)]));
+  return {
+    sampling: () => Object.values(attached).some((part) => part.sampling()),
+    control: (message) => {
+      const part = attached[message.part];
+      if (!part) throw new Error(`there is no part ${message.part}`);
+      part.control(message);
+    },
+  };
+}
