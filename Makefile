@@ -16,7 +16,7 @@ help: ## this list
 	@sed -nE 's/^([a-z-]+):.*## (.*)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-20s %s\n", $$1, $$2}'
 
 demo: .venv/installed ## simulate, record, identify, validate: ends with out/demo/report.html
-	@$(BIN)/python hil_sim/truearm_sim/micropython.py --get || echo "demo: going on with CPython in MicroPython's place"
+	@$(BIN)/python -m truearm_sim.micropython --get || echo "demo: going on with CPython in MicroPython's place"
 	@$(BIN)/truearm demo --out out/demo
 
 test: lint device-check pytest ## everything that a change must pass
@@ -50,7 +50,7 @@ build/bench-venv/installed: $(wildcard bench/peers/*.txt)
 	@touch $@
 
 micropython: .venv/installed ## a MicroPython for the simulated box (found, else downloaded; nothing is installed)
-	@$(BIN)/python hil_sim/truearm_sim/micropython.py --get
+	@$(BIN)/python -m truearm_sim.micropython --get
 
 venv: .venv/installed-test ## the virtual environment with everything for development
 
