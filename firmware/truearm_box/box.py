@@ -17,7 +17,7 @@
     self_test(settings) → dict  measurements by name, integers in the units of selftest.LIMITS; what cannot be measured is left out.
                               Never while sampling. May take a second, in which it feeds the watchdog itself
     idle()                    nothing to do: wait for an interrupt, at most some milliseconds
-    console(text), reset()    the way out of an exception
+    console(text), reset()    the way out of an exception; reset() lets the link take what was sent, as boot_loader() does
     to_repl(), boot_loader()  the ways out by command; to_repl() returns, and then main ends
     heap_free(), temperature_mdegc()
 
@@ -41,16 +41,16 @@ import gc
 import io
 import sys
 
-from truearm_wire import PROTOCOL
 from truearm_wire.frame import Splitter
-from truearm_wire.messages import EVENT
+from truearm_wire.messages import BOOT_LOADER, EVENT, RESET
 
-from . import VERSION, config
 from .commands import Commands
 from .health import Health
 from .link import Link
 from .ring import Events, Ring
-from .stream import Stream
+from .settings import Settings
+from .storage import keep_error
+from .stream import Streams
 
 
 class Box:
@@ -58,10 +58,10 @@ class Box:
         self._board = board
         self._ring = Ring(board.ring_slots)
         self.link = Link(board)
-        self.stream = Stream(board, self._ring)
-        self.health = Health(board)
-        settings, fault = config.load(board.config_path, board, VERSION, PROTOCOL)
-        self.commands = Commands(board, self.link, self.stream, self.health, settings, fault)
+        self.streams = Streams(board, self._ring)
+        self.settings = Settings(board)
+        self.health = Health(board)  # from here on memory is collected by call alone
+        self.commands = Commands(board, self.link, self.streams, self.health, self.settings)
         self._splitter = Splitter()
         self._rx = bytearray(64)
         self._rx_at = 0
@@ -72,16 +72,20 @@ class Box:
         self._events = Events()
         self._now = bytearray(8)
         self._sending_block = False
+        self.ended = False  # the host asked for MicroPython's prompt
         self.commands.identify(0)  # the ident that every boot sends
 
     def step(self):
         """One pass: samples into the ring, at most one frame onto the link. Returns whether there was anything to do."""
         start = self._board.ticks()
-        busy = self.stream.pull()
+        self._board.alive()
+        busy = self.streams.pull()
         self._keep_edges()
         if self.link.pump():
             busy = True
-        if self.link.free():
+        free = self.link.free()
+        self.health.show(self.streams.running, self.settings.troubled(), not free)
+        if free:
             if self._sending_block:
                 self._ring.release()
                 self._sending_block = False
@@ -97,17 +101,21 @@ class Box:
         if self.commands.pending():
             self.commands.send_page()
             return True
+        if self.commands.leaving:
+            self._leave()
+            return True
         if self._receive():
             return True
         if self._events.used:
             self._send_event()
             return True
         if self.health.due():
-            self.health.send(self.link, self.stream, self._events, self._splitter.bad_frames + self.commands.bad)
+            bad = self._splitter.bad_frames + self.commands.bad
+            self.health.send(self.link, self.streams.running, self._ring.overruns, self._events.dropped, bad)
             return True
         if self._ring.used:
             self._sending_block = True
-            self.stream.send_oldest(self.link)
+            self.streams.send_oldest(self.link)
             return True
         return self.commands.send_deferred()
 
@@ -130,7 +138,7 @@ class Box:
         """Edges get their full time at once: later their stamps could have wrapped."""
         while self._board.edge(self._edge):
             self._board.now(self._now)
-            self._events.put(self._edge, self._now, self._t_edge)
+            self._events.put(self._edge, self._now, self._t_edge, self.settings.config["debounce_us"])
 
     def _send_event(self):
         self._events.take(self._edge, self._t_edge)
@@ -140,12 +148,22 @@ class Box:
         self.link.put_int(self._edge[1])
         self.link.send()
 
+    def _leave(self):
+        """The host asked for it and has its answer."""
+        if self.commands.leaving != RESET:
+            self.ended = True
+            return
+        self.settings.forget_error()
+        if self.commands.mode == BOOT_LOADER:
+            self._board.boot_loader()
+        self._board.reset()
+
 
 def run(board):
-    """Run for ever. An exception is printed on the link, between delimiters, and the box starts anew."""
+    """Run until the host asks for the prompt. An exception is stored, printed on the link between delimiters, and the box starts anew."""
     try:
         box = Box(board)
-        while True:
+        while not box.ended:
             if not box.step():
                 board.idle()
     except Exception as e:
@@ -156,5 +174,8 @@ def run(board):
             sys.print_exception(e, text)
         else:
             text.write("%s: %s\n" % (type(e).__name__, e))
+        keep_error(board.error_path, text.getvalue())
         board.console(text.getvalue())
         board.reset()
+    gc.enable()
+    board.to_repl()

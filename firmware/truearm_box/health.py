@@ -7,10 +7,16 @@ frame waits; on the chip that takes some 5 ms, which the board's buffer and the 
 
 import gc
 
-from truearm_wire.fast import add, less
+from truearm_wire.fast import add, copy, less
 from truearm_wire.messages import HEARTBEAT
 
-HEAP_LOW = 40000  # bytes: a command takes less than 10 000, a heartbeat none
+HEAP_LOW = 40000  # bytes: a command takes less than 10 000, a heartbeat none; a new configuration makes its own room
+GONE_US = 2000000  # a link that takes nothing for so long has no host
+
+IDLE = 0  # what the LED shows
+STREAMING = 1
+HOST_GONE = 2
+FAULT = 3
 
 
 class Health:
@@ -19,6 +25,10 @@ class Health:
         self._board = board
         self._now = bytearray(8)
         self._due = bytearray(8)
+        self._time = bytearray(8)
+        self._gone_at = bytearray(8)
+        self._held = False
+        self._shown = -1
         self.loop_max_us = 0
         self.gc_max_us = 0
         self.untidy = True  # something was allocated since the last collection
@@ -36,22 +46,47 @@ class Health:
             add(self._due, 0, 8, 1000000)
         return True
 
-    def send(self, link, stream, events, bad_frames):
+    def show(self, running, troubled, held):
+        """Set the LED; `held`: the link has not taken a frame whole yet."""
+        if troubled:
+            code = FAULT
+        else:
+            code = STREAMING if running else IDLE
+        if self._host_gone(held):
+            code = HOST_GONE
+        if code != self._shown:
+            self._board.led(code)
+            self._shown = code
+
+    def _host_gone(self, held):
+        if held:
+            self._board.now(self._time)
+            if self._held:
+                return not less(self._time, self._gone_at, 8)
+            copy(self._gone_at, 0, self._time, 0, 8)
+            add(self._gone_at, 0, 8, GONE_US)
+        self._held = held
+        return False
+
+    def send(self, link, running, overruns, dropped, bad_frames):
         heap_free = self._board.heap_free()
-        link.begin(HEARTBEAT, 13)
+        link.begin(HEARTBEAT, 16)
         link.put_u32(self._board.boot_id)
         link.put_u64(self._now)
         link.put_int(link.sent)
-        link.put_int(events.dropped)
+        link.put_int(dropped)
         link.put_int(link.short_writes)
-        link.put_int(stream.overruns)
+        link.put_int(overruns)
         link.put_int(bad_frames)
         link.put_int(self.loop_max_us)
         link.put_int(self.gc_max_us)
         link.put_int(heap_free)
         link.put_int(self._board.temperature_mdegc())
         link.put_int(self._board.reset_cause)
-        link.put_int(1 if stream.running else 0)
+        link.put_int(1 if running else 0)
+        link.put_int(self._board.adc.crc_errors)
+        link.put_int(self._board.adc.resets)
+        link.put_int(self._board.mag.missing)
         link.send()
         self.loop_max_us = 0
         self.gc_max_us = 0

@@ -5,7 +5,7 @@ A slot of the ring is where a frame is built and whence it is sent: no copies.
 
 from array import array
 
-from truearm_wire.fast import copy, extend
+from truearm_wire.fast import add, copy, extend, less
 
 COUNTER = (1 << 30) - 1  # counters wrap there (SPEC §4): beyond, an integer would be allocated at every step
 SLOT = 252  # the longest data frame (13 samples of 4 x 32 bit) has 251 bytes
@@ -19,6 +19,7 @@ class Ring:
         self._slots = slots
         self._head = 0  # slot that is filled next
         self.used = 0
+        self.overruns = 0  # samples that were lost in the box
 
     def full(self):
         return self.used == self._slots
@@ -46,6 +47,10 @@ class Ring:
         """The oldest slot has been sent."""
         self.used -= 1
 
+    def lose(self, n):
+        """Count n samples that are in no slot."""
+        self.overruns = (self.overruns + n) & COUNTER
+
 
 class Events:
     """Trigger edges that wait to be sent, their stamps already in full time. Fixed records in one buffer."""
@@ -56,20 +61,36 @@ class Events:
         self._buf = bytearray(size * self.RECORD)
         self._size = size
         self._first = 0
+        self._quiet = (
+            bytearray(8),
+            bytearray(8),
+        )  # until when edges of lines 0 and 1 are the bouncing of one that was kept
         self.used = 0
         self.dropped = 0
 
-    def put(self, edge, now, full):
-        """Keep an edge of the board (line, rising, stamp of 4 bytes); `full` is scratch of 8 bytes. Drops it if there is no room."""
+    def put(self, edge, now, full, debounce_us):
+        """Keep an edge of the board (line, rising, stamp of 4 bytes); `full` is scratch of 8 bytes. Drops it if there is no room.
+
+        `debounce_us` of lines 0 and 1: an edge that soon after a kept one of its line is none.
+        """
+        extend(now, edge, 2, full, 0)
+        if edge[0] < 2 and debounce_us[edge[0]] and self._bounces(self._quiet[edge[0]], full, debounce_us[edge[0]]):
+            return
         if self.used == self._size:
             self.dropped = (self.dropped + 1) & COUNTER
             return
-        extend(now, edge, 2, full, 0)
         at = (self._first + self.used) % self._size * self.RECORD
         self._buf[at] = edge[0]
         self._buf[at + 1] = edge[1]
         copy(self._buf, at + 2, full, 0, 8)
         self.used += 1
+
+    def _bounces(self, quiet, full, us):
+        if less(full, quiet, 8):
+            return True
+        copy(quiet, 0, full, 0, 8)
+        add(quiet, 0, 8, us)
+        return False
 
     def take(self, edge, full):
         """The oldest edge: line and edge to `edge`, its time to `full`."""

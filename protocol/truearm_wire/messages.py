@@ -80,7 +80,9 @@ LAYOUT = {
     ERROR: ("seq:u32", "req_id", "code", "text"),
 }
 
-APPENDED = {HEARTBEAT: 3}  # elements at the end of a layout that minor versions appended: an older box does not send them
+APPENDED = {
+    HEARTBEAT: 3
+}  # elements at the end of a layout that minor versions appended: an older box does not send them
 
 
 def names(frame_type):
@@ -102,7 +104,9 @@ def encode_payload(values):
     if layout is None:
         raise CborError("frame type %d is unknown" % values[0])
     if len(values) <= needed(values[0]):
-        raise CborError("frame type %d has %d elements, %d are needed" % (values[0], len(values) - 1, needed(values[0])))
+        raise CborError(
+            "frame type %d has %d elements, %d are needed" % (values[0], len(values) - 1, needed(values[0]))
+        )
     sized = [values[0]]
     for entry, value in zip(layout, values[1:]):
         if isinstance(value, int):
@@ -128,7 +132,9 @@ def decode_payload(payload):
     if layout is None:
         return values
     if len(values) <= needed(values[0]):
-        raise CborError("frame type %d has %d elements, %d are needed" % (values[0], len(values) - 1, needed(values[0])))
+        raise CborError(
+            "frame type %d has %d elements, %d are needed" % (values[0], len(values) - 1, needed(values[0]))
+        )
     for entry, value in zip(layout, values[1:]):
         if not isinstance(value, _accepted(entry)):
             raise CborError("element %s of frame type %d has the wrong type" % (entry.split(":")[0], values[0]))
