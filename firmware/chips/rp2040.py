@@ -6,6 +6,7 @@ Sections: 2.5.3 (DREQ numbers), 2.5.7 (DMA registers), 3.7 (PIO), 4.4.4 (SPI), 4
 
 NAME = "rp2040"
 CLOCK_HZ = 125000000  # what MicroPython sets; every divider below counts from it
+CONVERTER_DIVIDER = 15  # of the converter's clock: 8.33 MHz, of at most 8.4 MHz
 
 # the microsecond timer, 64 bit: the raw halves, which read without side effects
 TIMERAWH = 0x40054024
@@ -98,7 +99,16 @@ SIO_GPIO_IN = 0xD0000004
 SIO_GPIO_OUT_SET = 0xD0000014
 SIO_GPIO_OUT_CLR = 0xD0000018
 
-# reset causes and random bits
+# a register's address plus this: what is written there clears bits
+CLEAR = 0x3000
+
+# USB: buffer control of the endpoint on which MicroPython's CDC sends (2 IN); the bit says that a packet waits for the host
+USB_CDC_IN = 0x50100090
+USB_AVAILABLE = 1 << 10
+
+# watchdog, reset causes and random bits
+WATCHDOG_CTRL = 0x40058000
+WATCHDOG_ENABLE = 1 << 30
 WATCHDOG_REASON = 0x40058008  # bit 0 the watchdog's timer, bit 1 forced by software; 0 any other reset
 WATCHDOG_SCRATCH0 = 0x4005800C  # eight words that outlive all but a power-on reset; the boot ROM uses 4 to 7
 CHIP_RESET = 0x40064008  # bit 8 power-on or brown-out, 16 the RUN pin, 20 the debugger

@@ -172,14 +172,14 @@ def _write_apt(apt: Path, stanzas: list[str], architectures: Iterable[str]) -> N
     (apt / "apt.conf").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def run(command: list[str], environ: Mapping[str, str] | None = None) -> str:
-    """Standard output of a command of apt's or dpkg's.
+def run(command: list[str], environ: Mapping[str, str] | None = None, folder: Path | None = None) -> str:
+    """Standard output of a command of apt's or dpkg's, run in ``folder``.
 
     Raises:
         DebianError: it failed; the text says so in apt's words, and more plainly where a key is missing.
     """
     done = subprocess.run(
-        command, capture_output=True, text=True, errors="replace", env=environ, stdin=subprocess.DEVNULL
+        command, capture_output=True, text=True, errors="replace", env=environ, cwd=folder, stdin=subprocess.DEVNULL
     )
     if done.returncode == 0:
         return done.stdout
