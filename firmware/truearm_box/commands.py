@@ -253,7 +253,7 @@ def _paged(kind, req_id, document):
 
 def _need(values, n, text):
     """Raises Refused unless n unsigned integers follow type and req_id."""
-    if len(values) < 2 + n or not all([_is_id(value) for value in values[2 : 2 + n]]):
+    if len(values) < 2 + n or not all(_is_id(value) for value in values[2 : 2 + n]):
         raise Refused(ERROR_MALFORMED, text)
 
 

@@ -35,7 +35,7 @@ EDGES_MAX = 32  # 512 + 112 * 28 + 32 * 6 bytes stay below the 4096 that a pipe 
 
 STALL, CRASH, QUIT = 1, 2, 4
 POWER, WATCHDOG, COMMAND = 1, 2, 3
-BAD_CRC, CONVERTER_RESET = 1, 2  # faults of a converter sample
+FAULT_CRC, FAULT_RESET = 1, 2  # faults of a converter sample
 _ENDS = {2: "reset", 32: "prompt", 64: "boot loader"}
 HEALTHY: Mapping[str, int] = {
     "converter_id": 0x2402,
@@ -99,7 +99,8 @@ def firmware_folder() -> Path:
 def write_flash(folder: Path, config: dict[str, Any] | None) -> None:
     """Lay out the box's file system: firmware, wire, board, configuration."""
     skip = shutil.ignore_patterns("__pycache__", "*.pyc")
-    shutil.copytree(firmware_folder(), folder, ignore=skip, dirs_exist_ok=True)
+    shutil.copytree(firmware_folder() / "truearm_box", folder / "truearm_box", ignore=skip)
+    shutil.copyfile(firmware_folder() / "main.py", folder / "main.py")
     shutil.copytree(Path(truearm_wire.__file__).parent, folder / "truearm_wire", ignore=skip)
     shutil.copyfile(Path(__file__).parent / "vm" / "board.py", folder / "board.py")
     if config is not None:
