@@ -2,7 +2,7 @@
 // dividers, delays, FIFO join and the input synchronisers).
 //
 // Time is counted in cycles of clk_sys; cycle c lasts from c to c + 1 cycles after the start. An instruction in cycle c sees
-// the pins as they were at c - 1 (two synchroniser flip-flops) and the IRQ flags as they were left by cycle c - 1; its outputs
+// the pins as they were just before c - 1 (two synchroniser flip-flops) and the IRQ flags as they were left by cycle c - 1; its outputs
 // appear on the pins at c + 1. Only cycles in which something happens are done (`PioScheduler.step`). What need not be stepped
 // costs nothing:
 //
@@ -786,17 +786,13 @@ export class PioScheduler {
     }
   }
 
-  /**
-   * The levels of all pins, in one word, are others from now on. One that comes from outside at an edge of the clock is
-   * sampled by that edge; one that an edge brought about, by the next.
-   */
+  /** The levels of all pins, in one word, are others from now on. An edge of the clock samples what was before it. */
   pinsChanged(inputs) {
     const changed = inputs ^ this.inputs;
     this.inputs = inputs;
-    const cycles = this.clock.nanos / CYCLE_NS;
+    const shows = Math.floor(this.clock.nanos / CYCLE_NS) + 2;
     for (let i = 0; i < this.chip.gpio.length; i++) {
       if (!((changed >>> i) & 1)) continue;
-      const shows = this.chip.gpio[i].outputEnable ? Math.floor(cycles) + 2 : Math.ceil(cycles) + 1;
       for (const block of this.blocks) block.pinChanges(i, (inputs >>> i) & 1, shows);
     }
   }
