@@ -1,6 +1,7 @@
 // A Raspberry Pi Pico: rp2040js with everything that is mended, a boot ROM, flash, a USB host. Deterministic: emulated
 // time moves only in run(), the wall clock is never asked.
-import { CYCLE_NS, Clock } from './clock.mjs';
+import { Clock } from './clock.mjs';
+import { Cpu } from './cpu.mjs';
 import { RP2040 } from './emulator.mjs';
 import { PowerCut } from './flash.mjs';
 import * as mends from './mends.mjs';
@@ -39,6 +40,7 @@ export class Pico {
     mends.mendRosc(chip, seed);
     mends.mendFlashId(chip, uid);
     this.usb = new UsbHost(chip, clock, (bytes) => this.onData(bytes));
+    this.cpu = new Cpu(chip, clock, () => (this.ended ? 0 : Math.min(clock.dueNs, this.pio.nextNs)));
     this.#boot();
   }
 
@@ -79,15 +81,14 @@ export class Pico {
   }
 
   #run(untilNs) {
-    const { clock, pio } = this;
+    const { clock, cpu, pio } = this;
     const { core } = this.chip;
     while (clock.nanosCounter < untilNs && this.ended === null) {
-      if (core.waiting) {
-        this.#passTo(Math.min(clock.dueNs, pio.nextNs, untilNs));
-      } else {
-        const after = clock.nanosCounter + core.executeInstruction() * CYCLE_NS;
-        if (after < clock.dueNs && after < pio.nextNs) clock.nanosCounter = after;
-        else this.#passTo(after);
+      if (core.interruptsUpdated && core.checkForInterrupts()) core.waiting = false;
+      if (core.waiting) this.#passTo(Math.min(clock.dueNs, pio.nextNs, untilNs));
+      else {
+        cpu.run(untilNs);
+        this.#passTo(clock.nanosCounter);
       }
     }
   }
