@@ -243,9 +243,7 @@ class Magnetostrictive:
         Pin(stop, Pin.IN, Pin.PULL_DOWN)
         counter = counter_program(rp2)
         self._counters = [rp2.StateMachine(4 * block + i, counter, jmp_pin=Pin(stop)) for i in range(2)]
-        self._pacer = rp2.StateMachine(
-            4 * block + 2, pacer_program(rp2, self._rounds), sideset_base=Pin(interrogation)
-        )
+        self._pacer = rp2.StateMachine(4 * block + 2, pacer_program(rp2, self._rounds), sideset_base=Pin(interrogation))
         base = chip.PIO[block]
         self._flags = base + chip.PIO_IRQ
         self._levels = base + chip.PIO_FLEVEL

@@ -19,9 +19,9 @@ else:
 
 
 @micropython.viper
-def address(buffer: ptr8) -> uint:
+def address(buffer: ptr8) -> uint:  # noqa: F821
     """Where a buffer lies."""
-    return uint(buffer)
+    return uint(buffer)  # noqa: F821
 
 
 def aligned(buffer, size):
