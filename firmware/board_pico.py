@@ -95,7 +95,7 @@ class Board:
     name = chip.NAME
     ring_slots = RING_SLOTS
     config_path = "config.json"
-    error_path = "error.txt"
+    error_path = "last_error.txt"
 
     def __init__(self):
         self._led = machine.Pin(LED_PIN, machine.Pin.OUT)

@@ -14,6 +14,7 @@ Exit codes: 0 built (or up to date), 2 something is missing or failed, 3 this is
 
 import argparse
 import hashlib
+import json
 import os
 import re
 import shutil
@@ -41,6 +42,7 @@ UF2_MAGIC = (0x0A324655, 0x9E5D5157, 0x0AB16F30)
 UF2_FAMILY_PRESENT, UF2_RP2040 = 0x2000, 0xE48BFF56
 XIP = 0x10000000
 PAGE = 256
+SYMBOLS = ("mp_execute_bytecode", "mp_raise_msg", "mp_type_RuntimeError")
 
 
 class ImageError(Exception):
@@ -83,6 +85,7 @@ def build(out: Path, work: Path) -> str:
         old.unlink()
     image.write_bytes(uf2((work / "cmake" / "firmware.bin").read_bytes()))
     (out / "versions.txt").write_text(versions(work, version, image))
+    (out / "symbols.json").write_text(json.dumps(symbols(work / "cmake" / "firmware.elf")))
     (out / "key").write_text(inputs_key(work))
     return f"{image}: {image.stat().st_size} bytes"
 
@@ -281,6 +284,13 @@ def versions(work: Path, version: str, image: Path) -> str:
     return (
         f"truearm {version}\n{_read(work / 'packages.txt')}arm-none-eabi-gcc {compiler}\nsha256 {digest} {image.name}\n"
     )
+
+
+def symbols(elf: Path) -> dict[str, list[int]]:
+    """Where in the image the emulator can make the firmware raise an exception (hil_sim/chip/pico.mjs): address, size."""
+    table = _output(["arm-none-eabi-nm", "--print-size", str(elf)])
+    rows = (line.split() for line in table.splitlines())
+    return {row[3]: [int(row[0], 16), int(row[1], 16)] for row in rows if len(row) == 4 and row[3] in SYMBOLS}
 
 
 # ---- small things

@@ -3,7 +3,8 @@
 //
 //   parent  "G" grant    flags:u8  n_rx:u16  n_edges:u16  tx_room:u32  until_ns:u64  temperature_mdegc:i32, then
 //                        rx bytes, edges (line:u8, level:u8, t_ns:u64)
-//           "C" control  n:u32, then JSON: {part, ...} for a part (its faults), or {pico: "cut", operations: n}
+//           "C" control  n:u32, then JSON: {part, ...} for a part (its faults), {pico: "cut", operations: n} cuts the power in
+//                        the n-th flash operation from now, {pico: "crash"} lets the firmware raise an exception
 //           "Q" quit
 //   box     "?" query    stream:u8  n:u16  index:u64  t_ns:u64  period_ns:u64; the parent answers at once with n
 //                        values of signals.mjs
@@ -11,10 +12,11 @@
 //                        output (level:u8, t_ns:u64)
 //
 // All numbers little endian; times are the box's device time since power-on. Flags of a grant: 1 the host's port is
-// closed. Flags of an answer: 1 a source is sampling, 2 the chip was reset, 4 it went to the USB boot loader, 8 the power
+// closed, 2 the processor stands still. Flags of an answer: 1 a source is sampling, 2 the chip was reset, 4 it went to the USB boot loader, 8 the power
 // was cut: after 2, 4 and 8 the process answers nothing more but quit. `tx_room` is what the host reads in this grant, in whole
 // packets. A grant ends at `until_ns` or, at most an instruction (some tens of ns) later.
 import fs from 'node:fs';
+import path from 'node:path';
 import { Flash } from './flash.mjs';
 import { attachParts } from './parts.mjs';
 import { Pico } from './pico.mjs';
@@ -26,6 +28,7 @@ const ANSWER = 17;
 const EDGE_OUT = 9;
 const QUERY = 28;
 const CLOSED = 1;
+const STALLED = 2;
 const SAMPLING = 1;
 const ENDED = { reset: 2, bootloader: 4, power: 8 };
 const LINES = [6, 7]; // pins of the trigger inputs
@@ -84,7 +87,8 @@ function grant(box) {
   if (rx.length) pico.usb.send(rx);
   pico.usb.setOpen(!(head.readUInt8(0) & CLOSED));
   pico.usb.setRoom(head.readUInt32LE(5));
-  pico.run(untilNs);
+  if (head.readUInt8(0) & STALLED) pico.stall(untilNs);
+  else pico.run(untilNs);
   const { ended } = pico;
   const tx = Buffer.concat(sent.splice(0));
   const edgesOut = outputs.splice(0);
@@ -98,9 +102,10 @@ function grant(box) {
   write(Buffer.concat([answer, tx, ...edgesOut]));
 }
 
-function control({ pico, parts }) {
+function control({ pico, parts, symbols }) {
   const message = JSON.parse(read(read(4).readUInt32LE(0)).toString());
   if (message.pico === 'cut') pico.flash.cutIn(message.operations);
+  else if (message.pico === 'crash') pico.raiseInFirmware(JSON.parse(fs.readFileSync(symbols)));
   else parts.control(message);
 }
 
@@ -108,7 +113,8 @@ function main() {
   const { uf2, store, cause, uid, seed, startNs } = JSON.parse(process.argv[2]);
   const signals = new Signals(query);
   const pico = new Pico({ flash: new Flash(uf2, store), cause, uid, seed, startNs });
-  const box = { pico, signals, sent: [], outputs: [], parts: attachParts(pico, signals) };
+  const symbols = path.join(path.dirname(uf2), 'symbols.json');
+  const box = { pico, signals, symbols, sent: [], outputs: [], parts: attachParts(pico, signals) };
   pico.onData = (bytes) => box.sent.push(Buffer.from(bytes));
   pico.watchPin(OUTPUT, (level, tNs) => {
     const edge = Buffer.alloc(EDGE_OUT);

@@ -6,7 +6,7 @@ import { RP2040 } from './emulator.mjs';
 import { PowerCut } from './flash.mjs';
 import * as mends from './mends.mjs';
 import { PioScheduler } from './pio.mjs';
-import { makeRom } from './rom.mjs';
+import { TEXT, makeRom } from './rom.mjs';
 import { UsbHost } from './usb_host.mjs';
 
 const FLASH_BOOT = 0x10000000; // second-stage boot loader: where the boot ROM goes
@@ -24,6 +24,7 @@ export class Pico {
     this.clock = new Clock(startNs);
     this.chip = new RP2040(this.clock);
     this.flash = flash;
+    this.injected = null; // symbols, while an exception waits to be raised
     this.ended = null; // what ended the run of this chip: {why, cause}
     this.warnings = new Map(); // what the firmware asked for and the emulator does not have → how often
     this.onData = () => {};
@@ -80,6 +81,32 @@ export class Pico {
     }
   }
 
+  /**
+   * Let the firmware raise a RuntimeError at the next bytecode: as if the interpreter itself had called mp_raise_msg. `symbols`: of
+   * the image, {name: [address, size]}.
+   */
+  raiseInFirmware(symbols) {
+    this.injected = symbols;
+  }
+
+  #raise() {
+    const { core } = this.chip;
+    const [from, size] = this.injected.mp_execute_bytecode;
+    if (core.PC < from || core.PC >= from + size || core.IPSR || core.PM) return;
+    core.registers[0] = this.injected.mp_type_RuntimeError[0];
+    core.registers[1] = TEXT;
+    core.PC = this.injected.mp_raise_msg[0] & ~1;
+    this.injected = null;
+  }
+
+  /** As run(), but the processor stands still: only the hardware around it goes on. */
+  stall(untilNs) {
+    const { clock, pio } = this;
+    while (clock.nanosCounter < untilNs && this.ended === null) {
+      this.#passTo(Math.min(clock.dueNs, pio.nextNs, untilNs));
+    }
+  }
+
   #run(untilNs) {
     const { clock, cpu, pio } = this;
     const { core } = this.chip;
@@ -89,6 +116,7 @@ export class Pico {
       else {
         cpu.run(untilNs);
         this.#passTo(clock.nanosCounter);
+        if (this.injected) this.#raise();
       }
     }
   }

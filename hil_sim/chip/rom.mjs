@@ -10,6 +10,8 @@ const RAM = 0x20000000;
 const RAM_END = 0x20042000;
 const XIP = 0x10000000;
 const TABLE = 0x80; // bytes of a float table
+export const TEXT = 0x3f00; // where the text of an injected exception stands
+const INJECTED = 'injected by the simulator';
 
 const float = new Float32Array(1);
 const floatBits = new Uint32Array(float.buffer);
@@ -180,6 +182,7 @@ export function makeRom(chip, flash, onBootloader) {
     }
     r[0] = 0;
   });
+  new Uint8Array(image.buffer).set(Buffer.from(`${INJECTED}\0`), TEXT);
   image[0] = 0x20041f00; // initial stack
   image[1] = image[2] = image[3] = missing;
   halves[0x10 >> 1] = 0x754d; // "Mu", then version 2
