@@ -37,7 +37,7 @@ DEFAULT = {
 
 def completed(config):
     """A configuration of version 1 as one of version 2; any other as it is. A box of then had no magnetostrictive sensor."""
-    if not isinstance(config, dict) or "version" in config:
+    if not isinstance(config, dict) or "version" in config or "osr" not in config or "channels" not in config:
         return config
     new = dict(DEFAULT)
     new["magnetostrictive"] = dict(DEFAULT["magnetostrictive"])
@@ -51,7 +51,7 @@ def check(config):
     if not isinstance(config, dict):
         raise ValueError("it is no table")
     if config.get("version") != VERSION:
-        raise ValueError("version %r; this firmware knows %d" % (config.get("version"), VERSION))
+        raise ValueError("version %r; this firmware knows %d" % (config.get("version", 1), VERSION))
     if not _within(config.get("osr"), OSRS[0], OSRS[-1]) or config["osr"] not in OSRS:
         raise ValueError("osr is not one of %s" % (OSRS,))
     channels = config.get("channels")

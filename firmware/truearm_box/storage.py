@@ -38,6 +38,8 @@ def _read(path, try_out):
             text = f.read(SIZE_MAX + 1)
         if len(text) > SIZE_MAX:
             raise ValueError("it is longer than %d characters" % SIZE_MAX)
+        if text.strip()[-1:] != "}":  # MicroPython takes a table that breaks off for a whole one
+            raise ValueError("it is no table, or breaks off")
         found = config.check(config.completed(json.loads(text)))
         try_out(found)
         return found, None

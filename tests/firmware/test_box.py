@@ -337,7 +337,7 @@ GOOD = {"name": "lvdt", "unit": "V", "scale": [1, -7]}
 @pytest.mark.parametrize(
     ("config", "fault"),
     [
-        ({"osr": 5}, "osr is not one of"),
+        ({"osr": 5, "channels": [GOOD] * 4}, "osr is not one of"),
         ({"osr": 4096.0, "channels": [GOOD] * 4}, "osr is not one of"),
         ([], "it is no table"),
         ({"osr": 1024, "channels": [GOOD] * 3}, "four channels"),
