@@ -21,6 +21,7 @@ FAULT = 3
 
 class Health:
     def __init__(self, board):
+        gc.collect()  # what booting left: 160 kB on the chip
         gc.disable()
         self._board = board
         self._now = bytearray(8)
