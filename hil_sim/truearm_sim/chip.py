@@ -59,11 +59,11 @@ def make_flash(path: Path, files: dict[str, bytes]) -> None:
 
 def read_flash(path: Path) -> dict[str, bytes]:
     """The files of a file system image, by name. Raises littlefs's error if the image is damaged."""
-    from littlefs import LittleFS, UserContext
+    from littlefs import LittleFS
 
-    context = UserContext(BLOCK * BLOCKS)
-    context.buffer[:] = path.read_bytes()
-    fs = LittleFS(context, **FILE_SYSTEM)
+    fs = LittleFS(mount=False, **FILE_SYSTEM)
+    fs.context.buffer[:] = path.read_bytes()
+    fs.mount()
     found = {}
     for name in fs.listdir("/"):
         with fs.open(name, "rb") as file:
