@@ -115,7 +115,9 @@ export class Pico {
       if (core.waiting) this.#passTo(Math.min(clock.dueNs, pio.nextNs, untilNs));
       else {
         cpu.run(untilNs);
-        this.#passTo(clock.nanosCounter);
+        const after = clock.nanosCounter;
+        clock.nanosCounter = Math.min(after, clock.dueNs, pio.nextNs); // what falls into the last instruction has its own time
+        this.#passTo(after);
         if (this.injected) this.#raise();
       }
     }
