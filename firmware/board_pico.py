@@ -23,52 +23,33 @@ import time
 
 import machine
 import micropython
+import rp2
 from machine import mem16, mem32
 
 from chips import rp2040 as chip
+from drivers import measure
+from drivers.ads131m04_dma import Adc
+from drivers.magnetostrictive import Magnetostrictive
+from drivers.triggers import Triggers
 
 BOOT_WINDOW_MS = 2000
+CONVERTER_PINS = (16, 17, 18, 19, 20, 21, 22)  # DOUT, CS, SCLK, DIN, DRDY, SYNC/RESET, CLKIN
+HEAD_PINS = (2, 3)  # interrogation, stop
+TRIGGER_PINS = 6  # and 7, inputs; 8, output
 LED_PIN = 25
-TRIGGER_OUT_PIN = 8
+CONVERTER_MACHINE = 0  # state machine of PIO 0; the triggers' is there too
+TRIGGER_MACHINE = 2
+HEAD_BLOCK = 1  # the head takes three machines of PIO 1
 RAIL_5V_ADC = 1  # GP27, behind a divider by three
 TEMPERATURE_ADC = 4
 TX_MAX = 256  # bytes that fit MicroPython's FIFO; its packet buffer of 64 is free too when the endpoint rests
-RING_SLOTS = 160  # blocks of 13 samples: 2 s at 1 kHz
+RING_SLOTS = 200  # blocks: 2 s of both streams at 1 kHz, 78 and 20 blocks a second
 
 POWER = 1
 WATCHDOG = 2
 COMMAND = 3
 # what the LED shows by health's code: on and off times, ms
 BLINKS = ((50, 1950), (500, 500), (50, 450), (100, 100))
-
-
-class NoSource:
-    """A source of samples that is not built in: never has any."""
-
-    crc_errors = 0
-    resets = 0
-    missing = 0
-
-    def __init__(self, channels):
-        self.channels = channels
-
-    def start(self, rate):
-        return
-
-    def stop(self):
-        return
-
-    def waiting(self):
-        return 0
-
-    def take(self, n, dst, at, index, stamp):
-        return False
-
-    def lost(self):
-        return 0
-
-    def fault(self):
-        return 0
 
 
 @micropython.viper
@@ -103,7 +84,11 @@ class Board:
         self.boot_id = os.urandom(4)
         self.reset_cause = self._cause()
         self._boot_window()
-        self._output = machine.Pin(TRIGGER_OUT_PIN, machine.Pin.OUT, value=0)
+        self._triggers = Triggers(machine, rp2, chip, TRIGGER_PINS, TRIGGER_MACHINE)
+        self.adc = Adc(machine, rp2, chip, CONVERTER_PINS, CONVERTER_MACHINE)
+        self.mag = Magnetostrictive(machine, rp2, chip, HEAD_PINS, HEAD_BLOCK)
+        self.edge = self._triggers.edge
+        self.output = self._triggers.output
         self._temperature = machine.ADC(TEMPERATURE_ADC)
         self._rail = machine.ADC(RAIL_5V_ADC)
         self._poll = select.poll()
@@ -114,8 +99,6 @@ class Board:
         self._watchdog = None
         self._blink = BLINKS[0]
         self._lit_at = time.ticks_ms()
-        self.adc = NoSource(4)
-        self.mag = NoSource(1)
         micropython.kbd_intr(-1)
 
     def _cause(self):
@@ -185,16 +168,18 @@ class Board:
     # -- sensors and signals
 
     def configure(self, settings):
+        self.adc.gains([channel.get("gain", 1) for channel in settings["channels"]])
+        head = settings["magnetostrictive"]
+        self.mag.configure(head["blanking_ns"], head["timeout_ns"])
         self._start_watchdog(settings["watchdog_ms"])
 
-    def edge(self, edge):
-        return False
-
-    def output(self, level):
-        self._output.value(level)
-
     def self_test(self, settings):
-        return {"rail_5v": self.rail_5v_mv(), "temperature": self.temperature_mdegc()}
+        found = measure.converter(self.adc, settings["channels"], time.sleep_ms, self.alive)
+        if settings["magnetostrictive"]["period_ns"]:
+            found["stops"] = measure.stops(self.mag, time.sleep_ms, self.alive)
+        found["rail_5v"] = self.rail_5v_mv()
+        found["temperature"] = self.temperature_mdegc()
+        return found
 
     def rail_5v_mv(self):
         return self._rail.read_u16() * 9900 // 65535

@@ -33,6 +33,7 @@ const SAMPLING = 1;
 const ENDED = { reset: 2, bootloader: 4, power: 8 };
 const LINES = [6, 7]; // pins of the trigger inputs
 const OUTPUT = 8;
+const RAIL_5V = Math.round((5.02 / 3 / 3.3) * 4096); // what the divider on GP27 gives of a healthy USB supply
 
 function read(n) {
   const buffer = Buffer.alloc(n);
@@ -81,6 +82,7 @@ function grant(box) {
   const rx = read(head.readUInt16LE(1));
   const edges = read(head.readUInt16LE(3) * EDGE_IN);
   const untilNs = Number(head.readBigUInt64LE(9));
+  pico.chip.adc.channelValues[1] = RAIL_5V;
   pico.chip.adc.channelValues[4] = temperatureReading(head.readInt32LE(17));
   signals.horizonNs = untilNs;
   scheduleEdges(pico, edges);

@@ -10,6 +10,7 @@ const DUMMY_BYTES = 4;
 const PWM_WRAP_DREQ = 24;
 const DMA_TIMER0 = 59;
 const DMA_FORCE = 63;
+const CHAN_ABORT = 0x444;
 
 /**
  * Pins: an output reads back, an undriven input follows its pull, and the levels are kept in one word (`chip.inputs`)
@@ -66,9 +67,14 @@ export function mendAdc(chip) {
   };
 }
 
-/** DMA pacing timers run at clk_sys · X / Y; their period (µs) is upside down, and the fourth shifts by 36. */
+/**
+ * DMA pacing timers run at clk_sys · X / Y; their period (µs) is upside down, and the fourth shifts by 36. An abort is done at once, so
+ * its register reads 0.
+ */
 export function mendDma(chip) {
   const { dma } = chip;
+  const read = dma.readUint32.bind(dma);
+  dma.readUint32 = (offset) => (offset === CHAN_ABORT ? 0 : read(offset));
   dma.getTimer = (request) => {
     if (request === DMA_FORCE) return 1e6 / chip.clkSys;
     const register = [dma.timer0, dma.timer1, dma.timer2, dma.timer3][request - DMA_TIMER0];

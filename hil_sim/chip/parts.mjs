@@ -5,7 +5,11 @@
 // that listens to pins and buses (pico.watchPin, pico.chip.spi[0].onTransmit), answers on them (pico.setPin, completeTransmit),
 // keeps time with pico.clock alarms and takes what it measures from signals (signals.mjs).
 
-const PARTS = {}; // name in control messages → module's attach
+import { attach as adc } from './ads131m04.mjs';
+import { attach as mag } from './magnetostrictive.mjs';
+import { attach as triggers } from './triggers.mjs';
+
+const PARTS = { adc, mag, triggers }; // names in control messages
 
 /** All parts as one. */
 export function attachParts(pico, signals) {
