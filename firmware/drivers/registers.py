@@ -19,9 +19,9 @@ else:
 
 
 @micropython.viper
-def address(buffer: ptr8) -> uint:  # noqa: F821
+def address(buffer: ptr8) -> int:
     """Where a buffer lies."""
-    return uint(buffer)  # noqa: F821
+    return int(buffer)
 
 
 def aligned(buffer, size):

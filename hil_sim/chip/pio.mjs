@@ -109,14 +109,14 @@ class Machine {
   noteLoop() {
     const { mark } = this;
     if (!this.block.fastForward || this.block.changes.length) return;
-    if (mark && mark.pc === this.pc && mark.pure && mark.isr === this.isr && mark.isrCount === this.isrCount &&
+    if (mark && mark.pc === this.pc && mark.pure && (!mark.drives || mark.driven === this.block.driven) && mark.isr === this.isr && mark.isrCount === this.isrCount &&
         mark.osr === this.osr && mark.osrCount === this.osrCount && this.forced === NONE) {
       const dx = mark.x - this.x;
       const dy = mark.y - this.y;
       if ((dx === 0 && dy === 0) || ((dx === 0 || dx === 1) && (dy === 0 || dy === 1) && !mark.compared)) {
         const rounds = Math.min(dx ? this.x : NEVER, dy ? this.y : NEVER);
         if (rounds > 1) {
-          this.cruise = { length: this.ticks - mark.ticks, dx, dy, rounds };
+          this.cruise = { length: this.ticks - mark.ticks, dx, dy, rounds, drives: mark.drives };
           if (rounds === NEVER) {
             this.cruise.from = this.t;
             this.t = NEVER;
@@ -129,7 +129,7 @@ class Machine {
       }
     }
     const { pc, x, y, isr, isrCount, osr, osrCount, ticks } = this;
-    this.mark = { pc, x, y, isr, isrCount, osr, osrCount, ticks, pure: true, compared: false };
+    this.mark = { pc, x, y, isr, isrCount, osr, osrCount, ticks, pure: true, compared: false, drives: 0, driven: this.block.driven };
   }
 
   /** Leave the loop at the last time it was at its head not after `cycle`. */
@@ -224,7 +224,9 @@ class Machine {
   }
 
   drive(directions, value, base, count) {
-    if (this.block.drive(directions, rotateLeft(value & lowBits(count), base), rotateLeft(lowBits(count), base))) this.impure();
+    const mask = rotateLeft(lowBits(count), base);
+    if (this.mark) this.mark.drives |= mask;
+    if (this.block.drive(this, directions, rotateLeft(value & lowBits(count), base), mask)) this.impure();
   }
 
   execute(opcode) {
@@ -471,6 +473,7 @@ export class Pio {
     this.pinValues = this.pinDirections = 0; // on the pads, read by rp2040js's GPIOPin
     this.nextValues = this.nextDirections = 0; // on the pads from `padsAt`
     this.padsAt = NEVER;
+    this.driven = 0; // how often a machine changed what is driven
     this.irq = this.irqSet = this.irqClear = 0;
     this.fdebug = 0;
     this.inte = [0, 0];
@@ -517,7 +520,10 @@ export class Pio {
       this.levels = (level ? this.levels | bit : this.levels & ~bit) >>> 0;
       seen = true;
     }
-    if (seen) this.wakeAll(cycle);
+    if (seen) {
+      for (const m of this.sm) m.impure(); // a loop that began before may have looked already
+      this.wakeAll(cycle);
+    }
     for (const m of this.sm) if (m.t <= cycle) m.tick();
     if (this.irqSet | this.irqClear) this.takeFlags(cycle);
   }
@@ -535,14 +541,26 @@ export class Pio {
 
   // -- pins
 
-  drive(directions, value, mask) {
+  /** Drive the pins of a mask, from the end of this cycle; of two machines that drive one, the later in number wins. */
+  drive(machine, directions, value, mask) {
     const old = directions ? this.nextDirections : this.nextValues;
     const fresh = ((old & ~mask) | (value & mask)) >>> 0;
     if (fresh === old) return false;
+    this.driven++;
+    for (const other of this.sm) if (other.cruise && other.cruise.drives & (fresh ^ old)) this.bringBefore(other, machine);
     if (directions) this.nextDirections = fresh;
     else this.nextValues = fresh;
     if (this.padsAt === NEVER) this.padsAt = this.cycle + 1;
     return true;
+  }
+
+  /** A machine that goes round in a loop, in which it drives a pin, must be stepped from the moment that another drives it. */
+  bringBefore(other, machine) {
+    const { cycle, fastForward } = this;
+    this.fastForward = false;
+    other.settle(cycle);
+    while (other.t < cycle || (other.t === cycle && other.index < machine.index)) other.tick();
+    this.fastForward = fastForward;
   }
 
   showPads() {
@@ -555,7 +573,7 @@ export class Pio {
 
   /** A pin has a new level from now on, and shows in `cycle`. */
   pinChanges(index, level, cycle) {
-    for (const m of this.sm) m.settle(cycle);
+    for (const m of this.sm) m.settle(this.now());
     const at = this.changes.findIndex((change) => change[0] > cycle);
     this.changes.splice(at < 0 ? this.changes.length : at, 0, [cycle, (1 << index) >>> 0, level]);
     if (!this.running) this.schedule();
@@ -695,7 +713,7 @@ export class Pio {
     machine.tx.words.push(value);
     this.fifoChanged(machine);
     machine.impure();
-    if (machine.shiftctrl & AUTOPULL && machine.osrCount >= machine.pullAt) machine.pullNow();
+    if (machine.enabled && machine.shiftctrl & AUTOPULL && machine.osrCount >= machine.pullAt) machine.pullNow();
     machine.wake(this.now() + 1);
   }
 
