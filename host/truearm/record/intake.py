@@ -20,7 +20,7 @@ from truearm.record.status import Counters
 from truearm.sensors.data import Data, data_of, decode, usual_data
 from truearm.sensors.ident import Ident, decode_ident
 from truearm.sensors.pages import Pages
-from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, IDENT, LAYOUT, REPLY, SYNC_REPLY
+from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, IDENT, LAYOUT, REPLY, SYNC_REPLY, needed
 
 _TOPICS = {
     EVENT: "/box/event",
@@ -182,7 +182,7 @@ def _fields(kind: int, payload: bytes) -> dict[str, Any] | None:
     if values is None:
         return None
     fields = dict(zip(_NAMES[kind], values[1:], strict=False))
-    if len(fields) < len(_NAMES[kind]) or not all(_fits(name, value) for name, value in fields.items()):
+    if len(fields) < needed(kind) or not all(_fits(name, value) for name, value in fields.items()):
         return None
     return fields
 
