@@ -69,6 +69,10 @@ class Answer:
     led: int = 0
     alive: bool = True  # the firmware fed its watchdog
     watchdog_ms: int = 0
+    first_ns: tuple[int | None, int | None] = (
+        None,
+        None,
+    )  # device time of sample 0 of each stream since the latest start
 
     @property
     def reset(self) -> bool:

@@ -35,7 +35,9 @@ OSRS = tuple(2**k for k in range(7, 15))
 US_PER_INCH = (905, -2)  # mantissa and exponent, as on the sensor's label
 SOUND = 25400.0 / 9.05  # m/s
 MAG_DELAY_NS = 1200  # of the head's electronics
-MAG_SIGMA_PS = 1000  # 2.8 µm
+# 5.1 µm. The counter's tick is 22.5 µm; this noise spreads a resting magnet over its borders, so that the mean of many shots is
+# wrong by (tick/π)·exp(−2π²·(σ/tick)²) = 2.6 µm at most, where without noise it would be half a tick.
+MAG_SIGMA_PS = 1800
 TICK_PS = 8000  # of the counter that times the flight
 # Generators beside those of the converter's channels 0 to 3 and of the repeatability, 4.
 _MAG_NOISE, _MAG_STOPS = 5, 6

@@ -95,12 +95,13 @@ class SimulatedBox:
         self._cause = POWER
         self._hardware: Hardware | None = None
         self._boot_at_ns: int | None = 0  # when the power comes (back)
-        self._boot_device_ns = 0
+        self.boot_device_ns = 0  # what the device clock showed at the latest boot
         self._sampling = False
         self._stalled_until_ns = 0
         self._short_write = False
         self.output = False  # level of its trigger output
         self.led = 0
+        self.first_ns: tuple[int | None, int | None] = (None, None)  # lab's device clock at sample 0 of each stream
 
     @property
     def flash(self) -> Path:
@@ -113,7 +114,7 @@ class SimulatedBox:
 
     def true_s(self, device_us: Floats) -> Floats:
         """True time [s] of times on the hardware timer since the latest boot: what a clock fit is judged by."""
-        reading = 1e-6 * device_us + 1e-9 * self._boot_device_ns
+        reading = 1e-6 * device_us + 1e-9 * self.boot_device_ns
         true: Floats = self._world.clocks.device.true(reading)
         return true
 
@@ -158,8 +159,8 @@ class SimulatedBox:
     def _boot(self, t_ns: int) -> None:
         self._boots += 1
         boot_id = int(np.random.default_rng((self._world.seed, 3, self._boots)).integers(2**32))
-        self._boot_device_ns = self._world.device_clock.from_true_ns(t_ns)
-        signals = Signals(self._world, self._boot_device_ns, self._no_stop)
+        self.boot_device_ns = self._world.device_clock.from_true_ns(t_ns)
+        signals = Signals(self._world, self.boot_device_ns, self._no_stop)
         self._hardware = self._power_on(Boot(self.flash, self._setup, boot_id, self._cause, signals))
 
     def _end(self, t_ns: int, end: str) -> None:
@@ -185,7 +186,7 @@ class SimulatedBox:
     # -- inputs and outputs
 
     def _device_ns(self, t_ns: int) -> int:
-        return self._world.device_clock.from_true_ns(t_ns) - self._boot_device_ns
+        return self._world.device_clock.from_true_ns(t_ns) - self.boot_device_ns
 
     def _due_edges(self, t_ns: int) -> list[Edge]:
         """The edges up to ``t_ns``, in device time; those that came before the boot met a box without power."""
@@ -196,6 +197,9 @@ class SimulatedBox:
 
     def _note(self, answer: Answer) -> None:
         self._sampling, self.output, self.led = answer.sampling, answer.output, answer.led
+        if answer.sampling:
+            adc, mag = (None if first is None else self.boot_device_ns + first for first in answer.first_ns)
+            self.first_ns = adc, mag
 
     def _flags(self, t_ns: int, fault: str | None) -> int:
         if fault == "stall":

@@ -113,6 +113,7 @@ class VmBox:
             self._mag = None
             if answer.mag_sampling:
                 self._mag = Feed(device_us * 1000 + answer.mag_period_ns, answer.mag_period_ns)
+        answer = replace(answer, first_ns=(_first_ns(self._adc), _first_ns(self._mag)))
         if not answer.sampling:
             self._adc = self._mag = None
         if answer.alive:
@@ -132,6 +133,10 @@ def _taken(feed: Feed | None, device_us: int, records: Callable[[Feed, int, int]
         return b"", 0
     k0, k1 = feed.take(1000 * device_us)
     return (records(feed, k0, k1) if k1 > k0 else b""), k0
+
+
+def _first_ns(feed: Feed | None) -> int | None:
+    return None if feed is None else feed.first_ns
 
 
 def _split(data: bytes, n: int) -> tuple[bytes, bytes]:
