@@ -29,6 +29,7 @@ registers is seen by REG_MAP. Its check takes 448 clocks.
 """
 
 import sys
+from array import array
 
 if sys.implementation.name == "micropython":
     import micropython
@@ -40,6 +41,9 @@ else:
             return function
 
     def ptr8(buffer):
+        return buffer
+
+    def ptr16(buffer):
         return buffer
 
 
@@ -69,44 +73,34 @@ RESET_CLOCKS = 2048
 REGACQ_US = 5
 REGISTER_CHECK_CLOCKS = 448
 
-# what a frame is worth
-GOOD = 0
-BAD_CRC = 1
-RESET = 2  # the converter is not what it was configured to be: reset, or other registers
-NOT_NEW = 3
 
-
-def _crc_tables():
-    # the 256 table entries of the polynomial 0x1021, upper bytes and lower bytes
-    rows = bytearray(512)
+def _crc_table():
+    # of the polynomial 0x1021
+    table = array("H", bytes(512))
     for i in range(256):
         c = i << 8
         for _ in range(8):
-            c = (c << 1) ^ 0x1021 if c & 0x8000 else c << 1
-        rows[i] = c >> 8 & 255
-        rows[256 + i] = c & 255
-    return rows
+            c = (c << 1 ^ 0x1021 if c & 0x8000 else c << 1) & 0xFFFF
+        table[i] = c
+    return table
 
 
-TABLES = _crc_tables()
+TABLE = _crc_table()
 
 
 @micropython.viper
-def _crc16(tables: ptr8, buf: ptr8, start: int, end: int) -> int:
-    high = 255
-    low = 255
+def _crc16(table: ptr16, buf: ptr8, start: int, end: int) -> int:
+    crc = 0xFFFF
     i = start
     while i < end:
-        k = high ^ buf[i]
-        high = low ^ tables[k]
-        low = tables[256 + k]
+        crc = (crc << 8 & 0xFF00) ^ table[crc >> 8 ^ buf[i]]
         i += 1
-    return high << 8 | low
+    return crc
 
 
 def crc16(buf, start, end):
     """CRC-16 of buf[start:end] as the converter forms it."""
-    return _crc16(TABLES, buf, start, end)
+    return _crc16(TABLE, buf, start, end)
 
 
 def osr_code(osr):

@@ -38,7 +38,7 @@ from array import array
 from truearm_wire.fast import add, copy
 from truearm_wire.messages import FLAG_CONVERTER
 
-from .ads131m04 import CLOCK_WORD, SETTLING, TABLES, Registers, gain_word, osr_code
+from .ads131m04 import CLOCK_WORD, SETTLING, TABLE, Registers, gain_word, osr_code
 from .registers import address, aligned, arm, drain, halt, poke
 
 if sys.implementation.name == "micropython":
@@ -51,6 +51,9 @@ else:
             return function
 
     def ptr8(buffer):
+        return buffer
+
+    def ptr16(buffer):
         return buffer
 
     def ptr32(buffer):
@@ -88,10 +91,10 @@ SURVEY = 15
 
 
 @micropython.viper
-def survey(s: ptr32, ring: ptr8, stamps: ptr32, timer: ptr32, tables: ptr8, want: int) -> int:
+def survey(s: ptr32, ring: ptr32, stamps: ptr32, timer: ptr32, table: ptr16, want: int) -> int:
     """Look at frames until `want` good ones in a row are known. Returns how many are.
 
-    Stops at LOST_CONVERTER. About 12 µs a frame on the chip, estimated.
+    Stops at LOST_CONVERTER. 31 µs and 10 µs a frame on the emulated chip; `take` of 13 needs 0.4 ms in all.
     """
     latest = s[0] & 0x3FFFFFFF
     if (latest - s[1]) & 0x3FFFFFFF > 640 and (latest - s[1]) & 0x20000000 == 0:
@@ -103,31 +106,24 @@ def survey(s: ptr32, ring: ptr8, stamps: ptr32, timer: ptr32, tables: ptr8, want
         ahead = (latest - number) & 0x3FFFFFFF
         if ahead == 0 or ahead & 0x20000000:
             break
-        at = number * 24 & 16383
-        high = 255
-        low = 255
+        at = number * 6 & 4095
+        crc = 0xFFFF
         i = 0
         while i < 5:
-            k = high ^ ring[at + 2]
-            high = low ^ tables[k]
-            low = tables[256 + k]
-            k = high ^ ring[at + 1]
-            high = low ^ tables[k]
-            low = tables[256 + k]
-            k = high ^ ring[at]
-            high = low ^ tables[k]
-            low = tables[256 + k]
-            at = (at + 4) & 16383
+            word = ring[at]
+            crc = (crc << 8 & 0xFF00) ^ table[crc >> 8 ^ (word >> 16 & 255)]
+            crc = (crc << 8 & 0xFF00) ^ table[crc >> 8 ^ (word >> 8 & 255)]
+            crc = (crc << 8 & 0xFF00) ^ table[crc >> 8 ^ (word & 255)]
+            at = (at + 1) & 4095
             i += 1
+        status = ring[number * 6 & 4095] >> 8 & 0xFFFF
         worth = 0
-        if high != ring[at + 2] or low != ring[at + 1]:
+        if crc != ring[at] >> 8 & 0xFFFF:
             worth = 1
-        else:
-            at = number * 24 & 16383
-            if ring[at + 2] & 0xBF != 1:
-                worth = 2
-            elif ring[at + 1] & 15 != 15:
-                worth = 3
+        elif status & 0xBF00 != 0x0100:
+            worth = 2
+        elif status & 15 != 15:
+            worth = 3
         stamp = stamps[number & 1023] & 0x3FFFFFFF
         jump = 0
         if worth == 0 and s[2]:
@@ -165,23 +161,22 @@ def survey(s: ptr32, ring: ptr8, stamps: ptr32, timer: ptr32, tables: ptr8, want
 
 
 @micropython.viper
-def unload(s: ptr32, ring: ptr8, stamps: ptr32, n: int, dst: ptr8, at: int, stamp: ptr8) -> int:
+def unload(s: ptr32, ring: ptr32, stamps: ptr32, n: int, dst: ptr8, at: int, stamp: ptr8) -> int:
     """Move n frames from READ on to dst[at:], the first one's time to stamp. Returns 0 if the ring was lapped meanwhile."""
     first = stamps[s[1] & 1023]
     last = stamps[(s[1] + n - 1) & 1023]
     i = 0
     while i < n:
-        k = (s[1] + i) * 24 + 4
-        c = 0
-        while c < 4:
-            k = k & 16383
-            dst[at] = ring[k]
-            dst[at + 1] = ring[k + 1]
-            dst[at + 2] = ring[k + 2]
-            dst[at + 3] = 255 if ring[k + 2] & 128 else 0
+        k = (s[1] + i) * 6 + 1
+        end = k + 4
+        while k < end:
+            word = ring[k & 4095]
+            dst[at] = word & 255
+            dst[at + 1] = word >> 8 & 255
+            dst[at + 2] = word >> 16 & 255
+            dst[at + 3] = 255 if word & 0x800000 else 0
             at += 4
-            k += 4
-            c += 1
+            k += 1
         i += 1
     if (s[0] - s[1]) & 0x3FFFFFFF > 681:
         return 0
@@ -392,10 +387,10 @@ class Adc:
             return False
         if s[SEEN] == 0:
             s[BROKEN] = 0
-        self._lost += jump
-        self._advance(jump)
+        if jump:
+            self._skip(jump)
         copy(index, 0, self._index, 0, 8)
-        self._advance(n)
+        add(self._index, 0, 8, n)
         return True
 
     def lost(self):
@@ -420,7 +415,7 @@ class Adc:
         return self._resets
 
     def _look(self, n):
-        found = survey(self._survey, self._ring, self._stamps, self._timer, TABLES, n)
+        found = survey(self._survey, self._ring, self._stamps, self._timer, TABLE, n)
         if self._survey[LOST_CONVERTER] and self.running:
             self._recover()
         return found
@@ -433,7 +428,8 @@ class Adc:
             s[SEEN] = 0
             s[BROKEN] = 0
 
-    def _advance(self, n):
+    def _skip(self, n):
+        self._lost += n
         while n > 0:
             add(self._index, 0, 8, min(n, 1 << 20))
             n -= 1 << 20
