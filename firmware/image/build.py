@@ -76,6 +76,7 @@ def build(out: Path, work: Path) -> str:
         return f"{image}: up to date"
     work.mkdir(parents=True, exist_ok=True)
     sources(work)
+    align_native_code(work / "micropython" / "tools" / "mpy-tool.py")
     lay_out_frozen(work / "frozen")
     shutil.copyfile(HERE / "manifest.py", work / "manifest.py")
     compile_image(work)
@@ -188,6 +189,18 @@ def sources(work: Path) -> None:
     }
     shutil.rmtree(work / "apt")
     (work / "packages.txt").write_text("".join(f"{name.replace('_', ' ')}\n" for name in sorted(names)))
+
+
+def align_native_code(tool: Path) -> None:
+    """Let mpy-tool align frozen native code to words. MicroPython 1.25 aligns it to half words for all of ARM's M profile, but
+    code for ARMv6-M (viper's constants above 255) loads words relative to the word that its own address is in: at an odd half
+    word it would get other constants. Seen first in the emulator: `x & 0x3FFFFFFF` in a frozen function was wrong.
+    """
+    text = tool.read_text()
+    half, word = " __attribute__ ((aligned (2)))", " __attribute__ ((aligned (4)))"
+    if half not in text and text.count(word) < 2:
+        raise ImageError(f"{tool} does not align native code where it did in MicroPython 1.25")
+    tool.write_text(text.replace(half, word))
 
 
 def _compile_mpy_cross(work: Path) -> None:
