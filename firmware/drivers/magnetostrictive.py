@@ -212,11 +212,11 @@ def counter_program(rp2):
     return counter
 
 
-def timing(period_ns, blanking_ns, timeout_ns, rounds):
-    """Y and OSR of the pacer, OSR of the counters, B + 2 N."""
+def timing(blanking_ns, timeout_ns, rounds):
+    """B + 7, the pacer's Y, the counters' N, B + 2 N. The pacer's OSR is the period in ticks less the first."""
     b = blanking_ns // TICK_NS - 2
     n = (timeout_ns // TICK_NS - b) // 2
-    return b - pulse_ticks(rounds) - 2, period_ns // TICK_NS - b - 7, n, b + 2 * n
+    return b + 7, b - pulse_ticks(rounds) - 2, n, b + 2 * n
 
 
 # instructions that the CPU gives to the state machines; side set is 0 in all
@@ -252,7 +252,6 @@ class Magnetostrictive:
         self._index = bytearray(8)
         self._lost = 0
         self._fault = 0
-        self._top = 0
         self.missing = 0
         self.configure(10000, 500000)
 
@@ -292,8 +291,8 @@ class Magnetostrictive:
             raise ValueError("the blanking is a multiple of 8 ns, 5000 to 21000, not %d" % blanking_ns)
         if timeout_ns <= blanking_ns:
             raise ValueError("the time-out of %d ns is within the blanking" % timeout_ns)
-        self._blanking_ns = blanking_ns
         self._timeout_ns = timeout_ns
+        self._busy, self._blanking, self._n, self._top = timing(blanking_ns, timeout_ns, self._rounds)
 
     # -- a source of samples
 
@@ -309,16 +308,15 @@ class Magnetostrictive:
             self._index[i] = 0
         self._lost = 0
         self._fault = 0
-        blanking, rest, n, self._top = timing(period_ns, self._blanking_ns, self._timeout_ns, self._rounds)
         for k in range(4):
             arm(self._bases[k], self._setups[k])
         poke(self._chip.DMA_MULTI_CHAN_TRIGGER, self._first)
         for counter in self._counters:
-            self._restart(counter, n)
+            self._restart(counter, self._n)
             counter.active(1)
-        self._restart(self._pacer, blanking)
+        self._restart(self._pacer, self._blanking)
         self._pacer.exec(_Y_OSR)
-        self._pacer.put(rest)
+        self._pacer.put(period_ns // TICK_NS - self._busy)
         self._pacer.exec(_PULL)
         self._pacer.exec(_X_MINUS_1)
         self._pacer.exec(_ISR_X)

@@ -25,6 +25,7 @@ const SIDE_PINDIR = 1 << 29, SIDE_EN = 1 << 30, STICKY = 3 << 17; // of EXECCTRL
 const NEVER = Infinity;
 const DECREMENT_X = 2, DECREMENT_Y = 4, PIN = 6; // conditions of JMP
 const PC = 5;
+const NOP = 0x42; // mov y, y
 const FOLLOWS = -1, STALLS = -2, AGAIN = -3; // what an instruction returns if not the next pc
 const NONE = -1; // no forced instruction
 
@@ -113,7 +114,8 @@ class Machine {
         mark.osr === this.osr && mark.osrCount === this.osrCount && this.forced === NONE) {
       const dx = mark.x - this.x;
       const dy = mark.y - this.y;
-      if ((dx === 0 && dy === 0) || ((dx === 0 || dx === 1) && (dy === 0 || dy === 1) && !mark.compared)) {
+      const counts = dx === mark.countedX && dy === mark.countedY && dx <= 1 && dy <= 1 && !mark.compared;
+      if ((dx === 0 && dy === 0) || counts) {
         const rounds = Math.min(dx ? this.x : NEVER, dy ? this.y : NEVER);
         if (rounds > 1) {
           this.cruise = { length: this.ticks - mark.ticks, dx, dy, rounds, drives: mark.drives };
@@ -129,7 +131,9 @@ class Machine {
       }
     }
     const { pc, x, y, isr, isrCount, osr, osrCount, ticks } = this;
-    this.mark = { pc, x, y, isr, isrCount, osr, osrCount, ticks, pure: true, compared: false, drives: 0, driven: this.block.driven };
+    this.mark = {
+      pc, x, y, isr, isrCount, osr, osrCount, ticks, pure: true, compared: false, countedX: 0, countedY: 0, drives: 0, driven: this.block.driven,
+    };
   }
 
   /** Leave the loop at the last time it was at its head not after `cycle`. */
@@ -150,7 +154,7 @@ class Machine {
   impure() {
     if (this.mark) this.mark.pure = false;
   }
-  /** The way of the program depends on the value of a register. */
+  /** The way of the program, or what it drives, depends on the value of a register; or a register is set. */
   compared(value) {
     if (this.mark) this.mark.compared = true;
     return value;
@@ -239,7 +243,7 @@ class Machine {
       case 2: return this.shiftIn(this.source(field), arg || 32);
       case 3: return this.shiftOut(field, arg || 32);
       case 4: return opcode & 0x80 ? this.pull(opcode & 0x40, opcode & 0x20) : this.push(opcode & 0x40, opcode & 0x20);
-      case 5: return this.move(field, (opcode >>> 3) & 3, this.source(opcode & 7));
+      case 5: return (opcode & 0xff) === NOP ? FOLLOWS : this.move(field, (opcode >>> 3) & 3, this.source(opcode & 7));
       case 6: return this.flag(opcode & 0x40, opcode & 0x20, this.flagOf(arg));
       default: return this.set(field, arg);
     }
@@ -253,12 +257,14 @@ class Machine {
       case DECREMENT_X: {
         const go = this.x !== 0;
         this.x = (this.x - 1) >>> 0;
+        if (this.mark) this.mark.countedX++;
         return go;
       }
       case 3: return this.y === 0;
       case DECREMENT_Y: {
         const go = this.y !== 0;
         this.y = (this.y - 1) >>> 0;
+        if (this.mark) this.mark.countedY++;
         return go;
       }
       case 5: return this.x !== this.y;
@@ -351,10 +357,10 @@ class Machine {
     const base = this.pinctrl & 31;
     const count = (this.pinctrl >>> 20) & 63;
     switch (destination) {
-      case 0: this.drive(0, value, base, count); break;
-      case 1: this.x = value; break;
-      case 2: this.y = value; break;
-      case 4: this.drive(1, value, base, count); break;
+      case 0: this.drive(0, this.compared(value), base, count); break;
+      case 1: this.x = this.compared(value); break;
+      case 2: this.y = this.compared(value); break;
+      case 4: this.drive(1, this.compared(value), base, count); break;
       case PC: return this.compared(value & 31);
       case 6:
         this.isr = value;
@@ -397,21 +403,21 @@ class Machine {
   pushNow() {
     this.rx.words.push(this.isr);
     this.isr = this.isrCount = 0;
-    this.block.fifoChanged(this);
+    this.block.fifoMoved(this);
   }
 
   pullNow() {
     this.osr = this.tx.words.shift();
     this.osrCount = 0;
-    this.block.fifoChanged(this);
+    this.block.fifoMoved(this);
   }
 
   move(destination, operation, source) {
     const value = (operation === 1 ? ~source : operation === 2 ? bitReverse(source) : source) >>> 0;
     switch (destination) {
-      case 0: this.drive(0, value, this.pinctrl & 31, (this.pinctrl >>> 20) & 63); break;
-      case 1: this.x = value; break;
-      case 2: this.y = value; break;
+      case 0: this.drive(0, this.compared(value), this.pinctrl & 31, (this.pinctrl >>> 20) & 63); break;
+      case 1: this.x = this.compared(value); break;
+      case 2: this.y = this.compared(value); break;
       case 4: this.forced = this.compared(value & 0xffff); break;
       case PC: return this.compared(value & 31);
       case 6:
@@ -449,8 +455,8 @@ class Machine {
     const count = (this.pinctrl >>> 26) & 7;
     switch (destination) {
       case 0: this.drive(0, value, base, count); break;
-      case 1: this.x = value; break;
-      case 2: this.y = value; break;
+      case 1: this.x = this.compared(value); break;
+      case 2: this.y = this.compared(value); break;
       case 4: this.drive(1, value, base, count); break;
       default: // reserved
     }
@@ -471,8 +477,9 @@ export class Pio {
     this.levels = 0; // the pins as the machines see them
     this.changes = []; // [cycle, bit, level] of pins on their way through the synchronisers
     this.pinValues = this.pinDirections = 0; // on the pads, read by rp2040js's GPIOPin
-    this.nextValues = this.nextDirections = 0; // on the pads from `padsAt`
-    this.padsAt = NEVER;
+    this.nextValues = this.nextDirections = 0; // on the pads from `outputAt`
+    this.moved = 0; // machines whose FIFOs request other than now from `outputAt`
+    this.outputAt = NEVER;
     this.driven = 0; // how often a machine changed what is driven
     this.irq = this.irqSet = this.irqClear = 0;
     this.fdebug = 0;
@@ -492,7 +499,7 @@ export class Pio {
   }
 
   next() {
-    let first = Math.min(this.padsAt, this.changes.length ? this.changes[0][0] : NEVER);
+    let first = Math.min(this.outputAt, this.changes.length ? this.changes[0][0] : NEVER);
     for (const m of this.sm) if (m.t < first) first = m.t;
     return first;
   }
@@ -513,7 +520,7 @@ export class Pio {
 
   step(cycle) {
     this.cycle = cycle;
-    if (this.padsAt <= cycle) this.showPads();
+    if (this.outputAt <= cycle) this.showOutputs();
     let seen = false;
     while (this.changes.length && this.changes[0][0] <= cycle) {
       const [, bit, level] = this.changes.shift();
@@ -550,7 +557,7 @@ export class Pio {
     for (const other of this.sm) if (other.cruise && other.cruise.drives & (fresh ^ old)) this.bringBefore(other, machine);
     if (directions) this.nextDirections = fresh;
     else this.nextValues = fresh;
-    if (this.padsAt === NEVER) this.padsAt = this.cycle + 1;
+    if (this.outputAt === NEVER) this.outputAt = this.cycle + 1;
     return true;
   }
 
@@ -563,9 +570,11 @@ export class Pio {
     this.fastForward = fastForward;
   }
 
-  showPads() {
+  showOutputs() {
     const changed = (this.pinValues ^ this.nextValues) | (this.pinDirections ^ this.nextDirections);
-    this.padsAt = NEVER;
+    this.outputAt = NEVER;
+    for (const m of this.sm) if ((this.moved >>> m.index) & 1) this.fifoChanged(m);
+    this.moved = 0;
     this.pinValues = this.nextValues;
     this.pinDirections = this.nextDirections;
     for (let i = 0; i < this.mcu.gpio.length; i++) if ((changed >>> i) & 1) this.mcu.gpio[i].checkForUpdates();
@@ -580,6 +589,12 @@ export class Pio {
   }
 
   // -- FIFOs and interrupts
+
+  /** A machine pushed or pulled: the requests of its FIFOs follow at the end of the cycle. */
+  fifoMoved(machine) {
+    this.moved |= 1 << machine.index;
+    if (this.outputAt === NEVER) this.outputAt = this.cycle + 1;
+  }
 
   fifoChanged(machine) {
     const { dma } = this.mcu;
@@ -773,7 +788,7 @@ export class Pio {
       if (next === STALLS) machine.sleep();
     } else if (next !== FOLLOWS) machine.pc = next;
     if (this.irqSet | this.irqClear) this.takeFlags(this.now());
-    if (this.padsAt !== NEVER) this.padsAt = this.now() + 1;
+    if (this.outputAt !== NEVER) this.outputAt = this.now() + 1;
   }
 }
 

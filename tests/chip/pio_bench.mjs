@@ -49,9 +49,9 @@ function run({ machines, edges }, cycles, fast, config) {
   let done = 0;
   const tick = block.sm[0].constructor.prototype.tick;
   for (const m of block.sm) m.tick = function count() { done++; tick.call(this); };
-  const show = block.showPads.bind(block);
+  const show = block.showOutputs.bind(block);
   let last = [0, 0];
-  block.showPads = () => {
+  block.showOutputs = () => {
     show();
     if (block.pinValues !== last[0] || block.pinDirections !== last[1]) {
       last = [block.pinValues, block.pinDirections];
@@ -76,7 +76,9 @@ function run({ machines, edges }, cycles, fast, config) {
   to(cycles - 1);
   for (const m of block.sm) block.catchUp(m);
   const state = block.sm.map((m) => [m.x, m.y, m.pc, m.isr, m.osr, m.isrCount, m.osrCount, m.rx.words, m.tx.words]);
-  if (block.padsAt === cycles) pins.push([cycles, block.nextValues, block.nextDirections]);
+  if (block.outputAt === cycles && (block.nextValues !== last[0] || block.nextDirections !== last[1])) {
+    pins.push([cycles, block.nextValues, block.nextDirections]);
+  }
   return { pins, state, flags: block.irq, done };
 }
 

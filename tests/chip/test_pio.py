@@ -88,7 +88,8 @@ def shots(period_ns, blanking_ns, timeout_ns, heads, pulse_ns=1000):
     """Run the three state machines for len(heads) shots. Returns [(x0, x1)], B + 2 N, edges and ends of the pulses (ticks)."""
     block = Block()
     rounds = magnetostrictive.pulse_rounds(pulse_ns)
-    y, rest, n, top = magnetostrictive.timing(period_ns, blanking_ns, timeout_ns, rounds)
+    busy, y, n, top = magnetostrictive.timing(blanking_ns, timeout_ns, rounds)
+    rest = period_ns // 8 - busy
     counter = magnetostrictive.counter_program(Assembler)
     pacer = magnetostrictive.pacer_program(Assembler, rounds)
     for i in range(2):
