@@ -179,6 +179,8 @@ class Commands:
             self._error = Refused(ERROR_RANGE, str(e))
         except OSError as e:
             self._error = Refused(ERROR_STORAGE, "the flash does not take it: %s" % e)
+        except MemoryError:  # of a configuration of many parts; they are let go here
+            self._error = Refused(ERROR_RANGE, "it takes too much memory")
 
     def _identify(self, values):
         self._document = None

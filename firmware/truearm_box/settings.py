@@ -8,6 +8,7 @@ from truearm_wire.messages import PAGE_BYTES, STREAM_ADC, pages
 from . import config, ident, selftest, storage
 
 PAGES_MAX = 16  # of a configuration that is put: 3200 bytes
+ROOM = 50000  # bytes of heap that a configuration has to leave: of many small parts it may be 40 times its size
 
 
 class Settings:
@@ -31,6 +32,10 @@ class Settings:
         pages(encode(found))
         longest = ident.document(self._board, found, 1 << 30, 1 << 30, "x" * ident.FAULT_MAX, "x" * ident.ERROR_MAX)
         pages(encode(longest))
+        longest = None
+        gc.collect()
+        if 0 < self._board.heap_free() < ROOM:
+            raise ValueError("it takes too much memory")
 
     def troubled(self):
         """Whether the operator should look."""

@@ -213,6 +213,33 @@ def test_a_full_configuration_fits_the_chip(chip):
     assert chip.document(52) == config
 
 
+@pytest.mark.parametrize("part", [{}, [], 7, "", {"a": []}], ids=str)
+def test_a_configuration_of_many_small_parts_does_not_exhaust_the_heap(chip, part):
+    """In memory a part of one byte may take 40. It is refused or it leaves room: the box goes on, and boots with it."""
+    config = chip.document(52)
+    config["note"] = [part] * ((3190 - len(cbor2.dumps({**config, "note": []}))) // len(cbor2.dumps(part)))
+    answer = chip.put(config)
+    assert chip.answer.end == ""
+    if answer[0][0] == ERROR:
+        assert answer[0][3] == messages.ERROR_RANGE
+        assert answer[0][4] in ("it takes too much memory", "it is longer than 8000 characters")
+    for _ in range(3):
+        assert chip.document(52)["version"] == 2
+        assert ident_document(chip.command(48))["board"] == "vm"
+    chip.start()
+    found = [f for _ in range(200) for f in chip.sample(13)]
+    assert sum(f[0] == messages.DATA for f in found) == 200
+
+
+@pytest.mark.parametrize("part", ["{}", "[]", "7"])
+def test_a_file_of_many_small_parts_does_not_keep_the_box_from_booting(boot, flash, part):
+    config = changed(boot().document(52))
+    config["note"] = [json.loads(part)] * 2000
+    (flash / "config.json").write_text(json.dumps(config, separators=(",", ":"))[:8000])
+    said = ident_document(boot().boot)
+    assert said["streams"][0]["osr"] == 4096
+
+
 @pytest.mark.parametrize("kind", [49, 52, 53, 54, 55, 56])
 def test_refused_while_streaming(bench, kind):
     bench.start()
