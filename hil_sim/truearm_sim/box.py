@@ -55,7 +55,10 @@ class BoxDied(LinkError):
 
 @dataclass(frozen=True)
 class Answer:
-    """What the box did in one grant. ``end`` says how its firmware ended: reset, prompt, boot loader, watchdog; "" while it runs."""
+    """What the box did in one grant.
+
+    ``end`` says how its firmware ended: "reset", "watchdog", "prompt", "boot loader", "power cut"; "" while it runs.
+    """
 
     tx: bytes
     sampling: bool

@@ -74,7 +74,8 @@ class Hardware(Protocol):
     ) -> Iterator[Answer]:
         """Let it run up to ``device_us`` after boot, in one or more steps; the last answer has an ``end`` if it came to one.
 
-        ``rx``: what the host wrote; what the box does not take yet is kept for it. The link takes ``tx_room`` bytes.
+        ``rx``: what the host wrote; what the box does not take yet is kept for it. The link takes ``tx_room`` bytes. Answers say
+        whether the box samples, and since which instants (``first_ns``).
         """
 
     def close(self) -> None:

@@ -41,7 +41,7 @@ FAULTS = (
     "hang", "bad-crc", "converter-reset", "no-stop",
 )  # fmt: skip
 _FLAGS = {"crash": CRASH, "bad-crc": BAD_CRC, "converter-reset": CONVERTER_RESET}
-_CAUSES = {"reset": COMMAND, "watchdog": WATCHDOG}
+_CAUSES = {"reset": COMMAND, "watchdog": WATCHDOG, "power cut": POWER}
 
 
 @dataclass(frozen=True)
