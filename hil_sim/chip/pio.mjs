@@ -728,7 +728,6 @@ export class Pio {
     machine.tx.words.push(value);
     this.fifoChanged(machine);
     machine.impure();
-    if (machine.enabled && machine.shiftctrl & AUTOPULL && machine.osrCount >= machine.pullAt) machine.pullNow();
     machine.wake(this.now() + 1);
   }
 

@@ -39,7 +39,7 @@ function load(block, i, { program: p, x, y, divider, tx }, c) {
   for (const word of tx.slice(0, machine.tx.depth)) block.writeUint32(0x10 + 4 * i, word);
 }
 
-function run({ machines, edges }, cycles, fast, config) {
+function run({ machines, events }, cycles, fast, config) {
   const chip = bareChip();
   const pio = new PioScheduler(chip, chip.clock);
   const [block] = pio.blocks;
@@ -67,11 +67,13 @@ function run({ machines, edges }, cycles, fast, config) {
     }
     chip.clock.nanos = cycle * CYCLE_NS;
   };
+  const reads = [];
   let inputs = 0;
-  for (const [cycle, pin] of edges) {
+  for (const [cycle, what, index, word] of events) {
     to(cycle);
-    inputs ^= 1 << pin;
-    pio.pinsChanged(inputs);
+    if (what === 'toggle') pio.pinsChanged(inputs ^= 1 << index);
+    else if (what === 'write') block.writeUint32(0x10 + 4 * index, word);
+    else if (block.sm[index].rx.words.length) reads.push(block.readUint32(0x20 + 4 * index));
   }
   to(cycles - 1);
   for (const m of block.sm) block.catchUp(m);
@@ -79,7 +81,7 @@ function run({ machines, edges }, cycles, fast, config) {
   if (block.outputAt === cycles && (block.nextValues !== last[0] || block.nextDirections !== last[1])) {
     pins.push([cycles, block.nextValues, block.nextDirections]);
   }
-  return { pins, state, flags: block.irq, done };
+  return { pins, reads, state, flags: block.irq, done };
 }
 
 const { cycles, fast, config, scenarios } = JSON.parse(fs.readFileSync(0, 'utf8'));

@@ -276,7 +276,7 @@ class Machine:
             return met
         pin = self.block.inputs >> self.jmp_pin & 1
         others = {0: True, 1: self.x == 0, 3: self.y == 0, 5: self.x != self.y, 6: pin == 1}
-        return others[number] if number in others else self.osr_count < self.program.pull_at
+        return others.get(number, self.osr_count < self.program.pull_at)
 
     def _wait(self, polarity, kind, index):
         if kind == 2:
@@ -402,6 +402,10 @@ class Machine:
     @property
     def rx_depth(self):
         return (4, 0, 8)[self.program.join]
+
+    @property
+    def tx_depth(self):
+        return (4, 8, 0)[self.program.join]
 
     def _refill(self):
         if self.program.autopull and self.osr_count >= self.program.pull_at and self.tx:
