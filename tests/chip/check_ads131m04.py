@@ -22,7 +22,8 @@ def frame(status, channels):
     data = bytearray()
     for word in words:
         data += bytes([word >> 16, word >> 8 & 255, word & 255])
-    return [*words, ads131m04.crc16(data, 0, 15) << 8]
+    words.append(ads131m04.crc16(data, 0, 15) << 8)
+    return words
 
 
 class Rings:
