@@ -249,7 +249,40 @@ print(found)
 """,
             "controls": [{"afterMs": 40, "part": "adc", "fault": "corrupt", "frames": 1}],
         },
+        "heap in a reset": {
+            "script": """
+before = adc.resets
+adc.start(1024)
+while not adc.take(13, block, 0, index, stamp):
+    pass
+lost = 0
+end = time.ticks_add(time.ticks_ms(), 80)
+micropython.heap_lock()
+while time.ticks_diff(end, time.ticks_ms()) > 0:
+    if adc.take(13, block, 0, index, stamp):
+        lost += adc.lost()
+micropython.heap_unlock()
+adc.stop()
+print([adc.resets - before, lost])
+""",
+            "controls": [{"afterMs": 40, "part": "adc", "fault": "reset"}],
+        },
         "again": {"script": "sample(1024, 30)"},
+        "absent": {  # nothing is connected to these pins
+            "script": """
+other = Adc(machine, rp2, chip, (8, 9, 10, 11, 12, 13, 14), 1)
+print([int(other.registers.setup()), other.registers.read(0)])
+other.start(4096)
+longest = 0
+end = time.ticks_add(time.ticks_ms(), 240)
+while time.ticks_diff(end, time.ticks_ms()) > 0:
+    t = time.ticks_us()
+    assert not other.take(13, block, 0, index, stamp) and other.waiting() == 0
+    longest = max(longest, time.ticks_diff(time.ticks_us(), t))
+other.stop()
+print([other.resets, longest])
+""",
+        },
     }
     start_ns = (2**32 - 5_000_000) * 1000  # the boot window lasts 2 s
     return dict(zip(steps, run_steps(list(steps.values()), start_ns), strict=True))
@@ -326,6 +359,19 @@ def test_sampling_goes_on_after_all_that(faults):
     blocks = Blocks(faults["again"])
     assert list(blocks.conversions(FAULT_OSR)) == list(range(13 * len(blocks.blocks)))
     assert blocks.gaps == []
+
+
+def test_setting_the_converter_up_anew_does_not_allocate(faults):
+    resets, lost = faults["heap in a reset"]["out"][0]
+    assert resets == 1
+    assert lost > 0
+
+
+def test_without_a_converter_the_box_goes_on(faults):
+    (configured, identity), (attempts, longest_us) = faults["absent"]["out"]
+    assert (configured, identity) == (0, -1)
+    assert 2 <= attempts <= 5  # one in 50 ms
+    assert longest_us < 10_000
 
 
 # -- CRC and frames on both interpreters, and of the model
