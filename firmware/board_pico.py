@@ -43,6 +43,7 @@ HEAD_BLOCK = 1  # the head takes three machines of PIO 1
 RAIL_5V_ADC = 1  # GP27, behind a divider by three
 TEMPERATURE_ADC = 4
 TX_MAX = 256  # bytes that fit MicroPython's FIFO; its packet buffer of 64 is free too when the endpoint rests
+IDLE_MS = 2  # a block of 13 samples takes 3.2 ms at 4 kHz
 RING_SLOTS = 200  # blocks: 2 s of both streams at 1 kHz, 78 and 20 blocks a second
 
 POWER = 1
@@ -163,7 +164,9 @@ class Board:
         time.sleep_ms(100)  # for the host to fetch it: a reset follows
 
     def idle(self):
-        machine.idle()
+        """Sleep until a byte comes, at most IDLE_MS. machine.idle() would not sleep at all after a step of more than its 1 ms."""
+        for _ in self._poll.ipoll(IDLE_MS):
+            break
 
     # -- sensors and signals
 
