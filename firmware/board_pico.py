@@ -54,9 +54,9 @@ BLINKS = ((50, 1950), (500, 500), (50, 450), (100, 100))
 
 
 @micropython.viper
-def _now(out: ptr8):  # noqa: F821
-    high_register = ptr32(0x40054024)  # noqa: F821
-    low_register = ptr32(0x40054028)  # noqa: F821
+def _now(out: ptr8):
+    high_register = ptr32(0x40054024)
+    low_register = ptr32(0x40054028)
     high = int(high_register[0])
     while True:
         low = int(low_register[0])
