@@ -1,4 +1,5 @@
-// ADS131M04: a model of the converter at its pins, written from its datasheet (SBAS890A, SBASA13A) without a look at the driver.
+// ADS131M04: a model of the converter at its pins, from its datasheets (SBAS890, SBASA13); it shares no code with the driver. What
+// others saw of real parts is held against it in tests/chip/ads131m04_model.mjs.
 //
 // SPI mode 1, frames of words of 16, 24 or 32 bits; the response to a command comes in the frame after it, then four channels and a
 // CRC over all of them; RREG of several registers answers with them instead. SYNC/RESET by the length of the pulse. A conversion ends
@@ -65,12 +66,14 @@ export class Ads131m04 {
     this.dout = pico.clock.createAlarm(() => this.showBit());
     this.ready = pico.clock.createAlarm(() => this.begin());
     this.frame = null;
+    this.din = 0;
     this.csHighSince = -Infinity;
     this.syncLowSince = null;
     this.lastReadNs = -Infinity;
     pico.chip.gpio[pins.dout].release();
     pico.watchPin(pins.cs, (level, tNs) => (level ? this.csRises(tNs) : this.csFalls(tNs)));
     pico.watchPin(pins.sclk, (level, tNs) => (level ? this.sclkRises(tNs) : this.sclkFalls(tNs)));
+    pico.watchPin(pins.din, (level) => (this.din = level ? 1 : 0));
     pico.watchPin(pins.sync, (level, tNs) => (level ? this.syncRises(tNs) : (this.syncLowSince = tNs)));
     this.watchClock();
     this.powerOn();
@@ -184,7 +187,7 @@ export class Ads131m04 {
     this.clockChanges();
     if (tNs - this.csHighSince < T.csHigh) this.violate('CS high', tNs - this.csHighSince, T.csHigh);
     const bits = WORD_BITS[(this.registers[MODE] >> 8) & 3];
-    this.frame = { bits, out: this.outgoing(bits / 8), n: 0, din: [], csNs: tNs, riseNs: null, fallNs: null };
+    this.frame = { bits, out: this.outgoing(bits / 8), level: 0, n: 0, din: [], csNs: tNs, riseNs: null, fallNs: null };
     this.pico.setPin(this.pins.dout, 0);
   }
 
@@ -210,14 +213,14 @@ export class Ads131m04 {
       if (tNs - frame.fallNs < T.low) this.violate('SCLK low', tNs - frame.fallNs, T.low);
     }
     frame.riseNs = tNs;
+    const level = ((frame.out[frame.n >> 3] ?? 0) >> (7 - (frame.n & 7))) & 1;
+    if (level === frame.level) return;
+    frame.level = level;
     this.dout.schedule(T.propagation);
   }
 
   showBit() {
-    const { frame } = this;
-    if (!frame) return;
-    const byte = frame.out[frame.n >> 3] ?? 0;
-    this.pico.setPin(this.pins.dout, (byte >> (7 - (frame.n & 7))) & 1);
+    if (this.frame) this.pico.setPin(this.pins.dout, this.frame.level);
   }
 
   sclkFalls(tNs) {
@@ -225,8 +228,7 @@ export class Ads131m04 {
     if (!frame || frame.riseNs === null) return;
     if (tNs - frame.riseNs < T.high) this.violate('SCLK high', tNs - frame.riseNs, T.high);
     frame.fallNs = tNs;
-    const din = this.pico.chip.gpio[this.pins.din];
-    frame.din.push(din.outputEnable && din.outputValue ? 1 : 0);
+    frame.din.push(this.din);
     frame.n++;
     if (frame.n === frame.bits * (1 + CHANNELS)) this.dataWereRead(tNs);
   }

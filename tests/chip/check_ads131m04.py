@@ -87,6 +87,8 @@ def expect(what, got, wanted):
 
 
 def check_survey():
+    literals = (dma.HOLDS, dma.FAR, dma.FRAMES // 4 - 1, dma.STAMPS - 1, dma.COUNTER)
+    expect("the numbers that survey and unload spell out", literals, (681, 640, 4095, 1023, 0x3FFFFFFF))
     rings = Rings().convert(20)
     expect("whole frames", rings.look(), 20)
     expect("no more than asked", Rings().convert(20).look(13), 13)
@@ -161,6 +163,38 @@ def check_silence():
     expect("then it is lost", (rings.look(), rings.s[dma.LOST_CONVERTER]), (0, 1))
 
 
+class Bus:
+    """Keeps what is sent; answers each frame with the next of `answers`, then with NULL's of a converter that waits."""
+
+    def __init__(self, answers):
+        self.answers = answers
+        self.sent = []
+
+    def write_readinto(self, out, into):
+        self.sent.append(bytes(out))
+        word = self.answers.pop(0) if self.answers else 0x0100
+        data = bytes([word >> 8, word & 255]) + bytes(13)
+        crc = ads131m04.crc16(data, 0, 15)
+        for i, byte in enumerate(data + bytes([crc >> 8, crc & 255, 0])):
+            into[i] = byte
+
+    def on(self):
+        pass
+
+    off = on
+
+
+def check_commands():
+    """Command words that worked on a real ADS131M02: TI E2E forum, thread 1075315 (read and write CLOCK, response 4180)."""
+    bus = Bus([0, 0x030E, 0, 0x4180, 0x030A])
+    registers = ads131m04.Registers(bus, bus, bus, None)
+    expect("read", registers.read(ads131m04.CLOCK), 0x030E)
+    expect("written", registers.write(ads131m04.CLOCK, 0x030A), True)
+    wanted = [b"\xa1\x80", b"\0\0", b"\x61\x80\0\x03\x0a", b"\xa1\x80", b"\0\0"]
+    expect("commands", bus.sent, [word + bytes(18 - len(word)) for word in wanted])
+    expect("a gain word", ads131m04.gain_word((1, 2, 16, 128)), 0x7410)
+
+
 if __name__ == "__main__":
     with open(sys.argv[2]) as f:
         vectors = json.load(f)
@@ -168,6 +202,7 @@ if __name__ == "__main__":
         text = vector["hex"]
         data = bytes([int(text[i : i + 2], 16) for i in range(0, len(text), 2)])
         expect(vector["source"], ads131m04.crc16(data, 0, len(data)), vector["crc"])
+    check_commands()
     check_survey()
     check_wraps()
     check_lap()

@@ -1,4 +1,4 @@
-"""The converter's driver on the emulated chip, against a model of the converter that shares nothing with it.
+"""The converter's driver on the emulated chip, against a model of the converter that shares no code with it.
 
 What the driver hands out is held against what the model was asked for, and against the instants at which it converted.
 """
@@ -19,6 +19,7 @@ from .bench import run_steps
 ROOT = Path(__file__).parents[2]
 CHECK = Path(__file__).with_name("check_ads131m04.py")
 MODEL = ROOT / "hil_sim" / "chip" / "ads131m04.mjs"
+TRANSCRIPTS = Path(__file__).with_name("ads131m04_model.mjs")
 VECTORS = Path(__file__).with_name("ads131m04_vectors.json")
 SETTLING = 6  # conversions after a SYNC pulse that the driver does not use
 OSRS = (128, 256, 512, 1024, 2048, 4096, 8192, 16384)
@@ -391,6 +392,11 @@ def test_crc_and_survey_on_micropython():
     interpreter = micropython.find()
     assert interpreter is not None, "make micropython gets one"
     assert check([str(interpreter.path)]).startswith("5 vectors, 0 failed")
+
+
+def test_the_model_answers_as_real_parts_did():
+    done = subprocess.run([str(node.ready().path), str(TRANSCRIPTS)], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_crc_of_the_model():
