@@ -1,19 +1,19 @@
 """Trigger edges: two inputs and the box's own output, stamped by PIO and DMA alone, with debouncing and every edge counted.
 
 One state machine looks at three pins in a row: the inputs (lines 0 and 1) and the output (line 2), read back from its own pad, so all
-three are stamped alike. Its loop has three cycles (24 ns at 125 MHz):
+three are stamped alike. Its loop has four cycles (32 ns at 125 MHz):
 
-    mov osr, pins; out x, 3; jmp x != y     the levels differ from those in Y: a change
+    mov isr, null; in pins, 3; mov x, isr; jmp x != y     the levels differ from those in Y: a change
 
-A change takes six cycles more. It pushes one word, (number << 3 | levels); the number counts down from 2^29 - 1 at every change, in ISR. Two
+A change takes seven cycles more. It pushes one word, (number << 3 | levels); the number counts down from 0 at every change, in OSR. Two
 DMA channels go round for ever, each started by the one before, one transfer at a time (every start reloads the count of 1):
 
     word     RX FIFO → ring of words      paced by the FIFO
     stamp    TIMERAWL → ring of stamps    at once
 
-so word and stamp stand in the same place of their rings. The change is seen 2 cycles (synchroniser) to 5 (the loop) after the edge, pushed 4 later, and
+so word and stamp stand in the same place of their rings. The change is seen 2 cycles (synchroniser) to 6 (the loop) after the edge, pushed 6 later, and
 TIMERAWL is read within 0.2 µs of that even with the bus taken: a stamp is at most 1 µs early (it is the microsecond begun) and 0.3 µs late.
-Both edges of a pulse of 100 ns are seen; what is shorter, or within 72 ns of another edge, may be missed: opto-couplers are slower.
+Both edges of a pulse of 100 ns are seen; what is shorter, or within 88 ns of another edge, may be missed: opto-couplers are slower.
 
 Bursts: the FIFO is joined to 8 words, the ring holds EDGES, of which Python may leave 240 waiting. What finds the FIFO full (changes
 faster than two transfers, for long) or is overwritten in the ring is lost, yet counted: the number of the next word says how many changes
@@ -129,21 +129,23 @@ def first_levels(words: ptr32) -> int:
 
 
 def program(rp2):
-    """The watcher. in_base is line 0. ISR: minus the number of the next change; X and Y: levels."""
+    """The watcher. in_base is line 0. OSR: minus the number of the next change; X and Y: levels."""
 
-    @rp2.asm_pio(in_shiftdir=rp2.PIO.SHIFT_LEFT, out_shiftdir=rp2.PIO.SHIFT_RIGHT, fifo_join=rp2.PIO.JOIN_RX)
+    @rp2.asm_pio(in_shiftdir=rp2.PIO.SHIFT_LEFT, fifo_join=rp2.PIO.JOIN_RX)
     def watcher():
         label("changed")
         mov(y, x)
-        mov(x, isr)
+        mov(isr, osr)
         in_(y, 3)
         push(noblock)
+        mov(x, osr)
         jmp(x_dec, "next")
         label("next")
-        mov(isr, x)
+        mov(osr, x)
         wrap_target()
-        mov(osr, pins)
-        out(x, 3)
+        mov(isr, null)
+        in_(pins, 3)
+        mov(x, isr)
         jmp(x_not_y, "changed")
         wrap()
 
@@ -151,15 +153,15 @@ def program(rp2):
 
 
 # instructions that the CPU gives to the state machine
-_OSR_PINS = 0xA0E0
-_OUT_X_3 = 0x6023
-_ISR_0 = 0xA0C3
+_IN_PINS_3 = 0x4003
+_X_ISR = 0xA026
+_OSR_0 = 0xA0E3
 
 
 class Triggers:
     """Trigger lines 0 and 1 on the first two of three pins in a row, the box's output, line 2, on the third. Runs from the first moment.
 
-    Takes one state machine, nine instructions, two DMA channels and 4 KiB.
+    Takes one state machine, eleven instructions, two DMA channels and 4 KiB.
     """
 
     def __init__(self, machine, rp2, chip, first_pin, state_machine=2):
@@ -207,9 +209,9 @@ class Triggers:
             arm(self._bases[k], self._setups[k])
         poke(self._chip.DMA_MULTI_CHAN_TRIGGER, self._first)
         self._sm.restart()
-        self._sm.exec(_OSR_PINS)
-        self._sm.exec(_OUT_X_3)
-        self._sm.exec(_ISR_0)
+        self._sm.exec(_IN_PINS_3)
+        self._sm.exec(_X_ISR)
+        self._sm.exec(_OSR_0)
         self._sm.active(1)
         # its first word is in the ring long before this
         state[LEVELS] = first_levels(self._words)
@@ -222,6 +224,11 @@ class Triggers:
             if not 0 <= us <= 1000000:
                 raise ValueError("a debounce time of %d us; 0 to 1000000 are possible" % us)
             self._state[DEBOUNCE + line] = us
+
+    def stop(self):
+        """No more edges: the buffers may go."""
+        self._sm.active(0)
+        halt(self._chip, self._bases, self._setups, self._all)
 
     # -- no call below allocates
 

@@ -75,6 +75,7 @@ class Machine {
     this.mark = null; // state at the last jump back, to recognise a loop
     this.cruise = null; // the loop it goes round in
     this.ticks = 0;
+    this.sees = 0; // pins that its program can look at
   }
 
   // -- time
@@ -187,6 +188,45 @@ class Machine {
     this.mark = null;
   }
 
+  /** The pins that the program can look at from where it is. */
+  look() {
+    this.sees = 0;
+    if (!this.enabled && this.forced === NONE) return 0;
+    const reached = new Set();
+    const ways = [this.pc];
+    const { instructions } = this.block;
+    if (this.forced !== NONE) this.sees |= this.pinsOf(this.forced);
+    while (ways.length) {
+      const pc = ways.pop();
+      if (reached.has(pc)) continue;
+      reached.add(pc);
+      const opcode = instructions[pc];
+      this.sees |= this.pinsOf(opcode);
+      const jump = opcode >>> 13 === 0;
+      if (jump) ways.push(opcode & 31);
+      if (!jump || (opcode >>> 5) & 7) ways.push(this.after(pc));
+    }
+    return this.sees;
+  }
+
+  /** The pins that an instruction looks at; all, if it may go anywhere or do anything. */
+  pinsOf(opcode) {
+    const field = (opcode >>> 5) & 7;
+    const low = opcode & 31;
+    switch (opcode >>> 13) {
+      case 0: return field === PIN ? 1 << ((this.execctrl >>> 24) & 31) : 0;
+      case 1: return (field & 3) === 2 ? 0 : 1 << ((field & 3) === 1 ? (low + this.inBase) & 31 : low);
+      case 2: return field === 0 ? rotateLeft(lowBits(low || 32), this.inBase) : 0;
+      case 3: return field === 5 || field === 7 ? -1 : 0;
+      case 5: return (opcode & 7) === 0 || field === 4 || field === 5 ? -1 : 0;
+      default: return 0;
+    }
+  }
+
+  after(pc) {
+    return pc === ((this.execctrl >>> 12) & 31) ? (this.execctrl >>> 7) & 31 : (pc + 1) & 31;
+  }
+
   // -- instructions
 
   /** The tick at this.t. */
@@ -205,7 +245,7 @@ class Machine {
       return;
     }
     if (next !== FOLLOWS) this.pc = next;
-    else if (!forced) this.pc = this.pc === ((this.execctrl >>> 12) & 31) ? (this.execctrl >>> 7) & 31 : (this.pc + 1) & 31;
+    else if (!forced) this.pc = this.after(this.pc);
     this.pass(1 + (this.forced === NONE ? delay : 0)); // the delay of an OUT or MOV EXEC does not count
     if (this.pc <= before && !forced) this.noteLoop();
   }
@@ -474,8 +514,10 @@ export class Pio {
     this.instructions = new Uint16Array(32);
     this.machines = []; // rp2040js looks here for machines that wait for a pin; these look for themselves
     this.sm = [0, 1, 2, 3].map((i) => new Machine(this, i));
-    this.levels = 0; // the pins as the machines see them
-    this.changes = []; // [cycle, bit, level] of pins on their way through the synchronisers
+    this.levels = mcu.gpioValues; // the pins as the machines see them, of those in `seen`
+    this.pads = mcu.gpioValues; // the pins as they are
+    this.seen = 0; // pins that a machine may look at
+    this.changes = []; // cycle, mask, levels, cycle, ... of pins on their way through the synchronisers
     this.pinValues = this.pinDirections = 0; // on the pads, read by rp2040js's GPIOPin
     this.nextValues = this.nextDirections = 0; // on the pads from `outputAt`
     this.moved = 0; // machines whose FIFOs request other than now from `outputAt`
@@ -499,7 +541,7 @@ export class Pio {
   }
 
   next() {
-    let first = Math.min(this.outputAt, this.changes.length ? this.changes[0][0] : NEVER);
+    let first = Math.min(this.outputAt, this.changes.length ? this.changes[0] : NEVER);
     for (const m of this.sm) if (m.t < first) first = m.t;
     return first;
   }
@@ -513,7 +555,9 @@ export class Pio {
   advance(cycle) {
     if (this.running) return; // a part's answer to an edge reads or writes while a cycle is done
     this.running = true;
-    for (let next = this.next(); next <= cycle; next = this.next()) this.step(next);
+    let next = this.next();
+    for (; next <= cycle; next = this.next()) this.step(next);
+    this.due = next;
     this.cycle = Math.max(this.cycle, cycle);
     this.running = false;
   }
@@ -521,18 +565,25 @@ export class Pio {
   step(cycle) {
     this.cycle = cycle;
     if (this.outputAt <= cycle) this.showOutputs();
-    let seen = false;
-    while (this.changes.length && this.changes[0][0] <= cycle) {
-      const [, bit, level] = this.changes.shift();
-      this.levels = (level ? this.levels | bit : this.levels & ~bit) >>> 0;
-      seen = true;
-    }
-    if (seen) {
-      for (const m of this.sm) m.impure(); // a loop that began before may have looked already
-      this.wakeAll(cycle);
-    }
+    if (this.changes.length && this.changes[0] <= cycle) this.takePins(cycle);
     for (const m of this.sm) if (m.t <= cycle) m.tick();
     if (this.irqSet | this.irqClear) this.takeFlags(cycle);
+  }
+
+  takePins(cycle) {
+    const { changes } = this;
+    let mask = 0;
+    let n = 0;
+    for (; n < changes.length && changes[n] <= cycle; n += 3) {
+      mask |= changes[n + 1];
+      this.levels = ((this.levels & ~changes[n + 1]) | (changes[n + 2] & changes[n + 1])) >>> 0;
+    }
+    changes.splice(0, n);
+    for (const m of this.sm) {
+      if (!(m.sees & mask)) continue;
+      m.impure(); // a loop that began before may have looked already
+      m.wake(cycle);
+    }
   }
 
   takeFlags(cycle) {
@@ -580,12 +631,18 @@ export class Pio {
     for (let i = 0; i < this.mcu.gpio.length; i++) if ((changed >>> i) & 1) this.mcu.gpio[i].checkForUpdates();
   }
 
-  /** A pin has a new level from now on, and shows in `cycle`. */
-  pinChanges(index, level, cycle) {
-    for (const m of this.sm) m.settle(this.now());
-    const at = this.changes.findIndex((change) => change[0] > cycle);
-    this.changes.splice(at < 0 ? this.changes.length : at, 0, [cycle, (1 << index) >>> 0, level]);
+  /** Pins of a mask, which a machine looks at, have new levels from now on; they show in `cycle`. */
+  pinsChange(mask, levels, cycle) {
+    for (const m of this.sm) if (m.sees & mask) m.settle(this.now());
+    this.changes.push(cycle, mask, levels);
     if (!this.running) this.schedule();
+  }
+
+  /** A machine runs another program from now on, or looks at other pins. What nobody looked at shows at once. */
+  lookAgain() {
+    this.levels = ((this.levels & this.seen) | (this.pads & ~this.seen)) >>> 0;
+    this.seen = 0;
+    for (const m of this.sm) this.seen |= m.look();
   }
 
   // -- FIFOs and interrupts
@@ -699,6 +756,7 @@ export class Pio {
     if (offset >= INSTR_MEM && offset < SM) {
       for (const m of this.sm) this.catchUp(m);
       this.instructions[(offset - INSTR_MEM) >> 2] = value;
+      this.lookAgain();
     } else if (offset >= TXF && offset < RXF) this.writeFifo(this.sm[(offset - TXF) >> 2], value);
     else if (offset >= SM && offset < INTR) this.writeMachine(this.sm[Math.floor((offset - SM) / SM_STRIDE)], (offset - SM) % SM_STRIDE, value);
     else if (offset === CTRL) this.control(value, raw);
@@ -725,6 +783,7 @@ export class Pio {
       this.fdebug |= 1 << (16 + machine.index);
       return;
     }
+    if (machine.shiftctrl & AUTOPULL) this.catchUp(machine); // it may pull from now on, whatever it is about
     machine.tx.words.push(value);
     this.fifoChanged(machine);
     machine.impure();
@@ -750,6 +809,7 @@ export class Pio {
       }
       m.enabled = enable;
     }
+    this.lookAgain();
   }
 
   writeMachine(machine, register, value) {
@@ -771,6 +831,7 @@ export class Pio {
       case PINCTRL: machine.pinctrl = value >>> 0; break;
       default: // ADDR is read-only
     }
+    this.lookAgain();
   }
 
   /** An instruction that the processor has written: done in the next cycle, also by a machine that is off. */
@@ -806,7 +867,8 @@ export class PioScheduler {
   }
 
   update() {
-    this.nextNs = Math.min(...this.blocks.map((block) => block.due)) * CYCLE_NS;
+    const [first, second] = this.blocks;
+    this.nextNs = CYCLE_NS * (first.due < second.due ? first.due : second.due);
   }
 
   step() {
@@ -814,8 +876,8 @@ export class PioScheduler {
     for (const block of this.blocks) {
       if (block.due > cycle) continue;
       block.advance(cycle);
-      block.schedule();
     }
+    this.update();
   }
 
   /** The levels of all pins, in one word, are others from now on. An edge of the clock samples what was before it. */
@@ -823,9 +885,9 @@ export class PioScheduler {
     const changed = inputs ^ this.inputs;
     this.inputs = inputs;
     const shows = Math.floor(this.clock.nanos / CYCLE_NS) + 2;
-    for (let i = 0; i < this.chip.gpio.length; i++) {
-      if (!((changed >>> i) & 1)) continue;
-      for (const block of this.blocks) block.pinChanges(i, (inputs >>> i) & 1, shows);
+    for (const block of this.blocks) {
+      block.pads = inputs;
+      if (changed & block.seen) block.pinsChange(changed & block.seen, inputs, shows);
     }
   }
 }
