@@ -347,6 +347,9 @@ class Magnetostrictive:
         self._advance(n)
         return True
 
+    def broken(self):
+        return False
+
     def lost(self):
         n = self._lost
         self._lost = 0

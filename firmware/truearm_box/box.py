@@ -29,6 +29,7 @@ A source samples by itself, in hardware, into a buffer of its own:
     take(n, dst, at, index, stamp) → bool
                               if n contiguous samples wait: move them to dst[at:], the first one's index since start to index (8
                               bytes) and the lower half of its hardware stamp to stamp (4 bytes, big endian)
+    broken() → bool           a gap follows the samples that wait: no more will come before it
     lost() → n                samples lost in the board before those just taken; counts from zero again
     fault() → flags           of those just taken, FLAG_CONVERTER and FLAG_MISSING_STOP of the wire
     crc_errors, resets        counters since boot that wrap at 2^30 (adc: frames with a wrong CRC, resets of the converter by itself)

@@ -106,11 +106,17 @@ class Stream:
         self._on = False
 
     def pull(self):
-        if not self._on or not self._pull_block(self._block):
+        if not self._on:
             return False
-        while self._pull_block(self._block):
-            pass
-        return True
+        moved = False
+        while self._pull_block(self._block) or self._pull_rest():
+            moved = True
+        return moved
+
+    def _pull_rest(self):
+        """What waits before a gap: no more samples will follow it."""
+        rest = self._source.waiting() if self._source.broken() else 0
+        return rest > 0 and self._pull_block(rest)
 
     def _pull_block(self, n):
         ring = self._ring

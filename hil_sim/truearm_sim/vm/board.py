@@ -107,6 +107,9 @@ class Source:
     def waiting(self):
         return self._count
 
+    def broken(self):
+        return False
+
     def take(self, n, dst, at, index, stamp):
         if self._count < n:
             return False
