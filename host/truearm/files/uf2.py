@@ -59,7 +59,9 @@ def read_uf2(path: Path) -> Image:
 def parse_uf2(data: bytes, name: str) -> Image:
     """The image of a UF2 file's bytes. Raises ImageError, which calls it ``name``."""
     if not data or len(data) % BLOCK:
-        raise ImageError(f"{name}: is {len(data)} bytes, no whole number of UF2's blocks of {BLOCK}; get the file again")
+        raise ImageError(
+            f"{name}: is {len(data)} bytes, no whole number of UF2's blocks of {BLOCK}; get the file again"
+        )
     if len(data) > MAX_BYTES:
         raise ImageError(f"{name}: is larger than the chip's flash")
     blocks = [data[at : at + BLOCK] for at in range(0, len(data), BLOCK)]
@@ -72,7 +74,9 @@ def parse_uf2(data: bytes, name: str) -> Image:
     if _HEAD.unpack_from(blocks[0])[3] != chip.start:
         raise ImageError(f"{name}: does not begin where the {chip.name}'s flash begins, so nothing in it would start")
     if boot_checksum(pages[0][:-4]) != int.from_bytes(pages[0][-4:], "little"):
-        raise ImageError(f"{name}: its boot stage has a wrong checksum, so the chip would not start; get the file again")
+        raise ImageError(
+            f"{name}: its boot stage has a wrong checksum, so the chip would not start; get the file again"
+        )
     return Image(chip, len(blocks), behind - chip.start, _MARK in b"".join(pages), data)
 
 
@@ -99,9 +103,9 @@ def _chip(block: bytes, name: str) -> Chip:
 
 def _check_block(block: bytes, number: int, count: int, family: int, chip: Chip, behind: int, name: str) -> int:
     """The address behind a block that is in order and lies at ``behind`` or later. Raises ImageError."""
-    *magic, flags, address, size, at, of, of_family = _HEAD.unpack_from(block)
+    magic_0, magic_1, flags, address, size, at, of, of_family = _HEAD.unpack_from(block)
     where = f"{name}: block {number} of {count}"
-    if tuple(magic) != _MAGIC or not block.endswith(_MAGIC_END):
+    if (magic_0, magic_1) != _MAGIC or not block.endswith(_MAGIC_END):
         raise ImageError(f"{where} is damaged; get the file again")
     if flags & _NOT_MAIN_FLASH or not flags & _FAMILY_PRESENT or of_family != family:
         raise ImageError(f"{where} is not for the {chip.name}'s flash")
@@ -113,4 +117,4 @@ def _check_block(block: bytes, number: int, count: int, family: int, chip: Chip,
         raise ImageError(f"{where} is for address {address:#x}, which is not in the {chip.name}'s flash")
     if address < behind:
         raise ImageError(f"{where} lies over an earlier one")
-    return address + PAGE
+    return int(address) + PAGE
