@@ -13,6 +13,7 @@ const STOP = 3;
 const STOP_LENGTH_NS = 1000;
 const SHORTEST_NS = 200;
 const LONGEST_NS = 10_000;
+const LONGEST_PERIOD_NS = 1e9; // a longer pause is none
 const RECOVERY_NS = 10_000; // after the stop pulse's begin
 
 class Head {
@@ -53,7 +54,8 @@ class Head {
   /** Interrogations a period apart are one run; any other interval begins a new one. */
   count(tNs) {
     const interval = this.edgeNs === null ? 0 : tNs - this.edgeNs;
-    const first = this.edgeNs === null || (this.index > 0 && interval !== this.periodNs);
+    const known = this.index > 0 ? interval === this.periodNs : interval <= LONGEST_PERIOD_NS;
+    const first = this.edgeNs === null || !known;
     this.index = first ? 0 : this.index + 1;
     this.periodNs = first ? 0 : interval;
     this.edgeNs = tNs;
