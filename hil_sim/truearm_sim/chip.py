@@ -31,8 +31,8 @@ FILE_SYSTEM: dict[str, Any] = {
     "read_size": 128,
     "lookahead_size": 128,
     "cache_size": 1024,
-    "disk_version": 0x00020000,
 }
+FIRST_VERSION = 0x00020000  # of littlefs on disk; MicroPython makes it 2.1 when it first writes
 
 GRANT = struct.Struct("<cBHHIQi")
 EDGE_IN = struct.Struct("<BBQ")
@@ -50,7 +50,7 @@ def make_flash(path: Path, files: dict[str, bytes]) -> None:
     """A file system image with ``files`` in it."""
     from littlefs import LittleFS
 
-    fs = LittleFS(**FILE_SYSTEM)
+    fs = LittleFS(disk_version=FIRST_VERSION, **FILE_SYSTEM)
     for name, data in files.items():
         with fs.open(name, "wb") as file:
             file.write(data)

@@ -1,0 +1,215 @@
+"""The box's firmware on its chip: boot, time, flash, ways out, a host that goes away."""
+
+import cbor2
+import numpy as np
+import pytest
+
+from truearm_sim.box import COMMAND, WATCHDOG
+from truearm_sim.chip import STORE, read_flash
+from truearm_sim.hardware import CRASH, STALL
+from truearm_wire.messages import (
+    BOOT_LOADER,
+    CONFIGURE,
+    DATA,
+    HEARTBEAT,
+    IDENT,
+    RESET,
+    RESTART,
+    SELF_TEST,
+    START,
+    STOP,
+    SYNC_REQUEST,
+    TO_REPL,
+    names,
+)
+
+from .conftest import MS, command, document, frames, ident
+
+S = 1_000_000
+PERIOD_NS = 983_040
+
+
+def heartbeats(found):
+    return [dict(zip(names(HEARTBEAT), f[1:], strict=True)) for f in found if isinstance(f, list) and f[0] == HEARTBEAT]
+
+
+def blocks(found, stream):
+    return [f for f in found if isinstance(f, list) and f[0] == DATA and f[2] == stream]
+
+
+def indices(found, stream):
+    """Of all samples of a stream, from what their counts say (conftest.Counting)."""
+    width = (4, 1)[stream]
+    values = [np.frombuffer(f[6].data, "<i4").reshape(-1, width)[:, 0] for f in blocks(found, stream)]
+    return np.concatenate(values)
+
+
+def test_it_boots_tells_who_it_is_answers_and_keeps_time(power_on):
+    chip = power_on()
+    said = chip.boot()
+    who = ident(said)
+    assert who["board"] == "rp2040"
+    assert who["uid"].hex() == "e6614103e7452b2f"
+    assert who["clock_hz"] == 1_000_000
+    assert "last_error" not in who
+    assert {s["id"] for s in who["streams"]} == {0, 1}
+    for k in range(5):
+        sent_us = chip.now_us
+        (reply,) = [f for f in frames(chip.give(20 * MS, rx=command(SYNC_REQUEST, 70 + k))) if f[0] == 33]
+        assert reply[2] == 70 + k
+        assert sent_us < reply[3] < reply[4] < chip.now_us
+    beats = heartbeats(frames(chip.give(3 * S)))
+    assert len(beats) == 3
+    assert np.abs(np.diff([b["t_us"] for b in beats]) - S).max() < 10 * MS  # as late as a step of the loop
+    assert all(b["reset_cause"] == 1 and b["streaming"] == 0 and b["bad_frames"] == 0 for b in beats)
+    # 24.5 °C through a 12-bit ADC of 3.3 V: 0.81 mV a step, 0.47 °C
+    assert abs(beats[-1]["temperature_mdegc"] - 24_500) < 470
+    assert beats[-1]["heap_free"] > 50_000
+
+
+def test_its_self_test_measures_every_part(power_on):
+    chip = power_on()
+    chip.boot()
+    results = cbor2.loads(document(chip.ask(SELF_TEST, ms=1500), 64))
+    assert results["converter_id"]["value"] >> 8 == 0x24
+    assert results["stops"] == {"ok": 1, "value": 16, "unit": "", "low": 15, "high": 16}
+    assert results["rail_5v"]["ok"] == 1
+    assert abs(results["temperature"]["value"] - 24_500) < 470
+
+
+def test_it_streams_both_sources_without_a_gap(power_on):
+    chip = power_on()
+    chip.boot()
+    chip.ask(START, ms=10)
+    found = frames(chip.give(1500 * MS))
+    found += chip.ask(STOP, ms=500)
+    for stream in (0, 1):
+        k = indices(found, stream)
+        assert len(k) > 1400
+        assert (np.diff(k) == (4 if stream == 0 else 1)).all()
+        t0 = np.array([f[4] for f in blocks(found, stream)])
+        n0 = np.array([f[3] for f in blocks(found, stream)])
+        late = t0 - t0[0] - n0 * PERIOD_NS / 1000
+        assert np.ptp(late) <= 1.0 + 1e-9  # stamps are whole microseconds
+    assert heartbeats(found)[-1]["overruns"] == 0
+
+
+def test_a_configuration_outlives_a_restart(power_on):
+    chip = power_on()
+    chip.boot()
+    config = chip.config()
+    config["osr"] = 2048
+    config["magnetostrictive"]["period_ns"] = 0
+    answers = chip.put_config(config)
+    assert [f[0] for f in answers].count(IDENT) >= 1
+    chip.ask(RESET, RESTART, ms=500)
+    assert chip.end == "reset"
+    chip = power_on(cause=COMMAND)
+    who = ident(chip.boot())
+    assert [s["id"] for s in who["streams"]] == [0]
+    assert who["streams"][0]["osr"] == 2048
+    assert heartbeats(frames(chip.give(S)))[0]["reset_cause"] == COMMAND
+
+
+def test_power_that_fails_while_it_writes_leaves_the_old_or_the_new_configuration(power_on, tmp_path):
+    chip = power_on()
+    chip.boot()
+    config = chip.config()
+    chip.put_config(config)
+    for cut, osr in ((1, 128), (3, 256), (5, 512)):
+        before = config["osr"]
+        config["osr"] = osr
+        chip.hardware.control({"pico": "cut", "operations": cut})
+        chip.put_config(config)
+        assert chip.end == "power cut"
+        chip = power_on()
+        chip.boot()
+        after = chip.config()
+        assert after["osr"] in (before, osr)
+        config["osr"] = after["osr"]
+        assert after == config
+    assert "config.json" in read_flash(tmp_path / STORE)
+
+
+def test_a_firmware_that_hangs_is_reset_by_the_watchdog(power_on):
+    chip = power_on()
+    chip.boot()
+    chip.give(3 * S, flags=STALL)
+    assert chip.end == "watchdog"
+    chip = power_on(cause=WATCHDOG)
+    chip.boot()
+    assert heartbeats(frames(chip.give(S)))[0]["reset_cause"] == WATCHDOG
+
+
+def test_an_exception_is_printed_between_delimiters_kept_and_told_at_the_next_boot(power_on):
+    chip = power_on()
+    chip.boot()
+    found = frames(chip.give(500 * MS, flags=CRASH))
+    (text,) = [f for f in found if isinstance(f, bytes)]
+    assert b"Traceback" in text
+    assert b"RuntimeError: injected by the simulator" in text
+    assert chip.end == "reset"
+    chip = power_on(cause=COMMAND)
+    assert "RuntimeError: injected by the simulator" in ident(chip.boot())["last_error"]
+
+
+def test_ctrl_c_at_boot_and_a_command_lead_to_the_prompt(power_on):
+    chip = power_on()
+    chip.give(S)
+    assert b"KeyboardInterrupt" in chip.give(500 * MS, rx=b"\x03")
+    assert b"42" in chip.give(S, rx=b"6 * 7\r\n")
+    chip = power_on()
+    chip.boot()
+    assert [f[0] for f in chip.ask(TO_REPL) if isinstance(f, list)] == [64]
+    assert b"42" in chip.give(10 * S, rx=b"6 * 7\r\n")  # and no watchdog bites
+    assert chip.end == ""
+
+
+def test_a_command_leads_to_the_rom_s_boot_loader(power_on):
+    chip = power_on()
+    chip.boot()
+    chip.ask(RESET, BOOT_LOADER, ms=500)
+    assert chip.end == "boot loader"
+
+
+@pytest.mark.parametrize("wrap", [1 << 30, 1 << 32])
+def test_time_goes_on_where_counters_wrap(power_on, wrap):
+    """2^30: MicroPython's small integers and ticks; 2^32: the lower half of the hardware timer."""
+    start_us = wrap - int(4.2e6)
+    chip = power_on(start_us=start_us)
+    chip.boot()
+    chip.ask(START, ms=10)
+    found = frames(chip.give(2 * S))
+    for stream in (0, 1):
+        t0 = np.array([f[4] for f in blocks(found, stream)])
+        n0 = np.array([f[3] for f in blocks(found, stream)])
+        assert t0[0] < wrap < t0[-1]
+        assert np.ptp(t0 - n0 * PERIOD_NS / 1000) <= 1.0 + 1e-9
+    beats = [b["t_us"] for b in heartbeats(found)]
+    assert start_us < beats[0] < chip.now_us
+    (reply,) = [f for f in frames(chip.give(50 * MS, rx=command(SYNC_REQUEST, 1))) if f[0] == 33]
+    assert wrap < reply[3] < reply[4] < chip.now_us
+
+
+def test_a_host_that_stalls_or_leaves_costs_what_the_ring_does_not_hold_and_it_is_counted(power_on):
+    chip = power_on()
+    chip.boot()
+    chip.ask(CONFIGURE, 1, 0, ms=20)
+    chip.ask(START, ms=10)
+    before = frames(chip.give(S))
+    held = frames(chip.give(3 * S, room=0))
+    assert held == []
+    after = frames(chip.give(2500 * MS))
+    k = np.concatenate([indices(before, 0), indices(after, 0)]) // 4
+    gaps = np.diff(k) - 1
+    lost = int(gaps.sum())
+    assert np.count_nonzero(gaps) <= 1
+    assert heartbeats(after)[-1]["overruns"] == lost
+    chip.hardware.host_gone = True
+    chip.give(3 * S)
+    assert chip.end == ""
+    chip.hardware.host_gone = False
+    back = frames(chip.give(2 * S))
+    assert heartbeats(back)[-1]["reset_cause"] == 1
+    assert heartbeats(back)[-1]["overruns"] > lost
+    assert len(blocks(back, 0)) > 200
