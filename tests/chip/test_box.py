@@ -72,6 +72,7 @@ def test_its_self_test_measures_every_part(power_on):
     chip.boot()
     results = cbor2.loads(document(chip.ask(SELF_TEST, ms=1500), 64))
     assert results["converter_id"]["value"] >> 8 == 0x24
+    assert all(results[f"noise_{c}"]["ok"] == 1 for c in range(4))
     assert results["stops"] == {"ok": 1, "value": 16, "unit": "", "low": 15, "high": 16}
     assert results["rail_5v"]["ok"] == 1
     assert abs(results["temperature"]["value"] - 24_500) < 470
