@@ -14,7 +14,7 @@ import cbor2
 
 from truearm.errors import LinkError, ProtocolError, RefusedError
 from truearm.record.fields import fields_of
-from truearm.record.frames import FrameSplitter, frame_type
+from truearm.record.frames import FrameSplitter, frame_seq, frame_type
 from truearm.record.links import Clock, Link
 from truearm.sensors.data import Data, data_of, decode, usual_data
 from truearm.sensors.ident import Ident, decode_ident
@@ -30,6 +30,7 @@ SELF_TEST_RETRY_NS = 4 * SECOND  # it measures for about a second
 CONFIG_PAGES_MAX = 16  # that a box takes
 MAX_WAITING = 20_000  # frames that nobody fetched; the oldest go
 _READ_S = 0.05
+_SEQ_MASK, _SEQ_HALF = 2**32 - 1, 2**31
 _IDS = 2**29  # SPEC §6: ids stay below 2^30
 _DEPTH = 16
 _REFERENCES = (25, 28, 29, 256)  # tags by which a short document would stand for an endless one
@@ -62,11 +63,15 @@ class NoAnswer(LinkError):
 
 
 class BoxControl:
-    """The host's side of a conversation. ``ident`` is what the box said last of itself; ``console_bytes`` counts what was no frame."""
+    """The host's side of a conversation. ``ident`` is what the box said last of itself; ``console_bytes`` counts what was no
+    frame, ``lost_frames`` gaps in the box's count of them; ``heartbeat`` is the last one, by name."""
 
     def __init__(self, link: Link, clock: Clock) -> None:
         self.ident: Ident | None = None
         self.console_bytes = 0
+        self.lost_frames = 0
+        self.heartbeat: dict[str, Any] = {}
+        self._next_seq: int | None = None
         self._link = link
         self._clock = clock
         # Ids go on from the clock: the box may still remember, by its id, a command of an earlier conversation.
@@ -125,14 +130,10 @@ class BoxControl:
         except LinkError:
             return
 
-    def streaming(self) -> bool:
-        """Whether the box samples. Waits for its next heartbeat, a second; RefusedError's code 4 says the same of a command."""
-        deadline_ns = self._clock.now_ns() + 3 * SECOND
-        while (left_ns := deadline_ns - self._clock.now_ns()) > 0:
-            for sent in self.sent(left_ns / SECOND):
-                if sent.kind == wire.HEARTBEAT:
-                    return bool(sent.fields["streaming"])
-        raise NoAnswer(f"{self._link.name}: no heartbeat in 3 s; is this a truearm box, and does its firmware run?")
+    @property
+    def now_s(self) -> float:
+        """The host's time [s]."""
+        return self._clock.now_ns() / SECOND
 
     def probe(self) -> tuple[int, int]:
         """Send a clock request; returns its id and the host's time before it [ns]. The answer comes as a frame."""
@@ -195,6 +196,7 @@ class BoxControl:
 
     def _take(self, t_host_ns: int, payload: bytes) -> None:
         kind = frame_type(payload)
+        self._count(frame_seq(payload))
         if kind == wire.DATA:
             data = usual_data(payload) or _unusual_data(payload)
             if data is not None:
@@ -213,7 +215,18 @@ class BoxControl:
             if fields["req_id"] == self._awaited:
                 self._error = fields["code"], fields["text"]
         else:
+            if kind == wire.HEARTBEAT:
+                self.heartbeat = fields
             self._waiting.append(Sent(t_host_ns, kind, None, fields))
+
+    def _count(self, seq: int | None) -> None:
+        """A gap is counted; a count that goes back is a frame that came late, or a box that restarted."""
+        if seq is None:
+            return
+        gap = 0 if self._next_seq is None else (seq - self._next_seq) & _SEQ_MASK
+        if gap < _SEQ_HALF:
+            self.lost_frames += gap
+        self._next_seq = (seq + 1) & _SEQ_MASK
 
     def _take_ident(self, fields: dict[str, Any]) -> None:
         document = self._ident_pages.push(fields["req_id"], fields["page"], fields["pages"], fields["data"])

@@ -116,7 +116,7 @@ def _table(page: GaugePage) -> str:
     rows = []
     for place, (y, x, noise, residual, left_out) in enumerate(zip(*columns, strict=True), 1):
         cells = (number(1e3 * y, 4), figures(x, 8), figures(noise, 2))
-        cells += (number(1e6 * residual, 2, sign=True), number(1e6 * left_out, 2, sign=True))
-        rows.append(f'<tr><th scope="row">{place}</th>{"".join(f"<td>{cell}</td>" for cell in cells)}</tr>')
+        errors = (number(1e6 * residual, 2, sign=True), number(1e6 * left_out, 2, sign=True))
+        rows.append(f'<tr><th scope="row">{place}</th>{"".join(f"<td>{cell}</td>" for cell in (*cells, *errors))}</tr>')
     table = f'<table class="plain"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
     return f'<div class="scroll" tabindex="0" role="region" aria-label="places">{table}</div>'

@@ -57,7 +57,8 @@ class PolyFit:
     def predict_sigma(self, x: Floats) -> Floats:
         """Standard deviation (m,) of the polynomial at readings x (m,)."""
         powers = polynomial.polyvander(x, self.order)
-        return np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", powers, self.covariance, powers), 0.0))
+        variance = np.maximum(np.einsum("ij,jk,ik->i", powers, self.covariance, powers), 0.0)
+        return np.asarray(np.sqrt(variance))
 
 
 def possible_orders(x: Floats, highest: int = MAX_ORDER) -> range:
