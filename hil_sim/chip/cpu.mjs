@@ -65,6 +65,10 @@ export class Cpu {
     };
     const load = (address, size) => {
       address >>>= 0;
+      if (size === 4 && address >= SIO && address < SIO_END) {
+        cycles--;
+        return chip.sio.readUint32(address - SIO) | 0; // divider, spin locks, pins: nothing happens by itself
+      }
       clock.nanosCounter = startNs + cycles * CYCLE_NS;
       const value = size === 4 ? chip.readUint32(address) : size === 2 ? chip.readUint16(address) : chip.readUint8(address);
       cycles += accessCycles(address, false) - 1;
@@ -74,7 +78,8 @@ export class Cpu {
     const store = (address, value, size) => {
       address >>>= 0;
       clock.nanosCounter = startNs + cycles * CYCLE_NS;
-      if (size === 4) chip.writeUint32(address, value >>> 0);
+      if (size === 4 && address >= SIO && address < SIO_END) chip.sio.writeUint32(address - SIO, value >>> 0);
+      else if (size === 4) chip.writeUint32(address, value >>> 0);
       else if (size === 2) chip.writeUint16(address, value & 0xffff);
       else chip.writeUint8(address, value & 0xff);
       cycles += accessCycles(address, true) - 1;
