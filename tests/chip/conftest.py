@@ -59,6 +59,7 @@ class Chip:
         self.now_us = start_us
         self.end = ""
         self.req_id = 0
+        self.rest = b""  # of a frame that came in part
 
     def give(self, us, rx=b"", edges=(), room=ANY_ROOM, flags=0):
         """Let it run; the bytes it sent. `end` says how it ended, if it did."""
@@ -67,14 +68,19 @@ class Chip:
         self.end, self.sampling = answer.end, answer.sampling
         return answer.tx
 
+    def hear(self, us, **grant):
+        """Let it run; the frames that have come whole."""
+        whole, zero, self.rest = (self.rest + self.give(us, **grant)).rpartition(b"\0")
+        return frames(whole + zero)
+
     def boot(self):
         """Let it boot; what it said."""
-        return frames(self.give(int(READY_S * 1e6)))
+        return self.hear(int(READY_S * 1e6))
 
     def ask(self, *values, ms=100):
         """Give a command; the frames that came within `ms`."""
         self.req_id += 1
-        return frames(self.give(ms * MS, rx=command(values[0], self.req_id, *values[1:])))
+        return self.hear(ms * MS, rx=command(values[0], self.req_id, *values[1:]))
 
     def config(self):
         return cbor2.loads(document(self.ask(GET_CONFIG), REPLY))

@@ -23,7 +23,7 @@ from truearm_wire.messages import (
     names,
 )
 
-from .conftest import MS, command, document, frames, ident
+from .conftest import MS, command, document, ident
 
 S = 1_000_000
 PERIOD_NS = 983_040
@@ -55,10 +55,10 @@ def test_it_boots_tells_who_it_is_answers_and_keeps_time(power_on):
     assert {s["id"] for s in who["streams"]} == {0, 1}
     for k in range(5):
         sent_us = chip.now_us
-        (reply,) = [f for f in frames(chip.give(20 * MS, rx=command(SYNC_REQUEST, 70 + k))) if f[0] == 33]
+        (reply,) = [f for f in chip.hear(20 * MS, rx=command(SYNC_REQUEST, 70 + k)) if f[0] == 33]
         assert reply[2] == 70 + k
         assert sent_us < reply[3] < reply[4] < chip.now_us
-    beats = heartbeats(frames(chip.give(3 * S)))
+    beats = heartbeats(chip.hear(3 * S))
     assert len(beats) == 3
     assert np.abs(np.diff([b["t_us"] for b in beats]) - S).max() < 10 * MS  # as late as a step of the loop
     assert all(b["reset_cause"] == 1 and b["streaming"] == 0 and b["bad_frames"] == 0 for b in beats)
@@ -82,7 +82,7 @@ def test_it_streams_both_sources_without_a_gap(power_on):
     chip = power_on()
     chip.boot()
     chip.ask(START, ms=10)
-    found = frames(chip.give(1500 * MS))
+    found = chip.hear(1500 * MS)
     found += chip.ask(STOP, ms=500)
     for stream in (0, 1):
         k = indices(found, stream)
@@ -109,7 +109,7 @@ def test_a_configuration_outlives_a_restart(power_on):
     who = ident(chip.boot())
     assert [s["id"] for s in who["streams"]] == [0]
     assert who["streams"][0]["osr"] == 2048
-    assert heartbeats(frames(chip.give(S)))[0]["reset_cause"] == COMMAND
+    assert heartbeats(chip.hear(S))[0]["reset_cause"] == COMMAND
 
 
 def test_power_that_fails_while_it_writes_leaves_the_old_or_the_new_configuration(power_on, tmp_path):
@@ -139,13 +139,13 @@ def test_a_firmware_that_hangs_is_reset_by_the_watchdog(power_on):
     assert chip.end == "watchdog"
     chip = power_on(cause=WATCHDOG)
     chip.boot()
-    assert heartbeats(frames(chip.give(S)))[0]["reset_cause"] == WATCHDOG
+    assert heartbeats(chip.hear(S))[0]["reset_cause"] == WATCHDOG
 
 
 def test_an_exception_is_printed_between_delimiters_kept_and_told_at_the_next_boot(power_on):
     chip = power_on()
     chip.boot()
-    found = frames(chip.give(500 * MS, flags=CRASH))
+    found = chip.hear(500 * MS, flags=CRASH)
     (text,) = [f for f in found if isinstance(f, bytes)]
     assert b"Traceback" in text
     assert b"RuntimeError: injected by the simulator" in text
@@ -180,7 +180,7 @@ def test_time_goes_on_where_counters_wrap(power_on, wrap):
     chip = power_on(start_us=start_us)
     chip.boot()
     chip.ask(START, ms=10)
-    found = frames(chip.give(2 * S))
+    found = chip.hear(2 * S)
     for stream in (0, 1):
         t0 = np.array([f[4] for f in blocks(found, stream)])
         n0 = np.array([f[3] for f in blocks(found, stream)])
@@ -188,7 +188,7 @@ def test_time_goes_on_where_counters_wrap(power_on, wrap):
         assert np.ptp(t0 - n0 * PERIOD_NS / 1000) <= 1.0 + 1e-9
     beats = [b["t_us"] for b in heartbeats(found)]
     assert start_us < beats[0] < chip.now_us
-    (reply,) = [f for f in frames(chip.give(50 * MS, rx=command(SYNC_REQUEST, 1))) if f[0] == 33]
+    (reply,) = [f for f in chip.hear(50 * MS, rx=command(SYNC_REQUEST, 1)) if f[0] == 33]
     assert wrap < reply[3] < reply[4] < chip.now_us
 
 
@@ -197,10 +197,10 @@ def test_a_host_that_stalls_or_leaves_costs_what_the_ring_does_not_hold_and_it_i
     chip.boot()
     chip.ask(CONFIGURE, 1, 0, ms=20)
     chip.ask(START, ms=10)
-    before = frames(chip.give(S))
-    held = frames(chip.give(3 * S, room=0))
+    before = chip.hear(S)
+    held = chip.hear(3 * S, room=0)
     assert held == []
-    after = frames(chip.give(2500 * MS))
+    after = chip.hear(2500 * MS)
     k = np.concatenate([indices(before, 0), indices(after, 0)]) // 4
     gaps = np.diff(k) - 1
     lost = int(gaps.sum())
@@ -210,7 +210,7 @@ def test_a_host_that_stalls_or_leaves_costs_what_the_ring_does_not_hold_and_it_i
     chip.give(3 * S)
     assert chip.end == ""
     chip.hardware.host_gone = False
-    back = frames(chip.give(2 * S))
+    back = chip.hear(2 * S)
     assert heartbeats(back)[-1]["reset_cause"] == 1
     assert heartbeats(back)[-1]["overruns"] > lost
     assert len(blocks(back, 0)) > 200
