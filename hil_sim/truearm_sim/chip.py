@@ -18,7 +18,7 @@ from typing import Any
 
 from . import node
 from .box import COMMAND, POWER, RX_MAX, WATCHDOG, Answer, BoxDied
-from .hardware import CRASH, STALL, Boot, Edge
+from .hardware import BAD_CRC, CONVERTER_RESET, CRASH, STALL, Boot, Edge
 
 SCRIPT = node.SOURCES / "box.mjs"
 STORE = "flash.bin"
@@ -43,6 +43,12 @@ CLOSED, STALLED = 1, 2  # flags of a grant
 SAMPLING, RESET, BOOT_LOADER, POWER_CUT = 1, 2, 4, 8  # flags of an answer
 ANY_ROOM = 0xFFFF  # what a link that is never full says it takes; USB then takes all
 OUTPUT_LINE = 2
+SETTLING = 6  # conversions after a start that the driver does not hand out (firmware/drivers/ads131m04.py)
+_FAULTS: dict[int, dict[str, Any]] = {
+    CRASH: {"pico": "crash"},
+    BAD_CRC: {"part": "adc", "fault": "corrupt", "frames": 1},
+    CONVERTER_RESET: {"part": "adc", "fault": "reset"},
+}
 _ENDS = {COMMAND: "reset", WATCHDOG: "watchdog", POWER: "power cut"}
 
 
@@ -95,7 +101,7 @@ class ChipBox:
         self.host_gone = False
         self.output_edges: list[Edge] = []  # of the box's trigger output so far, device time
         self._output = False
-        self._ended = False
+        self._first_ns: list[int | None] = [None, None]
         self._stderr = tempfile.TemporaryFile()
         self._process = subprocess.Popen(
             [node.ready().path, SCRIPT, json.dumps(argument)],
@@ -109,8 +115,9 @@ class ChipBox:
         self, device_us: int, rx: bytes, edges: Sequence[Edge], tx_room: int, flags: int, temperature_mdegc: int
     ) -> Iterator[Answer]:
         """See ``Hardware``: one grant."""
-        if flags & CRASH:
-            self.control({"pico": "crash"})
+        for flag, message in _FAULTS.items():
+            if flags & flag:
+                self.control(message)
         head = GRANT.pack(
             b"G",
             (CLOSED if self.host_gone else 0) | (STALLED if flags & STALL else 0),
@@ -142,12 +149,19 @@ class ChipBox:
 
     def _answer_query(self) -> None:
         stream, n, index, t_ns, period_ns = QUERY.unpack(self._read(QUERY.size))
-        start_ns = t_ns - index * period_ns
-        if stream == 0:
-            values = self._signals.counts(index, index + n, start_ns, period_ns).astype("<i4")
-        else:
-            values = self._signals.flight_times(index, index + n, start_ns, period_ns).astype("<i8")
-        self._write(values.tobytes())
+        if index == 0:
+            self._first_ns[stream] = t_ns + (SETTLING * period_ns if stream == 0 else 0)
+        self._write((self._shots if stream else self._conversions)(index, n, t_ns - index * period_ns, period_ns))
+
+    def _conversions(self, index: int, n: int, start_ns: int, period_ns: int) -> bytes:
+        """Conversions from ``index`` on. Those that the driver does not hand out are 0: samples count from behind them."""
+        settling = min(n, max(0, SETTLING - index))
+        k = index + settling - SETTLING
+        counts = self._signals.counts(k, k + n - settling, start_ns + SETTLING * period_ns, period_ns)
+        return bytes(16 * settling) + counts.astype("<i4").tobytes()
+
+    def _shots(self, index: int, n: int, start_ns: int, period_ns: int) -> bytes:
+        return self._signals.flight_times(index, index + n, start_ns, period_ns).astype("<i8").tobytes()
 
     def _answer(self) -> Answer:
         flags, cause, _now_ns, n_tx, n_edges = ANSWER.unpack(self._read(ANSWER.size))
@@ -157,7 +171,8 @@ class ChipBox:
             self._output = bool(level)
             self.output_edges.append(Edge(t_ns, OUTPUT_LINE, self._output))
         end = "boot loader" if flags & BOOT_LOADER else _ENDS[cause] if flags & (RESET | POWER_CUT) else ""
-        return Answer(tx, bool(flags & SAMPLING), 0, end, RX_MAX, output=self._output)
+        first_ns = (self._first_ns[0], self._first_ns[1])
+        return Answer(tx, bool(flags & SAMPLING), 0, end, RX_MAX, output=self._output, first_ns=first_ns)
 
     def _write(self, data: bytes) -> None:
         assert self._process.stdin is not None

@@ -6,11 +6,12 @@ import pytest
 
 from truearm_sim.box import COMMAND, WATCHDOG
 from truearm_sim.chip import STORE, read_flash
-from truearm_sim.hardware import CRASH, STALL
+from truearm_sim.hardware import BAD_CRC, CONVERTER_RESET, CRASH, STALL
 from truearm_wire.messages import (
     BOOT_LOADER,
     CONFIGURE,
     DATA,
+    FLAG_CONVERTER,
     HEARTBEAT,
     IDENT,
     RESET,
@@ -27,6 +28,7 @@ from .conftest import MS, command, document, ident
 
 S = 1_000_000
 PERIOD_NS = 983_040
+BLOCK = 13  # samples of the converter in a frame
 
 
 def heartbeats(found):
@@ -86,6 +88,7 @@ def test_it_streams_both_sources_without_a_gap(power_on):
     found += chip.ask(STOP, ms=500)
     for stream in (0, 1):
         k = indices(found, stream)
+        assert k[0] == (0, 12_500)[stream]  # sample 0 of the stream is sample 0 of the signals
         assert len(k) > 1400
         assert (np.diff(k) == (4 if stream == 0 else 1)).all()
         t0 = np.array([f[4] for f in blocks(found, stream)])
@@ -93,6 +96,22 @@ def test_it_streams_both_sources_without_a_gap(power_on):
         late = t0 - t0[0] - n0 * PERIOD_NS / 1000
         assert np.ptp(late) <= 1.0 + 1e-9  # stamps are whole microseconds
     assert heartbeats(found)[-1]["overruns"] == 0
+
+
+def test_a_damaged_frame_and_a_reset_of_the_converter_are_counted_and_survived(power_on):
+    chip = power_on()
+    chip.boot()
+    chip.ask(START, ms=10)
+    chip.hear(300 * MS)
+    found = chip.hear(400 * MS, flags=BAD_CRC)
+    found += chip.hear(1500 * MS, flags=CONVERTER_RESET)
+    assert FLAG_CONVERTER in {f[7] & FLAG_CONVERTER for f in blocks(found, 0)}
+    beat = heartbeats(found)[-1]
+    assert beat["converter_resets"] == 1
+    assert beat["crc_errors"] >= 1
+    lost = int((np.diff([f[3] for f in blocks(found, 0)]) - BLOCK).clip(0).sum())
+    assert 0 < lost < 100
+    assert len(blocks(found, 0)) > 120
 
 
 def test_a_configuration_outlives_a_restart(power_on):
