@@ -2,7 +2,7 @@
 
     .venv/bin/python bench/workers/run_floor.py - dsyrk N RUNS
 
-Beside it one linearisation of ours at the same n (``observe``: 54 + 1 columns computed, weighed and folded by QR).
+Beside it one linearisation of ours at the same n (``observe``: everything for 54 + 1 columns computed, weighed, folded by QR).
 """
 
 from __future__ import annotations

@@ -99,7 +99,7 @@ def _run(arguments: list[str]) -> int:
     command = typer.main.get_command(app)
     try:
         # Not command.main(): it prints errors in a box of several lines and swallows KeyboardInterrupt.
-        with command.make_context("truearm", arguments) as context:
+        with command.make_context("truearm", list(arguments), obj=arguments) as context:
             command.invoke(context)
         sys.stdout.flush()
     except typer.Exit as exc:

@@ -70,7 +70,8 @@ class Device:
 
     ``sensor_cov`` S_x [m²] is 3×3 in the device's axes; y is a line's longitudinal axis. ``xyz`` [m] and ``rotation``
     (a rotation vector, rad) are the device's pose in the base frame; where ``xyz`` is None the device is first placed
-    by its own readings. ``sigma`` [m] and ``turn_sigma`` [rad] say how well that pose is known, each of its three
+    by its own readings, which turn it away from ``rotation`` no further than they must (a line of finite ``turn_sigma``
+    keeps its roll). ``sigma`` [m] and ``turn_sigma`` [rad] say how well that pose is known, each of its three
     components: 0 exactly, finite a parameter with that prior, None a parameter without. ``rotation_sigma`` [rad] is
     the standard deviation of each component of a measured orientation; only rows of kind ``pose`` need it.
     """
@@ -110,7 +111,7 @@ class Rig:
 
     A rig without ``lines`` takes any line that a row names, with ``line_sigma`` [m] along the device's x, y, z (Renders
     1991, III-C); with some, it must have them all. ``line_placement``: how a line without a pose is first placed,
-    "least_squares" by all its points or "two_point" by its two ends. ``time_offset`` τ [s]: the joints were truly at
+    "least_squares" by all its points or "two_point" by its first two. ``time_offset`` τ [s]: the joints were truly at
     q(t) = q_reading(t + τ); ``time_offset_sigma`` as a Device's sigma. ``joint_cov`` S_q [rad², m²] is the covariance
     of the joint readings, j×j, empty for none.
     """
@@ -241,6 +242,20 @@ class Relabelling(NamedTuple):
     rms_after: float  # m, with this label and all others found beside it put right
 
 
+class PredictedError(NamedTuple):
+    """How far the measured point of the robot's end errs by the parameters' covariance, over poses that were measured.
+
+    ``relative``: without the part that moves all poses as one body, which observations by a device of unknown pose, or in
+    sockets, cannot see.
+    """
+
+    rms: float  # m, over the poses
+    largest: float  # m, expected norm at the worst pose
+    source: str  # the row of the worst pose
+    n: int  # poses
+    relative: bool
+
+
 @dataclass(frozen=True)
 class Estimate:
     """The result of an identification (hop 7).
@@ -280,10 +295,13 @@ class Estimate:
     seconds: float
     loss: str = "linear"
     chi2_band: tuple[float, float] = (float("nan"), float("nan"))  # of chi2_reduced, 95 %, if σ and model are right
+    chi2_freedom: float = float("nan")  # effective: residuals less what the fit follows them with
     distance: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) of a row from what all others say of it, in σ
     weight: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) 1 as declared, 0 left out, else a robust loss's
     suspect: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (n,) beyond the gate
     observability: Observability | None = None  # of the suggested free set
     suggested_free: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (n_robot_parameters,)
-    additions: tuple[Addition, ...] = ()  # where the rank falls short of what is free
+    hardly_seen: tuple[NullDirection, ...] = ()  # seen, but to less than a drawing tells (estimate.identifiability)
+    additions: tuple[Addition, ...] = ()  # where something free is unseen, else where it is hardly seen
     relabellings: tuple[Relabelling, ...] = ()
+    relabelling_search: str = "not needed"  # | "done" | "too many groups" (estimate.relabel)

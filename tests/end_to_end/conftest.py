@@ -12,6 +12,7 @@ from truearm.commands.record import plan_rows
 from truearm.files.rig import format_rig
 from truearm.record.recorder import RecordSummary, record
 from truearm.record.session_writer import SessionWriter
+from truearm.types import Rig
 from truearm_sim import micropython
 from truearm_sim.lab import Lab
 from truearm_sim.simbox import Fault, SimulatedBox
@@ -67,9 +68,10 @@ def record_session(
     seed: int = 1,
     osr: int = 4096,
     duration_s: float | None = None,
+    rig: Rig | None = None,
 ) -> Recorded:
-    plan = standard_plan(poses, seed)
-    world = World(seed, plan)
+    plan = standard_plan(poses, seed, rig)
+    world = World(seed, plan, rig)
     box = SimulatedBox(world, interpreter(), faults=faults, seed=seed)
     lab = Lab(world, box, seed)
     link = TappedLink(lab.box_link)

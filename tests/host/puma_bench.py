@@ -9,6 +9,7 @@ import numpy as np
 
 from truearm.model.chain import forward, joint_jacobian, point_forward, point_jacobians
 from truearm.model.robot import builtin_robot
+from truearm.observe.rotation import rotation
 from truearm.types import BallBar, ObservationTable, Point, Rig
 
 ROBOT = builtin_robot("puma560")
@@ -43,11 +44,16 @@ def random_poses(n, rng):
     return rng.uniform(LOWER, UPPER, (n, 6))
 
 
-def constant_orientation_poses(n, rng):
-    """(n, 6) poses with one tool orientation, the end anywhere in a box above the chucks."""
-    rot = forward(CHAIN, DESIGN, np.radians([10.0, -60.0, 100.0, 20.0, 60.0, 30.0]))[:3, :3]
+def constant_orientation_poses(n, rng, tilt=(0.0, 0.0, 0.0), shell=None):
+    """(n, 6) poses with one tool orientation, turned by the rotation vector ``tilt``.
+
+    The end is anywhere in a box above the chucks, or (``shell``: chuck, sphere) a sphere is 46 cm from a chuck.
+    """
+    rot = rotation(np.array(tilt)) @ forward(CHAIN, DESIGN, np.radians([10.0, -60.0, 100.0, 20.0, 60.0, 30.0]))[:3, :3]
     q = np.tile(np.radians([10.0, -60.0, 100.0, 20.0, 60.0, 30.0]), (4 * n, 1))
     p_base_goal = rng.uniform([0.3, -0.3, 0.5], [0.6, 0.3, 0.9], (4 * n, 3))
+    if shell is not None:
+        p_base_goal = np.array(shell[0].xyz) + 0.46 * hemisphere(4 * n, rng) - rot @ np.array(shell[1].xyz)
     for _ in range(60):
         pose = forward(CHAIN, DESIGN, q)
         spin = 0.5 * np.cross(pose[:, :3, :3], rot[None], axis=1).sum(axis=2)

@@ -10,21 +10,23 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import device_bench
 import numpy as np
 import pytest
 import ulb_bench
 
 from truearm import cli
 from truearm.commands.identify import Loss, Solver
+from truearm.commands.show import advice
 from truearm.estimate.identify import SOLVERS
 from truearm.estimate.robust import LOSSES
 from truearm.files.result import parse_result, read_result
 from truearm.files.rig import write_rig
 from truearm.files.robot import load_robot
-from truearm.files.table import read_table, write_table
+from truearm.files.table import concatenate, read_table, write_table
 from truearm.model.chain import point_forward
 from truearm.model.robot import builtin_names
-from truearm.types import BallBar, ObservationTable, Point, Rig
+from truearm.types import BallBar, Device, ObservationTable, Point, Rig
 
 ROOT = Path(__file__).parents[2]
 MUKCA = ROOT / "tests" / "data" / "mukca"
@@ -138,6 +140,8 @@ SCALARS: dict[str, type | tuple[type, ...]] = {
     "rms_before_mm": float,
     "rms_after_mm": float,
     "chi2_reduced": (float, type(None)),
+    "chi2_freedom": float,
+    "relabelling_search": str,
 }
 PARAMETER = {
     "name": str,
@@ -151,9 +155,10 @@ PARAMETER = {
 }
 LISTS = {
     *("inputs", "observations", "free", "null_space", "rms_history_mm", "held_out_by", "parameters"),
-    *("suggested_free", "additions", "relabellings", "chi2_band", "suspect"),
+    *("suggested_free", "additions", "relabellings", "chi2_band", "suspect", "hardly_seen"),
 }
-OBJECTS = {"robot", "held_out", "held_out_before", "covariance", "observability"}
+OBJECTS = {"robot", "held_out", "held_out_before", "covariance", "observability", "predicted_error"}
+KIND_RMS = {"rms_before_mm", "rms_after_mm", "rms_held_out_mm", "rms_rotation_deg"}
 
 
 def check_schema(result: dict[str, Any]) -> None:
@@ -177,6 +182,10 @@ def check_schema(result: dict[str, Any]) -> None:
     assert set(result["suggested_free"]) <= set(free)
     assert set(result["observability"]) == {"o1", "o2", "o3", "o4"}
     assert len(result["chi2_band"]) == 2
+    for entry in result["observations"]:
+        assert set(entry) == {"rig", "kind", "fitted", "held_out", "chucks", "spheres", "places", *KIND_RMS}
+    predicted = result["predicted_error"]
+    assert predicted is None or set(predicted) == {"rms_mm", "max_mm", "at", "n", "relative"}
     for key in ("held_out", "held_out_before"):
         assert result[key] is None or set(result[key]) == HELD_OUT_KEYS
 
@@ -225,6 +234,8 @@ def test_every_field_is_documented() -> None:
         "matrix",
         "units",
         *("source", "distance", "weight", "was", "fits", "rows", "o1", "o4"),
+        *KIND_RMS,
+        *("max_mm", "at", "relative"),
     }
     for field in {*SCALARS, *PARAMETER, *LISTS, *nested, *OBJECTS}:
         assert f"`{field}`" in text, field
@@ -284,7 +295,24 @@ def test_stopping_early_and_a_rank_that_is_not_full_are_results(run: Run, tmp_pa
     # The paper's Table I: a second chuck makes 35, a third sphere is there already.
     assert "Next: measure with one more chuck, not in line with the others, to tell 2 more parameters" in outcome.out
     assert "one more sphere" not in outcome.out
-    assert json.loads(run(*arguments, "--max-iterations", 1, "--json").out)["status"] == "max_iterations"
+    document = json.loads(run(*arguments, "--max-iterations", 1, "--json").out)
+    assert document["status"] == "max_iterations"
+    (stopped,) = (line for line in advice(document, None) if "stopped early" in line)
+    assert "--max-iterations" in stopped
+    assert "roll" not in stopped
+    (stopped,) = (line for line in advice({**document, "status": "stalled"}, None) if "stopped early" in line)
+    assert "--max-iterations" not in stopped  # more of them would not help
+
+
+def test_a_fit_that_creeps_is_told_what_holds_it(run: Run, tmp_path: Path) -> None:
+    table = ulb_bench.lines(2, 12, ulb_bench.NOMINAL, np.random.default_rng(2))
+    write_table(tmp_path / "t.csv", table, ("rad",) * 6)
+    document = json.loads(run("identify", tmp_path / "t.csv", "--robot", "ulb", "--max-iterations", 1, "--json").out)
+    assert document["status"] == "max_iterations"
+    (stopped,) = (line for line in advice(document, None) if "stopped early" in line)
+    assert "A straight line hardly shows its device's roll: give it in the rig, with turn_sigma_deg." in stopped
+    (stopped,) = (line for line in advice({**document, "hardly_seen": document["null_space"]}, None) if "early" in line)
+    assert "--solver map" in stopped
 
 
 SIGMA = 8.4e-5  # m, of the bar
@@ -308,7 +336,7 @@ def identified(run: Run, folder: Path, table: ObservationTable, rig: Rig, *more:
 
 @pytest.mark.parametrize(
     ("solver", "prior"),
-    [("lm", "none"), ("map", "weak"), ("recursive", "none"), ("renders-1991", "none"), ("ls", "none")],
+    [("lm", "none"), ("map", "wide"), ("recursive", "none"), ("renders-1991", "none"), ("ls", "none")],
 )
 def test_every_solver_can_be_asked_for(
     run: Run, tmp_path: Path, noisy: tuple[ObservationTable, Rig], solver: str, prior: str
@@ -363,6 +391,16 @@ def test_free_and_freeze_choose_parameters(run: Run, good: list[object]) -> None
     assert result["free"] == [f"joint{i}.offset" for i in range(1, 7)]
     held = [p for p in result["parameters"] if not p["free"]]
     assert all(p["value"] == p["nominal"] and p["sigma"] is None for p in held)
+
+
+def test_parameters_are_freed_beside_the_robot_files_own(run: Run, good: list[object]) -> None:
+    """The PUMA's file holds all offsets, which the angles of the links make up for: the rank stays, the counts do not."""
+    plain = json.loads(run(*good, "--json").out)
+    more = json.loads(run(*good, "--also-free", "joint[23].offset,link2.z", "--json").out)
+    assert set(more["free"]) - set(plain["free"]) == {"joint2.offset", "joint3.offset", "link2.z"}
+    assert (plain["n_free"], more["n_free"]) == (36, 39)
+    assert more["rank"] == plain["rank"] == 36
+    told(run(*good, "--also-free", "joint2.ofset"), "names are like joint2.offset")
 
 
 def test_several_tables_are_one_and_save_table_writes_it(run: Run, good: list[object], tmp_path: Path) -> None:
@@ -499,6 +537,7 @@ BAD_ARGUMENTS = {
     "no such loss": (["--loss", "l1"], "cauchy"),
     "a loss for a solver without": (["--solver", "recursive", "--loss", "huber"], "lm and map; recursive has no"),
     "a prior for a solver without": (["--solver", "ls", "--prior", "weak"], "which knows no prior"),
+    "a wide prior for it": (["--solver", "ls", "--prior", "wide"], "which knows no prior"),
     "no such robot": (["--robot", "puma561"], "puma560, ulb"),
     "no such robot file": (["--robot", "none.urdf"], "none.urdf: no such file"),
     "tip of no URDF": (["--tip", "ball"], "--base and --tip"),
@@ -597,3 +636,74 @@ def test_a_fit_without_spare_rows_says_so(run: Run, tmp_path: Path) -> None:
     outcome = run("identify", str(few), "--robot", str(MUKCA / "panda.urdf"), "--tip", "ball_link")
     assert outcome.code == 0, outcome
     assert "says little" in outcome.out
+
+
+def test_the_page_tells_what_the_result_tells(run: Run, tmp_path: Path, noisy: tuple[ObservationTable, Rig]) -> None:
+    table, rig = noisy
+    value = table.value.copy()
+    value[70] += 20 * SIGMA
+    options = ["--solver", "map", "--loss", "huber", "--hold-out", "outer", "--report", tmp_path / "r.html"]
+    result, text = identified(run, tmp_path, replace(table, value=value), rig, *options)
+    page = (tmp_path / "r.html").read_text()
+    assert "<h1>Calibration of puma560</h1>" in page
+    assert '<p class="subtitle">t.csv</p>' in page
+    assert "t.csv row 72" in page
+    assert "huber: rows far from all others count less" in page
+    assert "wide: nominal to 10 mm" in page
+    assert f"<code>truearm identify {tmp_path / 't.csv'} --robot puma560" in page
+    predicted = result["predicted_error"]
+    assert (predicted["n"], predicted["relative"]) == (180, False)
+    assert 0.0 < predicted["rms_mm"] < predicted["max_mm"]
+    assert f"By these sigmas the tool errs by {predicted['rms_mm']:.4f} mm RMS over 180 poses, at most" in text
+    assert "Solved by map with a wide prior of the robot, huber loss." in text
+    o1 = result["observability"]["o1"]
+    assert f"Observability of {len(result['suggested_free'])} parameters: O1 {o1:.3g}" in text
+    (entry,) = result["observations"]
+    assert entry["rms_after_mm"] == pytest.approx(result["rms_after_mm"])
+    assert entry["rms_held_out_mm"] == pytest.approx(result["held_out"]["rms_mm"])
+    assert entry["rms_rotation_deg"] is None
+
+
+def test_the_page_replaces_a_page_but_nothing_else(run: Run, good: list[object], tmp_path: Path) -> None:
+    page, diary = tmp_path / "r.html", tmp_path / "diary.html"
+    diary.write_text("<!DOCTYPE html><p>Dear diary</p>")
+    for _ in range(2):
+        assert run(*good, "--report", page).code == 0
+    told(run(*good, "--report", diary), "nothing that truearm wrote")
+    new = tmp_path / "new"
+    told(run(*good, "--report", new, "--out", new), "is also read")
+    told(run(*good, "--report", good[1]), "is also read")
+    told(run(*good, "--report", tmp_path / "none" / "r.html"), "does not exist")
+    assert diary.read_text() == "<!DOCTYPE html><p>Dear diary</p>"
+
+
+def test_kinds_and_rigs_are_told_apart(run: Run, tmp_path: Path) -> None:
+    """Poses by a tracker of unknown place, and bars on another day: a line each, and what a pose's rotation is left with."""
+    bars, rig = exact_lengths(90)
+    rng = np.random.default_rng(8)
+    poses = device_bench.tracked("pose", 60, np.array([1.5, 0.2, 0.5, 0.1, 0.2, 0.3]), rng)
+    sensor = ((1e-8, 0.0, 0.0), (0.0, 1e-8, 0.0), (0.0, 0.0, 1e-8))
+    tracker = Device("t", sensor, rotation_sigma=2e-4)
+    rotation = poses.rotation + 2e-4 * rng.normal(size=poses.rotation.shape)
+    poses = replace(poses, rotation=rotation, rig=np.full(60, "tue"))
+    table = concatenate([replace(bars, rig=np.full(90, "mon")), poses])
+    write_table(tmp_path / "t.csv", table, ("rad",) * 6)
+    write_rig(tmp_path / "mon.toml", rig)
+    write_rig(tmp_path / "tue.toml", Rig(targets=device_bench.TARGETS, trackers={"t": tracker}))
+    arguments = ["identify", tmp_path / "t.csv", "--robot", "puma560", "--report", tmp_path / "r.html"]
+    arguments += ["--rig", f"mon={tmp_path / 'mon.toml'}", "--rig", f"tue={tmp_path / 'tue.toml'}"]
+    result, text = json.loads(run(*arguments, "--json").out), run(*arguments).out
+    assert [(e["rig"], e["kind"], e["fitted"]) for e in result["observations"]] == [
+        ("mon", "ball_bar", 90),
+        ("tue", "pose", 60),
+    ]
+    assert "puma560: 90 ball_bar, 60 pose to fit" in text
+    assert re.search(r"^  mon: ball-bar +\d+\.\d{4} +\d+\.\d{4} +90$", text, re.M)
+    assert re.search(r"^  tue: tracked pose +\d+\.\d{4} +\d+\.\d{4} +60$", text, re.M)
+    # 2e-4 rad about three axes is 0.0198 deg; 180 of these angles, 6 % of which the fit takes up: 5.3 % each σ, four of them
+    found = result["observations"][1]["rms_rotation_deg"]
+    assert found == pytest.approx(math.degrees(2e-4 * math.sqrt(3)), rel=0.22)
+    assert f"Rotation of the tue: tracked pose rows: {found:.3g} deg RMS after." in text
+    page = (tmp_path / "r.html").read_text()
+    assert "tracked pose, rotation" in page
+    assert "RMS rotation after [deg]" in page

@@ -99,6 +99,36 @@ def test_patterns_choose_the_free_parameters() -> None:
         assert free_parameters(NAMES, default, free, freeze).tolist() == list(expected)
 
 
+def test_more_parameters_are_freed_beside_the_default() -> None:
+    default = np.array([True, False, True, False])
+    for free, also, freeze, expected in (
+        ([], ["joint1.gain"], [], [True, True, True, False]),
+        ([], ["*.gain, link2.y"], [], [True] * 4),
+        ([], ["*.gain", "link2.y"], ["link2.*"], [True, True, False, False]),
+        (["link2.x"], ["*.gain"], [], [False, True, True, False]),
+    ):
+        assert free_parameters(NAMES, default, free, freeze, also).tolist() == expected
+    assert default.tolist() == [True, False, True, False]  # the robot's own mask is left alone
+    comma = (*NAMES[:3], "left,2.y")  # as a URDF may name its joints
+    assert free_parameters(comma, default, [], [], ["left,2.y"]).tolist() == [True, False, True, True]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "near"),
+    [
+        ("joint1.gian", r"like joint1\.gain"),
+        ("gain", r"like .*\*\.gain"),
+        ("*.gain,joint9.offset", r"joint9\.offset: .* like joint1\.offset"),
+        ("zzz", r"like joint1\.offset, joint1\.gain, \*\.offset, \*\.gain, \*\.x, \*\.y"),
+        ("", "matches no parameter"),
+        ("x" * 100_000, "matches no parameter"),
+    ],
+)
+def test_a_misspelt_parameter_is_answered_with_near_names(pattern: str, near: str) -> None:
+    with pytest.raises(InputError, match="--also-free .*" + near):
+        free_parameters(NAMES, np.ones(4, dtype=bool), [], [], [pattern])
+
+
 def test_patterns_that_match_nothing_or_leave_nothing_are_told() -> None:
     default = np.ones(4, dtype=bool)
     with pytest.raises(InputError, match=r"--free joint1\.ofset: .* like joint1\.offset"):

@@ -182,6 +182,30 @@ def test_nothing_free_is_a_measurement_of_the_nominal_robot():
     assert e.rms_after == e.rms_before
 
 
+def test_before_is_the_robot_as_described_with_the_rig_fitted_to_it():
+    """A sphere that nobody measured is no error of the robot, wherever it was guessed to be."""
+    t = random_table(120, np.random.default_rng(30), SIGMA)
+    held = np.arange(120) % 4 == 0
+    found = []
+    for guess in (0.0, 0.02):
+        s1 = replace(SPHERES["s1"], xyz=tuple(np.array(SPHERES["s1"].xyz) + guess), sigma=None)
+        rig = Rig(CHUCKS, {**SPHERES, "s1": s1}, BARS)
+        found.append(identify(CHAIN, rig, t, free=FREE, hold_out=held))
+    near, far = found
+    # A fit ends where no more than 1e-6 of the residuals' norm is to be gained.
+    assert far.rms_before == pytest.approx(near.rms_before, rel=1e-6)
+    assert far.rms_history[0] == far.rms_before
+    assert np.linalg.norm((far.residual_before - near.residual_before)[~held]) < 2e-6 * np.linalg.norm(
+        near.residual_before[~held]
+    )
+    assert far.held_out_before.rms == pytest.approx(near.held_out_before.rms, rel=1e-5)
+    # The same as an identification of nothing but the rig, which ends where it began.
+    nothing = identify(CHAIN, rig, t, free=np.zeros(54, bool), hold_out=held)
+    assert nothing.rms_after == nothing.rms_before == far.rms_before
+    assert nothing.held_out == far.held_out_before
+    np.testing.assert_array_equal(nothing.residual, far.residual_before)
+
+
 # --- seats ---------------------------------------------------------------------------------------------------------
 
 
@@ -255,10 +279,11 @@ def test_seats_with_noise_keep_the_rank_and_chi2():
     assert e.status == "converged"
     assert e.rank == 27
     assert e.rank_gap > 1e4
-    # 600 coordinates and 4 distances; 27 + 24 unknowns are seen.
-    assert (
-        abs(e.chi2_reduced - 1.0) < 3 * np.sqrt(2 / (604 - 51)) + 0.02
-    )  # the prior's own residuals: some of 36 of 640
+    # 600 coordinates and 4 distances; the sockets take 24, the robot 36 at most. Where data and prior decide alike the
+    # mean lies lower by ¼ a direction at most.
+    assert 604 - 24 - 36 < e.chi2_freedom < 604 - 24
+    error = 3 * np.sqrt(2 / e.chi2_freedom)
+    assert 1.0 - error - 36 / 4 / e.chi2_freedom < e.chi2_reduced < 1.0 + error
 
 
 def test_held_out_seats_of_a_fitted_place_are_judged_by_the_fitted_socket(seated_clean):

@@ -46,6 +46,18 @@ def test_the_price_on_clean_data_is_five_percent(loss, efficiency):
     assert a**2 / b == pytest.approx(efficiency, abs=2e-3)
 
 
+@pytest.mark.parametrize("loss", ["huber", "cauchy"])
+def test_sandwich_of_rows_that_are_all_far_out_has_the_residuals_own_size(loss):
+    """With a wrong rig no row is near: the mean curvature is 0 (Huber) or negative (Cauchy), and σ must not vanish or fail."""
+    rng = np.random.default_rng(3)
+    jac = rng.normal(size=(60, 4))
+    root = np.linalg.qr(jac)[1]
+    length = np.full(60, 1e3)
+    found = sandwich(root, np.full(4, np.inf), Moments().plus(weigh(loss, length, 1), length, 1), 60)
+    expected = 1e6 * 60 / 56 * np.linalg.inv(jac.T @ jac)
+    np.testing.assert_allclose(found, expected, rtol=1e-10)
+
+
 def test_sandwich_of_least_squares_is_its_covariance():
     rng = np.random.default_rng(0)
     root = np.linalg.qr(rng.normal(size=(50, 4)), mode="r")

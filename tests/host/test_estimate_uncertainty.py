@@ -1,23 +1,16 @@
-"""Covariances turned into errors of the end, bands of χ², and two results in one gauge."""
+"""Covariances turned into errors of the end, and two results in one gauge."""
 
 import numpy as np
 import pytest
 from puma_bench import CHAIN, DESIGN, FREE, RIG, SIGMA, SPHERES, TRUTH, random_poses, random_table
-from scipy import stats
 
 from truearm.errors import ProblemError
 from truearm.estimate.compare import compare
 from truearm.estimate.identify import identify
-from truearm.estimate.uncertainty import chi2_band, predicted_error, tolerance_error
+from truearm.estimate.uncertainty import predicted_error, tolerance_error
 from truearm.model.chain import Chain, Element, Joint, Parameter, forward, point_forward
 
 AT = {name: i for i, name in enumerate(CHAIN.parameter_names)}
-
-
-def test_chi2_band():
-    low, high = chi2_band(764)
-    assert (low * 764, high * 764) == pytest.approx(stats.chi2.interval(0.95, 764))
-    assert np.isnan(chi2_band(0)).all()
 
 
 def two_links():

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -105,8 +106,18 @@ def test_rows_are_named_by_their_source(estimate: Estimate) -> None:
 @settings(max_examples=20, deadline=None)
 @given(estimates())
 def test_rows_are_counted_by_kind(estimate: Estimate) -> None:
-    counts = document_of(estimate, TABLE, ROBOT, [])["observations"]
-    assert counts == [{"kind": "seat", "fitted": 2, "held_out": 1, "chucks": 0, "spheres": 0, "places": 1}]
+    estimate = replace(
+        estimate, residual=1e-3 * np.array([3.0, -4.0, 7.0]), residual_before=np.array([1.0, np.nan, 2.0])
+    )
+    (counts,) = document_of(estimate, TABLE, ROBOT, [], angle=np.array([0.3, 0.4, 9.0]))["observations"]
+    found = {key: counts.pop(key) for key in list(counts) if key.startswith("rms_")}
+    assert counts == {"rig": "", "kind": "seat", "fitted": 2, "held_out": 1, "chucks": 0, "spheres": 0, "places": 1}
+    assert found == {
+        "rms_before_mm": 1000.0,  # of the rows that have a residual
+        "rms_after_mm": pytest.approx(math.sqrt(12.5)),
+        "rms_held_out_mm": pytest.approx(7.0),
+        "rms_rotation_deg": pytest.approx(math.degrees(math.sqrt(0.125))),
+    }
 
 
 json_values = st.recursive(

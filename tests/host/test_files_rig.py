@@ -134,7 +134,9 @@ sigmas = st.none() | st.floats(0.0, 1.0)
 variances = st.floats(1e-12, 1e-4)
 covariances = st.builds(lambda a, b, c: ((a, 0.0, 0.0), (0.0, b, 0.0), (0.0, 0.0, c)), *[variances] * 3)
 placed = st.builds(Device, names, covariances, coordinates, turns, sigmas, sigmas, st.none() | st.floats(1e-9, 1.0))
-unplaced = st.builds(Device, names, covariances, sigma=st.none() | sizes, turn_sigma=st.none() | st.floats(1e-9, 1.0))
+unplaced = st.builds(
+    Device, names, covariances, rotation=turns, sigma=st.none() | sizes, turn_sigma=st.none() | st.floats(1e-9, 1.0)
+)
 devices = placed | unplaced
 planes = st.builds(Plane, names, coordinates, coordinates.filter(any), sizes, sigmas, sigmas)
 
@@ -196,7 +198,6 @@ WRONG = {
     "two coordinates": ('[[sphere]]\nname = "s"\nxyz_m = [0, 0]\n', "three numbers"),
     "one socket": ('[[socket_distance]]\nsockets = ["0"]\n', "two names"),
     "line known nowhere": (LINE + "position_sigma_m = 0\n", "[[line]] 1: a pose known exactly (sigma 0) needs xyz_m"),
-    "turned nowhere": (LINE + "rotation_rad = [0, 0, 1]\n", "has a rotation but no xyz_m"),
     "one sigma of three": (LINE.replace("[0.1, 0.1, 0.1]", "0.1"), "sigma must be three numbers"),
     "exact sensor": (LINE.replace("[0.1,", "[0.0,"), "sigma must be greater than 0"),
     "sigma twice": (LINE + "covariance_m2 = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n", "both a sigma and a covariance_m2"),

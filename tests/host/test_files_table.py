@@ -229,6 +229,9 @@ def test_devices_that_the_rig_lacks_are_told() -> None:
     with pytest.raises(TableError, match=r"column target: is empty; name one of the rig's \(a, b\)"):
         check_against_rig(lines, Rig(targets={name: Point(name, point) for name in "ab"}))
     touch = parse_table("kind,q1_rad,plane\nplane,0,floor\n", "t.csv")
+    # A gauge reads a distance on either side of the plane; a length has no sides.
+    either = parse_table("kind,q1_rad,plane,length_mm\nplane,0,floor,-0.02\nplane,0,floor,0\n", "t.csv")
+    np.testing.assert_allclose(either.value, [-2e-5, 0.0])
     check_against_rig(touch, Rig(planes={"floor": Plane("floor", point, (0.0, 0.0, 1.0), 1e-5)}))
     with pytest.raises(TableError, match="column plane: 'floor' is not in the rig"):
         check_against_rig(touch, Rig())

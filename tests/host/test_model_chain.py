@@ -19,7 +19,8 @@ from truearm.model.chain import (
     point_jacobians,
     trace_point,
 )
-from truearm.model.transforms import MOTIONS, elementary
+from truearm.model.robot import builtin_robot
+from truearm.model.transforms import MOTIONS, cos_sin, elementary
 
 AMOUNT = st.floats(-3.0, 3.0, allow_nan=False)
 
@@ -126,6 +127,26 @@ def test_along_is_the_point_jacobian_read_along_a_direction(chain, seed):
     np.testing.assert_allclose(rows.jac_point, np.einsum("nc,nck->nk", u, rot), atol=1e-12)
 
 
+@pytest.mark.parametrize("name", ["puma560", "ur10e", "ulb"])
+def test_wrenches_are_as_many_as_parameters_can_be_seen(name):
+    chain, rng = builtin_robot(name).chain, np.random.default_rng(3)
+    n_r, n_p = (sum(m.motion[0] == kind for m in chain.movers) for kind in "rt")
+    q, u = rng.uniform(-2, 2, (200, len(chain.joints))), rng.normal(size=(200, 3))
+    p_end = rng.normal(size=(200, 3))
+    rows = along(trace_point(chain, chain.params_nominal, q, p_end), u)
+    n = 6 + 4 * n_r + 2 * n_p + sum(m.gain is not None for m in chain.movers)
+    assert rows.wrenches.shape == (200, n)
+    assert np.linalg.matrix_rank(rows.wrenches, tol=1e-9 * np.linalg.norm(rows.wrenches)) == n
+
+
+def test_cosine_and_sine_by_the_half_angle():
+    rng = np.random.default_rng(4)
+    turns = np.pi * np.arange(-6, 7) / 2
+    angle = np.concatenate([turns, turns + 1e-9, np.nextafter(turns, 9), rng.uniform(-1e3, 1e3, 1000)])
+    # Four roundings of 1.1e-16, and the tangent's own (up to 4 units in the last place).
+    np.testing.assert_allclose(np.stack(cos_sin(angle)), np.stack([np.cos(angle), np.sin(angle)]), atol=1e-15)
+
+
 def scara():
     """Two revolute joints and a prismatic one along −z, whose gain is no parameter."""
     elements = (
@@ -207,3 +228,15 @@ def test_wrong_shapes_are_refused():
         forward(chain, chain.params_nominal, np.zeros(4))
     with pytest.raises(RobotError, match="4 parameters"):
         forward(chain, np.zeros(5), np.zeros(3))
+
+
+def test_whole_numbers_are_numbers_too():
+    """Integer params must not cut a fixed constant, 0.7 rad, to 0."""
+    elements = (Element("rx", 0.7), Element("tx", parameter=0), Element("rz", joint=0), Element("ty", 0.5))
+    chain = Chain("c", elements, (Parameter("a", "m", 0.0),), (Joint("j", "revolute", -3.0, 3.0),))
+    np.testing.assert_array_equal(forward(chain, np.array([1]), np.array([2])), forward(chain, [1.0], [2.0]))
+    whole, real = (
+        point_jacobians(chain, np.array([1], kind), np.array([[2]], kind), np.zeros(3)) for kind in (int, float)
+    )
+    for a, b in zip(whole, real, strict=True):
+        np.testing.assert_array_equal(a, b)

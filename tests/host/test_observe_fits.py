@@ -27,7 +27,7 @@ from truearm.estimate.fit import fit
 from truearm.estimate.identify import identify
 from truearm.estimate.information import observe, seen, spectrum, weighed
 from truearm.estimate.lm import DAMPING_START
-from truearm.estimate.noise import checked_joint_cov, residual_cov, whitened
+from truearm.estimate.noise import checked_joint_cov, residual_cov, whiten
 from truearm.estimate.problem import build_problem
 from truearm.estimate.rows import whitened_blocks
 from truearm.estimate.solution import Options
@@ -263,14 +263,20 @@ def test_whitening_is_the_root_of_the_inverse_covariance():
     sensor, joints = half @ np.swapaxes(half, 1, 2), rng.normal(size=(6, 6))
     jac, joint_cov, f = rng.normal(size=(21, 6)), joints @ joints.T, rng.normal(size=(21, 2))
     cov = residual_cov(sensor, jac, joint_cov)
-    white = whitened(f, cov).reshape(7, 3, 2)
+
+    def whitened(cov):
+        rows = f.reshape(7, 3, 2).copy()
+        whiten(rows.T, cov)
+        return rows
+
+    white = whitened(cov)
     for i in range(7):
         part, g = f.reshape(7, 3, 2)[i], jac.reshape(7, 3, 6)[i]
         by_hand = part.T @ np.linalg.solve(sensor[i] + g @ joint_cov @ g.T, part)
         np.testing.assert_allclose(white[i].T @ white[i], by_hand, rtol=1e-9)  # condition 1e5 or so
     variances = rng.uniform(1.0, 2.0, (7, 3))
     as_matrix = variances[:, :, None] * np.eye(3)
-    np.testing.assert_allclose(whitened(f, variances), whitened(f, as_matrix), rtol=1e-14)
+    np.testing.assert_allclose(whitened(variances), whitened(as_matrix), rtol=1e-14)
     np.testing.assert_allclose(
         residual_cov(variances, jac, joint_cov), residual_cov(as_matrix, jac, joint_cov), rtol=1e-14
     )
@@ -321,6 +327,26 @@ def test_whitened_residuals_are_in_their_own_sigma():
     np.testing.assert_allclose(kinds["seat"], 0.0, atol=1e-6)
     half = weighed(replace(problem, joint_cov=np.diag(S_Q)), problem.start)
     assert (distances(half, values(problem, truth))[t.kind == "line"] < kinds["line"]).all()
+
+
+@pytest.mark.parametrize("free", [FREE, np.ones(54, bool), np.arange(54) == 7, np.zeros(54, bool)])
+def test_folded_wrenches_say_what_the_jacobian_says(free):
+    """``observe`` folds wrenches and multiplies by twists in the end; here the Jacobian's own rows are multiplied out."""
+    rig, t, _ = everything(np.random.default_rng(9))
+    problem = replace(build_problem(CHAIN, rig, t), joint_cov=np.diag(S_Q))
+    columns = np.concatenate([free, np.arange(len(problem.names) - 54) % 3 > 0])
+    found, k = observe(problem, problem.start, columns), int(columns.sum())
+    gram = np.zeros((k + 1, k + 1))
+    for block in whitened_blocks(problem, problem.start, columns):
+        rows = np.concatenate([block.jac, block.residual[..., None]], axis=2).reshape(-1, k + 1)
+        gram += rows.T @ rows
+    # Both are sums of some 200 products; their rounding is in proportion to the columns' lengths.
+    length = np.maximum(np.sqrt(np.diag(gram)), 1e-300)
+    cosine = gram / length / length[:, None]
+    root, rhs = found.root / length[:k], found.rhs / length[k]
+    np.testing.assert_allclose(root.T @ root, cosine[:k, :k], atol=1e-12)
+    np.testing.assert_allclose(root.T @ rhs, cosine[k, :k], atol=1e-12)
+    np.testing.assert_allclose(found.chi2, gram[k, k], rtol=1e-12)
 
 
 def test_two_rigs_of_one_robot_share_the_robot():

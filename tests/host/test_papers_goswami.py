@@ -154,11 +154,35 @@ def test_constant_tool_orientation_silently_loses_parameters():
     """With one orientation each sphere is the same constant step from the others: three spheres see no more than one.
 
     A vertical tool with the wrist in the arm's plane, the lazy way to keep an orientation, aligns joint axes and loses
-    six more.
+    six more. docs/decisions/0007 has the table.
     """
     rng = np.random.default_rng(5)
+
+    def vertical(*, turns=1, flips=1):
+        q = vertical_tool_poses(80, rng)
+        turned_over = np.arange(80) % flips == 1
+        q[turned_over] = q[turned_over] * (1, 1, 1, 1, -1, 1) + np.pi * np.array([0, 0, 0, 1, 0, -1])
+        q[:, 5] += np.arange(80) % turns
+        return q
+
+    def still():
+        return random_poses(80, rng) * (1, 1, 1, 0, 0, 0) + np.radians([0, 0, 0, 20, 60, 30])
+
+    def on_shell(pair):
+        return constant_orientation_poses(80, rng, shell=(CHUCKS[pair[0]], SPHERES[pair[1]]))
+
+    def tilted(of):
+        tilt = {name: 0.3 * rng.normal(size=3) for name in (*CHUCKS, *SPHERES)}
+        return lambda pair: constant_orientation_poses(80, rng, tilt[pair[of]])
+
     assert rank(roots(DESIGN, lambda _: constant_orientation_poses(80, rng)), PAIRS) == 33
-    assert rank(roots(DESIGN, lambda _: vertical_tool_poses(80, rng)), PAIRS) == 27
+    assert rank(roots(DESIGN, on_shell), PAIRS) == 33
+    assert [rank(roots(DESIGN, tilted(of)), PAIRS) for of in (0, 1)] == [36, 36]
+    assert rank(roots(DESIGN, lambda _: vertical(flips=2)), PAIRS) == 33
+    assert rank(roots(DESIGN, lambda _: vertical(turns=2)), PAIRS) == 29
+    assert rank(roots(DESIGN, lambda _: vertical(turns=3)), PAIRS) == 29
+    assert rank(roots(DESIGN, lambda _: vertical()), PAIRS) == 27
+    assert rank(roots(DESIGN, lambda _: still()), PAIRS) == 21
 
 
 @pytest.fixture(scope="module")

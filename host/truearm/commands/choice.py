@@ -107,27 +107,39 @@ def _random_rows(table: ObservationTable, fraction: float, seed: int) -> Mask:
     return mask
 
 
-def free_parameters(names: Sequence[str], default: Mask, free: Sequence[str], freeze: Sequence[str]) -> Mask:
+def free_parameters(
+    names: Sequence[str], default: Mask, free: Sequence[str], freeze: Sequence[str], also: Sequence[str] = ()
+) -> Mask:
     """Mask (p,) of the parameters to identify: those that match a pattern of ``free`` (``default`` where there is none)
-    and none of ``freeze``. Patterns are a shell's (``joint*.offset``).
+    or of ``also``, and none of ``freeze``. Patterns are a shell's (``joint*.offset``), several in a text stand between
+    commas.
 
     Raises InputError for a pattern that matches nothing and where no parameter is left.
     """
-    chosen = _matching(names, "--free", free) if free else default
+    chosen = (_matching(names, "--free", free) if free else default) | _matching(names, "--also-free", also)
     mask: Mask = chosen & ~_matching(names, "--freeze", freeze)
     if not mask.any():
         raise InputError("no parameter is left to identify; see --free and --freeze")
     return mask
 
 
-def _matching(names: Sequence[str], option: str, patterns: Sequence[str]) -> Mask:
+def _matching(names: Sequence[str], option: str, given: Sequence[str]) -> Mask:
     mask = np.zeros(len(names), dtype=bool)
-    for pattern in patterns:
+    for pattern in (pattern.strip() for text in given for pattern in _parts(text, names)):
         matches = np.array([fnmatchcase(name, pattern) for name in names])
         if not matches.any():
-            close = difflib.get_close_matches(pattern, names, n=3) or list(names[:3])
-            raise InputError(
-                f"{option} {pattern}: matches no parameter of the robot; names are like {', '.join(close)}"
-            )
+            raise InputError(f"{option} {pattern}: matches no parameter of the robot; {_near(pattern, names)}")
         mask |= matches
     return mask
+
+
+def _parts(text: str, names: Sequence[str]) -> list[str]:
+    """The patterns between commas; a joint of a URDF may have a comma in its name."""
+    return [text] if text in names else text.split(",")
+
+
+def _near(pattern: str, names: Sequence[str]) -> str:
+    """What may have been meant: names or kinds of parameters like the pattern, else some of both."""
+    kinds = list(dict.fromkeys(f"*.{name.rpartition('.')[2]}" for name in names))
+    close = difflib.get_close_matches(pattern[:80], [*names, *kinds], n=3)
+    return f"names are like {', '.join(close or [*names[:2], *kinds])}"

@@ -19,6 +19,7 @@ import typer
 from truearm.errors import LinkError
 
 if TYPE_CHECKING:
+    from truearm.commands.page import Judged
     from truearm.files.plan import Plan
     from truearm.model.robot import Robot
     from truearm.record.status import Status
@@ -181,18 +182,17 @@ class Calibration:
     estimate: Estimate
     all_free: Estimate
     longitude: Floats  # (n,) rad, of the sphere about its chuck, identified robot
+    judged: Judged
 
 
 def calibrate(out: Path, table: ObservationTable) -> Calibration:
     """Fit the 46 cm shells, judge by the 61 cm ones; writes result.json."""
-    import numpy as np
-
     from truearm.commands.inputs import hashed_inputs
+    from truearm.commands.page import judge, longitudes
     from truearm.estimate.identify import identify
     from truearm.files.result import RobotFrames, document_of, write_result
     from truearm.files.rig import read_rig
     from truearm.files.robot import joint_units, load_robot
-    from truearm.model.chain import point_forward
 
     robot, rig = load_robot("puma560"), read_rig(out / "rig.toml")
     chain, held_out = robot.chain, table.bar == VALIDATED
@@ -200,11 +200,10 @@ def calibrate(out: Path, table: ObservationTable) -> Calibration:
     all_free = identify(chain, rig, table, hold_out=held_out)
     frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, joint_units(chain))
     inputs = hashed_inputs([out / "session.mcap"], "puma560", out / "rig.toml")
-    write_result(out / "result.json", document_of(estimate, table, frames, inputs, [f"bar={VALIDATED}"], "none"))
-    spheres = np.array([rig.spheres[name].xyz for name in table.sphere])
-    chucks = np.array([rig.chucks[name].xyz for name in table.chuck])
-    p_chuck_sphere = point_forward(chain, estimate.value[: estimate.n_robot_parameters], table.q, spheres) - chucks
-    return Calibration(robot, rig, estimate, all_free, np.arctan2(p_chuck_sphere[:, 1], p_chuck_sphere[:, 0]))
+    judged = judge(chain, rig, table, estimate)
+    document = document_of(estimate, table, frames, inputs, [f"bar={VALIDATED}"], "none", *judged)
+    write_result(out / "result.json", document)
+    return Calibration(robot, rig, estimate, all_free, longitudes(chain, rig, table, estimate), judged)
 
 
 def write_page(out: Path, found: Calibration, result: SyncResult, truth: ClockTruth, steps: Steps) -> Path:
@@ -221,7 +220,7 @@ def write_page(out: Path, found: Calibration, result: SyncResult, truth: ClockTr
         steps=tuple(steps.done),
         command=f"truearm demo --out {out}",
         validation=found.estimate.held_out,
-        notes=(),
+        predicted=found.judged.predicted,
     )
     path = out / "report.html"
     path.write_text(render(page), encoding="utf-8")

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from truearm.errors import InputError
-
-if TYPE_CHECKING:
-    from truearm.commands.choice import Mask
-    from truearm.types import Estimate
 
 
 class Prior(StrEnum):
@@ -23,6 +19,7 @@ class Prior(StrEnum):
 
     none = "none"
     weak = "weak"
+    wide = "wide"
 
 
 class Solver(StrEnum):
@@ -55,16 +52,20 @@ class _Request:
     hold_out: list[str]
     seed: int
     free: list[str]
+    also_free: list[str]
     freeze: list[str]
     prior: Prior | None
     solver: Solver
     loss: Loss
     max_iterations: int
     save_table: Path | None
+    report: Path | None
+    command: str
     allow_damaged: bool
 
 
 def identify(
+    context: typer.Context,
     inputs: Annotated[
         list[Path], typer.Argument(metavar="INPUT", help="Sessions (.mcap) and tables (.csv); all are read as one.")
     ],
@@ -86,7 +87,7 @@ def identify(
         typer.Option(
             metavar="[NAME=]FILE",
             help="Chucks, spheres, bars, sockets, devices (.toml). With a name: for the rows that have it in their "
-            "column rig (repeatable).",
+            "column rig, and for the session of that name, a.mcap's being a (repeatable). Default: each session's own.",
         ),
     ] = None,
     hold_out: Annotated[
@@ -102,6 +103,13 @@ def identify(
         list[str] | None,
         typer.Option(metavar="PATTERN", help="Identify only parameters that match, as 'joint*.offset' (repeatable)."),
     ] = None,
+    also_free: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATTERN",
+            help="Identify these too, beside what the robot file frees: '*.gain,link3.y' (repeatable).",
+        ),
+    ] = None,
     freeze: Annotated[
         list[str] | None, typer.Option(metavar="PATTERN", help="Hold parameters that match (repeatable).")
     ] = None,
@@ -111,7 +119,8 @@ def identify(
     prior: Annotated[
         Prior | None,
         typer.Option(
-            help="weak: nominal to 1 mm, 5 mrad. Default: weak for a URDF and for --solver map, none else; ls has none."
+            help="Nominal to 1 mm, 5 mrad (weak) or 10 mm, 52 mrad (wide). Default: weak for a URDF, else wide for "
+            "--solver map, none for the others; ls has none."
         ),
     ] = None,
     solver: Annotated[
@@ -132,6 +141,9 @@ def identify(
     save_table: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write all observations as one table (CSV).")
     ] = None,
+    report: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a page about the result, with pictures (HTML).")
+    ] = None,
     allow_damaged: Annotated[
         bool,
         typer.Option(
@@ -150,12 +162,13 @@ def identify(
     Example:
       truearm identify poses.csv --robot puma560 --rig rig.toml --hold-out shell=s61
     """
-    from truearm.commands.inputs import check_files, rig_files
+    from truearm.commands.inputs import check_files
+    from truearm.commands.rigs import rig_files
     from truearm.files.result import format_document, write_result
 
     _check_solver(solver, loss, prior)
     rigs = rig_files(rig or [])
-    check_files(inputs, robot, rigs, out, save_table)
+    check_files(inputs, robot, rigs, out, save_table, report)
     request = _Request(
         inputs=inputs,
         robot=robot,
@@ -165,12 +178,15 @@ def identify(
         hold_out=hold_out or [],
         seed=seed,
         free=["*"] if all_free else free or [],
+        also_free=also_free or [],
         freeze=freeze or [],
         prior=prior,
         solver=solver,
         loss=loss,
         max_iterations=max_iterations,
         save_table=save_table,
+        report=report,
+        command=shlex.join(["truearm", *(context.obj or [])]),
         allow_damaged=allow_damaged,
     )
     document = _identified(request)
@@ -188,23 +204,26 @@ def _check_solver(solver: Solver, loss: Loss, prior: Prior | None) -> None:
     """Raise InputError for what a solver would silently ignore."""
     if loss is not Loss.linear and solver not in (Solver.lm, Solver.map):
         raise InputError(f"--loss {loss} goes with the solvers lm and map; {solver} has no robust loss")
-    if prior is Prior.weak and solver is Solver.ls:
-        raise InputError("--prior weak is nothing to --solver ls, which knows no prior; use map")
+    if prior in (Prior.weak, Prior.wide) and solver is Solver.ls:
+        raise InputError(f"--prior {prior} is nothing to --solver ls, which knows no prior; use map")
 
 
 def _prior(request: _Request, is_urdf: bool) -> Prior:
     """What was asked for; else what the solver or the robot needs."""
     if request.prior is not None or request.solver is Solver.ls:
         return request.prior or Prior.none
-    return Prior.weak if is_urdf or request.solver is Solver.map else Prior.none
+    if is_urdf:
+        return Prior.weak
+    return Prior.wide if request.solver is Solver.map else Prior.none
 
 
 def _identified(request: _Request) -> dict[str, Any]:
     """Read everything, identify, and return the content of result.json."""
     from truearm.commands.choice import free_parameters, held_out_rows
     from truearm.commands.inputs import hashed_inputs, observed
+    from truearm.commands.page import judge, write_page
     from truearm.estimate.identify import identify as estimate_parameters
-    from truearm.estimate.prior import free_without_gains, weak_prior
+    from truearm.estimate.prior import free_without_gains, weak_prior, wide_prior
     from truearm.files.result import RobotFrames, document_of
     from truearm.files.robot import is_urdf, joint_units, load_robot
     from truearm.files.table import write_table
@@ -216,48 +235,25 @@ def _identified(request: _Request) -> dict[str, Any]:
     # A URDF says nothing of what to hold; its constants are redundant, which the weak prior settles.
     by_default = free_without_gains(chain) if is_urdf(request.robot) else robot.free
     prior = _prior(request, is_urdf(request.robot))
-    free = free_parameters(chain.parameter_names, by_default, request.free, request.freeze)
+    free = free_parameters(chain.parameter_names, by_default, request.free, request.freeze, request.also_free)
     if request.save_table is not None:
         write_table(request.save_table, table, units)
 
-    def fit(mask: Mask, solver: str, loss: str) -> Estimate:
-        return estimate_parameters(
-            chain,
-            rig,
-            table,
-            free=mask,
-            hold_out=held_out,
-            prior_sigma=weak_prior(chain) if prior is Prior.weak else None,
-            solver=solver,
-            loss=loss,
-            prefer=by_default,
-            max_iterations=request.max_iterations,
-        )
-
-    estimate = fit(free, request.solver, request.loss)
-    # The nominal robot's errors are no faults of rows: no gate and no robust loss where the rig is fitted to it.
-    estimate = _with_fair_before(estimate, lambda mask: fit(mask, Solver.lm, Loss.linear))
+    estimate = estimate_parameters(
+        chain,
+        rig,
+        table,
+        free=free,
+        hold_out=held_out,
+        prior_sigma=None if prior is Prior.none else {Prior.weak: weak_prior, Prior.wide: wide_prior}[prior](chain),
+        solver=request.solver,
+        loss=request.loss,
+        prefer=by_default,
+        max_iterations=request.max_iterations,
+    )
+    judged = judge(chain, rig, table, estimate)
+    if request.report is not None:
+        write_page(request.report, chain, rig, table, estimate, judged, prior.value, request.command)
     frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, units)
     files = hashed_inputs(request.inputs, request.robot, *request.rigs.values())
-    return document_of(estimate, table, frames, files, request.hold_out, prior.value)
-
-
-def _with_fair_before(estimate: Estimate, fit: Callable[[Mask], Estimate]) -> Estimate:
-    """The estimate with, as "before", what the nominal robot reaches once the rig's unknowns are fitted to it.
-
-    A ball or a chuck whose place nobody measured is no error of the robot; with the rig as guessed the identification
-    would be credited with finding it.
-    """
-    import numpy as np
-
-    n_robot = estimate.n_robot_parameters
-    if len(estimate.parameter_names) == n_robot:
-        return estimate
-    nominal = fit(np.zeros(n_robot, dtype=bool))
-    return replace(
-        estimate,
-        rms_before=nominal.rms_after,
-        rms_history=(nominal.rms_after, *estimate.rms_history[1:]),
-        held_out_before=nominal.held_out,
-        residual_before=nominal.residual,
-    )
+    return document_of(estimate, table, frames, files, request.hold_out, prior.value, *judged)

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from truearm.errors import InputError
-
 if TYPE_CHECKING:
     from truearm.report.reproduce_page import Chapter, ReproducePage
     from truearm.reproduce.goswami import Bench
+
+MARK = ".truearm-reproduce"  # in a folder that reproduce made and may write again
 
 
 class Paper(StrEnum):
@@ -55,11 +55,10 @@ def reproduce(
     Example:
       truearm reproduce goswami --quick
     """
+    from truearm.files.disk import own_folder
+
     folder = out or Path("out") / paper.value
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as exc:
-        raise InputError(f"{folder}: cannot be made: {exc.strerror}") from exc
+    own_folder(folder, MARK)
     page = reproduced(paper, quick, seed, f"truearm reproduce {paper.value} --seed {seed}{' --quick' * quick}")
     write(folder, page)
 
@@ -93,15 +92,18 @@ def planned_bench(n_poses: int, seed: int) -> Bench:
 
 def write(folder: Path, page: ReproducePage) -> None:
     """report.html and numbers.json, and a summary on the terminal."""
+    from truearm.files.disk import write_atomic
     from truearm.report.reproduce_page import NOT_REPRODUCED, counts, document, render
 
-    (folder / "numbers.json").write_text(
-        json.dumps(document(page), indent=1, ensure_ascii=False, allow_nan=False), encoding="utf-8"
-    )
-    (folder / "report.html").write_text(render(page), encoding="utf-8")
+    numbers = json.dumps(document(page), indent=1, ensure_ascii=False, allow_nan=False)
+    write_atomic(folder / "numbers.json", numbers)
+    write_atomic(folder / "report.html", render(page))
     typer.echo("\n" + ", ".join(f"{number} {verdict}" for verdict, number in counts(page).items()))
     for chapter in page.chapters:
         for claim in chapter.claims:
             if claim.verdict == NOT_REPRODUCED:
-                typer.echo(f"  {claim.what}: paper {claim.paper:g}, ours {claim.ours:.3g} {claim.unit}. {claim.why}")
+                unit = f" {claim.unit}" * (claim.unit not in ("", "1"))
+                typer.echo(
+                    f"  {claim.what}: paper {claim.paper:g}{unit}, ours {claim.ours:.3g}{unit}. {claim.why}".rstrip()
+                )
     typer.echo(f"\nreport          {folder / 'report.html'}\nnumbers         {folder / 'numbers.json'}")

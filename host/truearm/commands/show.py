@@ -6,6 +6,7 @@ Everything is taken from the content of result.json, so that what is printed and
 from __future__ import annotations
 
 import math
+import re
 import sys
 from collections.abc import Mapping, Sized
 from pathlib import Path
@@ -15,6 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from truearm.commands.terminal import one_line
+from truearm.report.words import kind_name, proposal
 
 Document = Mapping[str, Any]
 
@@ -35,19 +37,26 @@ def show_result(document: Document, out: Path | None) -> None:
     for line in relabelled(document):
         console.print(line)
     console.print(headline(document))
+    console.print(how(document))
     console.print(_parameter_table(document))
     for line in unseen(document):
         console.print(line)
     console.print(_error_table(document))
-    for line in (*chi2_notes(document), *suspects(document), *held_out_notes(document)):
+    notes = (chi2_notes, suspects, held_out_notes, predicted, seen)
+    for line in (line for words in notes for line in words(document)):
         console.print(line)
     for line in advice(document, out):
         console.print(line)
 
 
 def relabelled(document: Document) -> list[str]:
-    """Warnings of rows that fit another chuck or sphere than they name."""
+    """Warnings of rows that fit another chuck or sphere than they name, or that this was not looked for."""
     entries = document["relabellings"]
+    if document["relabelling_search"] == "too many groups":
+        return [
+            "Wrong labels? The residuals are as large as wrong chucks or spheres would make them, but the rows have too "
+            "many pairings to search them all. Identify fewer pairings at a time."
+        ]
     if not entries:
         return []
     rows: dict[str, list[str]] = {}
@@ -73,11 +82,21 @@ def _pairing(names: list[str]) -> str:
 
 def headline(document: Document) -> str:
     """One line: the robot, the observations, how the solver ended."""
-    kinds = ", ".join(f"{k['fitted']} {k['kind']}" for k in document["observations"] if k["fitted"])
+    fitted: dict[str, int] = {}
+    for entry in document["observations"]:
+        fitted[entry["kind"]] = fitted.get(entry["kind"], 0) + entry["fitted"]
+    kinds = ", ".join(f"{n} {kind}" for kind, n in fitted.items() if n)
     held = sum(k["held_out"] for k in document["observations"])
     rows = kinds + (f" to fit, {held} held out" if held else " to fit")
     end = f"{document['status']} in {document['iterations']} iterations"
     return f"{one_line(document['robot']['name'])}: {rows}; {end}; rank {document['rank']} of {document['n_free']} free"
+
+
+def how(document: Document) -> str:
+    """One line: the solver and what it believed."""
+    prior = "without a prior" if document["prior"] == "none" else f"with a {document['prior']} prior of the robot"
+    loss = "" if document["loss"] == "linear" else f", {document['loss']} loss"
+    return f"Solved by {document['solver']} {prior}{loss}."
 
 
 def _parameter_table(document: Document) -> Table:
@@ -105,16 +124,29 @@ def parameter_cells(parameter: Mapping[str, Any]) -> tuple[str, ...]:
 
 def unseen(document: Document) -> list[str]:
     """What the observations cannot see, a line each."""
-    directions = document["null_space"]
-    if not directions:
+    directions, weak = document["null_space"], document["hardly_seen"]
+    if not directions and not weak:
         return ["The observations see every free parameter."]
-    what = _counted(directions, "combination")
-    lines = [
-        f"{what} of parameters cannot be seen; predictions do not depend on {'it' if what[:2] == '1 ' else 'them'}:"
-    ]
-    lines += [f"  {direction_text(direction)}" for direction in directions[:MAX_DIRECTIONS]]
+    lines = []
+    if directions:
+        what = _counted(directions, "combination")
+        which = "it" if what[:2] == "1 " else "them"
+        lines.append(f"{what} of parameters cannot be seen; predictions do not depend on {which}:")
+        lines += _directions(directions, "null_space")
+    if weak:
+        what = _counted(weak, "combination")
+        lines.append(
+            f"{what} of parameters {'is' if what[:2] == '1 ' else 'are'} hardly seen, less well than a drawing tells "
+            "(1 mm, 5 mrad, 0.001 of a gain):"
+        )
+        lines += _directions(weak, "hardly_seen")
+    return lines
+
+
+def _directions(directions: list[Mapping[str, Any]], field: str) -> list[str]:
+    lines = [f"  {direction_text(direction)}" for direction in directions[:MAX_DIRECTIONS]]
     if len(directions) > MAX_DIRECTIONS:
-        lines.append(f"  and {len(directions) - MAX_DIRECTIONS} more (null_space in the JSON result)")
+        lines.append(f"  and {len(directions) - MAX_DIRECTIONS} more ({field} in the JSON result)")
     return lines
 
 
@@ -131,14 +163,49 @@ def _error_table(document: Document) -> Table:
     table = Table(box=None, pad_edge=False)
     for title in ("error [mm]", "before", "after", "rows"):
         table.add_column(title, justify="left" if title == "error [mm]" else "right")
-    fitted = sum(k["fitted"] for k in document["observations"])
+    entries = document["observations"]
+    fitted = sum(k["fitted"] for k in entries)
     table.add_row("fitted, RMS", _mm(document["rms_before_mm"]), _mm(document["rms_after_mm"]), str(fitted))
+    for entry in (k for k in entries if k["fitted"] and len(entries) > 1):
+        cells = (_mm(entry["rms_before_mm"]), _mm(entry["rms_after_mm"]), str(entry["fitted"]))
+        table.add_row(f"  {_of(entry)}", *cells)
     if document["held_out"]:
         for key, title in (("rms_mm", "RMS"), ("mean_mm", "mean"), ("max_mm", "largest")):
             before, after = (document[name] or {} for name in ("held_out_before", "held_out"))
             rows = str(document["held_out"]["n"])
             table.add_row(f"held out, {title}", _mm(before.get(key)), _mm(after.get(key)), rows)
     return table
+
+
+def _of(entry: Mapping[str, Any]) -> str:
+    """A kind of observation, and its rig where there are several."""
+    return one_line(f"{entry['rig']}: {kind_name(entry['kind'])}" if entry["rig"] else kind_name(entry["kind"]))
+
+
+def predicted(document: Document) -> list[str]:
+    """How far the tool may be off, and measured orientations."""
+    lines = [
+        f"Rotation of the {_of(entry)} rows: {entry['rms_rotation_deg']:.3g} deg RMS after."
+        for entry in document["observations"]
+        if entry["rms_rotation_deg"] is not None
+    ]
+    error = document["predicted_error"]
+    if error is not None:
+        where = " (the base's own place apart)" if error["relative"] else ""
+        lines.append(
+            f"By these sigmas the tool errs by {_mm(error['rms_mm'])} mm RMS over {error['n']} poses{where}, at most "
+            f"{_mm(error['max_mm'])} mm, at {one_line(error['at'])}."
+        )
+    return lines
+
+
+def seen(document: Document) -> list[str]:
+    """The observability indices of the set that can be told apart."""
+    indices = document["observability"]
+    if indices is None or any(value is None for value in indices.values()):
+        return []
+    named = ", ".join(f"{name.upper()} {value:.3g}" for name, value in indices.items())
+    return [f"Observability of {_counted(document['suggested_free'], 'parameter')}: {named} (larger is better)."]
 
 
 def chi2_notes(document: Document) -> list[str]:
@@ -190,9 +257,7 @@ def advice(document: Document, out: Path | None) -> list[str]:
     if document["solver"] == "renders-1991":
         lines.append(f"The solver {one_line(document['message'])}.")
     elif document["status"] != "converged":
-        lines.append(
-            f"The fit stopped early: {one_line(document['message'])}. Raise --max-iterations, or check the units."
-        )
+        lines.append(_stopped(document))
     if document["chi2_reduced"] is not None and document["chi2_reduced"] > CHI2_DOUBTFUL:
         factor = math.sqrt(document["chi2_reduced"])
         # Least squares and robust losses read the noise from the residuals.
@@ -222,6 +287,17 @@ def advice(document: Document, out: Path | None) -> list[str]:
     return lines
 
 
+def _stopped(document: Document) -> str:
+    """Why a fit may not have come to its end: what is hardly seen is a long valley, in which Levenberg–Marquardt creeps."""
+    raised = "Raise --max-iterations, or check" if document["status"] == "max_iterations" else "Check"
+    line = f"The fit stopped early: {one_line(document['message'])}. {raised} the units."
+    if any(re.fullmatch(r"(.*\.)?line\.[^.]*\.rx", parameter["name"]) for parameter in document["parameters"]):
+        line += " A straight line hardly shows its device's roll: give it in the rig, with turn_sigma_deg."
+    if document["hardly_seen"] and document["prior"] == "none":
+        line += " What is hardly seen makes a fit creep: a prior holds it, as --solver map has."
+    return line
+
+
 def further_measurements(document: Document) -> list[str]:
     """The most useful proposal of each kind."""
     best: dict[str, Mapping[str, Any]] = {}
@@ -237,19 +313,7 @@ def _counted(things: Sized, name: str) -> str:
 
 
 def _proposal(addition: Mapping[str, Any]) -> str:
-    match addition["kind"]:
-        case "pairing":
-            return f"measure with {_pairing(addition['names'])} too"
-        case "poses":
-            return "measure with what is mounted in poses that differ more"
-        case "chuck" | "sphere" as what:
-            return f"measure with one more {what}, not in line with the others,"
-        case "ball_bar":
-            return "measure with a ball-bar, three chucks and three spheres,"
-        case "line":
-            return "measure a new line with the line device"
-        case _:
-            return "seat the ball at a new place"
+    return proposal(addition["kind"], [one_line(name) for name in addition["names"]])
 
 
 def _few(addition: Mapping[str, Any]) -> str:

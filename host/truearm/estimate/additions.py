@@ -1,8 +1,9 @@
 """What more to measure: which further poses, pairing, chuck, sphere, line or place would let which parameter be told.
 
-Asked only where the rank falls short of what is free. Each proposal is tried: some rows as it would give them, at the
-estimate, are folded into the information that there is, and pivoted QR is asked which columns beyond the suggested set
-have become independent (``identifiability.suggested_free``). The rows need not be reachable to the millimetre or free of
+Asked only where the rank falls short of what is free, or where it does not but some of it is hardly seen. Each proposal is
+tried: some rows as it would give them, at the estimate, are folded into the information that there is, and pivoted QR is
+asked which columns beyond the suggested set have become independent (``identifiability.suggested_free``), or are told to
+better than their units (``identifiability.told_apart``). The rows need not be reachable to the millimetre or free of
 collisions, since a rank does not depend on where exactly they stand: it is the same for nearly all poses.
 """
 
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.estimate.identifiability import suggested_free
+from truearm.estimate.identifiability import suggested_free, told_apart
 from truearm.estimate.information import fold, observe, with_prior
 from truearm.estimate.problem import Rigs, build_problem, settled
 from truearm.model.chain import Chain, point_forward, point_jacobians
@@ -36,11 +37,13 @@ def additions(
     root: Floats,
     known: Mapping[str, float],
     taken: NDArray[np.bool_],
+    unit: Floats | None = None,
 ) -> tuple[Addition, ...]:
     """Proposals that help, each alone, the most useful first.
 
     root (k, k): what is known of the free parameters ``names`` (k,), of which the first ``taken.size`` are the robot's;
-    ``taken`` of them can be told apart. ``known``: the estimate by name.
+    ``taken`` of them can be told apart, to better than ``unit`` (taken.size,) if it is given. ``known``: the estimate by
+    name.
     """
     if taken.all() or len(table) == 0:
         return ()
@@ -48,7 +51,8 @@ def additions(
     one, prefix = _first_rig(rig, table)
     found = []
     for kind, labels, their_rig, rows in _proposals(here, one, table):
-        more = suggested_free(*_with(here, their_rig, rows, prefix, names, root, known, taken.size), taken, taken)
+        wide, n_robot = _with(here, their_rig, rows, prefix, names, root, known, taken.size)
+        more = suggested_free(wide, n_robot, taken, taken) if unit is None else told_apart(wide, n_robot, unit, taken)
         gained = np.flatnonzero(more & ~taken).tolist()
         if gained:
             found.append(Addition(kind, labels, int(more.sum()), tuple(names[i] for i in gained)))

@@ -30,7 +30,7 @@ from truearm.observe.ball_bar import BallBarRows
 from truearm.observe.plane import PlaneRows
 from truearm.observe.pose import PoseRows
 from truearm.observe.position import PositionRows
-from truearm.observe.rotation import rotation
+from truearm.observe.rotation import rotation, rotation_vector
 from truearm.observe.rows import Indices
 from truearm.observe.seat import SeatRows
 from truearm.observe.socket_distance import SocketDistanceRows
@@ -188,7 +188,7 @@ def _measured(
     moving = _moving(scope)
     offset = Number(f"{scope.prefix}time_offset", "s", scope.rig.time_offset, or_inf(scope.rig.time_offset_sigma))
     clock = Used([""], [[offset if moving else offset._replace(sigma=0.0)]], np.zeros(len(rows), dtype=np.intp))
-    declared = [rotation(np.array(d.rotation if d.xyz is not None else (0.0, 0.0, 0.0))) for d in devices]
+    declared = [rotation(np.array(d.rotation)) for d in devices]
     cov = _device_cov(scope, rows, devices, which)
 
     def make(layout: Layout) -> PositionRows:
@@ -219,8 +219,12 @@ def _device_numbers(scope: Scope, called: tuple[str, str], device: Device, xyz: 
     elif 0.0 in sigmas:
         raise ProblemError(f"{name} has sigma 0, known exactly, but no xyz that says where it is")
     else:
-        rule = scope.rig.line_placement if called[0] == "line" else "least_squares"
-        values = [*np.concatenate(position.place(xyz, p_base, line.placement_weights(xyz, rule)))]
+        declared = rotation(np.array(device.rotation))
+        if called[0] == "line":
+            p, rot = line.place(xyz, p_base, declared, scope.rig.line_placement, device.turn_sigma is not None)
+        else:
+            p, rot = position.place(xyz, p_base, declared)
+        values = [*p, *rotation_vector(rot @ declared.T)]
     units = ("m", "m", "m", "rad", "rad", "rad")
     parts = zip((*XYZ, "rx", "ry", "rz"), units, values, sigmas, strict=True)
     return [Number(f"{name}.{k}", unit, float(value), sigma) for k, unit, value, sigma in parts]

@@ -23,7 +23,7 @@ from truearm.types import Floats
 
 def fit(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Options, damping: float) -> Solution:
     """Minimise from x (P,) over x[columns], beginning with ``damping``; the prior's mean is the problem's start."""
-    part, iterations = x[columns], 0
+    part, iterations, prior = x[columns], 0, problem.prior_sigma[columns]
     for loss in STAGES[options.loss]:
         linearise, cost = _callbacks(problem, columns, x, loss)
         minimum = lm.minimise(
@@ -40,12 +40,13 @@ def fit(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Option
     message = minimum.message.replace(f"after {minimum.iterations} ", f"after {iterations} ")
     if options.loss == "linear":
         claimed = covariance(spectrum(minimum.information.root))
-        return Solution(x, minimum.status, message, iterations, minimum.information, claimed, np.ones(problem.n_rows))
+        weights, information = np.ones(problem.n_rows), minimum.information
+        return Solution(x, minimum.status, message, iterations, information, claimed, weights, prior)
     _, moments, weights = observe_robustly(problem, x, columns, options.loss)
     data = observe(problem, x, columns)
-    claimed = sandwich(data.root, problem.prior_sigma[columns], moments, data.n_residuals)
+    claimed = sandwich(data.root, prior, moments, data.n_residuals)
     information = with_prior(data, *prior_error(problem, columns, x))
-    return Solution(x, minimum.status, message, iterations, information, claimed, weights)
+    return Solution(x, minimum.status, message, iterations, information, claimed, weights, prior)
 
 
 def _counted(before: int, options: Options) -> Callable[[int, Information], None]:

@@ -13,6 +13,12 @@ until nothing is left. Which of several equivalent parameters to hold is a matte
 with the robot's file (``Robot.free``): preferred columns are taken before all others. The columns taken before remain
 taken when rows are added, since rows cannot make independent columns dependent; so what an addition would add is the
 difference of two such sets.
+
+A direction may count and still be useless. Poses of one tool orientation lose three combinations of parameters, but only
+if the arm keeps that orientation exactly; a real one does to some milliradians, which lifts the three far above rounding.
+So directions are also held against what a maker's drawing tells, a ``unit`` for each parameter (1 mm, 5 mrad, 0.001 of a
+gain): columns whitened and in these units have a singular value s for a combination that the data alone tell to 1/s of
+them, and where s < 1 it is hardly seen.
 """
 
 from __future__ import annotations
@@ -28,6 +34,7 @@ from truearm.estimate.information import RANK_TOLERANCE, scaled_columns
 from truearm.types import Floats, NullDirection, Observability
 
 NO_PART = 1e-6  # weight, in scaled parameters, below which a parameter takes no part in a direction
+SMALL_PART = 0.05  # the same, in units, for a direction that is hardly seen, in which all parameters have some part
 
 
 class Identifiability(NamedTuple):
@@ -64,9 +71,7 @@ def observability(root: Floats, n_robot: int, chosen: NDArray[np.bool_], unit: F
     and Pathre 1990), o3 = s_min (Nahvi and others 1994), o4 = s_min²/s_max (Nahvi and Hollerbach 1996). All are 0 where
     something is not seen at all, NaN where there is nothing to see.
     """
-    scaled, scale = scaled_columns(root)
-    rest = project_out(scaled[:, :n_robot], scaled[:, n_robot:]) * (scale[:n_robot] * unit)
-    singular = np.linalg.svd(rest[:, chosen], compute_uv=False)
+    singular = np.linalg.svd(_in_units(root, n_robot, unit)[:, chosen], compute_uv=False)
     if singular.size == 0 or n_rows == 0:
         return Observability(*(float("nan"),) * 4)
     least, most = float(singular[-1]), float(singular[0])
@@ -96,6 +101,33 @@ def suggested_free(
     return out
 
 
+def hardly_seen(root: Floats, n_robot: int, unit: Floats, names: Sequence[str]) -> tuple[NullDirection, ...]:
+    """Directions of the robot's columns that count, but that the data tell to no better than ``unit`` (n_robot,)."""
+    rest = _in_units(root, n_robot, unit)
+    if rest.size == 0:
+        return ()
+    _, singular, vt = np.linalg.svd(rest)
+    weak = (singular < 1.0) & (singular > RANK_TOLERANCE * singular[0])
+    return _directions(vt[weak].T, 1.0 / unit, names[:n_robot], SMALL_PART)
+
+
+def told_apart(root: Floats, n_robot: int, unit: Floats, taken: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
+    """(n_robot,) as many columns as there are directions told to better than ``unit``, the ``taken`` ones first."""
+    rest = _in_units(root, n_robot, unit)
+    out = np.zeros(n_robot, dtype=bool) if taken is None else taken.copy()
+    more = int((np.linalg.svd(rest, compute_uv=False) >= 1.0).sum() - out.sum())
+    if more > 0:
+        order = scipy.linalg.qr(project_out(rest[:, ~out], rest[:, out]), mode="r", pivoting=True)[1]
+        out[np.flatnonzero(~out)[order[:more]]] = True
+    return out
+
+
+def _in_units(root: Floats, n_robot: int, unit: Floats) -> Floats:
+    """The robot's columns, whitened, the rig projected out, by units of their parameters."""
+    scaled, scale = scaled_columns(root)
+    return np.asarray(project_out(scaled[:, :n_robot], scaled[:, n_robot:]) * (scale[:n_robot] * unit))
+
+
 def project_out(wanted: Floats, unwanted: Floats) -> Floats:
     """(I − U Uᵀ) wanted, U an orthonormal basis of the columns of ``unwanted``."""
     if unwanted.shape[1] == 0:
@@ -123,7 +155,9 @@ def _gap(singular: Floats, rank: int) -> float:
     return float(singular[rank - 1] / singular[rank])
 
 
-def _directions(basis: Floats, scale: Floats, names: Sequence[str]) -> tuple[NullDirection, ...]:
+def _directions(
+    basis: Floats, scale: Floats, names: Sequence[str], least: float = NO_PART
+) -> tuple[NullDirection, ...]:
     """The null space (c, d), scaled, as readable directions in SI units, each with its largest weight 1."""
     d = basis.shape[1]
     if d == 0:
@@ -132,7 +166,7 @@ def _directions(basis: Floats, scale: Floats, names: Sequence[str]) -> tuple[Nul
     own = basis @ np.linalg.inv(basis[pivots])
     out = []
     for column in own[:, np.argsort(pivots)].T:
-        part = np.flatnonzero(np.abs(column) > NO_PART).tolist()
+        part = np.flatnonzero(np.abs(column) > least).tolist()
         weights = column[part] / scale[part]
         weights = weights / weights[np.argmax(np.abs(weights))]
         out.append(NullDirection(tuple(names[i] for i in part), tuple(float(w) for w in weights)))

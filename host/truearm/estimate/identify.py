@@ -14,16 +14,16 @@ from truearm.estimate import ls, recursive, renders1991
 from truearm.estimate import map as map_
 from truearm.estimate.additions import additions
 from truearm.estimate.fit import fit
-from truearm.estimate.identifiability import identifiability, observability, suggested_free
-from truearm.estimate.information import RANK_TOLERANCE, Information, half, observe, seen, spectrum, with_prior
+from truearm.estimate.identifiability import hardly_seen, identifiability, observability, suggested_free, told_apart
+from truearm.estimate.information import RANK_TOLERANCE, Information, half, observe, spectrum, with_prior
 from truearm.estimate.lm import DAMPING_START
 from truearm.estimate.prior import WEAK_SIGMA
 from truearm.estimate.problem import Problem, Rigs, build_problem, evaluate, settled
 from truearm.estimate.relabel import relabellings
 from truearm.estimate.robust import LOSSES
 from truearm.estimate.rows import only, standardised
-from truearm.estimate.solution import Options, Solution, Solver
-from truearm.estimate.uncertainty import chi2_band
+from truearm.estimate.solution import Options, Solution, Solver, of_data
+from truearm.estimate.uncertainty import goodness, prior_shares
 from truearm.model.chain import Chain
 from truearm.observe.socket_distance import SocketDistanceRows
 from truearm.types import Estimate, Floats, HeldOut, ObservationTable
@@ -87,23 +87,27 @@ def identify(
         if progress is not None:
             progress(iteration, history[-1])
 
-    before = observe(problem, problem.start, columns).residual
+    x_before, before = _before(problem, max_iterations)
     options = Options(max_iterations, loss, damping == "plain", on_step)
     found = SOLVERS[solver](problem, columns, problem.start, options)
     x, information = found.x, found.information
     parts = spectrum(information.root)
-    freedom = information.n_residuals - int(seen(parts).sum())
+    fit_quality = goodness(*of_data(problem, columns, found), prior_shares(half(parts), found.prior_sigma))
     data = _data_root(problem, columns, found)
     names = [name for name, is_free in zip(problem.names, columns, strict=True) if is_free]
     sight = identifiability(data.root, int(free.sum()), names)
     suggested = suggested_free(data.root, int(free.sum()), prefer[free])
     unit = np.array([WEAK_SIGMA[p.unit] for p in chain.parameters])[free]
+    weak = hardly_seen(data.root, suggested.size, unit, names)
+    only_weak = suggested.all() and len(weak) > 0
+    wanting = (told_apart(data.root, suggested.size, unit), unit) if only_weak else (suggested, None)
     known = dict(zip(problem.names, x, strict=True))
+    labels = relabellings(chain, rig, table, ~held, free, prior_sigma, _rms(information.residual))
     distance, beyond = standardised(problem, x, columns, half(parts), found.weight)
     identifiable = _spread(sight.identifiable, columns)
     matrix = np.zeros((x.size, x.size))
     matrix[np.ix_(columns, columns)] = found.covariance
-    held_before, error_before = _judge(problem, problem.start, rig, table, held)
+    held_before, error_before = _judge(problem, x_before, rig, table, held)
     held_after, error_after = _judge(problem, x, rig, table, held)
     estimate = Estimate(
         status=found.status,
@@ -126,7 +130,7 @@ def identify(
         rms_before=_rms(before),
         rms_after=_rms(information.residual),
         rms_history=(_rms(before), *history),
-        chi2_reduced=information.chi2 / freedom if freedom > 0 else float("nan"),
+        chi2_reduced=fit_quality.reduced,
         held_out=held_after,
         held_out_before=held_before,
         residual=_merge(information.residual, error_after, held),
@@ -134,14 +138,17 @@ def identify(
         fitted=~held,
         seconds=0.0,
         loss=loss,
-        chi2_band=chi2_band(freedom),
+        chi2_band=fit_quality.band,
+        chi2_freedom=fit_quality.freedom,
         distance=_merge(distance, np.nan, held),
         weight=_merge(found.weight, np.nan, held),
         suspect=_spread(beyond, ~held),
         observability=observability(data.root, int(free.sum()), suggested, unit, data.n_residuals),
         suggested_free=_spread(suggested, free),
-        additions=additions(chain, rig, table.select(~held), names, data.root, known, suggested),
-        relabellings=relabellings(chain, rig, table, ~held, free, prior_sigma, _rms(information.residual)),
+        hardly_seen=weak,
+        additions=additions(chain, rig, table.select(~held), names, data.root, known, *wanting),
+        relabellings=labels.found,
+        relabelling_search=labels.status,
     )
     return replace(estimate, seconds=time.perf_counter() - started)
 
@@ -154,6 +161,20 @@ def _check_choice(solver: str, loss: str, damping: str) -> None:
         raise ProblemError(f"solver {solver} has no robust loss; use {' or '.join(WITH_LOSS)}, or loss linear")
     if damping != "scaled" and solver != "lm":
         raise ProblemError(f"solver {solver} has no damping to choose; use lm")
+
+
+def _before(problem: Problem, max_iterations: int) -> tuple[Floats, Floats]:
+    """x (P,) and residuals (n_rows,) of the robot as described, once what the rig leaves unknown is fitted to it.
+
+    A ball or a chuck whose place nobody measured is no error of the robot; with the rig as guessed the identification
+    would be credited with finding it.
+    """
+    rig_only = np.arange(len(problem.names)) >= problem.n_robot
+    if not rig_only.any():
+        return problem.start, observe(problem, problem.start, rig_only).residual
+    # The nominal robot's errors are no faults of rows: no gate and no robust loss.
+    found = fit(problem, rig_only, problem.start, Options(max_iterations), DAMPING_START)
+    return found.x, found.information.residual
 
 
 def _data_root(problem: Problem, columns: NDArray[np.bool_], found: Solution) -> Information:

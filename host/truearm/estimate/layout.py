@@ -67,9 +67,8 @@ class Layout:
 
 def enumerate_labels(labels: Sequence[Hashable]) -> tuple[list[Hashable], Indices]:
     """Distinct labels in order of appearance, and which of them each row has."""
-    order: dict[Hashable, int] = {}
-    which = np.array([order.setdefault(label, len(order)) for label in labels], dtype=np.intp)
-    return list(order), which
+    order = {label: i for i, label in enumerate(dict.fromkeys(labels))}
+    return list(order), np.fromiter(map(order.__getitem__, labels), dtype=np.intp, count=len(labels))
 
 
 def look_up(

@@ -28,7 +28,8 @@ def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Opti
     rank = int(seen(spectrum(data.root)).sum())
     square = found.information.chi2 - float((((problem.start - found.x)[columns]) ** 2).sum()) / P0
     variance = square / max(data.n_residuals - rank, 1)
-    return found._replace(information=data, covariance=found.covariance * variance)
+    no_prior = np.full(columns.sum(), np.inf)
+    return found._replace(information=data, covariance=found.covariance * variance, prior_sigma=no_prior)
 
 
 def unweighted(problem: Problem, p0: float = P0) -> Problem:

@@ -41,21 +41,19 @@ def residual_cov(sensor_cov: Floats, jac_joints: Floats, joint_cov: Floats | Non
     return np.asarray(joint + sensor_cov)
 
 
-def whitened(rows: Floats, cov: Floats) -> Floats:
-    """Rows (n·w, k) of n observations divided by the root of their covariance, (n, w) variances or (n, w, w).
+def whiten(stacked: Floats, cov: Floats) -> None:
+    """Divide (k, w, n) in place by the root of n covariances, (n, w) variances or (n, w, w).
 
     With C⁻¹ = L Lᵀ they become L⁻¹ rows, whose noise is of unit covariance.
     """
     if cov.ndim == 2:
-        return np.asarray(rows / np.sqrt(cov).reshape(-1, 1))
-    n, w = cov.shape[:2]
-    root = np.linalg.cholesky(cov)
-    out = rows.reshape(n, w, -1).copy()
-    for i in range(w):  # forward substitution, all observations at once
-        if i:
-            out[:, i] -= (root[:, i, None, :i] @ out[:, :i])[:, 0]
-        out[:, i] /= root[:, i, i, None]
-    return out.reshape(rows.shape)
+        stacked *= 1.0 / np.sqrt(cov.T)
+        return
+    root = np.moveaxis(np.linalg.cholesky(cov), 0, 2).copy()  # (w, w, n)
+    for i in range(len(root)):  # forward substitution, all observations at once
+        for j in range(i):
+            stacked[:, i] -= root[i, j] * stacked[:, j]
+        stacked[:, i] /= root[i, i]
 
 
 def checked_joint_cov(matrix: Matrix, joints: int) -> Floats | None:

@@ -11,17 +11,21 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.estimate.information import Information, covariance, fold, observe, spectrum
+from truearm.estimate.information import Information, covariance, fold, observe, spectrum, with_prior
 from truearm.estimate.lm import promise, step
 from truearm.estimate.problem import Problem
 from truearm.estimate.solution import Options, Solution, prior_error, whole
 from truearm.types import Floats
 
-RUN_END = 0.01  # of the RMS residual: "further runs do not improve the solution"
+RUN_END = 0.01  # of the RMS residual, or of the declared noise where that is larger
 
 
 def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Options) -> Solution:
-    """Run after run from x (P,) over x[columns], until the RMS residual falls by less than 1 %."""
+    """Run after run from x (P,) over x[columns], until "further runs do not improve the solution".
+
+    That is when the RMS residual falls by less than 1 %, or by less than 1 % of the declared noise: on data without
+    noise it fades as 1/runs for ever, since what the first linearisation got wrong does.
+    """
     error, sigma = prior_error(problem, columns, x)
     prior = np.diag(np.where(np.isfinite(sigma), 1.0 / sigma, 0.0))
     data = observe(problem, x, columns)
@@ -36,16 +40,19 @@ def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Opti
         there = whole(x, columns, x[columns] + delta)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             now = observe(problem, there, columns)
-        gain = 1.0 - float(np.linalg.norm(now.residual) / max(np.linalg.norm(data.residual), np.finfo(float).tiny))
+        fall = np.sqrt(data.chi2) - np.sqrt(now.chi2)
+        least = RUN_END * np.sqrt(max(data.chi2, data.n_residuals))
         x, data, prior, error, runs = there, now, root, np.zeros_like(error), runs + 1
         if options.on_step is not None:
             options.on_step(runs, data.residual)
-        if abs(gain) < RUN_END:
+        if abs(fall) < least:
             status = "converged"
             break
-    information = Information(prior, np.zeros_like(error), data.chi2, data.n_residuals, data.residual)
+    # x itself follows the data about as with one prior and k times their weight, so with σ of the prior times √k.
+    sigma = sigma * np.sqrt(max(runs, 1))
+    information = with_prior(data, (problem.start - x)[columns], sigma)
     claimed = covariance(spectrum(prior))
-    return Solution(x, status, warning(runs), runs, information, claimed, np.ones(problem.n_rows))
+    return Solution(x, status, warning(runs), runs, information, claimed, np.ones(problem.n_rows), sigma)
 
 
 def warning(runs: int) -> str:

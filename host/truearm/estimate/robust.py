@@ -64,16 +64,18 @@ def tuning(loss: str, width: int) -> float:
 
 
 class Moments(NamedTuple):
-    """Sums over observations for the covariance: of a, of b, and their number."""
+    """Sums over observations for the covariance: of a, of b, of the weights, and their number."""
 
     a: float = 0.0
     b: float = 0.0
+    weight: float = 0.0
     n: int = 0
 
     def plus(self, seen: Weighted, length: Floats, width: int) -> Moments:
         return Moments(
             self.a + float((seen.weight + seen.slope / width).sum()),
             self.b + float(((seen.weight * length) ** 2).sum()) / width,
+            self.weight + float(seen.weight.sum()),
             self.n + length.size,
         )
 
@@ -85,7 +87,10 @@ def sandwich(data_root: Floats, prior_sigma: Floats, moments: Moments, n_scalar:
     number of scalar residuals.
     """
     k = prior_sigma.size
-    a, b = moments.a / moments.n, moments.b / moments.n * n_scalar / max(n_scalar - k, 1)
+    # Where most rows lie beyond c, as with a wrong rig, the mean curvature of cauchy is negative and says nothing. With the
+    # mean weight in its place the result is (JᵀJ)⁻¹ times the square of the residuals, as least squares has it.
+    a = (moments.a if moments.a > 0.0 else moments.weight) / moments.n
+    b = moments.b / moments.n * n_scalar / max(n_scalar - k, 1)
     prior = np.diag(np.where(np.isfinite(prior_sigma), 1.0 / prior_sigma, 0.0))
     inverse = covariance(spectrum(fold(np.sqrt(a) * data_root, prior)))
     half = fold(np.sqrt(b) * data_root, prior) @ inverse

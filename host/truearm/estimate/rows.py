@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from truearm.estimate.information import Information, fold, note
-from truearm.estimate.noise import residual_cov, whitened
+from truearm.estimate.noise import residual_cov, whiten
 from truearm.estimate.problem import Problem, blocks, evaluate
 from truearm.estimate.robust import Moments, weigh
 from truearm.observe.rows import Indices, take
@@ -45,9 +45,9 @@ def whitened_blocks(
         if residual_m is not None:
             note(block, lin.residual, residual_m)
         cov = residual_cov(block.sensor_cov, lin.jac_joints, problem.joint_cov)
-        n = len(cov)
         stacked = np.concatenate([lin.jac_params[:, columns], lin.residual[:, None]], axis=1)
-        stacked = whitened(stacked, cov).reshape(n, lin.residual.size // n, -1)
+        stacked = stacked.reshape(len(cov), cov.shape[1], -1)
+        whiten(stacked.T, cov)
         row = None if isinstance(block, SocketDistanceRows) else block.row
         yield Block(row, stacked[:, :, :-1], stacked[:, :, -1], _root(cov))
 

@@ -32,6 +32,7 @@ class Solution(NamedTuple):
     information: Information  # at x, of the observations that were used and the prior, unweighted
     covariance: Floats  # (k, k) as the solver claims it; zero along what is not seen
     weight: Floats  # (n_rows,) 1: as declared; 0: left out; between: a robust loss's
+    prior_sigma: Floats  # (k,) σ of the prior in ``information``, about the problem's start; inf for none
 
 
 Solver = Callable[[Problem, NDArray[np.bool_], Floats, Options], Solution]
@@ -47,3 +48,10 @@ def whole(x: Floats, columns: NDArray[np.bool_], part: Floats) -> Floats:
 def prior_error(problem: Problem, columns: NDArray[np.bool_], x: Floats) -> tuple[Floats, Floats]:
     """The prior about x[columns]: mean − x (k,) and σ (k,)."""
     return (problem.start - x)[columns], problem.prior_sigma[columns]
+
+
+def of_data(problem: Problem, columns: NDArray[np.bool_], found: Solution) -> tuple[float, int]:
+    """χ² and number of scalar residuals of the observations alone, the prior's part taken off."""
+    some = np.isfinite(found.prior_sigma)
+    error = (problem.start - found.x)[columns][some] / found.prior_sigma[some]
+    return max(found.information.chi2 - float(error @ error), 0.0), found.information.n_residuals - int(some.sum())

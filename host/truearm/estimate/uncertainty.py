@@ -1,13 +1,27 @@
-"""What a covariance of the parameters means: for χ², for single rows, and for where the robot's end really is.
+"""What an estimate is worth: how well it fits (χ²), and where the robot's end really is (its covariance).
+
+**χ².** Reported is the squared sum of the whitened residuals of the n data alone, at the estimate, over ν = n − tr(H),
+H = J(JᵀJ + M)⁻¹Jᵀ being what the fit follows the data with (M: the prior's information). With h the eigenvalues of H and
+1 − h the share that the prior has in each direction, let the true parameters lie about the prior's mean with c² times the
+prior's covariance: c = 1 is a true prior, c → 0 one that is far too wide. The residuals (I − H)(ε + Jδ) have the covariance
+
+    (I − H)(I + c²JM⁻¹Jᵀ)(I − H) ,   along an eigenvector (1 − h)² + c²·h(1 − h) ,
+
+so χ² is a sum of n squares with these weights. For a true prior the weights are 1 − h, their sum is ν and the mean of
+χ²/ν is 1. For one too wide the mean falls by Σh(1 − h)/ν: by nothing where data or prior decide alone (h near 1 or 0),
+by ¼/ν for each direction in which they weigh alike. The weights grow with c, hence all quantiles do; a band from the lower
+quantile of c = 0 to the upper of c = 1 holds χ²/ν with at least its probability for every prior that is true or too wide.
+Without a prior H is a projection, ν = n − rank and both ends are those of χ²(ν). Sums of weighted squares are taken for
+a χ² of the same mean and variance (Satterthwaite 1946); nearly all weights are 1.
+
+The whole cost, prior included, would be χ²(n) for a true prior but has the mean ν for one too wide: it would tell more of
+how wide the prior was than of the residuals. A prior too tight raises both, as it should: data and prior disagree.
 
 **Cartesian error** (Renders 1991, II-D). To first order a point of the end errs by J Δ, so with the parameters'
 covariance Σ the error has covariance J Σ Jᵀ, 3 × 3 at each pose. Σ = diag(tolerance²) gives the a priori analysis of the
 paper: how large the error will be before anything was measured, where it is largest (points worth measuring: III-G), and
 in which direction of motion it is smallest. Σ = P gives the same a posteriori. P must be that of all free parameters
 together: the parameters alone may be uncertain by metres along directions that no pose shows.
-
-**Leverage.** The residual of a row that took part in the fit is smaller than its error, e = (I − H)·ν, because the fit
-followed it. Standardised residuals divide that out, so that each is χ of its width if the model is right.
 """
 
 from __future__ import annotations
@@ -22,6 +36,15 @@ from truearm.model.chain import Chain, point_jacobians
 from truearm.types import Floats
 
 CHUNK = 2048  # poses whose Jacobians (3 × p each) are held at once
+LEAST_FREEDOM = 0.5  # of a residual
+
+
+class Goodness(NamedTuple):
+    """How well an estimate fits the data: χ²/ν, ν, and where χ²/ν lies if model, σ and prior are right."""
+
+    reduced: float
+    freedom: float
+    band: tuple[float, float]
 
 
 class CartesianError(NamedTuple):
@@ -40,13 +63,35 @@ class CartesianError(NamedTuple):
         return int(np.argmax(self.rms))
 
 
-def chi2_band(freedom: int, probability: float = 0.95) -> tuple[float, float]:
-    """Where χ²/freedom lies with ``probability`` if model and σ are right; NaN without freedom."""
-    if freedom < 1:
-        return float("nan"), float("nan")
+def prior_shares(covariance_root: Floats, prior_sigma: Floats) -> Floats:
+    """(r,) 1 − h in each direction that is seen, 0 where the data decide and 1 where the prior does.
+
+    covariance_root (k, r): S with SSᵀ = (JᵀJ + M)⁻¹, prior_sigma (k,): inf for none.
+    """
+    return np.asarray(np.linalg.svd(covariance_root / prior_sigma[:, None], compute_uv=False) ** 2)
+
+
+def goodness(chi2: float, n: int, shares: Floats, probability: float = 0.95) -> Goodness:
+    """χ² of n whitened data, judged. ``shares`` (r,) is the prior's in the r directions that data or prior determine.
+
+    All NaN but the degrees of freedom where these are fewer than LEAST_FREEDOM, since then everything fits.
+    """
+
+    def total(power: int) -> float:
+        return n - shares.size + float((shares**power).sum())
+
+    freedom = max(total(1), 0.0)
+    if freedom < LEAST_FREEDOM:
+        return Goodness(float("nan"), freedom, (float("nan"), float("nan")))
     tail = (1.0 - probability) / 2.0
-    low, high = special.chdtri(freedom, [1.0 - tail, tail]) / freedom
-    return float(low), float(high)
+    low = _quantile(total(2), total(4), tail) / freedom
+    high = _quantile(total(1), total(2), 1.0 - tail) / freedom
+    return Goodness(chi2 / freedom, freedom, (low, high))
+
+
+def _quantile(mean: float, squares: float, probability: float) -> float:
+    """Of Σwz², z normal, with Σw = mean and Σw² = squares (Satterthwaite)."""
+    return float(squares / mean * special.chdtri(mean**2 / squares, 1.0 - probability))
 
 
 def predicted_error(chain: Chain, params: Floats, covariance: Floats, q: Floats, p_end_point: Floats) -> CartesianError:

@@ -65,7 +65,7 @@ def write_atomic(path: Path, text: str) -> None:
 
     Raises InputError when the folder is missing or cannot be written, or ``path`` is no regular file.
     """
-    path = path.resolve()
+    path = _real(path)
     _check_regular(path)
     try:
         descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name[:100]}.", dir=path.parent)
@@ -104,6 +104,13 @@ def check_writable(path: Path, *, inputs: Iterable[Path] = (), ours: Callable[[b
     Called before long work, not instead of handling errors. ``inputs`` are files that must not be overwritten; ``ours``
     says by its first kilobyte whether a file that exists is one that we wrote and may replace.
     """
+    try:
+        _check_writable(path, inputs, ours)
+    except OSError as exc:  # a name that is too long, a folder that may not be looked into
+        raise InputError(f"{path}: cannot be written: {exc.strerror}") from exc
+
+
+def _check_writable(path: Path, inputs: Iterable[Path], ours: Callable[[bytes], bool] | None) -> None:
     if path.is_dir():
         raise InputError(f"{path}: is a directory; give the name of a file to write")
     _check_regular(path)
@@ -124,7 +131,12 @@ def same_file(a: Path, b: Path) -> bool:
     try:
         return a.samefile(b)
     except OSError:
-        return a.resolve() == b.resolve()
+        return _real(a) == _real(b)
+
+
+def _real(path: Path) -> Path:
+    """Where a path leads; unlike ``Path.resolve`` it takes links that lead in a circle."""
+    return Path(os.path.realpath(path))
 
 
 def own_folder(path: Path, mark: str) -> None:
@@ -142,5 +154,7 @@ def own_folder(path: Path, mark: str) -> None:
 
 
 def _check_regular(path: Path) -> None:
+    if path.is_symlink() and not path.exists() and _real(path).is_symlink():
+        raise InputError(f"{path}: is a link that leads in a circle; give another name")
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: is not a regular file; give the name of a file to write")

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from truearm import __version__
 from truearm.errors import InputError
 from truearm.files.disk import read_text, sha256, write_atomic
-from truearm.types import Estimate, Floats, HeldOut, Observability, ObservationTable, Relabelling
+from truearm.types import Estimate, Floats, HeldOut, Observability, ObservationTable, PredictedError, Relabelling
 
 FORMAT = "truearm-result"
 FORMAT_VERSION = 1
@@ -78,10 +78,13 @@ def document_of(
     inputs: Sequence[Input],
     held_out_by: Sequence[str] = (),
     prior: str = "none",
+    angle: Floats | None = None,
+    predicted: PredictedError | None = None,
 ) -> dict[str, Any]:
     """The content of result.json for an estimate from ``table``.
 
-    ``held_out_by`` and ``prior`` are what the user asked to hold out, and the name of the robot's prior.
+    ``held_out_by`` and ``prior`` are what the user asked to hold out, and the name of the robot's prior. ``angle`` (n,) [rad]
+    is the rotation's residual of the rows of kind pose (NaN of others), ``predicted`` how far the tool may be off.
     """
     names = np.array(estimate.parameter_names)
     return {
@@ -102,25 +105,29 @@ def document_of(
         "prior": prior,
         "iterations": estimate.iterations,
         "n_observations": estimate.n_observations,
-        "observations": _counts(estimate, table),
+        "observations": _counts(estimate, table, np.full(len(table), np.nan) if angle is None else angle),
         "n_free": int(estimate.free[: estimate.n_robot_parameters].sum()),
         "rank": estimate.rank,
         "rank_gap": _number(estimate.rank_gap),
         "free": names[estimate.free].tolist(),
         "suggested_free": names[np.flatnonzero(estimate.suggested_free)].tolist(),
         "null_space": [{"names": list(d.names), "weights": _numbers(d.weights)} for d in estimate.null_space],
+        "hardly_seen": [{"names": list(d.names), "weights": _numbers(d.weights)} for d in estimate.hardly_seen],
         "observability": _observability(estimate.observability),
         "additions": [_lists(addition._asdict()) for addition in estimate.additions],
         "relabellings": [_relabelling(r, table) for r in estimate.relabellings],
+        "relabelling_search": estimate.relabelling_search,
         "rms_before_mm": _mm(estimate.rms_before),
         "rms_after_mm": _mm(estimate.rms_after),
         "rms_history_mm": [_mm(rms) for rms in estimate.rms_history],
         "chi2_reduced": _number(estimate.chi2_reduced),
         "chi2_band": _numbers(estimate.chi2_band),
+        "chi2_freedom": _number(estimate.chi2_freedom),
         "suspect": _suspects(estimate, table),
         "held_out_by": list(held_out_by),
         "held_out": _held_out(estimate.held_out),
         "held_out_before": _held_out(estimate.held_out_before),
+        "predicted_error": _predicted(predicted),
         "parameters": _parameters(estimate),
         "covariance": {
             "names": names[estimate.free].tolist(),
@@ -130,16 +137,25 @@ def document_of(
     }
 
 
-def _counts(estimate: Estimate, table: ObservationTable) -> list[dict[str, Any]]:
-    return [
-        {
-            "kind": str(kind),
-            "fitted": int(np.sum((table.kind == kind) & estimate.fitted)),
-            "held_out": int(np.sum((table.kind == kind) & ~estimate.fitted)),
-            **{f"{what}s": _distinct(table, what, (table.kind == kind) & estimate.fitted) for what in COUNTED},
-        }
-        for kind in np.unique(table.kind)
-    ]
+def _counts(estimate: Estimate, table: ObservationTable, angle: Floats) -> list[dict[str, Any]]:
+    entries = []
+    for rig, kind in sorted(set(zip(table.rig.tolist(), table.kind.tolist(), strict=True))):
+        mine = (table.rig == rig) & (table.kind == kind)
+        fitted, held_out = mine & estimate.fitted, mine & ~estimate.fitted
+        entry = {"rig": rig, "kind": kind, "fitted": int(fitted.sum()), "held_out": int(held_out.sum())}
+        entry |= {f"{what}s": _distinct(table, what, fitted) for what in COUNTED}
+        entry["rms_before_mm"] = _mm(_rms(estimate.residual_before[fitted]))
+        entry["rms_after_mm"] = _mm(_rms(estimate.residual[fitted]))
+        entry["rms_held_out_mm"] = _mm(_rms(estimate.residual[held_out]))
+        entry["rms_rotation_deg"] = _number(math.degrees(_rms(angle[fitted])))
+        entries.append(entry)
+    return entries
+
+
+def _rms(values: Floats) -> float:
+    """Of the finite ones; NaN where there are none."""
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else math.nan
 
 
 def _distinct(table: ObservationTable, what: str, rows: NDArray[np.bool_]) -> int:
@@ -208,6 +224,18 @@ def _held_out(held_out: HeldOut | None) -> dict[str, Any] | None:
         "n": held_out.n,
         "n_settled": held_out.n_settled,
         "n_left_out": held_out.n_left_out,
+    }
+
+
+def _predicted(predicted: PredictedError | None) -> dict[str, Any] | None:
+    if predicted is None:
+        return None
+    return {
+        "rms_mm": _mm(predicted.rms),
+        "max_mm": _mm(predicted.largest),
+        "at": Path(predicted.source).name,
+        "n": predicted.n,
+        "relative": predicted.relative,
     }
 
 

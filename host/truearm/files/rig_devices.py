@@ -31,8 +31,6 @@ def device(table: Mapping[str, Any], name: str, where: str) -> Device:
     angles = keys(("rotation", "turn_sigma", "rotation_sigma"), RADIANS)
     check_keys(table, {"name", "covariance_m2"} | keys(("sigma", "xyz", "position_sigma")) | angles, where)
     placed = any(key in table for key in keys(("xyz",)))
-    if not placed and any(key in table for key in keys(("rotation",), RADIANS)):
-        raise RigError(f"{where}: has a rotation but no xyz_m (or xyz_mm); give both or neither")
     sigmas = (
         sigma_or_unknown(table, "position_sigma", where, "unknown"),
         sigma_or_unknown(table, "turn_sigma", where, "unknown", RADIANS),
@@ -122,7 +120,9 @@ def device_text(key: str, thing: Device) -> str:
     """The entry of a line or tracker."""
     lines = [f"[[{key}]]", f"name = {json.dumps(thing.name)}", f"covariance_m2 = {matrix_text(thing.sensor_cov)}"]
     if thing.xyz is not None:
-        lines += [f"xyz_m = {numbers(thing.xyz)}", f"rotation_rad = {numbers(thing.rotation)}"]
+        lines.append(f"xyz_m = {numbers(thing.xyz)}")
+    if thing.xyz is not None or any(thing.rotation):
+        lines.append(f"rotation_rad = {numbers(thing.rotation)}")
     lines += [f"position_sigma_m = {sigma_text(thing.sigma)}", f"turn_sigma_rad = {sigma_text(thing.turn_sigma)}"]
     if thing.rotation_sigma is not None:
         lines.append(f"rotation_sigma_rad = {float(thing.rotation_sigma)!r}")

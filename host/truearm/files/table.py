@@ -71,12 +71,13 @@ def parse_table(text: str, name: str, joint_units: Sequence[str] | None = None) 
         raise TableError(f"{name}: has a header but no rows of observations")
     kind = _kinds(rows, columns["kind"], name)
     ids = {id_: identifiers(rows, columns.get(id_), name) for id_ in IDS}
-    value = numbers(rows, columns.get("length"), name, LARGEST["m"], positive=True)
+    value = numbers(rows, columns.get("length"), name, LARGEST["m"])
     sigma = numbers(rows, columns.get("sigma"), name, LARGEST_SIGMA, positive=True)
     xyz = together([numbers(rows, columns.get(k), name, LARGEST["m"]) for k in POINT], rows, "x, y and z", name)
     turn = together([numbers(rows, columns.get(k), name, LARGEST_TURN) for k in TURN], rows, "rx, ry and rz", name)
     measured = {"length": ~np.isnan(value), "point": ~np.isnan(xyz[:, 0]), "turn": ~np.isnan(turn[:, 0])}
     _check_kinds(rows, kind, {**ids, **measured}, name)
+    _check_lengths(rows, (kind == "ball_bar") & (value <= 0.0), columns.get("length"), name)
     q = np.stack(
         [numbers(rows, joint, name, LARGEST[base_unit(joint.unit)], required=True) for joint in joints], axis=1
     )
@@ -107,6 +108,15 @@ def _check_kinds(rows: list[Row], kind: np.ndarray, cells: dict[str, np.ndarray]
         for quantity in leaves[kind[i]]:
             if cells[quantity][i]:
                 raise TableError(f"{where}: a {kind[i]} row has no {_titled(quantity)}; leave that cell empty")
+
+
+def _check_lengths(rows: list[Row], bad: np.ndarray, column: Column | None, name: str) -> None:
+    """A bar has a length; the distance from a plane may be on either side of it."""
+    if column is None:
+        return
+    for i in np.flatnonzero(bad):
+        cell = shown(rows[i].cells[column.position])
+        raise TableError(f"{name} row {rows[i].number} column {column.name}: {cell} must be greater than 0")
 
 
 def _titled(quantity: str) -> str:

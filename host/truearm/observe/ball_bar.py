@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from truearm.model.chain import Chain, along, trace_point
-from truearm.observe.rows import Indices, Linearised, gather, scatter, widen
+from truearm.observe.rows import Indices, Linearised, gather, no_columns, scatter
 from truearm.types import Floats
 
 WIDTH = 1  # scalar residuals an observation
@@ -37,7 +37,7 @@ class BallBarRows:
 
 
 def evaluate(chain: Chain, rows: BallBarRows, x: Floats) -> Linearised:
-    """Residual (n,), jac_params (n, P), jac_joints (n, j) at x (P,)."""
+    """Residuals (n,) and their derivatives at x (P,)."""
     p = len(chain.parameters)
     trace = trace_point(chain, x[:p], rows.q, gather(x, rows.constants, rows.sphere))
     bar = trace.p_base - gather(x, rows.constants, rows.chuck)
@@ -48,9 +48,9 @@ def evaluate(chain: Chain, rows: BallBarRows, x: Floats) -> Linearised:
     predicted = declared_zero + ratio * (d - zero)
     # A sphere in the chuck's centre has no direction: such a row says nothing to first order.
     u = bar * (ratio / np.where(d > 0.0, d, 1.0))[:, None]
-    derivative = along(trace, u)
-    jac = widen(derivative.jac_params, x.size)
-    scatter(jac, rows.sphere, derivative.jac_point)
-    scatter(jac, rows.chuck, -u)
-    scatter(jac, rows.scale, np.stack([-ratio, -ratio * (d - zero) / gain], axis=1))
-    return Linearised(rows.length - predicted, jac, derivative.jac_joints)
+    derivative = along(trace, u[None])
+    by_rig = no_columns(derivative.wrenches, x.size - p)
+    scatter(by_rig, rows.sphere - p, derivative.jac_point)
+    scatter(by_rig, rows.chuck - p, -u[None])
+    scatter(by_rig, rows.scale - p, np.stack([-ratio, -ratio * (d - zero) / gain], axis=1)[None])
+    return Linearised(rows.length - predicted, derivative.wrenches, derivative.twists, by_rig, derivative.jac_joints)

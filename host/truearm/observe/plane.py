@@ -14,7 +14,7 @@ import numpy as np
 from truearm.model.chain import Chain, along, trace_point
 from truearm.model.transforms import cross
 from truearm.observe.rotation import left_jacobian, rotation
-from truearm.observe.rows import Indices, Linearised, gather, scatter, widen
+from truearm.observe.rows import Indices, Linearised, gather, no_columns, scatter
 from truearm.types import Floats
 
 WIDTH = 1  # scalar residuals an observation
@@ -36,22 +36,23 @@ class PlaneRows:
 
 
 def evaluate(chain: Chain, rows: PlaneRows, x: Floats) -> Linearised:
-    """Residual (n,), jac_params (n, P), jac_joints (n, j) at x (P,)."""
-    trace = trace_point(chain, x[: len(chain.parameters)], rows.q, gather(x, rows.constants, rows.target))
+    """Residuals (n,) and their derivatives at x (P,)."""
+    p = len(chain.parameters)
+    trace = trace_point(chain, x[:p], rows.q, gather(x, rows.constants, rows.target))
     numbers = gather(x, rows.constants, rows.plane)
     tilts = rows.axes[:, :2]
     tilt = np.einsum("nk,nki->ni", numbers[:, 1:], tilts)
     normal = np.einsum("nij,nj->ni", rotation(tilt), rows.axes[:, 2])
     lever = trace.p_base - rows.point
-    derivative = along(trace, normal)
-    jac = widen(derivative.jac_params, x.size)
-    scatter(jac, rows.target, derivative.jac_point)
-    scatter(jac, rows.plane[:, :1], np.full((len(rows.row), 1), -1.0))
+    derivative = along(trace, normal[None])
+    by_rig = no_columns(derivative.wrenches, x.size - p)
+    scatter(by_rig, rows.target - p, derivative.jac_point)
+    scatter(by_rig, rows.plane[:, :1] - p, np.full((WIDTH, len(rows.row), 1), -1.0))
     # (δφ × n)·r = (n × r)·δφ with δφ = J_l δ(tilt)
     turned = np.einsum("ni,nij,nkj->nk", cross(normal.T, lever.T).T, left_jacobian(tilt), tilts)
-    scatter(jac, rows.plane[:, 1:], turned)
+    scatter(by_rig, rows.plane[:, 1:] - p, turned[None])
     predicted = (normal * lever).sum(axis=1) - numbers[:, 0]
-    return Linearised(rows.distance - predicted, jac, derivative.jac_joints)
+    return Linearised(rows.distance - predicted, derivative.wrenches, derivative.twists, by_rig, derivative.jac_joints)
 
 
 def frame_of(normal: Floats) -> Floats:

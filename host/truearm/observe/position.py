@@ -17,18 +17,18 @@ derivative is −J_q·q̇.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from truearm.model.chain import Chain, PointTrace, along, trace_point
 from truearm.model.transforms import cross
-from truearm.observe.rotation import left_jacobian, rotation, rotation_vector
-from truearm.observe.rows import Indices, Linearised, gather, scatter
+from truearm.observe.rotation import left_jacobian, rotation
+from truearm.observe.rows import Indices, Linearised, gather, no_columns, scatter
 from truearm.types import Floats
 
 WIDTH = 3  # scalar residuals an observation: x, y, z in the device's axes
+STRAIGHT = 1e-9  # points that leave a line by 3e-5 of its length do not show the roll about it
 
 
 @dataclass(frozen=True)
@@ -48,12 +48,13 @@ class PositionRows:
 
 
 def evaluate(chain: Chain, rows: PositionRows, x: Floats) -> Linearised:
-    """Residual (3n,), jac_params (3n, P), jac_joints (3n, j) at x (P,); x, y, z of a point follow each other."""
+    """Residuals (3n,) and their derivatives at x (P,)."""
     q = joints_in_time(rows, x)
     trace = trace_point(chain, x[: len(chain.parameters)], q, gather(x, rows.constants, rows.target))
     device = gather(x, rows.constants, rows.device)
-    rot = for_each(rotation, device[:, 3:]) @ rows.reference
-    return in_device_axes(trace, rows, x, device, rot)
+    if (rows.device == rows.device[:1]).all():  # one device, as a rule
+        device = device[:1]
+    return in_device_axes(trace, rows, x, device, rotation(device[:, 3:]) @ rows.reference[: len(device)])
 
 
 def joints_in_time(rows: PositionRows, x: Floats) -> Floats:
@@ -62,43 +63,48 @@ def joints_in_time(rows: PositionRows, x: Floats) -> Floats:
 
 
 def in_device_axes(trace: PointTrace, rows: PositionRows, x: Floats, device: Floats, rot: Floats) -> Linearised:
-    """The residual and its derivatives for traced targets, devices (n, 6) and their orientations (n, 3, 3)."""
-    n, j = rows.q.shape
+    """The residual and its derivatives for traced targets, devices (n or 1, 6) and their orientations (n or 1, 3, 3)."""
+    p = len(trace.chain.parameters)
     lever = trace.p_base - device[:, :3]  # r
     predicted = np.einsum("nik,ni->nk", rot, lever)
-    turned = for_each(left_jacobian, device[:, 3:])
-    dtype = np.result_type(x, float)
-    jac, jac_joints = np.zeros((x.size, n, 3), dtype), np.empty((n, 3, j), dtype)
-    for axis in range(3):
-        u = rot[:, :, axis]
-        columns = jac[:, :, axis].T
-        derivative = along(trace, u, columns.T[: len(trace.chain.parameters)])
-        scatter(columns, rows.target, derivative.jac_point)
-        scatter(columns, rows.device[:, :3], -u)
+    axes = np.moveaxis(rot, 2, 0)  # (3, n or 1, 3) the device's, in the base frame
+    derivative = along(trace, axes)
+    by_rig = no_columns(derivative.wrenches, x.size - p)
+    scatter(by_rig, rows.target - p, derivative.jac_point)
+    if (rows.device < x.size).any():
+        scatter(by_rig, rows.device[:, :3] - p, np.broadcast_to(-axes, (WIDTH, *lever.shape)))
         # −u·(δφ × r) = (u × r)·δφ
-        scatter(columns, rows.device[:, 3:], np.einsum("ni,nik->nk", cross(u.T, lever.T).T, turned))
-        scatter(columns, rows.time_offset, (derivative.jac_joints * rows.q_rate).sum(axis=1, keepdims=True))
-        jac_joints[:, axis] = derivative.jac_joints
-    return Linearised((rows.xyz - predicted).ravel(), jac.reshape(x.size, -1).T, jac_joints.reshape(-1, j))
+        moment = np.moveaxis(cross(np.moveaxis(axes, 2, 0), lever.T[:, None]), 0, 2)
+        scatter(by_rig, rows.device[:, 3:] - p, np.einsum("wni,nik->wnk", moment, left_jacobian(device[:, 3:])))
+    if (rows.time_offset < x.size).any():
+        by_time = (derivative.jac_joints * rows.q_rate).sum(axis=2, keepdims=True)
+        scatter(by_rig, rows.time_offset - p, by_time)
+    residual = (rows.xyz - predicted).ravel()
+    return Linearised(residual, derivative.wrenches, derivative.twists, by_rig, derivative.jac_joints)
 
 
-def for_each(matrix: Callable[[Floats], Floats], turns: Floats) -> Floats:
-    """(n, 3, 3) a matrix of each rotation vector (n, 3), computed once where all are the same: one device, as a rule."""
-    if len(turns) and (turns == turns[0]).all():
-        return np.broadcast_to(matrix(turns[0]), (len(turns), 3, 3))
-    return matrix(turns)
+def place(p_device: Floats, p_base: Floats, declared: Floats) -> tuple[Floats, Floats]:
+    """The pose of a device that brings points (n, 3) of its own axes onto points of the base, by least squares.
 
-
-def place(p_device: Floats, p_base: Floats, weight: Floats) -> tuple[Floats, Floats]:
-    """The pose of a device that brings points (n, 3) of its own axes onto points of the base, by weighted least squares.
-
-    Returns its position (3,) and rotation vector (3,). The rotation is V diag(1, 1, ±1) Uᵀ of the points' correlation
-    U S Vᵀ (Arun, Huang, Blostein 1987; the sign keeps it a rotation); points on one line leave the roll about it, a
-    single point the whole orientation, to whatever the decomposition returns.
+    Returns its position (3,) and rotation (3, 3). What the points do not show of the orientation stays as ``declared``
+    (3, 3): the roll about points on one line, all of it for a single point.
     """
-    w = (weight / weight.sum())[:, None]
-    middle_device, middle_base = (w * p_device).sum(axis=0), (w * p_base).sum(axis=0)
-    u, _, vt = np.linalg.svd((w * (p_device - middle_device)).T @ (p_base - middle_base))
-    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(vt) * np.linalg.det(u))])
-    rot = (vt.T * sign) @ u.T
-    return middle_base - rot @ middle_device, rotation_vector(rot)
+    middle_device, middle_base = p_device.mean(axis=0), p_base.mean(axis=0)
+    rot = nearest_rotation((p_base - middle_base).T @ (p_device - middle_device), declared)
+    return middle_base - rot @ middle_device, rot
+
+
+def nearest_rotation(correlation: Floats, declared: Floats, most: int = 2) -> Floats:
+    """The rotation R (3, 3) of the largest tr(Rᵀ H); among equals the one turned least away from ``declared`` R_r.
+
+    With ``correlation`` H (3, 3) = Σ p_base p_deviceᵀ = U S Vᵀ and two singular values that count, R = U diag(1, 1, ±1) Vᵀ
+    (Arun, Huang, Blostein 1987; the sign keeps it a rotation). Of points on a line one counts: H says that v₁ is turned to
+    u₁ and no more, so R = u₁v₁ᵀ + U⊥ Q V⊥ᵀ, with Q (2, 2) in the same way nearest to what R_r has there. Of a single point
+    none counts, and R = R_r. ``most`` 1 lets but one count: the roll about the line is then the declared one, whatever
+    the points say of it.
+    """
+    u, size, vt = np.linalg.svd(correlation)
+    k = min(most, int((size > STRAIGHT * size[0]).sum()), 2)
+    left, _, right = np.linalg.svd(u[:, k:].T @ declared @ vt[k:].T)
+    left[:, -1] *= np.sign(np.linalg.det(u) * np.linalg.det(vt) * np.linalg.det(left) * np.linalg.det(right))
+    return np.asarray(u[:, :k] @ vt[:k] + u[:, k:] @ left @ right @ vt[k:])

@@ -4,6 +4,10 @@ The parameter vector x (P,) of a problem is the robot's params (p,) followed by 
 chucks, spheres and sockets, zero and gain of bars. A row refers to a coordinate by its index into *x followed by the
 problem's known constants*, so that known and unknown coordinates are read the same way, and only the unknown ones
 (index below P) have a column in the Jacobian.
+
+The Jacobian stays in factors, ``wrenches @ twists`` for the robot's params (model/chain.py), because that is how it is
+made, and because the fewer wrenches are what an estimator folds. Arrays (w, n, c) lie component by component in memory:
+all poses of one column follow each other.
 """
 
 from __future__ import annotations
@@ -24,11 +28,23 @@ AnyRows = TypeVar("AnyRows", bound="DataclassInstance")
 
 
 class Linearised(NamedTuple):
-    """Residuals and derivatives of a batch of observations; m scalar residuals, those of one observation together."""
+    """Residuals and derivatives of n observations of w scalar residuals each; m = n·w, one observation's together."""
 
     residual: Floats  # (m,) measured − predicted [m]
-    jac_params: Floats  # (m, P) ∂predicted/∂x
-    jac_joints: Floats  # (m, j) ∂predicted/∂(joint readings)
+    wrenches: Floats  # (w, n, b)
+    twists: Floats  # (b, p)
+    by_rig: Floats  # (w, n, P − p) ∂predicted/∂(the rig's unknowns)
+    by_joints: Floats  # (w, n, j) ∂predicted/∂(joint readings)
+
+    @property
+    def jac_params(self) -> Floats:
+        """(m, P) ∂predicted/∂x."""
+        return _by_observation(np.concatenate([self.wrenches @ self.twists, self.by_rig], axis=2))
+
+    @property
+    def jac_joints(self) -> Floats:
+        """(m, j) ∂predicted/∂(joint readings)."""
+        return _by_observation(self.by_joints)
 
 
 def take(rows: AnyRows, which: slice | NDArray[Any]) -> AnyRows:
@@ -41,23 +57,23 @@ def gather(x: Floats, constants: Floats, index: Indices) -> Floats:
     return np.concatenate([x, constants]).take(index.T).T
 
 
-def widen(jac_robot: Floats, n_params: int) -> Floats:
-    """The robot's columns (m, p) followed by zeros for the rig's unknowns, (m, P); columns lie together in memory.
+def no_columns(wrenches: Floats, count: int) -> Floats:
+    """Zeros (w, n, count) beside wrenches (w, n, b), for ``scatter`` to write to."""
+    return np.moveaxis(np.zeros((count, *wrenches.shape[:2]), wrenches.dtype), 0, -1)
 
-    Without unknowns of the rig it is the robot's columns themselves.
+
+def scatter(by_rig: Floats, index: Indices, values: Floats) -> None:
+    """Add ``values`` (w, n, c) to the columns ``index`` (n, c) of by_rig (w, n, r) in place.
+
+    ``index`` counts from the rig's first unknown; constants, from r on, have no column.
     """
-    m, p = jac_robot.shape
-    if p == n_params:
-        return jac_robot
-    return np.concatenate([jac_robot.T, np.zeros((n_params - p, m), jac_robot.dtype)]).T
-
-
-def scatter(jac: Floats, index: Indices, values: Floats) -> None:
-    """Add ``values`` (m, c) to the columns ``index`` (m, c) of jac (m, P) in place; constants have no column."""
-    unknown = index < jac.shape[1]
-    if not unknown.any():
-        return
-    rows = np.arange(jac.shape[0])
+    unknown = index < by_rig.shape[2]
     for k in np.flatnonzero(unknown.any(axis=0)):
-        some = unknown[:, k]
-        jac[rows[some], index[some, k]] += values[some, k]
+        some = np.flatnonzero(unknown[:, k])
+        by_rig[:, some, index[some, k]] += values[:, some, k]
+
+
+def _by_observation(derivatives: Floats) -> Floats:
+    """(w, n, c) to (n·w, c)."""
+    width, n, count = derivatives.shape
+    return np.swapaxes(derivatives, 0, 1).reshape(n * width, count)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truearm.model.chain import Chain, along, trace_point
-from truearm.observe.rows import Indices, Linearised, gather, scatter, widen
+from truearm.observe.rows import Indices, Linearised, gather, no_columns, scatter
 from truearm.types import Floats
 
 WIDTH = 3  # scalar residuals an observation: x, y, z in the base frame
@@ -30,19 +30,16 @@ class SeatRows:
 
 
 def evaluate(chain: Chain, rows: SeatRows, x: Floats) -> Linearised:
-    """Residual (3n,), jac_params (3n, P), jac_joints (3n, j) at x (P,); x, y, z of a seat follow each other."""
+    """Residuals (3n,) and their derivatives at x (P,)."""
     p = len(chain.parameters)
     trace = trace_point(chain, x[:p], rows.q, gather(x, rows.constants, rows.sphere))
     residual = gather(x, rows.constants, rows.socket) - trace.p_base
-    jac = np.empty((len(rows.row), 3, x.size))
-    jac_joints = np.empty((len(rows.row), 3, len(chain.joints)))
-    for axis, direction in enumerate(np.eye(3)):
-        derivative = along(trace, direction)
-        columns = widen(derivative.jac_params, x.size)
-        scatter(columns, rows.sphere, derivative.jac_point)
-        scatter(columns, rows.socket[:, axis : axis + 1], np.full((len(rows.row), 1), -1.0))
-        jac[:, axis], jac_joints[:, axis] = columns, derivative.jac_joints
-    return Linearised(residual.ravel(), jac.reshape(-1, x.size), jac_joints.reshape(-1, len(chain.joints)))
+    axes = np.broadcast_to(np.eye(3)[:, None], (WIDTH, *residual.shape))
+    derivative = along(trace, axes)
+    by_rig = no_columns(derivative.wrenches, x.size - p)
+    scatter(by_rig, rows.sphere - p, derivative.jac_point)
+    scatter(by_rig, rows.socket - p, -axes)
+    return Linearised(residual.ravel(), derivative.wrenches, derivative.twists, by_rig, derivative.jac_joints)
 
 
 def settle(chain: Chain, rows: SeatRows, x: Floats) -> SeatRows:

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from truearm.model.chain import Chain
-from truearm.observe.rows import Indices, Linearised, gather, scatter
+from truearm.model.folding import folded
+from truearm.observe.rows import Indices, Linearised, gather, no_columns, scatter
 from truearm.types import Floats
 
 WIDTH = 1  # scalar residuals an observation
@@ -28,11 +29,14 @@ class SocketDistanceRows:
 
 
 def evaluate(chain: Chain, rows: SocketDistanceRows, x: Floats) -> Linearised:
-    """Residual (n,), jac_params (n, P), jac_joints (n, j), all zero, at x (P,)."""
+    """Residuals (n,) and their derivatives at x (P,); those by the robot are zero."""
     apart = gather(x, rows.constants, rows.first) - gather(x, rows.constants, rows.second)
     d = np.linalg.norm(apart, axis=1)
     u = np.divide(apart, d[:, None], out=np.zeros_like(apart), where=d[:, None] > 0.0)
-    jac = np.zeros((d.size, x.size))
-    scatter(jac, rows.first, u)
-    scatter(jac, rows.second, -u)
-    return Linearised(rows.distance - d, jac, np.zeros((d.size, len(chain.joints))))
+    p = len(chain.parameters)
+    twists = folded(chain, x[:p]).twists
+    wrenches = np.zeros((WIDTH, d.size, len(twists)))
+    by_rig = no_columns(wrenches, x.size - p)
+    scatter(by_rig, rows.first - p, u[None])
+    scatter(by_rig, rows.second - p, -u[None])
+    return Linearised(rows.distance - d, wrenches, twists, by_rig, np.zeros((WIDTH, d.size, len(chain.joints))))

@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 from truearm.report import svg
 from truearm.report.rows import Rows, law_of, rms
 from truearm.report.text import counted, figures, number
+from truearm.report.words import KINDS
 from truearm.types import Estimate, Floats
 
 MAX_TIPS = 3000  # points with a tooltip each (about 120 B); beyond, points are bare
 MAX_POINTS = 12000  # points drawn at all; beyond, the largest tenth and an even choice of the others
 MAX_GROUPS = 24
+LETTER = 8.8  # width of a label's letter, of a phone's large ones
 FINEST_BIN = 1e-6  # mm; noise-free residuals are rounding, or exactly zero
 LONGITUDE_BIN_DEG = 30.0
 FEWEST_IN_BIN = 5
@@ -39,6 +41,8 @@ def figures_of(rows: Rows) -> list[Figure]:
     makers: tuple[Callable[[Rows], Figure | None], ...] = (histogram, by_longitude, before_after, by_group, quantiles)
     if not rows.fitted.any():
         makers = (before_after, by_group)
+    if not np.isfinite(rows.before).all():
+        makers = tuple(make for make in makers if make is not before_after)
     return [figure for figure in (make(rows) for make in makers) if figure is not None]
 
 
@@ -52,18 +56,21 @@ def histogram(rows: Rows) -> Figure:
     plain = law.sigma < width / 50.0  # noise-free data: a curve would be a needle
     top = max(float(count.max()), 0.0 if plain else float(scale * law.density(_grid(edges)).max()))
     plot = svg.Plot(svg.linear_axis(rows.name, edges[0], edges[-1]), svg.linear_axis("observations", 0.0, top * 1.05))
-    tips = [f"{figures(a)} to {figures(b)} mm: {n}" for a, b, n in zip(edges[:-1], edges[1:], count, strict=True)]
+    tips = [
+        f"{figures(a)} to {figures(b)} {rows.unit}: {n}" for a, b, n in zip(edges[:-1], edges[1:], count, strict=True)
+    ]
     parts = [svg.axes(plot), svg.bars(plot, edges, count, "fit bar", tips)]
     if not plain:
         parts.append(svg.line(plot, _grid(edges), scale * law.density(_grid(edges)), "law line"))
     what = "Gaussian" if law.signed else "Maxwell law"
-    note = ([f"mean {number(law.mean, 4)} mm"] if law.signed else []) + [f"σ {number(law.sigma, 4)} mm", f"n {r.size}"]
+    note = [f"mean {number(law.mean, 4)} mm"] if law.signed else []
+    note += [f"σ {number(law.sigma, 4)} {rows.unit}", f"n {r.size}"]
     for k, text in enumerate(note):
         parts.append(svg.label(plot.width - plot.right - 6, plot.top + 17 + 18 * k, text, "end note"))
     parts.append(svg.legend(plot, [("fit", "fitting rows"), ("law line", what)]))
     caption = f"{counted(r.size, 'fitting row')} and the {what} fitted to them: {', '.join(note)}."
     if not rows.signed:
-        caption += " Norms of 3-vectors have no sign; σ is that of one coordinate."
+        caption += " Norms of 3-vectors have no sign; σ is that of one coordinate, in the mean of the three."
     return _figure(plot, "Residuals after calibration", caption, parts)
 
 
@@ -91,7 +98,7 @@ def by_longitude(rows: Rows) -> Figure | None:
     parts, entries = [svg.axes(plot)], []
     for css, name, chosen in _sets(rows):
         at = _drawn(y, known & chosen)
-        parts.append(_points(plot, x[at], y[at], css, rows.source[at]))
+        parts.append(_points(plot, x[at], y[at], css, rows.source[at], rows.unit))
         entries.append((css, name))
     means = _bin_means(x[known & rows.fitted], y[known & rows.fitted])
     for centre, mean, error in means:
@@ -144,10 +151,10 @@ def _drawn(values: Floats, chosen: NDArray[np.bool_]) -> NDArray[np.intp]:
     return np.concatenate([index[:keep], index[keep::stride]])
 
 
-def _points(plot: svg.Plot, x: Floats, y: Floats, css: str, source: NDArray[np.str_]) -> str:
+def _points(plot: svg.Plot, x: Floats, y: Floats, css: str, source: NDArray[np.str_], unit: str) -> str:
     if x.size > MAX_TIPS:
         return svg.dots(plot, x, y, css)
-    tips = (f"{s[:60]}: {figures(v)} mm at {number(a, 0)}°" for s, v, a in zip(source, y, x, strict=True))
+    tips = (f"{s[:60]}: {figures(v)} {unit} at {number(a, 0)}°" for s, v, a in zip(source, y, x, strict=True))
     return svg.scatter(plot, x, y, css, tips)
 
 
@@ -177,32 +184,34 @@ def by_group(rows: Rows) -> Figure | None:
     shown = sorted(worst[:MAX_GROUPS])
     height = max(300.0, 90.0 + 30.0 * len(shown))
     values = svg.linear_axis(rows.name, *_reach(rows.residual[np.isin(inverse, shown)]))
-    plot = svg.Plot(values, svg.category_axis("", [str(names[g]) for g in shown[::-1]]), height, left=104.0, right=66.0)
-    parts = [svg.axes(plot), svg.label(plot.width - 4, 18, "RMS [mm]", "end")]
+    categories = svg.category_axis("", [str(names[g]) for g in shown[::-1]])
+    left = max(104.0, 16.0 + LETTER * max(map(len, categories.tick_labels)))
+    plot = svg.Plot(values, categories, height, left=left, right=66.0)
+    parts = [svg.axes(plot), svg.label(plot.width - 4, 18, f"RMS [{rows.unit}]", "end")]
     parts.append(svg.legend(plot, [(css, name) for css, name, _ in _sets(rows)]))
     for k, g in enumerate(shown[::-1]):
         sets = [(css, name, rows.residual[at & (inverse == g)]) for css, name, at in _sets(rows)]
         sets = [entry for entry in sets if entry[2].size]
         for i, (css, name, inside) in enumerate(sets):
             offset = 0.0 if len(sets) == 1 else (0.21, -0.21)[i]
-            parts.append(_box(plot, k + offset, inside, css, f"{names[g]}, {name}"))
-    place = "pairing of chuck and sphere" if rows.signed else "place"
+            parts.append(_box(plot, k + offset, inside, css, f"{names[g]}, {name}", rows.unit))
+    place = KINDS[rows.kind].group if rows.kind in KINDS else "place"
     sizes = [rms(rows.residual[inverse == g]) for g in worst]
     # Variance of an RMS: σ²/(2·degrees of freedom).
     spread = 100.0 / math.sqrt(2.0 * (1 if rows.signed else 3) * float(np.median(np.bincount(inverse))))
     caption = "Box: quartiles and median; whisker: 5 % to 95 %; beyond it, points. Largest RMS over all rows: "
-    caption += f"{names[worst[0]]}, {figures(sizes[0])} mm; smallest: {names[worst[-1]]}, {figures(sizes[-1])} mm. "
+    caption += f"{names[worst[0]]}, {figures(sizes[0])} {rows.unit}; smallest: {names[worst[-1]]}, {figures(sizes[-1])} {rows.unit}. "
     caption += f"By chance alone these vary by {figures(spread, 2)} % (one σ)."
     if len(shown) < names.size:
         caption += f" The {len(shown)} with the largest RMS of {names.size} are shown."
     return _figure(plot, f"By {place}", caption, parts)
 
 
-def _box(plot: svg.Plot, row: float, values: Floats, css: str, name: str) -> str:
+def _box(plot: svg.Plot, row: float, values: Floats, css: str, name: str, unit: str) -> str:
     p05, p25, p50, p75, p95 = np.percentile(values, [5.0, 25.0, 50.0, 75.0, 95.0])
     x25, x75 = plot.px([p25, p75])
     y = float(plot.py(row))
-    tip = f"{name}: {counted(values.size, 'row')}, median {figures(p50)} mm, RMS {figures(rms(values))} mm"
+    tip = f"{name}: {counted(values.size, 'row')}, median {figures(p50)} {unit}, RMS {figures(rms(values))} {unit}"
     outside = values[(values < p05) | (values > p95)]
     return "".join(
         (
@@ -224,7 +233,9 @@ def quantiles(rows: Rows) -> Figure | None:
     what = "Gaussian" if law.signed else "Maxwell law"
     both = np.concatenate([r, expected])
     low, high = _reach(both)
-    plot = svg.Plot(svg.linear_axis(f"quantile of the {what} [mm]", low, high), svg.linear_axis(rows.name, low, high))
+    plot = svg.Plot(
+        svg.linear_axis(f"quantile of the {what} [{rows.unit}]", low, high), svg.linear_axis(rows.name, low, high)
+    )
     at = np.unique(np.linspace(0, r.size - 1, min(r.size, MAX_POINTS)).astype(int))
     parts = [svg.axes(plot), svg.line(plot, [low, high], [low, high], "law")]
     parts.append(svg.dots(plot, expected[at], r[at], "fit"))

@@ -14,13 +14,33 @@ from importlib.resources import files
 
 from truearm.report.correlation import correlation
 from truearm.report.figures import Figure, convergence, figures_of
-from truearm.report.rows import KIND_NAMES, rows_by_kind
+from truearm.report.findings import (
+    addition_list,
+    chi2_words,
+    observability_table,
+    predicted_words,
+    relabelling_sentences,
+    residual_table,
+    suspect_table,
+)
+from truearm.report.rows import rows_by_kind, summaries
 from truearm.report.tables import fact_list, parameter_table, step_table, visibility
 from truearm.report.text import counted, escape, figures, millimetres
-from truearm.types import Estimate, Floats, HeldOut, ObservationTable
+from truearm.report.words import kind_name
+from truearm.types import Estimate, Floats, HeldOut, ObservationTable, PredictedError
 
 CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
 HELD_OUT_DOUBTFUL = 1.5  # held-out RMS over fitted RMS
+LOSSES = {
+    "linear": "linear: every row counts as its σ says",
+    "huber": "huber: rows far from all others count less",
+    "cauchy": "cauchy: rows far from all others hardly count",
+}
+PRIORS = {
+    "none": "none",
+    "weak": "weak: nominal to 1 mm, 5 mrad, 0.001 of a gain",
+    "wide": "wide: nominal to 10 mm, 52 mrad, 0.01 of a gain",
+}
 POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 
 
@@ -31,7 +51,9 @@ class CalibrationPage:
     ``estimate`` was made from ``table``, whose n rows are fitting and held-out ones. ``longitude`` (n,) [rad] is that
     of the sphere about its chuck, NaN where a row has none. ``facts`` are labels and values about the recording,
     ``steps`` names and seconds, ``command`` what to type to make the page again. ``validation`` is the error on rows
-    that were not fitted; None: the estimate's own ``held_out``. ``notes`` are sentences for the reader.
+    that were not fitted; None: the estimate's own ``held_out``. ``notes`` are sentences for the reader. ``prior`` is the name
+    of the robot's, ``angle`` (n,) [rad] the rotation's residual of the rows of kind pose, ``predicted`` how far the tool may
+    be off by the parameters' covariance.
 
     Raises ValueError where the rows of table, longitude and estimate differ in number.
     """
@@ -46,12 +68,16 @@ class CalibrationPage:
     command: str = ""
     validation: HeldOut | None = None
     notes: tuple[str, ...] = ()
+    prior: str = "none"
+    angle: Floats | None = None  # (n,) rad, NaN where a row has none
+    predicted: PredictedError | None = None
 
     def __post_init__(self) -> None:
         n = len(self.table)
-        shapes = (self.longitude.shape, self.estimate.residual.shape, self.estimate.fitted.shape)
+        angle = self.longitude if self.angle is None else self.angle
+        shapes = (self.longitude.shape, self.estimate.residual.shape, self.estimate.fitted.shape, angle.shape)
         if any(shape != (n,) for shape in shapes):
-            raise ValueError(f"longitude, residual and fitted must be ({n},) as the table, are {shapes}")
+            raise ValueError(f"longitude, residual, fitted and angle must be ({n},) as the table, are {shapes}")
 
     @property
     def judged(self) -> HeldOut | None:
@@ -65,13 +91,13 @@ def render(page: CalibrationPage) -> str:
         _verdict(page),
         _pictures(page),
         _parameters(page.estimate),
-        _section("What the data cannot see", visibility(page.estimate)),
+        _section("What the data can and cannot see", _sight(page.estimate)),
         _section("The recording", fact_list(page.facts)) if page.facts else "",
         _making(page),
     )
     style = files("truearm.report").joinpath("page.css").read_text(encoding="utf-8")
     return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<meta name="generator" content="truearm">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         '<meta name="color-scheme" content="light dark">\n'
@@ -102,6 +128,9 @@ def _verdict(page: CalibrationPage) -> str:
         tiles.append(
             _tile("validation", judged.rms, f"{counted(judged.n, 'observation')} not used to fit; {more}", "val")
         )
+    if page.predicted:
+        more = f"by the parameters' σ, over {counted(page.predicted.n, 'pose')}; most {millimetres(page.predicted.largest)} mm"
+        tiles.append(_tile("of the tool, predicted", page.predicted.rms, more, "old"))
     remarks = _list(doubts(page), "remarks doubts") + _list(page.notes, "remarks")
     line = f'<h2 class="verdict">{escape(verdict(page), 400)}</h2>'
     return f'<section>{line}<div class="tiles">{"".join(tiles)}</div>{remarks}</section>\n'
@@ -115,7 +144,8 @@ def _list(sentences: Sequence[str], css: str) -> str:
 def verdict(page: CalibrationPage) -> str:
     """The result in one line of plain text."""
     e, judged = page.estimate, page.judged
-    kinds = " and ".join(KIND_NAMES.get(str(kind), str(kind)) for kind in sorted(set(page.table.kind)))
+    *several, last = (kind_name(str(kind)) for kind in sorted(set(page.table.kind)))
+    kinds = f"{', '.join(several)} and {last}" if several else last
     factor = e.rms_before / e.rms_after if e.rms_after > 0.0 else math.inf
     better = f"{figures(factor, 2)} times smaller" if factor >= 1.0 and math.isfinite(factor) else "changed"
     line = (
@@ -126,7 +156,13 @@ def verdict(page: CalibrationPage) -> str:
 
 def doubts(page: CalibrationPage) -> list[str]:
     """Reasons not to trust the figures, a sentence each."""
-    e, judged, found = page.estimate, page.judged, []
+    e, judged = page.estimate, page.judged
+    found = relabelling_sentences(e.relabellings, page.table)
+    if e.relabelling_search == "too many groups":
+        found.append(
+            "Wrong labels? The residuals are as large as wrong chucks or spheres would make them, but there are too many "
+            "pairings to search them all; identify fewer at a time."
+        )
     if e.status != "converged":
         found.append(f"The solver stopped early ({e.status}): {e.message}.")
     if judged is None:
@@ -151,15 +187,23 @@ def _tile(name: str, metres: float, note: str, css: str) -> str:
 
 
 def _pictures(page: CalibrationPage) -> str:
-    kinds = rows_by_kind(page.estimate, page.table, page.longitude)
-    shown = [_figure(figure, rows.kind if len(kinds) > 1 else "") for rows in kinds for figure in figures_of(rows)]
-    shown.append(_figure(convergence(page.estimate)))
-    return _section("Residuals", f'<div class="pictures">{"".join(shown)}</div>')
+    e, table = page.estimate, page.table
+    kinds = rows_by_kind(e, table, page.longitude, page.angle)
+    shown = [_figure(figure, rows.title if len(kinds) > 1 else "") for rows in kinds for figure in figures_of(rows)]
+    shown.append(_figure(convergence(e)))
+    words = [chi2_words(e), predicted_words(page.predicted) if page.predicted else ""]
+    content = residual_table(summaries(e, table, page.angle)) + "".join(f"<p>{escape(w, 600)}</p>" for w in words if w)
+    pictures = f'<div class="pictures">{"".join(shown)}</div>'
+    return _section("Residuals", content + (suspect_table(e, table) if e.suspect.size else "") + pictures)
+
+
+def _sight(e: Estimate) -> str:
+    return visibility(e) + observability_table(e) + addition_list(e.additions)
 
 
 def _figure(figure: Figure, kind: str = "") -> str:
     """A <figure>; ``kind`` is added to its title where there are several."""
-    title = escape(figure.title + (f" · {KIND_NAMES.get(kind, kind)}" if kind else ""))
+    title = escape(figure.title + (f" · {kind}" if kind else ""))
     # A wide picture scrolls on a phone, so it must be reachable by keyboard.
     scroll = f'<div class="scroll" tabindex="0" role="region" aria-label="{title}">'
     picture = f"{scroll}{figure.drawing}</div>" if figure.wide else figure.drawing
@@ -186,11 +230,18 @@ def _making(page: CalibrationPage) -> str:
     e = page.estimate
     facts = [
         ("solver", e.solver),
+        ("loss", LOSSES.get(e.loss, e.loss)),
+        ("prior of the robot", PRIORS.get(page.prior, page.prior)),
         ("iterations", str(e.iterations)),
         ("status", f"{e.status}: {e.message}" if e.message else e.status),
-        ("reduced χ²", figures(e.chi2_reduced)),
+        ("χ² per degree of freedom", figures(e.chi2_reduced)),
         ("solver's time", f"{figures(e.seconds, 2)} s"),
     ]
     command = f'<pre tabindex="0"><code>{escape(page.command, 2000)}</code></pre>' if page.command else ""
     steps = step_table(page.steps) if page.steps else ""
     return _section("How it was made", command + fact_list(facts) + steps)
+
+
+def looks_like_page(head: bytes) -> bool:
+    """Whether a file that begins so is a page of ours, or empty."""
+    return not head.strip() or b'<meta name="generator" content="truearm">' in head

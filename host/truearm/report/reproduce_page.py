@@ -2,7 +2,8 @@
 
 A claim is a number of the paper (or none, where only we have one), ours, and what theory expects. Its verdict is not
 written by anyone but follows from the numbers: reproduced where they agree within the tolerance, which must be given
-with its reason; in kind where the paper leaves open what would be needed to compute its number.
+with its reason; in kind where the paper leaves open what would be needed to compute its number; not judged where so few
+experiments were made that chance would decide.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from truearm.report.tables import step_table
 from truearm.report.text import ABSENT, escape, figures
 
 REPRODUCED, NOT_REPRODUCED, IN_KIND, OURS = "reproduced", "not reproduced", "in kind", "ours alone"
+NOT_JUDGED = "not judged"
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,7 @@ class Claim:
     expected: float | None = None
     tolerance: float | None = 0.0  # of ours about the paper's number; None: the paper does not say enough
     why: str = ""
+    judged: bool = True  # False: too few experiments were made
 
     @property
     def verdict(self) -> str:
@@ -39,6 +42,8 @@ class Claim:
             return OURS
         if self.tolerance is None:
             return IN_KIND
+        if not self.judged:
+            return NOT_JUDGED
         return REPRODUCED if abs(self.ours - self.paper) <= self.tolerance else NOT_REPRODUCED
 
 
@@ -74,9 +79,10 @@ class ReproducePage:
 
 
 def counts(page: ReproducePage) -> dict[str, int]:
-    """How many claims have which verdict."""
+    """How many claims have which verdict; not judged only where there are any."""
     every = [claim.verdict for chapter in page.chapters for claim in chapter.claims]
-    return {verdict: every.count(verdict) for verdict in (REPRODUCED, IN_KIND, NOT_REPRODUCED, OURS)}
+    verdicts = (REPRODUCED, IN_KIND, NOT_REPRODUCED, *[NOT_JUDGED] * (NOT_JUDGED in every), OURS)
+    return {verdict: every.count(verdict) for verdict in verdicts}
 
 
 def document(page: ReproducePage) -> dict[str, Any]:
@@ -122,6 +128,7 @@ def _summary(page: ReproducePage) -> str:
         REPRODUCED: ("fit", "within a tolerance that its remark explains"),
         IN_KIND: ("old", "the paper leaves open what its number depends on"),
         NOT_REPRODUCED: ("val", "the remark says why"),
+        NOT_JUDGED: ("old", "too few experiments, as --quick makes"),
         OURS: ("old", "the paper has no such number"),
     }
     tiles = "".join(

@@ -18,6 +18,7 @@ from truearm.report.text import MINUS, SUPERSCRIPT, escape
 from truearm.types import Floats
 
 SMALLEST = 1e-15  # of what a log axis shows; noise-free residuals are rounding or exactly zero
+LONGEST_LABEL = 16  # letters of a category
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,8 @@ def _power_label(mantissa: float, exponent: int) -> str:
 
 def category_axis(label: str, names: Sequence[str]) -> Axis:
     """An axis with a unit's space for every name, centred at 0, 1, 2…"""
-    labels = tuple(name if len(name) <= 16 else name[:15] + "…" for name in names)
+    # Of a long name both ends are kept: the rig that it begins with, and what tells it from others of that rig.
+    labels = tuple(name if len(name) <= LONGEST_LABEL else f"{name[:6]}…{name[-9:]}" for name in names)
     return Axis(label, -0.5, len(names) - 0.5, tuple(float(k) for k in range(len(names))), labels)
 
 
@@ -95,7 +97,7 @@ class Plot:
     height: float = 300.0
     width: float = 480.0
     left: float = 62.0
-    right: float = 14.0
+    right: float = 20.0  # half of the last tick's label
     top: float = 30.0
     bottom: float = 46.0
 

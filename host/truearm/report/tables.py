@@ -66,23 +66,39 @@ def visibility(estimate: Estimate) -> str:
         words.append(f"{counted(held, 'parameter is', 'parameters are')} held fixed at the nominal value.")
     if not estimate.null_space:
         words.append("No free parameter is left undetermined.")
-        return f"<p>{' '.join(words)}</p>"
+        return f"<p>{' '.join(words)}</p>" + _hardly(estimate.hardly_seen)
     words.append(
         "The changes listed here (in m, rad and 1) alter no prediction; the values of their parameters are one choice "
         "of many that predict alike, and mean something only together."
     )
-    items = [f"<li>{escape(direction_words(d), 600)}</li>" for d in estimate.null_space[:MAX_DIRECTIONS]]
-    if len(estimate.null_space) > MAX_DIRECTIONS:
-        items.append(f"<li>and {len(estimate.null_space) - MAX_DIRECTIONS} more</li>")
-    return f'<p>{" ".join(words)}</p><ul class="directions">{"".join(items)}</ul>'
+    return f"<p>{' '.join(words)}</p>" + _directions(estimate.null_space) + _hardly(estimate.hardly_seen)
 
 
-def direction_words(direction: NullDirection) -> str:
-    """A null direction in words: "link2.z up, link3.z down by as much"."""
+def _hardly(directions: Sequence[NullDirection]) -> str:
+    """What is seen, but less well than a drawing tells it; "" where there is nothing of the kind."""
+    if not directions:
+        return ""
+    one = len(directions) == 1
+    words = (
+        f"{counted(len(directions), 'combination')} of parameters {'is' if one else 'are'} hardly seen: by the observations "
+        f"alone less well than a drawing tells {'it' if one else 'them'} (1 mm, 5 mrad, 0.001 of a gain)."
+    )
+    return f"<p>{words}</p>" + _directions(directions, "by itself")
+
+
+def _directions(directions: Sequence[NullDirection], single: str = "not seen at all") -> str:
+    items = [f"<li>{escape(direction_words(d, single), 600)}</li>" for d in directions[:MAX_DIRECTIONS]]
+    if len(directions) > MAX_DIRECTIONS:
+        items.append(f"<li>and {len(directions) - MAX_DIRECTIONS} more</li>")
+    return f'<ul class="directions">{"".join(items)}</ul>'
+
+
+def direction_words(direction: NullDirection, single: str = "not seen at all") -> str:
+    """A direction in words: "link2.z up, link3.z down by as much"; ``single`` is said of one parameter alone."""
     terms = sorted(zip(direction.weights, direction.names, strict=True), key=lambda t: -abs(t[0]))
     terms = [(weight, name) for weight, name in terms if abs(weight) >= SMALLEST_WEIGHT]
     if len(terms) == 1:
-        return f"{terms[0][1]}: not seen at all"
+        return f"{terms[0][1]}: {single}"
     if len(terms) == 2 and abs(abs(terms[0][0]) - abs(terms[1][0])) < SMALLEST_WEIGHT:
         way = "up" if terms[0][0] * terms[1][0] > 0.0 else "down"
         return f"{terms[0][1]} up, {terms[1][1]} {way} by as much"

@@ -246,11 +246,11 @@ def _validation(made: Bench, runs: list[Errors], gears: list[tuple[float, float,
             VALIDATION,
             float(far[GEAR]),
             None,
-            tolerance,
+            None,
             f"{explains if far[-1] >= VALIDATION else ''}Each joint errs by a sine of 3 to 12 periods a turn, which no parameter describes; the noise is lowered so that "
-            "the 46 cm residual stays at 0.084 mm.",
+            "the 46 cm residual stays at 0.084 mm. Their size is our choice: it shows what would do, not what was.",
         ),
-        Claim("its residual on the 46 cm shells", "mm", RESIDUAL, float(near[GEAR]), RESIDUAL, tolerance),
+        Claim("its residual on the 46 cm shells", "mm", RESIDUAL, float(near[GEAR]), RESIDUAL, None, "Held there."),
     )
     x = 1e4 * np.array(GEARS)
     top = max(float(far.max()), VALIDATION) * 1.08

@@ -24,7 +24,6 @@ SENSOR_VARIANCE = (3.84e-9, 10e-9, 3.84e-9)  # m², III-C, y is the longitudinal
 JOINT_VARIANCE = (21e-9, 21e-9, 21e-9, 1.31e-9, 21e-9, 305e-9)
 LENGTH_SIGMA, ANGLE_SIGMA = 1e-3, 0.052  # III-C: what is believed of every length and of every angle
 TARGET = "flange"
-PLACEMENTS = ("least_squares", "two_ends", "first_two")
 # Postures that lines start from, elbow and wrist bent [rad]: a line near a singularity would be driven with a jerk.
 LOWEST = np.radians([-150.0, -80.0, 30.0, -120.0, 30.0, -120.0])
 HIGHEST = np.radians([150.0, 10.0, 120.0, 120.0, 110.0, 120.0])
@@ -40,49 +39,22 @@ class Session(NamedTuple):
     by_hand: Mapping[str, Floats]  # (3, 3) by line: the device's orientation as set up by hand, to ANGLE_SIGMA
 
 
-def line_rig(chain: Chain, session: Session, rule: str, device_sigma: float, joint_noise: bool = True) -> Rig:
-    """The paper's covariances, the devices placed through the nominal robot by a rule of PLACEMENTS.
+def line_rig(session: Session, rule: str, device_sigma: float, joint_noise: bool = True) -> Rig:
+    """The paper's covariances, the devices to be placed through the nominal robot by a rule of ``line.PLACEMENTS``.
 
-    A rule places a device and points its y axis along the path; its roll about that stays as set up by hand, for points
-    near a line hardly show it. ``device_sigma`` [m] is how well the place is believed to be known.
+    ``device_sigma`` [m] is how well the place is believed to be known.
     """
-    table, devices = session.table, {}
-    for name, turned in session.by_hand.items():
-        rows = table.line == name
-        p_base = point_forward(chain, chain.params_nominal, table.q[rows], np.zeros(3))
-        p, vector = _placed(table.xyz[rows], p_base, turned, rule)
-        cov = _diagonal(SENSOR_VARIANCE)
-        devices[name] = Device(name, cov, _triple(p), _triple(vector), device_sigma, ANGLE_SIGMA)
-    targets = {TARGET: Point(TARGET, (0.0, 0.0, 0.0))}
-    return Rig(targets=targets, lines=devices, joint_cov=_diagonal(JOINT_VARIANCE) if joint_noise else ())
-
-
-def _placed(xyz: Floats, p_base: Floats, turned: Floats, rule: str) -> tuple[Floats, Floats]:
-    """Position and rotation vector of a device whose readings (n, 3) the nominal robot has at p_base (n, 3)."""
-    if rule == "least_squares":
-        along = _direction(p_base, xyz[:, 1])
-        at = xyz.mean(axis=0), p_base.mean(axis=0)
-    else:
-        last = 1 if rule == "first_two" else len(xyz) - 1
-        along = p_base[last] - p_base[0]
-        at = xyz[0], p_base[0]
-        # The same for the readings, which need not be exactly on the device's axis.
-    seen = turned @ (_direction(xyz, xyz[:, 1]) if rule == "least_squares" else xyz[last] - xyz[0])
-    rot = _between(seen, along) @ turned
-    return at[1] - rot @ at[0], rotation_vector(rot)
-
-
-def _direction(points: Floats, share: Floats) -> Floats:
-    """The slope (3,) of points (n, 3) over their longitudinal readings (n,)."""
-    return np.asarray((share - share.mean()) @ points)
-
-
-def _between(a: Floats, b: Floats) -> Floats:
-    """The smallest turn that brings the direction a to b, which are not opposite."""
-    axis = np.cross(a, b)
-    size = np.linalg.norm(axis)
-    angle = np.arctan2(size, a @ b)
-    return rotation(axis * (angle / size if size > 0.0 else 0.0))
+    cov = _diagonal(SENSOR_VARIANCE)
+    devices = {
+        name: Device(name, cov, None, _triple(rotation_vector(turned)), device_sigma, ANGLE_SIGMA)
+        for name, turned in session.by_hand.items()
+    }
+    return Rig(
+        targets={TARGET: Point(TARGET, (0.0, 0.0, 0.0))},
+        lines=devices,
+        line_placement=rule,
+        joint_cov=_diagonal(JOINT_VARIANCE) if joint_noise else (),
+    )
 
 
 def _triple(v: Floats) -> tuple[float, float, float]:

@@ -7,14 +7,13 @@ describes.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from truearm.estimate import ls, recursive
+from truearm.estimate import recursive
 from truearm.estimate.fit import fit
 from truearm.estimate.identify import SOLVERS
 from truearm.estimate.information import covariance, observe, spectrum
@@ -22,7 +21,6 @@ from truearm.estimate.problem import Problem, build_problem
 from truearm.estimate.solution import Options
 from truearm.estimate.uncertainty import CartesianError, tolerance_error
 from truearm.model.chain import Chain, point_forward, point_jacobians
-from truearm.model.robot import Robot
 from truearm.reproduce.lines import ANGLE_SIGMA, Session, line_rig, measured_lines, prior_of
 from truearm.types import Floats
 
@@ -35,7 +33,6 @@ CASE_F = {f"{joint}.offset": error for joint, error in OFFSETS_BESIDE.items()} |
 N_LINES, N_POINTS = 5, 12  # III-E; the last line validates
 WIDE = 0.1  # m, of a device put by hand where a bad nominal model has the line
 GEAR = 1e-3  # rad, of an arm that repeats to some tenths of a millimetre
-SMALL_ANGLE = 0.01  # rad
 
 
 class Case(NamedTuple):
@@ -70,7 +67,7 @@ def case(
 ) -> Case:
     """Identify ``free`` on all lines but the last, judge by that one."""
     free, table, p = frozenset(free), session.table, len(chain.parameters)
-    rig = line_rig(chain, session, rule, device_sigma, joint_noise)
+    rig = line_rig(session, rule, device_sigma, joint_noise)
     last = table.line == table.line[-1]
     problem = build_problem(chain, rig, table.select(~last), prior_of(chain))
     columns = np.array([name in free or name.startswith("line.") for name in problem.names])
@@ -93,7 +90,7 @@ def _on_other_line(problem: Problem, params: Floats) -> float:
 def before(chain: Chain, session: Session, rule: str) -> float:
     """Mean error [m] of the identification lines as the nominal robot and a placement rule have them."""
     table = session.table
-    problem = build_problem(chain, line_rig(chain, session, rule, WIDE), table.select(table.line != table.line[-1]))
+    problem = build_problem(chain, line_rig(session, rule, WIDE), table.select(table.line != table.line[-1]))
     return _mean(observe(problem, problem.start, np.ones(problem.start.size, dtype=bool)).residual)
 
 
@@ -102,39 +99,6 @@ def drawn_case(chain: Chain, solver: str, runs: int, rng: np.random.Generator, j
     truth = errors_added(chain, {name: ANGLE_SIGMA * rng.standard_normal() for name in CASE_E})
     session = measured_lines(chain, truth, N_LINES, N_POINTS, rng)
     return case(chain, session, truth, CASE_E, solver, runs=runs, joint_noise=joint_noise)
-
-
-class Convergence(NamedTuple):
-    """Prediction errors [m] of maximum likelihood and least squares at each step, one linearisation, no rerun."""
-
-    ml: Floats  # (n,)
-    ls: Floats  # (P₀, n): least squares begun with each P(0) = P₀·I
-
-
-def convergence(robot: Robot, n_points: int, p0s: Sequence[float], rng: np.random.Generator) -> Convergence:
-    """Fig. 4: four lines of ``n_points`` points, after two more that place the line (III-G, 5a).
-
-    All rows' parameters are free and truly as uncertain as the prior says; angles to SMALL_ANGLE instead of 3°, so that
-    not the neglected second order decides but what the two estimators make of the noise.
-    """
-    chain = robot.chain
-    free = {n for n, f in zip(chain.parameter_names, robot.free, strict=True) if f and n.startswith("joint")}
-    sigma = {name: min(s, SMALL_ANGLE) for name, s in prior_of(chain).items()}
-    truth = errors_added(chain, {n: sigma[n] * rng.standard_normal() for n in chain.parameter_names if n in free})
-    session = measured_lines(chain, truth, N_LINES - 1, n_points + 2, rng)
-    rig = line_rig(chain, session, "first_two", WIDE)
-    used = np.arange(len(session.table)) % (n_points + 2) >= 2
-    problem = build_problem(chain, rig, session.table.select(used), sigma)
-    columns = np.array([name in free or name.startswith("line.") for name in problem.names])
-    plain = [_prediction(ls.unweighted(problem, p0), columns) for p0 in p0s]
-    return Convergence(_prediction(problem, columns), np.array(plain))
-
-
-def _prediction(problem: Problem, columns: NDArray[np.bool_]) -> Floats:
-    rows = recursive.rows_of(problem, problem.start, columns)
-    state = recursive.start(np.zeros(int(columns.sum())), problem.prior_sigma[columns])
-    innovation = recursive.run(state, rows, np.ones(len(rows.residual), dtype=bool)).innovation
-    return np.asarray(np.linalg.norm((rows.noise_root @ innovation[..., None])[..., 0], axis=1))
 
 
 def unseen(chain: Chain, a6: float, frozen: Iterable[str], rng: np.random.Generator) -> int:
@@ -197,7 +161,7 @@ def error_map(chain: Chain, where: Section, errors: Mapping[str, float]) -> Floa
 
 def batch_against_recursive(chain: Chain, session: Session) -> tuple[float, float]:
     """Largest relative difference of (12) in one step and (18), (20) point by point: of Δ, and of P."""
-    rig = line_rig(chain, session, "least_squares", WIDE)
+    rig = line_rig(session, "least_squares", WIDE)
     problem = build_problem(chain, rig, session.table, prior_of(chain))
     columns = np.array([name in CASE_E or name.startswith("line.") for name in problem.names])
     sigma = problem.prior_sigma[columns]

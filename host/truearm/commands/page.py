@@ -1,0 +1,77 @@
+"""``truearm identify --report``: the page about an identification."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from truearm.estimate.prediction import orientation_residuals, predicted_point_error
+from truearm.estimate.problem import Rigs
+from truearm.files.disk import write_atomic
+from truearm.model.chain import Chain, point_forward
+from truearm.types import Estimate, Floats, ObservationTable, PredictedError, Rig
+
+UNPREDICTED = (
+    "How far the tool may be off at a pose cannot be said: changes of the parameters that these observations do not see would "
+    "move it. The residuals say how well the observations are predicted."
+)
+
+
+class Judged(NamedTuple):
+    """What is computed from an estimate for its readers: orientations of pose rows, and the error of the tool."""
+
+    angle: Floats  # (n,) rad, NaN of rows of other kinds
+    predicted: PredictedError | None
+
+
+def judge(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Judged:
+    """What page and result.json say beyond the estimate itself."""
+    angle = orientation_residuals(chain, rig, table, estimate)
+    return Judged(angle, predicted_point_error(chain, rig, table, estimate))
+
+
+def write_page(
+    path: Path,
+    chain: Chain,
+    rig: Rigs,
+    table: ObservationTable,
+    estimate: Estimate,
+    judged: Judged,
+    prior: str,
+    command: str = "",
+) -> None:
+    """Write the page whole or not at all. Raises InputError when the place cannot be written."""
+    from truearm.report.page import CalibrationPage, render
+    from truearm.report.rows import row_name
+
+    files = dict.fromkeys(row_name(source).rsplit(" ", 2)[0] for source in table.source)  # "poses.csv row 17"
+    page = CalibrationPage(
+        title=f"Calibration of {chain.name}",
+        subtitle=", ".join(files),
+        estimate=estimate,
+        table=table,
+        longitude=longitudes(chain, rig, table, estimate),
+        command=command,
+        prior=prior,
+        angle=judged.angle,
+        predicted=judged.predicted,
+        notes=() if judged.predicted else (UNPREDICTED,),
+    )
+    write_atomic(path, render(page))
+
+
+def longitudes(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Floats:
+    """(n,) [rad] longitude of the sphere about its chuck with the identified robot; NaN where a row has none."""
+    rigs: Mapping[str, Rig] = {"": rig} if isinstance(rig, Rig) else rig
+    out = np.full(len(table), np.nan)
+    bars = np.flatnonzero(table.kind == "ball_bar")
+    if bars.size:
+        of = [rigs[str(name)] for name in table.rig[bars]]
+        spheres = np.array([one.spheres[str(name)].xyz for one, name in zip(of, table.sphere[bars], strict=True)])
+        chucks = np.array([one.chucks[str(name)].xyz for one, name in zip(of, table.chuck[bars], strict=True)])
+        apart = point_forward(chain, estimate.value[: estimate.n_robot_parameters], table.q[bars], spheres) - chucks
+        out[bars] = np.arctan2(apart[:, 1], apart[:, 0])
+    return out

@@ -1,0 +1,162 @@
+"""What an identification found beside the parameters, as tables and sentences: residuals of each kind and rig, χ², rows to
+distrust, wrong labels, how well the parameters are seen, what to measure next, and how far the tool may be off.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from truearm.report.rows import Summary, row_name
+from truearm.report.text import ABSENT, counted, escape, figures, millimetres, number
+from truearm.report.words import KINDS, OBSERVABILITY, kind_name, proposal
+from truearm.types import Addition, Estimate, ObservationTable, PredictedError, Relabelling
+
+MAX_ROWS = 40  # suspects and relabelled rows that are named
+MAX_NAMES = 12
+
+
+def table_of(titles: Sequence[str], rows: Iterable[Sequence[str]], label: str, css: str = "plain") -> str:
+    """A table whose cells are HTML already; the first column names the row."""
+    head = "".join(f'<th scope="col">{title}</th>' for title in titles)
+    body = "".join(
+        f'<tr><th scope="row">{first}</th>{"".join(f"<td>{cell}</td>" for cell in rest)}</tr>' for first, *rest in rows
+    )
+    table = f'<table class="{css}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
+    return f'<div class="scroll" tabindex="0" role="region" aria-label="{label}">{table}</div>'
+
+
+def residual_table(found: Sequence[Summary]) -> str:
+    """RMS and largest residual of each kind, and of each rig where there are several, with what a residual is."""
+    several, turns = any(s.rig for s in found), any(math.isfinite(s.angle) for s in found)
+    titles = ["observations", *["rig"] * several, "fitted rows", "RMS before [mm]", "RMS after [mm]"]
+    titles += ["largest after [mm]", "held-out rows", "RMS held out [mm]", *["RMS rotation after [deg]"] * turns]
+    rows = [
+        [
+            escape(kind_name(s.kind)),
+            *[escape(s.rig) or ABSENT] * several,
+            str(s.fitted),
+            millimetres(s.before),
+            millimetres(s.after),
+            millimetres(s.largest),
+            str(s.held_out),
+            millimetres(s.validation),
+            *[figures(math.degrees(s.angle))] * turns,
+        ]
+        for s in found
+    ]
+    kinds = [kind for kind in KINDS if any(s.kind == kind for s in found)]
+    words = " ".join(f"Residual of a {KINDS[kind].name} observation: {KINDS[kind].residual}." for kind in kinds)
+    return f"<p>{escape(words, 1200)}</p>" + table_of(titles, rows, "residuals")
+
+
+def chi2_words(e: Estimate) -> str:
+    """χ² against its band, in a sentence; "" where there is none."""
+    low, high = e.chi2_band
+    if not math.isfinite(e.chi2_reduced):
+        return ""
+    text = f"χ² per degree of freedom is {figures(e.chi2_reduced)}"
+    if not math.isfinite(low + high):
+        return text + "."
+    text += f"; if the declared σ and the model are right it lies between {figures(low)} and {figures(high)} (95 %). "
+    if e.chi2_reduced > high:
+        return (
+            text + "It lies above: the robot errs in ways that these parameters do not model, or the σ are too small."
+        )
+    if e.chi2_reduced < low:
+        return text + "It lies below: the declared σ are larger than the noise really is."
+    return text + "It does."
+
+
+def suspect_table(e: Estimate, table: ObservationTable) -> str:
+    """The fitted rows that disagree with all others, the farthest first."""
+    rows = np.flatnonzero(e.suspect)
+    if not rows.size:
+        return "<p>No fitted row disagrees with all others beyond chance (one clean row in a million would).</p>"
+    rows = rows[np.argsort(-e.distance[rows], kind="stable")]
+    left_out = int(np.sum(e.weight[rows] == 0.0))
+    verb = "disagrees" if rows.size == 1 else "disagree"
+    words = f"{counted(rows.size, 'row')} {verb} with all others more than one clean row in a million would"
+    words += f"; {left_out} left out of the fit." if left_out else "; none is left out of the fit."
+    cells = [
+        [
+            escape(row_name(table.source[row])),
+            escape(kind_name(str(table.kind[row]))),
+            number(float(e.distance[row]), 1),
+            millimetres(float(e.residual[row])),
+            figures(float(e.weight[row]), 2),
+        ]
+        for row in rows[:MAX_ROWS]
+    ]
+    titles = ("row", "observation", "distance from the others [σ]", "residual [mm]", "weight in the fit [1]")
+    more = f"<p>and {rows.size - MAX_ROWS} more (suspect in result.json)</p>" if rows.size > MAX_ROWS else ""
+    return f"<p>{words}</p>" + table_of(titles, cells, "rows that disagree") + more
+
+
+def relabelling_sentences(found: Sequence[Relabelling], table: ObservationTable) -> list[str]:
+    """Rows whose chuck or sphere is probably another than they name, as plain text."""
+    sentences = []
+    for entry in found[:MAX_ROWS]:
+        first, last = (row_name(table.source[row]) for row in (entry.rows[0], entry.rows[-1]))
+        rows = first if len(entry.rows) == 1 else f"{len(entry.rows)} rows from {first} to {last}"
+        sentences.append(
+            f"Wrong label? {rows} name chuck {entry.was[0]}, sphere {entry.was[1]} and fit chuck {entry.fits[0]}, sphere "
+            f"{entry.fits[1]}: RMS {millimetres(entry.rms_before)} mm as labelled, {millimetres(entry.rms_after)} mm put "
+            "right. All figures here are as labelled."
+        )
+    if len(found) > MAX_ROWS:
+        sentences.append(f"Wrong label? {len(found) - MAX_ROWS} more (relabellings in result.json).")
+    return sentences
+
+
+def observability_table(e: Estimate) -> str:
+    """The four indices of the suggested free set; "" where they were not computed."""
+    if e.observability is None or not e.suggested_free.any():
+        return ""
+    names = [name for name, is_in in zip(e.parameter_names, e.suggested_free, strict=False) if is_in]
+    values = e.observability._asdict()
+    rows = [(key.upper(), figures(values[key]), unit, escape(words)) for key, (words, unit) in OBSERVABILITY.items()]
+    text = (
+        f"How well the observations alone see {counted(len(names), 'parameter')} that they tell apart. A step is 1 mm, "
+        "5 mrad or 0.001 of a gain; larger is better, and figures of one robot compare one set of poses with another."
+    )
+    table = table_of(("index", "value", "unit", "what it says"), rows, "observability", "plain words")
+    return f"<p>{escape(text, 600)}</p>{table}" + _suggested(e, names)
+
+
+def _suggested(e: Estimate, names: Sequence[str]) -> str:
+    """The set that can be told apart, where more was free."""
+    if len(names) == int(e.free[: e.n_robot_parameters].sum()):
+        return ""
+    listed = escape(", ".join(names), 4000)
+    return f"<details><summary>the {len(names)} parameters that can be told apart</summary><p>{listed}</p></details>"
+
+
+def addition_list(additions: Sequence[Addition]) -> str:
+    """What more to measure, the most useful first; "" where all is seen."""
+    if not additions:
+        return ""
+    items = []
+    for a in additions:
+        names = ", ".join(a.parameters[:MAX_NAMES])
+        more = f" and {len(a.parameters) - MAX_NAMES} others" if len(a.parameters) > MAX_NAMES else ""
+        what = proposal(a.kind, a.names)
+        words = f"{what[0].upper()}{what[1:]} to tell {counted(len(a.parameters), 'more parameter')}: {names}{more}."
+        items.append(f"<li>{escape(words, 900)}</li>")
+    return f'<h3>What to measure next</h3><ul class="directions">{"".join(items)}</ul>'
+
+
+def predicted_words(predicted: PredictedError) -> str:
+    """How far the tool may be off, in a sentence of plain text."""
+    where = (
+        "relative to all poses together, as the base's own place is not measured"
+        if predicted.relative
+        else "in the base frame"
+    )
+    return (
+        f"By the covariance of the parameters the measured point of the tool errs by {millimetres(predicted.rms)} mm RMS "
+        f"over {counted(predicted.n, 'pose')}, {where}; most at {row_name(predicted.source)}, by {millimetres(predicted.largest)} mm. "
+        "That is what noise and priors leave if the model is right; errors that the parameters do not model come on top."
+    )

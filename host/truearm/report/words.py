@@ -1,0 +1,62 @@
+"""What the kinds of observation, the observability indices and the proposals are called where people read of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+
+class Kind(NamedTuple):
+    """A kind of observation in words: its name, what its residual is, and what its groups are."""
+
+    name: str
+    residual: str
+    group: str
+    signed: bool  # the residual is one number with a sign, else the norm of a 3-vector
+
+
+KINDS = {
+    "ball_bar": Kind("ball-bar", "measured less predicted length of the bar", "pairing of chuck and sphere", True),
+    "seat": Kind("ball-in-socket", "distance of the ball's predicted centre from its socket", "place", False),
+    "line": Kind("line", "distance of the measured from the predicted point, along and across the line", "line", False),
+    "position": Kind("tracked point", "distance of the measured from the predicted point", "tracker and target", False),
+    "pose": Kind(
+        "tracked pose",
+        "position: distance of the measured from the predicted point; rotation: angle between the measured and the "
+        "predicted orientation",
+        "tracker and target",
+        False,
+    ),
+    "plane": Kind("touched flat", "distance of the touching point from the flat, with its sign", "flat", True),
+}
+ANGLE = "rotation"  # the second residual of a pose
+
+# In steps of 1 mm, 5 mrad and 0.001 of a gain; estimate.identifiability defines the four.
+OBSERVABILITY = {
+    "o1": ("the average parameter: σ per residual that one step of it makes, geometric mean", "σ"),
+    "o2": ("the weakest combination of parameters over the strongest; 1 would be equally well", "1"),
+    "o3": ("the weakest combination: σ that one step of it makes in all residuals together", "σ"),
+    "o4": ("O2 times O3: weak where either is", "σ"),
+}
+
+
+def kind_name(kind: str) -> str:
+    """The name of a kind; a kind of a later version is its own name."""
+    return KINDS[kind].name if kind in KINDS else kind
+
+
+def proposal(kind: str, names: Sequence[str]) -> str:
+    """What more to measure, as a command to a person; ``names`` are those of a pairing."""
+    match kind:
+        case "pairing":
+            return f"measure with chuck {names[0]}, sphere {names[1]} too"
+        case "poses":
+            return "measure with what is mounted in poses that differ more"
+        case "chuck" | "sphere":
+            return f"measure with one more {kind}, not in line with the others,"
+        case "ball_bar":
+            return "measure with a ball-bar, three chucks and three spheres,"
+        case "line":
+            return "measure a new line with the line device"
+        case _:
+            return "seat the ball at a new place"

@@ -1,0 +1,104 @@
+"""Sessions of one robot with rigs of their own, recorded by the simulated lab and identified together."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.end_to_end.conftest import record_session, truearm
+
+from truearm.files.rig import write_rig
+from truearm.files.table import read_table
+from truearm.types import Point
+from truearm_sim.world import standard_rig
+
+SHIFT = np.array([0.004, -0.003, 0.002])  # m, of the spheres that were mounted anew on Tuesday
+
+
+def moved_rig():
+    """The second day's truth: the same chucks and bars, the spheres' plate elsewhere on the endpoint."""
+    rig = standard_rig()
+    spheres = {n: Point(n, tuple((np.array(p.xyz) + SHIFT).tolist())) for n, p in rig.spheres.items()}
+    return replace(rig, spheres=spheres)
+
+
+@pytest.fixture(scope="module")
+def days(tmp_path_factory):
+    """monday.mcap and tuesday.mcap, each with the rig that was true on its day."""
+    folder = tmp_path_factory.mktemp("days")
+    record_session(folder / "monday.mcap", 45, osr=16384)
+    record_session(folder / "tuesday.mcap", 45, seed=2, osr=16384, rig=moved_rig())
+    return folder
+
+
+def identified(folder, *more):
+    command = ("identify", folder / "monday.mcap", folder / "tuesday.mcap", "--robot", "puma560", "--json", *more)
+    done = truearm(*command)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def told(folder, *more):
+    done = truearm("identify", folder / "monday.mcap", folder / "tuesday.mcap", "--robot", "puma560", *more)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    return done.stderr
+
+
+def test_each_session_has_the_rig_that_it_was_recorded_with(days):
+    result = identified(days)
+    assert (result["status"], result["rank"], result["n_free"]) == ("converged", 36, 36)
+    assert {p["of"] for p in result["parameters"]} == {"robot"}  # both rigs are known exactly
+    freedom = result["n_observations"] - 36
+    assert freedom > 100
+    assert abs(result["chi2_reduced"] - 1.0) < 4.0 * np.sqrt(2.0 / freedom)  # 4 standard deviations of χ²
+    # One rig for both would be wrong by the 5.4 mm that the spheres were moved.
+    write_rig(days / "monday.toml", standard_rig())
+    assert identified(days, "--rig", days / "monday.toml")["rms_after_mm"] > 10 * result["rms_after_mm"]
+
+
+def test_a_rig_of_its_own_stands_in_for_what_a_session_carries(days):
+    """Nobody measured Tuesday's spheres: they become unknowns of that rig alone, the robot stays shared."""
+    guess = standard_rig()
+    unknown = {name: replace(point, sigma=None) for name, point in guess.spheres.items()}
+    write_rig(days / "unknown.toml", replace(guess, spheres=unknown))
+    result = identified(days, "--rig", f"tuesday={days / 'unknown.toml'}")
+    assert (result["status"], result["rank"]) == ("converged", 36)
+    rig = {p["name"]: p for p in result["parameters"] if p["of"] == "rig"}
+    assert sorted(rig) == [f"tuesday.sphere.{s}.{k}" for s in ("s1", "s2", "s3") for k in "xyz"]
+    for name, true in moved_rig().spheres.items():
+        for k, xyz in zip("xyz", true.xyz, strict=True):
+            found = rig[f"tuesday.sphere.{name}.{k}"]
+            # 4.5 σ: one of nine coordinates lies beyond once in 16,000 draws
+            assert abs(found["value"] - xyz) < 4.5 * found["sigma"]
+    assert [entry["role"] for entry in result["inputs"]] == ["observations", "observations", "rig"]
+
+
+def test_both_rigs_may_be_given_and_are_saved_with_the_rows(days, tmp_path):
+    write_rig(tmp_path / "m.toml", standard_rig())
+    write_rig(tmp_path / "t.toml", moved_rig())
+    rigs = ("--rig", f"monday={tmp_path / 'm.toml'}", "--rig", f"tuesday={tmp_path / 't.toml'}")
+    result = identified(days, *rigs, "--save-table", tmp_path / "all.csv")
+    assert result["rms_after_mm"] == identified(days)["rms_after_mm"]
+    assert set(read_table(tmp_path / "all.csv").rig) == {"monday", "tuesday"}
+    again = truearm("identify", tmp_path / "all.csv", "--robot", "puma560", *rigs, "--json")
+    assert again.returncode == 0, again.stderr
+    assert json.loads(again.stdout)["rms_after_mm"] == pytest.approx(result["rms_after_mm"], rel=1e-9)
+    held = identified(days, *rigs, "--hold-out", "rig=tuesday")
+    assert held["held_out"]["n"] == result["n_observations"] - held["n_observations"] > 0
+
+
+def test_names_that_fit_nothing_are_told(days, tmp_path):
+    write_rig(tmp_path / "m.toml", standard_rig())
+    rig = tmp_path / "m.toml"
+    assert "no session is called so" in told(days, "--rig", f"wednesday={rig}")
+    other = tmp_path / "monday.mcap"
+    other.write_bytes((days / "tuesday.mcap").read_bytes())
+    two = truearm("identify", days / "monday.mcap", other, "--robot", "puma560")
+    assert (two.returncode, two.stdout) == (2, "")
+    assert "another session is called monday too, but has another rig" in two.stderr
+    table = tmp_path / "t.csv"
+    table.write_text(
+        "kind,q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad,length_mm,bar,chuck,sphere\n"
+        "ball_bar,0,0,0,0,0,0,460,bar46,c1,s1\n"
+    )
+    assert "t.csv row 2: names no rig in its column rig; given: monday, tuesday" in told(days, table)

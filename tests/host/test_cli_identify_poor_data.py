@@ -1,0 +1,171 @@
+"""``truearm identify`` on data that cannot determine the robot, or contradict the rig: an answer, exit code 0, what is
+unseen and what to measure next; never a traceback."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from puma_bench import (
+    DESIGN,
+    RIG,
+    SIGMA,
+    TRUTH,
+    all_pairs,
+    constant_orientation_poses,
+    lengths,
+    points,
+    random_poses,
+    random_table,
+    table,
+    vertical_tool_poses,
+)
+
+from truearm import cli
+from truearm.commands.identify import Solver
+from truearm.files.rig import write_rig
+from truearm.files.table import write_table
+
+UNITS = ("rad",) * 6
+
+
+@pytest.fixture
+def identified(tmp_path, capsys):
+    """The result and what a person reads, of rows and a rig, by way of files."""
+
+    def call(rows, rig=RIG, *options):
+        write_table(tmp_path / "t.csv", rows, UNITS)
+        write_rig(tmp_path / "rig.toml", rig)
+        arguments = ["identify", tmp_path / "t.csv", "--robot", "puma560", "--rig", tmp_path / "rig.toml", *options]
+        told = []
+        for more in (["--json"], []):
+            code = cli.main([str(a) for a in [*arguments, *more]])
+            out, err = capsys.readouterr()
+            assert (code, err) == (0, "")
+            told.append(out)
+        return json.loads(told[0]), " ".join(told[1].split())
+
+    return call
+
+
+def unseen_and_advised(result, text, rank, advice, promised=None):
+    """Rank, null directions that hold every unseen parameter, and in words the proposal and how many it tells, all by default."""
+    assert result["rank"] == rank
+    lost = result["n_free"] - rank
+    assert len(result["null_space"]) == lost
+    unseen = {p["name"] for p in result["parameters"] if p["free"] and not p["seen"]}
+    assert {name for direction in result["null_space"] for name in direction["names"]} == unseen
+    assert all(p["sigma"] is None for p in result["parameters"] if p["name"] in unseen)
+    assert all(np.isfinite(p["value"]) for p in result["parameters"])
+    assert f"rank {rank} of {result['n_free']} free" in text
+    assert f"{lost} combination{'s' * (lost > 1)} of parameters cannot be seen" in text
+    assert f"Next: measure with {advice}" in text
+    more = promised or lost
+    assert f"to tell {more} more parameter{'s' * (more > 1)}" in text
+
+
+POSES = "what is mounted in poses that differ more"
+CHUCK = "one more chuck, not in line with the others,"
+
+
+def with_chucks(coordinates):
+    return replace(RIG, chucks=points("c", coordinates))
+
+
+def test_a_contradictory_rig(identified):
+    """Two chucks' coordinates were exchanged and one is 50 mm off: the lengths cannot be met."""
+    (a, b, c) = (p.xyz for p in RIG.chucks.values())
+    wrong = with_chucks([b, (a[0], a[1], a[2] + 0.05), c])
+    result, text = identified(random_table(100, np.random.default_rng(0), SIGMA), wrong)
+    assert result["rank"] == 36
+    assert result["chi2_reduced"] > 100 * result["chi2_band"][1]
+    assert "above the" in text
+    assert "times what the declared sigmas allow: the robot has errors that these parameters do not model" in text
+
+
+def test_all_chucks_at_one_place(identified):
+    """The lengths contradict that, and it leaves three parameters unseen, as one chuck does."""
+    result, text = identified(random_table(100, np.random.default_rng(1), SIGMA), with_chucks([(0.4, 0.0, 0.2)] * 3))
+    assert result["rank"] == 33
+    assert result["chi2_reduced"] > 100 * result["chi2_band"][1]
+    assert "3 combinations of parameters cannot be seen" in text
+    assert f"Next: measure with {CHUCK} to tell 2 more parameters" in text
+
+
+def test_collinear_chucks(identified):
+    rig = with_chucks([(0.4, 0.0, 0.2), (0.5, 0.05, 0.25), (0.6, 0.1, 0.3)])
+    q, pairs = random_poses(200, np.random.default_rng(2)), all_pairs(200)
+    noise = SIGMA * np.random.default_rng(3).normal(size=200)
+    result, text = identified(table(q, lengths(TRUTH, q, pairs, rig.chucks) + noise, pairs), rig)
+    unseen_and_advised(result, text, 35, CHUCK)
+    assert result["chi2_band"][0] < result["chi2_reduced"] < result["chi2_band"][1]
+
+
+@pytest.mark.parametrize("solver", [s.value for s in Solver])
+@pytest.mark.parametrize("n", [1, 12])
+def test_too_few_observations(identified, n, solver):
+    rows = random_table(n, np.random.default_rng(4), SIGMA)
+    result, text = identified(rows, RIG, "--solver", solver, "--max-iterations", 20, "--prior", "none")
+    # One row names one pairing, which tells 30 at most (Table I of the paper).
+    unseen_and_advised(result, text, n, POSES, 29 if n == 1 else None)
+    assert result["chi2_reduced"] is None
+    assert f"Only 0 residuals more than the {n} combinations that they determine" in text
+
+
+def test_too_few_observations_under_a_prior_are_judged_by_what_is_left(identified):
+    result, text = identified(random_table(12, np.random.default_rng(4), SIGMA), RIG, "--prior", "weak")
+    unseen_and_advised(result, text, 12, POSES)
+    assert 0.0 < result["chi2_freedom"] < 12.0
+
+
+@pytest.mark.parametrize("solver", [s.value for s in Solver])
+def test_all_poses_alike(identified, solver):
+    """Six numbers place the end, and no more is seen, however often it is measured."""
+    rows = random_table(90, np.random.default_rng(5), SIGMA)
+    alike = replace(rows, q=np.tile(rows.q[0], (90, 1)))
+    length = lengths(TRUTH, alike.q, all_pairs(90)) + SIGMA * np.random.default_rng(6).normal(size=90)
+    options = ("--solver", solver, "--max-iterations", 20, "--prior", "none")
+    result, text = identified(replace(alike, value=length), RIG, *options)
+    unseen_and_advised(result, text, 6, POSES)
+
+
+@pytest.mark.parametrize(("poses", "rank"), [(constant_orientation_poses, 33), (vertical_tool_poses, 27)])
+def test_a_constant_tool_orientation(identified, poses, rank):
+    """docs/decisions/0007: three parameters lost, nine with the tool pointing down and the wrist in the arm's plane.
+
+    The robot is as described and the lengths are exact, so that its orientation is constant to the last digit.
+    """
+    q, pairs = poses(200, np.random.default_rng(7)), all_pairs(200)
+    result, text = identified(table(q, lengths(DESIGN, q, pairs), pairs))
+    unseen_and_advised(result, text, rank, POSES)
+
+
+@pytest.mark.parametrize("n", [200, 800])
+def test_a_tool_orientation_that_a_real_arm_keeps_nearly(identified, n):
+    """The rank is full by what the arm strays, millidegrees to degrees; the same three are told to be hardly seen."""
+    q, pairs = constant_orientation_poses(n, np.random.default_rng(7)), all_pairs(n)
+    rows = table(q, lengths(TRUTH, q, pairs) + SIGMA * np.random.default_rng(8).normal(size=n), pairs)
+    result, text = identified(rows)
+    assert (result["rank"], result["null_space"]) == (36, [])
+    assert len(result["hardly_seen"]) == 3
+    # Where the base and where the tool is: shifts of the one undo those of the other.
+    parts = {name.partition(".")[0] for direction in result["hardly_seen"] for name in direction["names"]}
+    assert {"link1", "link7"} <= parts
+    assert "3 combinations of parameters are hardly seen, less well than a drawing tells (1 mm, 5 mrad" in text
+    assert f"Next: measure with {POSES} to tell 3 more parameters" in text
+    varied, plain = identified(random_table(200, np.random.default_rng(9), SIGMA))
+    assert (varied["hardly_seen"], varied["additions"]) == ([], [])
+    assert "The observations see every free parameter." in plain
+
+
+def test_nothing_measured_is_misuse(tmp_path, capsys):
+    write_table(tmp_path / "t.csv", random_table(5, np.random.default_rng(10)), UNITS)
+    header = (tmp_path / "t.csv").read_text().splitlines()[0]
+    (tmp_path / "t.csv").write_text(header + "\n")
+    write_rig(tmp_path / "rig.toml", RIG)
+    code = cli.main(["identify", str(tmp_path / "t.csv"), "--robot", "puma560", "--rig", str(tmp_path / "rig.toml")])
+    out, err = capsys.readouterr()
+    assert (code, out) == (2, "")
+    assert err.startswith("truearm: ")
+    assert err.count("\n") == 1
+    assert "no rows" in err

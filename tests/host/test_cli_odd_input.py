@@ -1,0 +1,94 @@
+"""Every command with odd input: one line that says what is wrong, exit code 1 or 2, no traceback, nothing overwritten."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from truearm.cli import main
+
+Run = Callable[..., tuple[int, str]]
+JOINTS = ",".join(f"q{i}_rad" for i in range(1, 7))
+TABLE = f"kind,{JOINTS},place,socket\n" + "".join(f"seat,0,0,0,0,0,{i},a,0\n" for i in range(4))
+IDENTIFY = ("identify", "t.csv", "--robot", "puma560")
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """main() in a folder of odd files; exit code and the one line on stderr."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "t.csv").write_text(TABLE)
+    (tmp_path / "empty").touch()
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder.mcap").mkdir()
+    (tmp_path / "circle").symlink_to("circle")
+    (tmp_path / "latin.csv").write_bytes("kind,é".encode("latin-1"))
+    (tmp_path / "empty.mcap").touch()
+    (tmp_path / "text.mcap").write_text("hello")
+    # a record that claims 2^62 bytes
+    (tmp_path / "claims.mcap").write_bytes(b"\x89MCAP0\r\n\x06" + (2**62).to_bytes(8, "little"))
+    os.mkfifo(tmp_path / "pipe.csv")
+    os.mkfifo(tmp_path / "pipe.mcap")
+
+    def call(*arguments: str) -> tuple[int, str]:
+        code = main(list(arguments))
+        captured = capsys.readouterr()
+        assert captured.err.count("\n") == 1, captured.err
+        assert captured.err.startswith("truearm: ")
+        assert captured.out == ""
+        return code, captured.err
+
+    return call
+
+
+LONG = "a" * 300  # a name that no file system takes
+
+CASES = {
+    "a link in a circle as input": (("identify", "circle", "t.csv", "--robot", "puma560"), "no such file"),
+    "a link in a circle as output": ((*IDENTIFY, "--out", "circle"), "a link that leads in a circle"),
+    "a link in a circle as page": ((*IDENTIFY, "--report", "circle"), "a link that leads in a circle"),
+    "too long a name as input": (("identify", LONG, "--robot", "puma560"), "cannot be read: File name too long"),
+    "too long a name as output": ((*IDENTIFY, "--out", LONG), f"{LONG}: cannot be written: File name too long"),
+    "too long a name of a table": ((*IDENTIFY, "--save-table", LONG), "cannot be written: File name too long"),
+    "too long a name of a session": (("inspect", f"{LONG}.mcap"), "cannot be read: File name too long"),
+    "standard input": (("identify", "-", "--robot", "puma560"), "standard input is not read"),
+    "standard output": ((*IDENTIFY, "--out", "-"), "--json prints the result"),
+    "an empty name": (("identify", "", "--robot", "puma560"), "is a directory"),
+    "an empty name as output": ((*IDENTIFY, "--report", ""), "is a directory"),
+    "a pipe as table": (("identify", "pipe.csv", "--robot", "puma560"), "not a regular file"),
+    "a pipe as session": (("inspect", "pipe.mcap"), "not a regular file"),
+    "an empty table": (("identify", "empty", "--robot", "puma560"), "is empty"),
+    "a table in Latin-1": (("identify", "latin.csv", "--robot", "puma560"), "is not UTF-8"),
+    "an empty session": (("identify", "empty.mcap", "--robot", "puma560"), "is no MCAP file"),
+    "a folder as session": (("identify", "folder.mcap", "--robot", "puma560"), "not a regular file"),
+    "text as session": (("inspect", "text.mcap"), "is no MCAP file"),
+    "absurd lengths": (("inspect", "claims.mcap"), "ends in the middle"),
+    "a name with a surrogate": (("identify", "\udcff", "--robot", "puma560"), "no such file"),
+    "a robot with a NUL": (("identify", "t.csv", "--robot", "a\0b"), "is no built-in robot"),
+    "a table as robot": (("identify", "t.csv", "--robot", "t.csv"), "is no built-in robot"),
+    "an empty rig name": ((*IDENTIFY, "--rig", "=x"), "no such file"),
+    "a file of no name": ((*IDENTIFY, "--rig", "a="), "is a directory"),
+    "nothing between commas": ((*IDENTIFY, "--also-free", ","), "matches no parameter"),
+    "an open bracket": ((*IDENTIFY, "--free", "["), "matches no parameter"),
+    "a fraction of nothing": ((*IDENTIFY, "--hold-out", "1e-300"), "is not one row of 4"),
+    "papers into a stranger's folder": (("reproduce", "goswami", "--out", "."), "holds other files"),
+    "papers into the folder of no name": (("reproduce", "goswami", "--out", ""), "holds other files"),
+    "papers into a file": (("reproduce", "renders", "--out", "t.csv"), "cannot be used as a folder"),
+    "a demo into a stranger's folder": (("demo", "--out", "."), "holds other files"),
+    "a rate that is no number": (("demo", "--rate", "nan", "--out", "new"), "is not within the box's"),
+    "a device of no address": (("record", "--device", "socket://", "--out", "s.mcap"), "is no address"),
+    "an endless time": (("record", "--device", "x", "--out", "s.mcap", "--duration", "inf"), "is no time"),
+    "a port beyond": (("simulate", "--port", "99999"), "65535"),
+    "no command": (("",), "No such command"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "message"), CASES.values(), ids=CASES.keys())
+def test_odd_input_is_one_line(run: Run, tmp_path: Path, arguments: tuple[str, ...], message: str) -> None:
+    before = sorted(p.name for p in tmp_path.iterdir())
+    code, said = run(*arguments)
+    assert code == 2
+    assert message in said
+    assert sorted(p.name for p in tmp_path.iterdir()) == before
+    assert (tmp_path / "t.csv").read_text() == TABLE

@@ -1,0 +1,206 @@
+"""χ² and its band: their mean, variance and coverage by Monte Carlo, whatever the prior is worth.
+
+The linear problems are small and hard on purpose: few residuals, and directions in which data and prior weigh alike.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from puma_bench import CHAIN, FREE, RIG, SIGMA, random_table
+from scipy import stats
+
+from truearm.estimate.identify import SOLVERS, identify
+from truearm.estimate.information import fold, half, spectrum
+from truearm.estimate.prior import weak_prior
+from truearm.estimate.uncertainty import goodness, prior_shares
+
+DRAWS = 20_000
+
+
+def jacobian(singular, n, seed):
+    """(n, k) with these singular values in random directions."""
+    rng = np.random.default_rng(seed)
+    k = len(singular)
+    u, v = (np.linalg.qr(rng.normal(size=(m, k)))[0] for m in (n, k))
+    return u * np.array(singular) @ v.T
+
+
+def influence(jac, sigma):
+    """H of a fit with a prior σ (inf for none), by pseudo-inverse."""
+    prior = np.diag(np.where(np.isfinite(sigma), 1.0 / sigma, 0.0))
+    return jac @ np.linalg.pinv(np.vstack([jac, prior]), rcond=1e-10)[:, : len(jac)]
+
+
+def judged(jac, sigma, chi2):
+    """``goodness`` as ``identify`` calls it."""
+    k = jac.shape[1]
+    prior = np.diag(np.where(np.isfinite(sigma), 1.0 / sigma, 0.0))
+    root = fold(np.zeros((k, k)), np.vstack([jac, prior]))
+    return goodness(chi2, len(jac), prior_shares(half(spectrum(root)), sigma))
+
+
+def draws(jac, sigma, c, seed):
+    """χ² (DRAWS,) of the data where the true parameters lie c·σ about the prior's mean, 0 where there is no prior."""
+    rng = np.random.default_rng(seed)
+    true = c * np.where(np.isfinite(sigma), sigma, 0.0) * rng.normal(size=(DRAWS, len(sigma)))
+    data = true @ jac.T + rng.normal(size=(DRAWS, len(jac)))
+    residual = data @ (np.eye(len(jac)) - influence(jac, sigma)).T
+    return (residual**2).sum(axis=1)
+
+
+INF = np.inf
+CASES = {
+    "no prior": (jacobian([1.0, 10.0, 100.0, 1e3], 12, 0), np.full(4, INF)),
+    "no prior, two of four seen": (jacobian([1.0, 10.0], 9, 1) @ np.eye(4)[:2], np.full(4, INF)),
+    "prior as strong as the data": (jacobian([0.5, 1.0, 1.0, 2.0], 12, 2), np.ones(4)),
+    "prior far too wide or deciding": (jacobian([1e-3, 1e-2, 1e2, 1e3], 12, 3), np.ones(4)),
+    "prior of some": (jacobian([0.3, 1.0, 3.0, 10.0], 12, 4), np.array([1.0, INF, 0.3, INF])),
+    "fewer data than parameters": (jacobian([0.2, 0.7, 1.5], 3, 5) @ np.eye(6)[:3], np.full(6, 0.8)),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_degrees_of_freedom_are_what_the_influence_leaves(case):
+    jac, sigma = CASES[case]
+    left = len(jac) - np.trace(influence(jac, sigma))
+    assert judged(jac, sigma, 0.0).freedom == pytest.approx(left, abs=1e-9)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_true_prior_leaves_a_mean_of_one(case):
+    jac, sigma = CASES[case]
+    chi2 = draws(jac, sigma, 1.0, 10)
+    left = 1.0 - np.linalg.eigvalsh(influence(jac, sigma))  # H is symmetric: rows are whitened
+    freedom = judged(jac, sigma, 0.0).freedom
+    # Σwz² has the variance 2Σw² and an excess kurtosis of at most 12 (that of one square); a sample's variance strays by
+    # sqrt((κ + 2)/N), 2.6 % at most.
+    variance = 2.0 * float((left**2).sum())
+    assert abs(chi2.mean() - freedom) < 4 * np.sqrt(variance / DRAWS)
+    assert chi2.var() == pytest.approx(variance, rel=4 * np.sqrt(14 / DRAWS))
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_prior_too_wide_lowers_the_mean_by_what_both_decide(case):
+    jac, sigma = CASES[case]
+    chi2 = draws(jac, sigma, 0.0, 11)
+    left = 1.0 - np.linalg.eigvalsh(influence(jac, sigma))
+    freedom = judged(jac, sigma, 0.0).freedom
+    expected = freedom - float((left * (1.0 - left)).sum())
+    variance = 2.0 * float((left**4).sum())
+    assert abs(chi2.mean() - expected) < 4 * np.sqrt(variance / DRAWS)
+    assert chi2.var() == pytest.approx(variance, rel=4 * np.sqrt(14 / DRAWS))
+
+
+@pytest.mark.parametrize("c", [0.0, 0.1, 0.5, 1.0])
+@pytest.mark.parametrize("case", CASES)
+def test_the_band_holds_for_every_prior_that_is_true_or_too_wide(case, c):
+    jac, sigma = CASES[case]
+    chi2 = draws(jac, sigma, c, 12)
+    found = judged(jac, sigma, 0.0)
+    low, high = found.band
+    inside = float(np.mean((chi2 >= low * found.freedom) & (chi2 <= high * found.freedom)))
+    error = 4 * np.sqrt(0.95 * 0.05 / DRAWS)
+    assert inside > 0.95 - error
+    if not np.isfinite(sigma).any():
+        assert inside < 0.95 + error  # exact without a prior
+
+
+def test_a_prior_too_tight_is_seen():
+    jac, sigma = CASES["prior as strong as the data"]
+    found = judged(jac, sigma, 0.0)
+    assert draws(jac, sigma, 10.0, 13).mean() > 2 * found.band[1] * found.freedom
+
+
+def test_without_spare_data_nothing_is_judged():
+    found = judged(jacobian([1.0, 2.0, 3.0], 3, 6), np.full(3, INF), 1e-20)
+    assert np.isnan([found.reduced, *found.band]).all()
+    assert found.freedom == pytest.approx(0.0, abs=1e-12)
+
+
+def test_without_a_prior_the_band_is_that_of_chi2():
+    found = goodness(764.0, 800, np.zeros(36))
+    assert (found.reduced, found.freedom) == (1.0, 764.0)
+    assert found.band == pytest.approx(np.array(stats.chi2.interval(0.95, 764)) / 764)
+
+
+# --- the robot --------------------------------------------------------------------------------------------------------
+
+N_ROWS, RUNS = 60, 25  # 60 lengths for 36 parameters: what the prior decides matters
+
+
+def drawn(c, runs, seed, **how):
+    """χ²/ν, ν, and whether within the band, each (runs,), of robots that lie c·σ of the weak prior about the nominal one."""
+    rng = np.random.default_rng(seed)
+    sigma = weak_prior(CHAIN)
+    out = []
+    for _ in range(runs):
+        truth = CHAIN.params_nominal + c * np.where(FREE, sigma, 0.0) * rng.normal(size=sigma.size)
+        e = identify(CHAIN, RIG, random_table(N_ROWS, rng, SIGMA, truth), free=FREE, prior_sigma=sigma, **how)
+        assert e.status == "converged"
+        out.append((e.chi2_reduced, e.chi2_freedom, e.chi2_band[0] <= e.chi2_reduced <= e.chi2_band[1]))
+    return np.array(out).T
+
+
+@pytest.mark.parametrize("solver", ["lm", "map", "recursive"])
+@pytest.mark.parametrize("c", [1.0, 0.0])
+def test_every_solver_is_judged_alike(c, solver):
+    """A prior on the robot, true and far too wide; with 24 residuals to spare and the prior's share, ν is above 24."""
+    chi2, freedom, inside = drawn(c, RUNS, 20, solver=solver)
+    assert (freedom > N_ROWS - 36).all()
+    # Each of 36 directions lowers the mean by ¼/ν at most.
+    error = 4 * np.sqrt(2 / freedom.mean() / RUNS)
+    least = 1.0 if c else 1.0 - 9.0 / freedom.mean()
+    assert least - error < chi2.mean() < 1.0 + error
+    assert inside.sum() >= RUNS - 5  # 6 of 25 outside: one in 2,000
+
+
+def test_the_paper_s_recipe_fits_as_closely_as_it_claims_to():
+    """Run after run the prior fades, which the degrees of freedom follow."""
+    chi2, freedom, inside = drawn(1.0, RUNS, 21, solver="renders-1991")
+    of_map = drawn(1.0, 1, 21, solver="map")[1]
+    assert (freedom < of_map).all()
+    assert chi2.mean() < 1.0 + 4 * np.sqrt(2 / freedom.mean() / RUNS)
+    assert inside.sum() >= RUNS - 5
+
+
+@pytest.mark.parametrize("loss", ["huber", "cauchy"])
+def test_under_a_robust_loss_all_rows_count_as_declared(loss):
+    """Clean rows fit as by least squares; a fault adds its square, whatever weight the loss left it."""
+    t = random_table(400, np.random.default_rng(22), SIGMA)
+    e = identify(CHAIN, RIG, t, free=FREE, loss=loss)
+    plain = identify(CHAIN, RIG, t, free=FREE)
+    assert e.chi2_freedom == plain.chi2_freedom == 364
+    # 5 % less efficient: the fit follows 36 directions 0.05·36 = 1.8 less well, of 364.
+    assert plain.chi2_reduced < e.chi2_reduced < plain.chi2_reduced + 3 * 1.8 / 364
+    value = t.value.copy()
+    value[7] += 30 * SIGMA
+    faulty = identify(CHAIN, RIG, replace(t, value=value), free=FREE, loss=loss)
+    # 30² and twice the row's own noise, at most 4 σ of it, times 30.
+    assert abs(364 * (faulty.chi2_reduced - e.chi2_reduced) - 900) < 2 * 4 * 30 + 36
+    assert faulty.chi2_reduced > faulty.chi2_band[1]
+
+
+def test_rows_that_were_left_out_are_not_judged():
+    t = random_table(400, np.random.default_rng(23), SIGMA)
+    value = t.value.copy()
+    value[7] += 30 * SIGMA
+    e = identify(CHAIN, RIG, replace(t, value=value), free=FREE, solver="recursive")
+    assert e.chi2_freedom == 363
+    assert e.chi2_band[0] < e.chi2_reduced < e.chi2_band[1]
+
+
+@pytest.mark.parametrize("solver", sorted(SOLVERS))
+def test_what_nothing_sees_takes_no_degree_of_freedom(solver):
+    """54 parameters free where 36 can be seen, no prior."""
+    t = random_table(200, np.random.default_rng(24), SIGMA)
+    e = identify(CHAIN, RIG, t, solver=solver)
+    assert e.chi2_freedom == pytest.approx(200 - 36, abs=1e-6)
+    assert e.chi2_band == pytest.approx(np.array(stats.chi2.interval(0.95, 164)) / 164, rel=1e-6)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("c", [1.0, 0.3, 0.0])
+def test_coverage_over_four_hundred_robots(c):
+    _, _, inside = drawn(c, 400, 30, solver="map")
+    assert inside.mean() > 0.95 - 3 * np.sqrt(0.95 * 0.05 / 400)

@@ -1,0 +1,139 @@
+"""How far the tool may be off by the covariance, and how far measured orientations are."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from device_bench import TARGETS, join, joints_at, rows, tracked
+from puma_bench import CHAIN, CHUCKS, FREE, RIG, SIGMA, SPHERES, random_poses, random_table, shell_table
+
+from truearm.estimate.identify import identify
+from truearm.estimate.prediction import MOST_POSES, orientation_residuals, predicted_point_error
+from truearm.estimate.uncertainty import predicted_error
+from truearm.model.chain import point_forward, point_jacobians
+from truearm.observe.rotation import rotation, rotation_vector
+from truearm.types import Device, Rig
+
+SENSOR = ((1e-8, 0.0, 0.0), (0.0, 1e-8, 0.0), (0.0, 0.0, 1e-8))  # m²: 0.1 mm each axis
+TURN = 2e-4  # rad
+UNKNOWN = Device("t", SENSOR, rotation_sigma=TURN)
+
+
+@pytest.fixture(scope="module")
+def bars():
+    table = random_table(300, np.random.default_rng(0), SIGMA)
+    return table, identify(CHAIN, RIG, table, free=FREE)
+
+
+def test_ball_bars_see_the_tool_in_the_base_frame(bars):
+    table, estimate = bars
+    found = predicted_point_error(CHAIN, RIG, table, estimate)
+    by_sphere = [
+        predicted_error(CHAIN, estimate.value, estimate.covariance, table.q[table.sphere == s], np.array(p.xyz))
+        for s, p in SPHERES.items()
+    ]
+    every = np.concatenate([e.rms for e in by_sphere])
+    assert (found.n, found.relative) == (300, False)
+    # The reference takes the covariance's root, which cuts what rounding leaves below zero: half the digits are left.
+    assert found.rms == pytest.approx(np.sqrt(np.mean(every**2)), rel=1e-7)
+    assert found.largest == pytest.approx(every.max(), rel=1e-7)
+    assert found.source in set(table.source)
+
+
+def test_what_is_free_beyond_the_rank_changes_no_prediction(bars):
+    table, estimate = bars
+    every = identify(CHAIN, RIG, table)
+    assert len(every.null_space) == 18
+    few, many = (predicted_point_error(CHAIN, RIG, table, e) for e in (estimate, every))
+    assert many.rms == pytest.approx(few.rms, rel=1e-6)  # two fits, each converged to 1e-8 or so of a σ
+    assert not many.relative
+
+
+def test_about_one_chuck_the_arm_may_turn_as_one_body(bars):
+    """Rank 33: three directions are not seen, all of them turns of the whole arm about the chuck."""
+    table = bars[0].select(bars[0].chuck == "c0")
+    rig = replace(RIG, chucks={"c0": CHUCKS["c0"]})
+    estimate = identify(CHAIN, rig, table, free=FREE)
+    assert estimate.rank == 33
+    assert predicted_point_error(CHAIN, rig, table, estimate).relative
+
+
+def test_two_sockets_do_not_say_how_far_they_are_apart():
+    """Each place's seats agree with each other alone; the places may move against each other, and no figure is honest."""
+    rng = np.random.default_rng(4)
+    at = {"a": (0.4, 0.2, 0.5), "b": (0.4, -0.3, 0.6)}
+    seats = [rows("seat", joints_at(np.tile(xyz, (15, 1)), rng), socket="0", place=place) for place, xyz in at.items()]
+    table = join(*seats)
+    table = table.select(np.isfinite(table.q).all(axis=1))
+    rig = Rig(spheres={"ball": TARGETS["ball"]})
+    estimate = identify(CHAIN, rig, table, free=FREE)
+    assert set(table.place) == {"a", "b"}
+    assert predicted_point_error(CHAIN, rig, table, estimate) is None
+
+
+def test_a_tracker_anywhere_sees_the_tool_but_not_the_base():
+    """Robots drawn from the covariance, each moved onto the estimate as one body, spread as was predicted."""
+    rng = np.random.default_rng(1)
+    table = tracked("position", 120, np.array([1.5, 0.2, 0.5, 0.1, 0.2, 0.3]), rng)
+    table = replace(table, xyz=table.xyz + 1e-4 * rng.normal(size=table.xyz.shape))
+    rig = Rig(targets=TARGETS, trackers={"t": UNKNOWN})
+    estimate = identify(CHAIN, rig, table, free=FREE)
+    found = predicted_point_error(CHAIN, rig, table, estimate)
+    assert found.relative
+    p_end = np.array(TARGETS["ball"].xyz)
+    at = point_forward(CHAIN, estimate.value[:54], table.q, p_end)
+    spread = []
+    for delta in rng.multivariate_normal(np.zeros(54), estimate.covariance[:54, :54], 200, method="svd"):
+        moved = point_forward(CHAIN, estimate.value[:54] + delta, table.q, p_end)
+        spread.append(np.mean(np.sum((aligned(moved, at) - at) ** 2, axis=1)))
+    # 200 draws of a mean square over about 27 directions: well below 2/sqrt(2·200) = 10 % of it, 5 % of its root
+    assert np.sqrt(np.mean(spread)) == pytest.approx(found.rms, rel=0.05)
+    assert 0.0 < found.rms < 1e-4  # better than one reading
+
+
+def aligned(a, b):
+    """Points a (n, 3) moved as one body onto b (Kabsch)."""
+    u, _, vt = np.linalg.svd((a - a.mean(0)).T @ (b - b.mean(0)))
+    turn = (u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt).T
+    return (a - a.mean(0)) @ turn.T + b.mean(0)
+
+
+def test_a_large_table_is_thinned():
+    table = shell_table(27, 0.46, np.random.default_rng(2), SIGMA)
+    many = table.select(np.arange(2000) % 27)
+    estimate = identify(CHAIN, RIG, many, free=np.array([name == "link2.x" for name in CHAIN.parameter_names]))
+    assert predicted_point_error(CHAIN, RIG, many, estimate).n == MOST_POSES
+
+
+def test_orientations_of_poses_are_angles():
+    """Noise of σ about each of three axes: an angle of σ√3 in the root mean square, less what the fit takes up."""
+    rng = np.random.default_rng(3)
+    n = 150
+    true = tracked("pose", n, np.array([1.5, 0.2, 0.5, 0.1, 0.2, 0.3]), rng)
+    turned = rotation_vector(rotation(TURN * rng.normal(size=(n, 3))) @ rotation(true.rotation))
+    noisy = replace(true, rotation=turned, xyz=true.xyz + 1e-4 * rng.normal(size=(n, 3)))
+    rig = Rig(targets=TARGETS, trackers={"t": UNKNOWN})
+    estimate = identify(CHAIN, rig, noisy, free=FREE)
+    angle = orientation_residuals(CHAIN, rig, noisy, estimate)
+    freedom = 1.0 - (36 + 6) / (6 * n)
+    # χ² of 3n angles: standard deviation of the root 1/sqrt(6n) = 3.3 %; four of these, and what the split leaves open
+    assert np.sqrt(np.mean(angle**2)) == pytest.approx(TURN * np.sqrt(3 * freedom), rel=0.15)
+
+
+def test_rows_without_an_orientation_have_no_angle(bars):
+    table, estimate = bars
+    assert np.isnan(orientation_residuals(CHAIN, RIG, table, estimate)).all()
+    seat = rows("seat", random_poses(3, np.random.default_rng(0)), socket="0", place="a")
+    assert np.isnan(orientation_residuals(CHAIN, RIG, seat, estimate)).all()
+
+
+def test_identified_spheres_are_where_the_fit_found_them(bars):
+    table, _ = bars
+    rig = replace(RIG, spheres={name: replace(p, sigma=1e-3) for name, p in SPHERES.items()})
+    at = CHAIN.parameter_names.index("link3.beta")
+    estimate = identify(CHAIN, rig, table, free=np.arange(54) == at)
+    of_spheres = [name.startswith("sphere.") for name in estimate.parameter_names]
+    far = replace(estimate, value=np.where(of_spheres, 0.3, estimate.value))
+    _, jac, _ = point_jacobians(CHAIN, far.value[:54], table.q, np.full(3, 0.3))
+    expected = np.linalg.norm(jac[:, :, at], axis=1) * estimate.sigma[at]
+    assert predicted_point_error(CHAIN, rig, table, far).rms == pytest.approx(np.sqrt(np.mean(expected**2)), rel=1e-9)
