@@ -2,7 +2,7 @@
 
 import cbor2
 import pytest
-from tests.end_to_end.levels import lab_of
+from tests.end_to_end.levels import LEVELS, lab_of
 
 from truearm.commands.box_gauge import sample
 from truearm.errors import LinkError, ProtocolError, RefusedError
@@ -13,9 +13,9 @@ from truearm_wire import messages as wire
 from truearm_wire.frame import frame
 
 
-@pytest.fixture
-def lab():
-    with lab_of("vm") as lab:
+@pytest.fixture(params=sorted(LEVELS))
+def lab(request):
+    with lab_of(request.param) as lab:
         yield lab
 
 
@@ -45,7 +45,7 @@ class Lossy:
 
 def test_the_box_says_what_it_is(box):
     ident = box.identify()
-    assert ident.document["board"] == "vm"
+    assert ident.document["board"] in ("vm", "rp2040")
     assert [stream.name for stream in ident.streams.values()] == ["adc", "mag"]
     assert box.ident is ident
 
