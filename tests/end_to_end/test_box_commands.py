@@ -313,7 +313,7 @@ def test_without_mpremote(monkeypatch, capsys):
     monkeypatch.setattr("shutil.which", lambda name: None)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert box("flash", "--stock", "--device", "/dev/ttyACM9") == 2
-    assert "pip install mpremote" in capsys.readouterr().err
+    assert "pip install 'truearm[stock]' or mpremote" in capsys.readouterr().err
 
 
 # --- gauge

@@ -116,7 +116,7 @@ def _read(changes: list[str]) -> list[tuple[str, str | None]]:
 
     found: list[tuple[str, str | None]] = []
     for change in changes:
-        is_value = "=" in change and not change.endswith(".toml")
+        is_value = "=" in change and not Path(change).is_file()
         found.append((change, None if is_value else read_text(Path(change), MAX_BYTES, ConfigError)))
     return found
 

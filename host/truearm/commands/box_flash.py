@@ -75,12 +75,12 @@ def _write_image(path: Path, device: str | None, drive: Path | None, timeout: fl
     image = read_uf2(path)
     what = "the box's firmware" if image.is_box else "a MicroPython without the box's firmware, or something else"
     typer.echo(f"{path}: for the {image.chip.name}, {image.size // 1024} KiB in {image.blocks} blocks: {what}")
-    place = _drive_for(image, device, drive, timeout, stop)
+    place = _drive_for(path, image, device, drive, timeout, stop)
     write_image(image, place, path.name)
     typer.echo(f"{place}: written; the box restarts")
 
 
-def _drive_for(image: Image, device: str | None, drive: Path | None, timeout: float, stop: bool) -> Path:
+def _drive_for(path: Path, image: Image, device: str | None, drive: Path | None, timeout: float, stop: bool) -> Path:
     """The boot drive to write to; a running box is asked to show it first."""
     from truearm.files.boot_drive import board_of, check_drive, find_drives, wait_for
     from truearm_wire.messages import BOOT_LOADER
@@ -104,7 +104,7 @@ def _drive_for(image: Image, device: str | None, drive: Path | None, timeout: fl
     found = wait_for(appeared, timeout)
     if found is None:
         raise LinkError(
-            f"{device}: no boot drive came in {timeout:g} s; mount it and say truearm box flash {'IMAGE'} --drive FOLDER"
+            f"{device}: no boot drive came in {timeout:g} s; mount it, and name its place: truearm box flash {path} --drive FOLDER"
         )
     return found
 

@@ -30,7 +30,7 @@ def mpremote() -> list[str]:
         return [found]
     if importlib.util.find_spec("mpremote") is not None:
         return [sys.executable, "-m", "mpremote"]
-    raise InputError("copying files to a stock MicroPython takes mpremote; install it: pip install mpremote")
+    raise InputError("copying files to a stock MicroPython takes mpremote; install it: pip install 'truearm[stock]' or mpremote")
 
 
 def lay_out(folder: Path, firmware: Path, wire: Path) -> list[Path]:
