@@ -170,6 +170,10 @@ class Board:
 
     # -- sensors and signals
 
+    @property
+    def edges_lost(self):
+        return self._triggers.dropped
+
     def configure(self, settings):
         self.adc.gains([channel.get("gain", 1) for channel in settings["channels"]])
         head = settings["magnetostrictive"]
@@ -229,5 +233,8 @@ class Board:
 
     def to_repl(self):
         self._stop_watchdog()
+        self.adc.stop()  # whoever is at the prompt may free the buffers that DMA writes into
+        self.mag.stop()
+        self._triggers.stop()
         self._led.off()
         micropython.kbd_intr(3)

@@ -1,4 +1,4 @@
-"""Trigger edges: two inputs and the box's own output, stamped by PIO and DMA alone, with debouncing and every edge counted.
+"""Trigger edges: two inputs and the box's own output, stamped by PIO and DMA alone, every edge handed out or counted.
 
 One state machine looks at three pins in a row: the inputs (lines 0 and 1) and the output (line 2), read back from its own pad, so all
 three are stamped alike. Its loop has four cycles (32 ns at 125 MHz):
@@ -24,10 +24,7 @@ The first word, number 0, is pushed at the start: the levels from which edges ar
 
 Two lines that change at the same look make one word and two edges with one stamp.
 
-Debouncing, line by line: an edge within `debounce_us` of the last edge that was handed out on its line is a bounce: counted, not handed out. So the
-first edge of a chatter counts, with its exact stamp. A pulse shorter than the time shows its first edge only. 0 hands out all.
-
-An edge must be fetched within 1073 s (2^30 µs), or debouncing may take it for a bounce.
+Debouncing is the box's (truearm_box/ring.py), on stamps: here every edge counts.
 """
 
 # ruff: noqa: F821  (the state machine's instructions are names that asm_pio brings)
@@ -65,11 +62,7 @@ LEVELS = 2  # after the one read last
 PENDING = 3  # its lines whose edges are still to be handed out
 TIME = 4  # its stamp
 DROPPED = 5  # changes that were lost, modulo 2^30
-BOUNCES = 6  # edges that came too soon, modulo 2^30
-QUIET = 7  # lines that have handed out no edge yet
-LAST = 8  # of each line: time of the last edge handed out, modulo 2^30
-DEBOUNCE = 11  # of each line, µs
-STATE = 14
+STATE = 6
 
 
 @micropython.viper
@@ -100,27 +93,20 @@ def next_change(s: ptr32, channel: ptr32, words: ptr32, stamps: ptr32) -> int:
 
 
 @micropython.viper
-def hand_out(s: ptr32, edge: ptr8) -> int:
-    """One of the PENDING edges to `edge`. Returns 0 if it was a bounce."""
+def hand_out(s: ptr32, edge: ptr8):
+    """One of the PENDING edges to `edge`."""
     line = 0
     while s[3] & (1 << line) == 0:
         line += 1
     bit = 1 << line
     s[3] = s[3] & (7 - bit)
     time = s[4]
-    since = (time - s[8 + line]) & 0x3FFFFFFF
-    if s[7] & bit == 0 and since < s[11 + line]:
-        s[6] = (s[6] + 1) & 0x3FFFFFFF
-        return 0
-    s[7] = s[7] & (7 - bit)
-    s[8 + line] = time & 0x3FFFFFFF
     edge[0] = line
     edge[1] = s[2] >> line & 1
     edge[2] = time >> 24
     edge[3] = time >> 16
     edge[4] = time >> 8
     edge[5] = time
-    return 1
 
 
 @micropython.viper
@@ -216,14 +202,6 @@ class Triggers:
         # its first word is in the ring long before this
         state[LEVELS] = first_levels(self._words)
         state[PLACE] = 1
-        state[QUIET] = 7
-
-    def configure(self, debounce_us):
-        """Of each input. Raises ValueError."""
-        for line, us in enumerate(debounce_us):
-            if not 0 <= us <= 1000000:
-                raise ValueError("a debounce time of %d us; 0 to 1000000 are possible" % us)
-            self._state[DEBOUNCE + line] = us
 
     def stop(self):
         """No more edges: the buffers may go."""
@@ -238,19 +216,13 @@ class Triggers:
     def edge(self, edge):
         """If an edge waits: line, rising, stamp (1, 1, 4 bytes, big endian) to edge."""
         state = self._state
-        while True:
-            while state[PENDING]:
-                if hand_out(state, edge):
-                    return True
+        while not state[PENDING]:  # the change after a gap has none
             if not next_change(state, self._bases[1], self._words, self._stamps):
                 return False
+        hand_out(state, edge)
+        return True
 
     @property
     def dropped(self):
         """Changes of the lines that were lost, since boot. Wraps at 2^30."""
         return self._state[DROPPED]
-
-    @property
-    def bounces(self):
-        """Edges within the debounce time of their line, since boot. Wraps at 2^30."""
-        return self._state[BOUNCES]

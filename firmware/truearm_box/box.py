@@ -11,6 +11,7 @@
                               watchdog. At boot and whenever it changed, never while sampling
     edge(edge) → bool         if a trigger edge waits: line, rising, stamp (1, 1, 4 bytes) to edge. Lines 0 and 1 are the inputs, 2 is
                               the box's own output
+    edges_lost                counter since boot that wraps at 2^30: edges that the board had no room for
     output(level)             sets the trigger output
     alive()                   feeds the watchdog; called once a step, so it may blink the LED too
     led(code)                 what the LED shows from now on: health.IDLE, STREAMING, HOST_GONE or FAULT
@@ -48,10 +49,12 @@ from truearm_wire.messages import BOOT_LOADER, EVENT, RESET
 from .commands import Commands
 from .health import Health
 from .link import Link
-from .ring import Events, Ring
+from .ring import COUNTER, Events, Ring
 from .settings import Settings
 from .storage import keep_error
 from .stream import Streams
+
+EDGES_A_STEP = 8  # a line that nobody terminated may have edges faster than they can be handled
 
 
 class Box:
@@ -81,7 +84,8 @@ class Box:
         start = self._board.ticks()
         self._board.alive()
         busy = self.streams.pull()
-        self._keep_edges()
+        if self._keep_edges():
+            busy = True
         if self.link.pump():
             busy = True
         free = self.link.free()
@@ -112,7 +116,8 @@ class Box:
             return True
         if self.health.due():
             bad = self._splitter.bad_frames + self.commands.bad
-            self.health.send(self.link, self.streams.running, self._ring.overruns, self._events.dropped, bad)
+            dropped = (self._events.dropped + self._board.edges_lost) & COUNTER
+            self.health.send(self.link, self.streams.running, self._ring.overruns, dropped, bad)
             return True
         if self._ring.used:
             self._sending_block = True
@@ -136,10 +141,13 @@ class Box:
             self._board.now(self._t1)
 
     def _keep_edges(self):
-        """Edges get their full time at once: later their stamps could have wrapped."""
-        while self._board.edge(self._edge):
+        """Edges get their full time at once: later their stamps could have wrapped. Returns whether more may wait."""
+        for _ in range(EDGES_A_STEP):
+            if not self._board.edge(self._edge):
+                return False
             self._board.now(self._now)
             self._events.put(self._edge, self._now, self._t_edge, self.settings.config["debounce_us"])
+        return True
 
     def _send_event(self):
         self._events.take(self._edge, self._t_edge)

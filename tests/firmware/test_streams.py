@@ -165,6 +165,19 @@ def test_debouncing_keeps_the_first_edge_of_a_bounce(bench):
     assert kept == [[0, 900, 1500], times]
 
 
+def test_edges_that_nobody_had_room_for_are_counted(bench):
+    """Line 0 rings while the firmware stands still: the board keeps 64, the box 32 of them."""
+    given = 0
+    for _ in range(3):
+        edges = b"".join(struct.pack(">BBI", 0, i & 1, (bench.now_us + i) % 2**32) for i in range(32))
+        bench.give(us=1000, edges=edges, flags=STALL)
+        given += 32
+    found = bench.give(us=1000)
+    kept = sum(f[0] == EVENT for f in found)
+    assert 32 <= kept <= 64
+    assert beat(bench)["dropped"] == given - kept
+
+
 def test_a_minute_without_a_host(chip):
     """The box keeps time, counts what it drops, shows it on its LED, and resumes: a jump of n0 of both streams, none of seq."""
     chip.start()

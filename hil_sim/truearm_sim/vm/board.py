@@ -188,6 +188,7 @@ class Board:
         self._edge_fifo = bytearray(EDGES * EDGE)
         self._edge_first = 0
         self._edge_n = 0
+        self.edges_lost = 0
         self._own_edge = bytearray(EDGE)
         self._temperature = 0
         self._tx = bytearray(ANSWER + TX_MAX)
@@ -275,10 +276,12 @@ class Board:
             self._rx_n += 1
 
     def _keep_edge(self, buf, at):
-        if self._edge_n < EDGES:  # what a real latch has no room for is gone
-            place = (self._edge_first + self._edge_n) % EDGES
-            copy(self._edge_fifo, place * EDGE, buf, at, EDGE)
-            self._edge_n += 1
+        if self._edge_n == EDGES:
+            self.edges_lost = (self.edges_lost + 1) & WRAP
+            return
+        place = (self._edge_first + self._edge_n) % EDGES
+        copy(self._edge_fifo, place * EDGE, buf, at, EDGE)
+        self._edge_n += 1
 
     # -- what the firmware calls
 
