@@ -21,6 +21,8 @@ import shutil
 import struct
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from truearm_sim import debian
@@ -59,7 +61,9 @@ def main() -> int:
     parser.add_argument("--work", type=Path, default=ROOT / "build" / "image", help="sources and what is compiled")
     options = parser.parse_args()
     try:
-        print(build(options.out.absolute(), options.work.absolute()))
+        check_machine()
+        with only_one(options.work.absolute()):
+            print(build(options.out.absolute(), options.work.absolute()))
     except (ImageError, debian.DebianError) as error:
         print(f"error: no image: {error}", file=sys.stderr)
         return getattr(error, "exit_code", 2)
@@ -68,7 +72,6 @@ def main() -> int:
 
 def build(out: Path, work: Path) -> str:
     """Build what is not up to date; returns one line about it. Raises ImageError, DebianError."""
-    check_machine()
     version = firmware_version()
     image = out / f"truearm-{version}.uf2"
     key = inputs_key(work)
@@ -83,12 +86,26 @@ def build(out: Path, work: Path) -> str:
     out.mkdir(parents=True, exist_ok=True)
     (out / "key").unlink(missing_ok=True)
     for old in out.glob("truearm-*.uf2"):
-        old.unlink()
-    image.write_bytes(uf2((work / "cmake" / "firmware.bin").read_bytes()))
+        if old != image:
+            old.unlink()
+    new = image.with_suffix(".new")
+    new.write_bytes(uf2((work / "cmake" / "firmware.bin").read_bytes()))
+    new.replace(image)
     (out / "versions.txt").write_text(versions(work, version, image))
     (out / "symbols.json").write_text(json.dumps(symbols(work / "cmake" / "firmware.elf")))
     (out / "key").write_text(inputs_key(work))
     return f"{image}: {image.stat().st_size} bytes"
+
+
+@contextmanager
+def only_one(work: Path) -> Iterator[None]:
+    """Wait until no other process builds in this folder. A process that dies lets go."""
+    import fcntl  # not where there is no apt either
+
+    work.mkdir(parents=True, exist_ok=True)
+    with (work / "lock").open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 # ---- what the machine has
