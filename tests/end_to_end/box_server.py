@@ -12,6 +12,7 @@ from truearm_sim.serve import Port, Terminal, serve
 from truearm_sim.simbox import SimulatedBox
 from truearm_sim.world import World, standard_plan
 
+MAG_PERIOD_NS = 983_040  # as the converter's
 NOISE_V = 5e-6
 NOISE_PS = 1800.0
 

@@ -11,14 +11,15 @@ import time
 
 import numpy as np
 import pytest
-from tests.end_to_end.box_server import BootDrive, Stage, served
-from tests.end_to_end.levels import MAG_PERIOD_NS
+from tests.end_to_end.box_server import MAG_PERIOD_NS, BootDrive, Stage, served
 from tests.host.test_uf2 import image
 
 from truearm.cli import main
+from truearm.commands.box_link import conversation
 from truearm.files.boot_drive import find_drives
 from truearm.record import ports
 from truearm_sim.box import BoxSetup
+from truearm_sim.chip import FILE_SYSTEM, STORE, ChipBox
 
 SILENT = {"converter_id": 0, "excitation": 20, "noise_0": 0, "stops": 3, "rail_5v": 4420}
 
@@ -126,7 +127,6 @@ def test_every_subcommand_has_help_with_an_example(name, capsys):
 
 
 def test_a_box_that_streams_is_left_alone_until_stop(capsys):
-    from truearm.commands.box_link import conversation
     from truearm_wire.messages import START
 
     with served() as (device, _, _):
@@ -143,8 +143,6 @@ def test_a_box_that_streams_is_left_alone_until_stop(capsys):
 
 
 def test_a_restart_forgets_the_traceback(capsys):
-    from truearm.commands.box_link import conversation
-
     with served() as (device, _, shown):
         (shown.flash / "last_error.txt").write_text("Traceback:\n  somewhere\nMemoryError: no room")
         assert box("info", "--device", device) == 0
@@ -275,17 +273,19 @@ def test_files_onto_a_stock_micropython(fake_mpremote, no_ports, capsys):
         assert box("flash", "--stock", "--device", device, "--no-check") == 0
         assert shown._hardware is None  # it left its protocol
     calls = [json.loads(line) for line in log.read_text().splitlines()]
-    ask, copy, *listings, last = calls
-    assert ask[:3] == ["connect", device, "exec"]
+    ask, clear, copy, *listings, last = calls
+    assert ask[:3] == clear[:3] == ["connect", device, "exec"]
+    assert "'truearm_box'" in clear[3]
+    compile(clear[3], "clear", "exec")  # it is a program
     folder = os.path.dirname(copy[5])
     assert copy == [
         "connect", device, "fs", "cp", "-r",
-        *(f"{folder}/{name}" for name in ("chips", "drivers", "truearm_box", "truearm_wire", "board.py")), ":",
+        *(f"{folder}/{name}" for name in ("chips", "drivers", "truearm_box", "truearm_wire", "board.mpy")), ":",
     ]  # fmt: skip
-    assert "rp2040.py" in listings[0]
-    assert {"ads131m04.py", "magnetostrictive.py", "triggers.py"} <= set(listings[1])
-    assert {"box.py", "config.py"} <= set(listings[2])
-    assert {"cbor.py", "frame.py", "messages.py"} <= set(listings[3])
+    assert "rp2040.mpy" in listings[0]
+    assert {"ads131m04.mpy", "magnetostrictive.mpy", "triggers.mpy"} <= set(listings[1])
+    assert {"box.mpy", "config.mpy"} <= set(listings[2])
+    assert {"cbor.mpy", "frame.mpy", "messages.mpy"} <= set(listings[3])
     assert last == ["connect", device, "fs", "cp", f"{folder}/main.py", ":main.py", "+", "reset"]
     assert not os.path.exists(folder)
     assert "MicroPython 1.25 on Raspberry Pi Pico with RP2040" in capsys.readouterr().out
@@ -313,7 +313,39 @@ def test_without_mpremote(monkeypatch, capsys):
     monkeypatch.setattr("shutil.which", lambda name: None)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert box("flash", "--stock", "--device", "/dev/ttyACM9") == 2
-    assert "pip install 'truearm[stock]' or mpremote" in capsys.readouterr().err
+    assert "take mpremote; install it: pip install 'truearm[stock]'" in capsys.readouterr().err
+
+
+def flash_files(path):
+    """Names of the files of a flash image, by another reader of littlefs than the box's."""
+    from littlefs import LittleFS
+
+    fs = LittleFS(mount=False, **FILE_SYSTEM)
+    fs.context.buffer[:] = path.read_bytes()
+    fs.mount()
+    return {f"{folder}/{name}".lstrip("/") for folder, _, names in fs.walk("/") for name in names}
+
+
+@pytest.mark.soak
+def test_the_real_mpremote_and_a_real_micropython():
+    """Onto MicroPython's RP2040 port in the emulator, over USB as it is: compiled files leave room for the ring, and then the box answers.
+
+    The image has the firmware frozen in as well; files on flash are found first.
+    """
+    pytest.importorskip("mpremote", reason="pip install mpremote")
+    with served(pty=True, power_on=ChipBox) as (device, _, shown):
+        with conversation(device, retries=20) as talk:
+            before = talk.identify().boot_id
+        done = subprocess.run(
+            [sys.executable, "-m", "truearm", "box", "flash", "--stock", "--device", device, "--timeout", "60"],
+            capture_output=True, text=True, timeout=300,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.splitlines()[-1].endswith("firmware 0.2.0 on rp2040")
+        with conversation(device, retries=20) as talk:
+            assert talk.identify().boot_id != before
+        files = flash_files(shown.flash / STORE)
+        assert {"main.py", "board.mpy", "truearm_box/box.mpy", "drivers/triggers.mpy", "config.json"} <= files
 
 
 # --- gauge

