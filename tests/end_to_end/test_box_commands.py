@@ -21,6 +21,7 @@ from truearm.record import ports
 from truearm_sim.box import BoxSetup
 from truearm_sim.chip import FILE_SYSTEM, STORE, ChipBox
 
+EMULATOR = 120  # tries of half a second: it may run at a quarter of the real pace
 SILENT = {"converter_id": 0, "excitation": 20, "noise_0": 0, "stops": 3, "rail_5v": 4420}
 
 
@@ -334,7 +335,7 @@ def test_the_real_mpremote_and_a_real_micropython():
     """
     pytest.importorskip("mpremote", reason="pip install mpremote")
     with served(pty=True, power_on=ChipBox) as (device, _, shown):
-        with conversation(device, retries=20) as talk:
+        with conversation(device, retries=EMULATOR) as talk:
             before = talk.identify().boot_id
         done = subprocess.run(
             [sys.executable, "-m", "truearm", "box", "flash", "--stock", "--device", device, "--timeout", "60"],
@@ -342,7 +343,7 @@ def test_the_real_mpremote_and_a_real_micropython():
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
         assert done.stdout.splitlines()[-1].endswith("firmware 0.2.0 on rp2040")
-        with conversation(device, retries=20) as talk:
+        with conversation(device, retries=EMULATOR) as talk:
             assert talk.identify().boot_id != before
         files = flash_files(shown.flash / STORE)
         assert {"main.py", "board.mpy", "truearm_box/box.mpy", "drivers/triggers.mpy", "config.json"} <= files

@@ -16,12 +16,12 @@ from truearm.errors import LinkError, ProtocolError, RefusedError
 from truearm.record.fields import fields_of
 from truearm.record.frames import FrameSplitter, frame_seq, frame_type
 from truearm.record.links import Clock, Link
+from truearm.record.requests import Requests
 from truearm.sensors.data import Data, data_of, decode, usual_data
 from truearm.sensors.ident import Ident, decode_ident
 from truearm.sensors.pages import Pages
 from truearm_wire import messages as wire
 from truearm_wire.cbor import CborError, encode
-from truearm_wire.frame import frame
 
 SECOND = 1_000_000_000
 RETRY_NS = SECOND // 2
@@ -31,7 +31,6 @@ CONFIG_PAGES_MAX = 16  # that a box takes
 MAX_WAITING = 20_000  # frames that nobody fetched; the oldest go
 _READ_S = 0.05
 _SEQ_MASK, _SEQ_HALF = 2**32 - 1, 2**31
-_IDS = 2**29  # SPEC §6: ids stay below 2^30
 _DEPTH = 16
 _REFERENCES = (25, 28, 29, 256)  # tags by which a short document would stand for an endless one
 
@@ -74,8 +73,7 @@ class BoxControl:
         self._next_seq: int | None = None
         self._link = link
         self._clock = clock
-        # Ids go on from the clock: the box may still remember, by its id, a command of an earlier conversation.
-        self._last_id = clock.now_ns() // 1_000_000 % _IDS
+        self._requests = Requests(clock.now_ns())
         self._splitter = FrameSplitter()
         self._ident_pages, self._reply_pages = Pages(), Pages()
         self._waiting: deque[Sent] = deque(maxlen=MAX_WAITING)
@@ -137,8 +135,8 @@ class BoxControl:
 
     def probe(self) -> tuple[int, int]:
         """Send a clock request; returns its id and the host's time before it [ns]. The answer comes as a frame."""
-        number = self._next_id()
-        return number, self._link.write(frame(wire.encode_payload([wire.SYNC_REQUEST, number])))
+        number, data = self._requests.make(wire.SYNC_REQUEST)
+        return number, self._link.write(data)
 
     def sent(self, timeout_s: float) -> Iterator[Sent]:
         """The frames that came, waiting up to ``timeout_s`` for the first bytes."""
@@ -159,15 +157,11 @@ class BoxControl:
             raise ProtocolError(f"{self._link.name}: the box's {what} is no table")
         return document
 
-    def _next_id(self) -> int:
-        self._last_id = self._last_id % _IDS + 1
-        return self._last_id
-
     def _send(
         self, kind: int, arguments: tuple[Any, ...], answered: Callable[[], bool], retry_ns: int, retries: int
     ) -> None:
-        self._awaited, self._reply, self._error = self._next_id(), None, None
-        data = frame(wire.encode_payload([kind, self._awaited, *arguments]))
+        self._awaited, data = self._requests.make(kind, *arguments)
+        self._reply = self._error = None
         for _ in range(retries):
             self._link.write(data)
             deadline_ns = self._clock.now_ns() + retry_ns
