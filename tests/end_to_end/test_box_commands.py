@@ -333,7 +333,6 @@ def test_the_real_mpremote_and_a_real_micropython():
 
     The image has the firmware frozen in as well; files on flash are found first.
     """
-    pytest.importorskip("mpremote", reason="pip install mpremote")
     with served(pty=True, power_on=ChipBox) as (device, _, shown):
         with conversation(device, retries=EMULATOR) as talk:
             before = talk.identify().boot_id

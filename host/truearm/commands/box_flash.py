@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from truearm.sensors.ident import Ident
 
 _ASK_AGAIN_S = 0.5
-_SHORT = 3  # tries of half a second
+_SHORT = 4  # tries of half a second, again and again
 
 
 def flash(
@@ -137,7 +137,7 @@ def _to_prompt(device: str, stop: bool) -> None:
     from truearm_wire.messages import TO_REPL
 
     try:
-        with conversation(device, stop=stop, retries=_SHORT) as box:
+        with conversation(device, stop=stop) as box:
             box.command(TO_REPL)
     except NoAnswer:
         return
