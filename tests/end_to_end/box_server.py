@@ -15,6 +15,7 @@ from truearm_sim.world import World, standard_plan
 MAG_PERIOD_NS = 983_040  # as the converter's
 NOISE_V = 5e-6
 NOISE_PS = 1800.0
+NOISE = np.random.default_rng(4).standard_normal((65_536, 4))
 
 
 class Stage(World):
@@ -28,18 +29,22 @@ class Stage(World):
         self.position = 0.0
         self.magnet = True
 
+    def _noise(self, k0, k1):
+        """Belongs to the sample and to where the stage is, whenever somebody asks."""
+        return NOISE[(np.arange(k0, k1) + 7919 * round(1e4 * self.position)) % len(NOISE)]
+
     def volts(self):
         zero, gain, bend = self.POLY
         return float(min(np.roots([bend, gain, zero - self.position]), key=abs))
 
     def samples(self, k0, k1, t_start_device_ns, period):
-        noise = np.random.default_rng(k0).standard_normal((k1 - k0, 4))
+        noise = self._noise(k0, k1)
         volts = np.array([self.volts(), 0.3, -0.1, 0.75]) + NOISE_V * noise
         stamps = (t_start_device_ns + np.arange(k0, k1, dtype=np.int64) * period) // 1000
         return np.rint(volts / VOLTS_PER_COUNT).astype(np.int32), stamps
 
     def flight_times(self, k0, k1, t_start_device_ns, period_ns):
-        noise = NOISE_PS * np.random.default_rng(k0).standard_normal(k1 - k0)
+        noise = NOISE_PS * self._noise(k0, k1)[:, 0]
         speed = SOUND * 9.05 / 9.031
         flights = np.rint(1e12 * (0.3 + self.position) / speed + self.DELAY_PS + noise).astype(np.int64)
         return flights if self.magnet else np.full_like(flights, -1)

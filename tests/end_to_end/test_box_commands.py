@@ -498,14 +498,14 @@ def test_the_monitor_shows_values_and_ends_with_its_time(capsys):
 def test_on_a_terminal_the_monitor_keeps_to_its_place():
     master, slave = os.openpty()
     with served() as (device, _, _):
-        command = [sys.executable, "-m", "truearm", "box", "monitor", "--device", device, "--duration", "2.2"]
+        command = [sys.executable, "-m", "truearm", "box", "monitor", "--device", device, "--duration", "4"]
         environ = {**os.environ, "TERM": "xterm", "COLUMNS": "120"}
         done = subprocess.run(command, stdout=slave, stderr=subprocess.PIPE, env=environ, timeout=60)
     os.close(slave)
     shown = os.read(master, 1 << 16).decode()
     os.close(master)
     assert (done.returncode, done.stderr) == (0, b"")
-    assert shown.count("transverse_b") >= 3
+    assert shown.count("transverse_b") >= 2
     assert "\x1b[1A" in shown  # back to the line above
 
 

@@ -63,12 +63,11 @@ def test_the_covariance_is_the_spread_of_many_calibrations():
 
 @pytest.mark.parametrize(("poly", "order"), [(TRUTH[:2], 1), (TRUTH[:3], 2), (TRUTH, 3)])
 def test_the_order_that_was_put_in_is_chosen(poly, order):
-    """Never too low: the curvature is a hundred times the noise. Too high now and then, as the rule is made of chance too."""
+    """Never too low: the curvature is a hundred times the noise. Too high now and then: a rule that is made of chance."""
     found = [chosen(fits(*places(21, seed, poly=poly))).order for seed in range(200)]
     assert min(found) == order
-    # one standard error of a difference is exceeded in 16 % of cases by chance; choosing among four higher orders makes it no rarer
-    # than that, and no more than a third in all
-    assert np.mean(np.array(found) == order) >= 2 / 3
+    # A least mean square that lies a standard error below that of the true order by chance: 16 %, if one other order were tried.
+    assert np.mean(np.array(found) == order) >= 1 - 0.16 - 3 * np.sqrt(0.16 * 0.84 / 200)
 
 
 def test_what_is_chosen_predicts_better_than_the_highest_order():
@@ -85,6 +84,29 @@ def test_what_is_chosen_predicts_better_than_the_highest_order():
         pairs.append((error(chosen(tried)), error(tried[-1])))
     taken, highest = np.mean(pairs, axis=0)
     assert taken < 0.8 * highest  # variance grows with the number of coefficients: 4 or 5 of 8
+
+
+@pytest.mark.parametrize("n", [12, 20])
+@pytest.mark.parametrize(
+    "poly",
+    [TRUTH, [0, 3.8e-2], [0, 3.8e-2, 1.5e-5], [0, 3.8e-2, 0, 1.2e-5], [0, 3.8e-2, 1e-4, -2e-4, 5e-5, 1e-4]],
+    ids=["strong", "straight", "quadratic of 4 sigma", "cubic of 3 sigma", "quintic"],
+)
+def test_how_good_the_choice_is(n, poly):
+    """The figures of sensors/gauge.py: the order found, and the error between the points against the best order in hindsight.
+
+    300 runs there. Here 100: a share of 0.76 is known to 0.043, so 0.63 is three of these below it; an RMS error to some 7 %.
+    """
+    at = np.linspace(-0.9, 1.1, 51)
+    right, taken, best = 0, 0.0, 0.0
+    for seed in range(100):
+        tried = fits(*places(n, seed, poly=poly))
+        errors = [np.mean((polynomial.polyval(at, f.poly) - polynomial.polyval(at, poly)) ** 2) for f in tried]
+        found = chosen(tried)
+        right += found.order == len(poly) - 1
+        taken, best = taken + errors[found.order - 1], best + min(errors)
+    assert right >= 63
+    assert np.sqrt(taken / best) <= 1.21 * 1.2
 
 
 def test_orders_that_the_places_allow():

@@ -13,8 +13,10 @@ was not used. Leaving out point i and fitting the others predicts it with the er
 
 without fitting again (Allen, Technometrics 16, 1974, 125, eq. 3.2; PRESS). The order with the least mean square of these is
 the best guess; but on n points that mean is itself known to some tens of percent only. So the lowest order is taken whose
-squares are not larger than the best one's by more than the standard error of their mean difference, point by point
-(the rule of Breiman, Friedman, Olshen and Stone, "Classification and regression trees", 1984, §3.4.3, on paired differences).
+mean square is within one standard error of the best one's (Breiman, Friedman, Olshen and Stone, "Classification and
+regression trees", 1984, §3.4.3). On polynomials of order 1 to 5 with 12 and 20 points it finds the order that was put in in 76 to 93 % of
+cases (the least mean square alone: 61 to 76 %) and errs, between the points, by 4 to 21 % more than the best order in
+hindsight does (tests/host/test_gauge.py).
 """
 
 from __future__ import annotations
@@ -111,13 +113,11 @@ def fits(x: Floats, y: Floats, highest: int = MAX_ORDER) -> list[PolyFit]:
 
 
 def chosen(candidates: Sequence[PolyFit]) -> PolyFit:
-    """The lowest order that predicts points that were left out as well as the best one does, within chance."""
+    """The lowest order that predicts points that were left out as well as the best one does, within a standard error."""
     best = min(candidates, key=lambda f: f.press)
-    for candidate in sorted(candidates, key=lambda f: f.order):
-        worse = candidate.left_out**2 - best.left_out**2
-        if np.mean(worse) <= np.std(worse, ddof=1) / math.sqrt(worse.size):
-            return candidate
-    return best
+    squares = best.left_out**2
+    enough = np.mean(squares) + np.std(squares, ddof=1) / math.sqrt(squares.size)
+    return min((f for f in candidates if f.press**2 <= enough), key=lambda f: f.order)
 
 
 @dataclass(frozen=True)
