@@ -234,7 +234,7 @@ class Board:
     def to_repl(self):
         self._stop_watchdog()
         self.adc.stop()  # whoever is at the prompt may free the buffers that DMA writes into
-        self.mag.stop()
+        self.mag.halt()
         self._triggers.stop()
         self._led.off()
         micropython.kbd_intr(3)

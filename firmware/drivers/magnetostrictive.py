@@ -302,7 +302,7 @@ class Magnetostrictive:
             raise ValueError(
                 "the period is a multiple of 8 ns, at least %d, not %d" % (self._timeout_ns + REARM_NS, period_ns)
             )
-        self._halt()
+        self.halt()
         self._state[NUMBER] = self._state[READ] = 0
         for i in range(8):
             self._index[i] = 0
@@ -372,7 +372,8 @@ class Magnetostrictive:
         state_machine.put(word)
         state_machine.exec(_PULL)
 
-    def _halt(self):
+    def halt(self):
+        """Stop, now: what was sampled is gone, and the buffers may go."""
         self.stop()
         for counter in self._counters:
             counter.active(0)

@@ -80,6 +80,8 @@ def read_flash(path: Path) -> dict[str, bytes]:
 class ChipBox:
     """A running box (``Hardware``). ``host_gone`` closes the host's port until it is set to False again."""
 
+    boot_ns = 0
+
     def __init__(self, boot: Boot, *, image: Path | None = None, start_us: int = 0) -> None:
         """``start_us``: what the hardware timer shows at power-on, for tests of its wraps; device times then count from there.
 

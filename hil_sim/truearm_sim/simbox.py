@@ -33,7 +33,6 @@ from .vmbox import VmBox
 from .world import World
 
 SHORT_WRITE = 100  # bytes that the link takes of a data frame's 251
-BOOT_NS = 1_500_000_000
 STALL_NS = 200_000_000
 NO_STOP_S = 0.01
 FAULTS = (
@@ -95,6 +94,7 @@ class SimulatedBox:
         self._cause = POWER
         self._hardware: Hardware | None = None
         self._boot_at_ns: int | None = 0  # when the power comes (back)
+        self._boot_ns = 0  # what a reset takes
         self.boot_device_ns = 0  # what the device clock showed at the latest boot
         self._sampling = False
         self._stalled_until_ns = 0
@@ -162,6 +162,7 @@ class SimulatedBox:
         self.boot_device_ns = self._world.device_clock.from_true_ns(t_ns)
         signals = Signals(self._world, self.boot_device_ns, self._no_stop)
         self._hardware = self._power_on(Boot(self.flash, self._setup, boot_id, self._cause, signals))
+        self._boot_ns = self._hardware.boot_ns
 
     def _end(self, t_ns: int, end: str) -> None:
         """The firmware ended itself or was ended; at the prompt and in the boot loader the box says nothing more."""
@@ -174,7 +175,7 @@ class SimulatedBox:
     def _power_off(self, t_ns: int, cause: int) -> None:
         self._switch_off()
         self._cause = cause
-        self._boot_at_ns = t_ns + BOOT_NS
+        self._boot_at_ns = t_ns + self._boot_ns
 
     def _switch_off(self) -> None:
         if self._hardware is not None:

@@ -41,6 +41,8 @@ class Feed:
 class VmBox:
     """A running box (``Hardware``). ``interpreter`` None: CPython in MicroPython's place."""
 
+    boot_ns = 1_500_000_000
+
     def __init__(self, interpreter: Interpreter | None, boot: Boot) -> None:
         self._process = BoxProcess(interpreter, boot.setup, boot.boot_id, boot.cause, flash=boot.flash)
         self._signals = boot.signals

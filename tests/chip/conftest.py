@@ -1,8 +1,5 @@
 """The box at chip level: MicroPython's RP2040 image with the firmware in it, in the emulator, as `make test` built it."""
 
-import shutil
-import sys
-
 import cbor2
 import numpy as np
 import pytest
@@ -15,14 +12,6 @@ from truearm_wire.messages import GET_CONFIG, IDENT, PUT_CONFIG, REPLY
 
 READY_S = 3.2  # the boot window of 2 s, the self-test, the first ident
 MS = 1000  # µs
-
-
-def pytest_collection_modifyitems(items):
-    """Where there is no apt no image can be built: said, and skipped. Anywhere else a missing image is an error of the test."""
-    if sys.platform != "linux" or shutil.which("apt-get") is None:
-        for item in items:
-            if "tests/chip/" in item.nodeid:
-                item.add_marker(pytest.mark.skip(reason="the box's image is built of Debian's packages"))
 
 
 class Counting:

@@ -1,24 +1,36 @@
 """The box's firmware on its chip: boot, time, flash, ways out, a host that goes away."""
 
+import itertools
+import random
+
 import cbor2
 import numpy as np
 import pytest
 
 from truearm_sim.box import COMMAND, WATCHDOG
-from truearm_sim.chip import STORE, read_flash
+from truearm_sim.chip import STORE, make_flash, read_flash
 from truearm_sim.hardware import BAD_CRC, CONVERTER_RESET, CRASH, STALL
+from truearm_wire import frame
 from truearm_wire.messages import (
     BOOT_LOADER,
     CONFIGURE,
     DATA,
+    ERROR,
+    ERROR_MALFORMED,
+    ERROR_RANGE,
+    ERROR_STORAGE,
+    ERROR_STREAMING,
+    ERROR_UNKNOWN,
     FLAG_CONVERTER,
     HEARTBEAT,
     IDENT,
+    REPLY,
     RESET,
     RESTART,
     SELF_TEST,
     START,
     STOP,
+    SYNC_REPLY,
     SYNC_REQUEST,
     TO_REPL,
     names,
@@ -29,6 +41,7 @@ from .conftest import MS, command, document, ident
 S = 1_000_000
 PERIOD_NS = 983_040
 BLOCK = 13  # samples of the converter in a frame
+FULL = 1_430_832  # bytes of the largest file that the file system takes
 
 
 def heartbeats(found):
@@ -151,6 +164,23 @@ def test_power_that_fails_while_it_writes_leaves_the_old_or_the_new_configuratio
     assert "config.json" in read_flash(tmp_path / STORE)
 
 
+def test_a_full_flash_refuses_a_configuration_and_keeps_the_old_one(power_on, tmp_path):
+    make_flash(tmp_path / STORE, {"fill": bytes(FULL)})
+    chip = power_on()
+    chip.boot()
+    config = chip.config()
+    changed = {**config, "osr": 1024}
+    (error,) = [f for f in chip.put_config(changed) if f[0] == ERROR]
+    assert error[3] == ERROR_STORAGE
+    assert chip.config() == config
+    chip.ask(START, ms=10)
+    chip.hear(500 * MS, flags=CRASH)  # its traceback has no place either
+    assert chip.end == "reset"
+    assert read_flash(tmp_path / STORE)["fill"] == bytes(FULL)
+    chip = power_on(cause=COMMAND)
+    assert ident(chip.boot())["board"] == "rp2040"
+
+
 def test_a_firmware_that_hangs_is_reset_by_the_watchdog(power_on):
     chip = power_on()
     chip.boot()
@@ -182,6 +212,8 @@ def test_ctrl_c_at_boot_and_a_command_lead_to_the_prompt(power_on):
     chip.boot()
     assert [f[0] for f in chip.ask(TO_REPL) if isinstance(f, list)] == [64]
     assert b"42" in chip.give(10 * S, rx=b"6 * 7\r\n")  # and no watchdog bites
+    busy = b"import machine; print([c for c in range(12) if machine.mem32[0x50000010 + 64 * c] & 1 << 24], 'busy')\r\n"
+    assert b"[] busy" in chip.give(S, rx=busy)
     assert chip.end == ""
 
 
@@ -233,3 +265,82 @@ def test_a_host_that_stalls_or_leaves_costs_what_the_ring_does_not_hold_and_it_i
     assert heartbeats(back)[-1]["reset_cause"] == 1
     assert heartbeats(back)[-1]["overruns"] > lost
     assert len(blocks(back, 0)) > 200
+
+
+@pytest.mark.soak
+def test_a_minute_without_a_host(power_on):
+    """It keeps time, counts what it drops, and resumes: one jump of the index in each stream."""
+    chip = power_on()
+    chip.boot()
+    chip.ask(START, ms=10)
+    before = chip.hear(S)
+    chip.hardware.host_gone = True
+    chip.give(60 * S)
+    assert chip.end == ""
+    chip.hardware.host_gone = False
+    after = chip.hear(4 * S)
+    lost = 0
+    for stream, width, step in ((0, 4, 4), (1, 1, 1)):
+        found = [f for f in before + after if isinstance(f, list) and f[0] == DATA and f[2] == stream]
+        k = indices(found, stream) // step
+        gaps = np.diff(k) - 1
+        assert np.count_nonzero(gaps) == 1
+        lost += int(gaps.sum())
+        ends = [(f[3], f[3] + len(f[6].data) // (4 * width), f[4]) for f in found]
+        assert sum(b[0] - a[1] for a, b in itertools.pairwise(ends)) == gaps.sum()
+        late = [t0 - n0 * PERIOD_NS / 1000 for n0, _, t0 in ends]
+        assert np.ptp(late) <= 1.0 + 1e-9
+    beat = heartbeats(after)[-1]
+    assert beat["overruns"] == lost > 50_000
+    assert beat["reset_cause"] == 1
+
+
+def test_rubbish_and_wrong_commands_are_answered_or_counted(power_on):
+    """Random bytes, random frames, commands with wrong arguments, frames too long; while it streams, so that none may stop it."""
+    chip = power_on()
+    chip.boot()
+    chip.ask(START, ms=20)
+    rng = random.Random(4)
+    found, asked = [], set()
+    for _ in range(300):
+        data, req_id = rubbish(rng)
+        asked |= {req_id} - {None}
+        found += chip.hear(10 * MS, rx=data)
+    found += chip.hear(2500 * MS, rx=b"\0" + command(SYNC_REQUEST, 9))
+    assert chip.end == ""
+    assert all(isinstance(f, list) for f in found), "no traceback, no prompt"
+    assert [f[2] for f in found if f[0] == SYNC_REPLY][-1] == 9, "all has been read"
+    assert len(asked) > 50
+    assert asked <= {f[2] for f in found if f[0] in (ERROR, REPLY, IDENT)}
+    codes = {f[3] for f in found if f[0] == ERROR}
+    assert codes <= {ERROR_UNKNOWN, ERROR_MALFORMED, ERROR_RANGE, ERROR_STREAMING}
+    quiet = chip.hear(1500 * MS)
+    assert (np.diff(indices(quiet, 0)) == 4).all()
+    assert len(indices(quiet, 0)) > 1400
+    beat = heartbeats(quiet)[-1]
+    assert beat["bad_frames"] > 100
+    assert (beat["reset_cause"], beat["streaming"]) == (1, 1)
+    # a hundred answers a second go before samples; what that costs is counted
+    found += quiet
+    gaps = np.diff(indices(found, 0)) // 4 - 1, np.diff(indices(found, 1)) - 1
+    assert beat["overruns"] == sum(int(gap.sum()) for gap in gaps)
+    (reply,) = [f for f in chip.ask(STOP, ms=500) if f[0] == REPLY]
+    assert reply[2] == chip.req_id
+
+
+def rubbish(rng) -> tuple[bytes, int | None]:
+    """What a broken or hostile host may send at once, and the id that has to be answered. Nothing of it stops the box by right."""
+    kind = rng.randrange(20)
+    if kind < 4:
+        return rng.randbytes(rng.randrange(1, 60)), None
+    if kind < 8:  # a frame of random payload
+        return frame.frame(rng.randbytes(rng.randrange(1, 60))), None
+    if kind == 8:  # a frame that is too long
+        return b"\0" + bytes([rng.randrange(1, 256) for _ in range(700)]) + b"\0", None
+    number = rng.choice([n for n in range(40, 72) if n not in (START, STOP)])
+    arguments = [rng.choice([0, -1, 5, 2**40, "text", b"bytes", [1, [2]], None]) for _ in range(rng.randrange(4))]
+    if kind < 11:
+        return frame.frame(cbor2.dumps([number, *arguments])), None
+    req_id = rng.randrange(1, 2**28)
+    readable = None not in arguments  # the protocol has no null: what holds one is no command
+    return frame.frame(cbor2.dumps([number, req_id, *arguments])), req_id if readable and 48 <= number < 64 else None

@@ -14,6 +14,10 @@ from tests.end_to_end.conftest import interpreter
 from truearm.record.recorder import RecordSummary, record
 from truearm.record.session_writer import SessionWriter
 from truearm.sensors.data import data_of, decode
+from truearm.sensors.ident import Ident
+from truearm.sync.blocks import BoxReader
+from truearm.types import Message
+from truearm_sim.chip import ChipBox
 from truearm_sim.hardware import Edge, PowerOn
 from truearm_sim.lab import Lab
 from truearm_sim.simbox import Fault, SimulatedBox
@@ -29,7 +33,13 @@ def vm() -> PowerOn:
     return partial(VmBox, interpreter())
 
 
-LEVELS = {"vm": vm}
+def chip() -> PowerOn:
+    """The image that `make uf2` built, in the emulator."""
+    return ChipBox
+
+
+LEVELS = {"vm": vm, "chip": chip}
+READY_S = 4.0  # of lab time: at both levels the box has booted (the chip needs 3.3 s) and nothing has gone wrong yet
 
 
 @dataclass
@@ -52,9 +62,23 @@ class Session:
             topic = ("/box/adc", "/box/mag")[stream]
             return [data_of(decode(m.data)) for _, _, m in make_reader(f).iter_messages(topics=[topic])]
 
+    def heartbeats(self) -> list[dict[str, int]]:
+        """Their elements by name."""
+        names = wire.names(wire.HEARTBEAT)
+        return [dict(zip(names, frame[1:], strict=True)) for frame in self.frames("/box/heartbeat")]
+
     def counters(self) -> dict[str, int]:
         """Of the last heartbeat."""
-        return dict(zip(wire.names(wire.HEARTBEAT), self.frames("/box/heartbeat")[-1][1:], strict=True))
+        return self.heartbeats()[-1]
+
+    def ident(self) -> Ident:
+        """What the box said of itself, as the host reads it."""
+        reader = BoxReader()
+        for frame in self.frames("/box/ident"):
+            reader.feed(Message("/box/ident", 0, bytes(wire.encode_payload(frame))))
+        ident = reader.segment.ident
+        assert ident is not None
+        return ident
 
 
 def samples(blocks: list, channels: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -75,9 +99,10 @@ def lab_of(
     edges: Sequence[Edge] = (),
     mag_period_ns: int = MAG_PERIOD_NS,
     lost_stops: float = 0.0,
+    poses: int = 9,
 ):
-    """A lab with a box of this level, both of whose sources are on."""
-    world = World(seed, standard_plan(9, seed), mag_period_ns=mag_period_ns, lost_stops=lost_stops)
+    """A lab with a box of this level, both of whose sources are on; ``poses`` with each bar, three seconds or so each."""
+    world = World(seed, standard_plan(poses, seed), mag_period_ns=mag_period_ns, lost_stops=lost_stops)
     box = SimulatedBox(world, faults=faults, edges=edges, seed=seed, power_on=LEVELS[level]())
     try:
         yield Lab(world, box, seed)
@@ -86,7 +111,9 @@ def lab_of(
 
 
 def record_lab(lab: Lab, path: Path, duration_s: float) -> Session:
-    """Record a lab for some seconds."""
+    """Record a lab for some seconds, READY_S after its beginning at the earliest: then all levels are at the same."""
+    while lab.now_ns < READY_S * 1e9:
+        lab.box_link.read(0.1)
     writer = SessionWriter(path, lab.clock, overwrite=True)
     summary = record(lab.box_link, writer, lab.clock, robot=lab.robot_link, duration_s=duration_s)
     return Session(path, summary, lab.world, lab.box)
