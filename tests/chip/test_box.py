@@ -302,7 +302,7 @@ def test_rubbish_and_wrong_commands_are_answered_or_counted(power_on):
     chip.ask(START, ms=20)
     rng = random.Random(4)
     found, asked = [], set()
-    for _ in range(300):
+    for _ in range(200):
         data, req_id = rubbish(rng)
         asked |= {req_id} - {None}
         found += chip.hear(10 * MS, rx=data)
@@ -310,15 +310,16 @@ def test_rubbish_and_wrong_commands_are_answered_or_counted(power_on):
     assert chip.end == ""
     assert all(isinstance(f, list) for f in found), "no traceback, no prompt"
     assert [f[2] for f in found if f[0] == SYNC_REPLY][-1] == 9, "all has been read"
-    assert len(asked) > 50
+    assert len(asked) > 40
     assert asked <= {f[2] for f in found if f[0] in (ERROR, REPLY, IDENT)}
     codes = {f[3] for f in found if f[0] == ERROR}
     assert codes <= {ERROR_UNKNOWN, ERROR_MALFORMED, ERROR_RANGE, ERROR_STREAMING}
-    quiet = chip.hear(1500 * MS)
+    found += chip.hear(3 * S)  # the ring is sent
+    quiet = chip.hear(1200 * MS)
     assert (np.diff(indices(quiet, 0)) == 4).all()
-    assert len(indices(quiet, 0)) > 1400
+    assert len(indices(quiet, 0)) > 1100
     beat = heartbeats(quiet)[-1]
-    assert beat["bad_frames"] > 100
+    assert beat["bad_frames"] > 50
     assert (beat["reset_cause"], beat["streaming"]) == (1, 1)
     # a hundred answers a second go before samples; what that costs is counted
     found += quiet
