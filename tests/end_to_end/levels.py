@@ -110,10 +110,15 @@ def lab_of(
         box.close()
 
 
-def record_lab(lab: Lab, path: Path, duration_s: float) -> Session:
-    """Record a lab for some seconds, READY_S after its beginning at the earliest: then all levels are at the same."""
+def wait_until_ready(lab: Lab) -> None:
+    """Let READY_S of the lab's time have passed: recordings then begin at the same time at all levels."""
     while lab.now_ns < READY_S * 1e9:
         lab.box_link.read(0.1)
+
+
+def record_lab(lab: Lab, path: Path, duration_s: float) -> Session:
+    """Record a lab for some seconds."""
+    wait_until_ready(lab)
     writer = SessionWriter(path, lab.clock, overwrite=True)
     summary = record(lab.box_link, writer, lab.clock, robot=lab.robot_link, duration_s=duration_s)
     return Session(path, summary, lab.world, lab.box)
