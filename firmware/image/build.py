@@ -44,7 +44,6 @@ UF2_MAGIC = (0x0A324655, 0x9E5D5157, 0x0AB16F30)
 UF2_FAMILY_PRESENT, UF2_RP2040 = 0x2000, 0xE48BFF56
 XIP = 0x10000000
 PAGE = 256
-SYMBOLS = ("mp_execute_bytecode", "mp_raise_msg", "mp_type_RuntimeError")
 
 
 class ImageError(Exception):
@@ -317,10 +316,10 @@ def versions(work: Path, version: str, image: Path) -> str:
 
 
 def symbols(elf: Path) -> dict[str, list[int]]:
-    """Where in the image the emulator can make the firmware raise an exception (hil_sim/chip/pico.mjs): address, size."""
+    """Address and size of everything in flash that has a name, for the emulator: to raise an exception, to profile (hil_sim/chip/)."""
     table = _output(["arm-none-eabi-nm", "--print-size", str(elf)])
     rows = (line.split() for line in table.splitlines())
-    return {row[3]: [int(row[0], 16), int(row[1], 16)] for row in rows if len(row) == 4 and row[3] in SYMBOLS}
+    return {row[3]: [int(row[0], 16), int(row[1], 16)] for row in rows if len(row) == 4 and row[2] in "tTwWrR"}
 
 
 # ---- small things

@@ -4,7 +4,9 @@
 //   parent  "G" grant    flags:u8  n_rx:u16  n_edges:u16  tx_room:u32  until_ns:u64  temperature_mdegc:i32, then
 //                        rx bytes, edges (line:u8, level:u8, t_ns:u64)
 //           "C" control  n:u32, then JSON: {part, ...} for a part (its faults), {pico: "cut", operations: n} cuts the power in
-//                        the n-th flash operation from now, {pico: "crash"} lets the firmware raise an exception
+//                        the n-th flash operation from now, {pico: "crash"} lets the firmware raise an exception,
+//                        {pico: "profile", every_ns: n} begins to sample where the processor is, {pico: "profiled", file: path} writes
+//                        what was found (profiler.mjs)
 //           "Q" quit
 //   box     "?" query    stream:u8  n:u16  index:u64  t_ns:u64  period_ns:u64; the parent answers at once with n
 //                        values of signals.mjs
@@ -20,6 +22,7 @@ import path from 'node:path';
 import { Flash } from './flash.mjs';
 import { attachParts } from './parts.mjs';
 import { Pico } from './pico.mjs';
+import { Profiler } from './profiler.mjs';
 import { BYTES, Signals } from './signals.mjs';
 
 const GRANT = 21;
@@ -104,10 +107,13 @@ function grant(box) {
   write(Buffer.concat([answer, tx, ...edgesOut]));
 }
 
-function control({ pico, parts, symbols }) {
+function control(box) {
+  const { pico, parts, symbols } = box;
   const message = JSON.parse(read(read(4).readUInt32LE(0)).toString());
   if (message.pico === 'cut') pico.flash.cutIn(message.operations);
   else if (message.pico === 'crash') pico.raiseInFirmware(JSON.parse(fs.readFileSync(symbols)));
+  else if (message.pico === 'profile') box.profiler = new Profiler(pico, JSON.parse(fs.readFileSync(symbols)), message.every_ns);
+  else if (message.pico === 'profiled') fs.writeFileSync(message.file, JSON.stringify(box.profiler.stop()));
   else parts.control(message);
 }
 
