@@ -50,6 +50,10 @@ else:
         def viper(function):
             return function
 
+        @staticmethod
+        def native(function):
+            return function
+
     def ptr8(buffer):
         return buffer
 
@@ -376,6 +380,7 @@ class Adc:
         """Whether a gap follows the samples that wait: no more come before it."""
         return self._survey[BROKEN] != 0
 
+    @micropython.native
     def take(self, n, dst, at, index, stamp):
         """Move n samples that follow one another, if they wait. Samples before a gap come if asked for with their number (`waiting`)."""
         if self._look(n) < n:
@@ -414,12 +419,14 @@ class Adc:
         """How often the converter was set up anew while sampling, since boot. Wraps at 2^30."""
         return self._resets
 
+    @micropython.native
     def _look(self, n):
         found = survey(self._survey, self._ring, self._stamps, self._timer, TABLE, n)
         if self._survey[LOST_CONVERTER] and self.running:
             self._recover()
         return found
 
+    @micropython.native
     def _give_up(self, n):
         """Drop samples before a gap that nobody asks for; the index jumps over them."""
         s = self._survey

@@ -87,6 +87,10 @@ else:
         def viper(function):
             return function
 
+        @staticmethod
+        def native(function):
+            return function
+
     def ptr8(buffer):
         return buffer
 
@@ -327,6 +331,7 @@ class Magnetostrictive:
         self._pacer.active(0)
         self._pacer.exec(_NOP)  # its side set takes the pin down
 
+    @micropython.native
     def waiting(self):
         n = whole(self._state, self._bases[3], self._counts[1])
         if n <= SHOTS - SPARE:
@@ -336,6 +341,7 @@ class Magnetostrictive:
         self._advance(n)
         return 0
 
+    @micropython.native
     def take(self, n, dst, at, index, stamp):
         if self.waiting() < n:
             return False

@@ -4,6 +4,7 @@ A command is executed once: one that comes again with the req_id of the last (it
 """
 
 from truearm_wire.cbor import CborError, decode, encode
+from truearm_wire.fast import micropython
 from truearm_wire.messages import (
     BOOT_LOADER,
     CONFIGURE,
@@ -64,6 +65,7 @@ class Commands:
         self.mode = 0  # of a reset
         self.bad = 0  # frames that were whole but no command
 
+    @micropython.native
     def pending(self):
         """Whether pages of an answer wait."""
         return self._page < len(self._pages)
@@ -93,8 +95,10 @@ class Commands:
 
     def handle(self, buf, start, end, t1):
         """Answer the frame whose payload is buf[start:end] and whose last byte was read at device time t1."""
-        if self._usual_sync(buf, start, end, t1):
-            return
+        if not self._usual_sync(buf, start, end, t1):
+            self._unusual(buf, start, end, t1)
+
+    def _unusual(self, buf, start, end, t1):
         self._health.make_room()
         try:
             values = decode(bytes(buf[start:end]))
@@ -109,6 +113,7 @@ class Commands:
         else:
             self.bad = (self.bad + 1) & COUNTER
 
+    @micropython.native
     def _usual_sync(self, buf, start, end, t1):
         """Answer [32, id] in its shortest form without allocating. Returns whether it was that."""
         if end - start < 4 or buf[start] != 0x82 or buf[start + 1] != 0x18 or buf[start + 2] != SYNC_REQUEST:

@@ -1,16 +1,18 @@
 """How the box is: counters for the heartbeat, and garbage collection at a moment of our choosing.
 
 Automatic collection is off: it would come in the middle of a block. `tidy` collects after something was allocated, when no
-frame waits; on the chip that takes some 5 ms, which the board's buffer and the ring bridge. On a link that is never idle
-`make_room` collects before the heap runs out.
+frame waits; on the chip that takes some 10 ms, and `heap_free`, once a second for the heartbeat, 8: they walk through the heap. The
+board's buffers and the ring bridge them. On a link that is never idle `make_room` collects before the heap runs out.
 """
 
 import gc
 
-from truearm_wire.fast import add, copy, less
+from truearm_wire.fast import add, copy, less, micropython
 from truearm_wire.messages import HEARTBEAT
 
-HEAP_LOW = 40000  # bytes: a command takes less than 10 000, a heartbeat none; a new configuration makes its own room
+COMMANDS = (
+    4  # between collections: one takes less than 10 kB, a heartbeat nothing; a new configuration makes its own room
+)
 GONE_US = 2000000  # a link that takes nothing for so long has no host
 
 IDLE = 0  # what the LED shows
@@ -32,12 +34,14 @@ class Health:
         self._shown = -1
         self.loop_max_us = 0
         self.gc_max_us = 0
-        self.untidy = True  # something was allocated since the last collection
+        self._commands = 1  # that were handled since the last collection
 
+    @micropython.native
     def loop(self, us):
         if us > self.loop_max_us:
             self.loop_max_us = us
 
+    @micropython.native
     def due(self):
         """Whether a heartbeat is due; the next one is then due a second later."""
         self._board.now(self._now)
@@ -47,6 +51,7 @@ class Health:
             add(self._due, 0, 8, 1000000)
         return True
 
+    @micropython.native
     def show(self, running, troubled, held):
         """Set the LED; `held`: the link has not taken a frame whole yet."""
         if troubled:
@@ -59,6 +64,7 @@ class Health:
             self._board.led(code)
             self._shown = code
 
+    @micropython.native
     def _host_gone(self, held):
         if held:
             self._board.now(self._time)
@@ -93,18 +99,18 @@ class Health:
         self.gc_max_us = 0
 
     def make_room(self):
-        """Something will be allocated: collect now if little is left, else when no frame waits."""
-        self.untidy = True
-        if 0 < self._board.heap_free() < HEAP_LOW:
+        """A command will allocate: collect now if several have, else when no frame waits. (Asking how much is free takes as long.)"""
+        if self._commands == COMMANDS:
             self.tidy()
+        self._commands += 1
 
     def tidy(self):
         """Collect, if something was allocated. Called when no frame waits."""
-        if not self.untidy:
+        if not self._commands:
             return
         start = self._board.ticks()
         gc.collect()
         us = self._board.ticks_diff(self._board.ticks(), start)
         if us > self.gc_max_us:
             self.gc_max_us = us
-        self.untidy = False
+        self._commands = 0

@@ -5,7 +5,7 @@ A slot of the ring is where a frame is built and whence it is sent: no copies.
 
 from array import array
 
-from truearm_wire.fast import add, copy, extend, less
+from truearm_wire.fast import add, copy, extend, less, micropython
 
 COUNTER = (1 << 30) - 1  # counters wrap there (SPEC §4): beyond, an integer would be allocated at every step
 SLOT = 252  # the longest data frame (13 samples of 4 x 32 bit) has 251 bytes
@@ -21,23 +21,28 @@ class Ring:
         self.used = 0
         self.overruns = 0  # samples that were lost in the box
 
+    @micropython.native
     def full(self):
         return self.used == self._slots
 
+    @micropython.native
     def claim(self):
         """Offset of the slot to fill next; the spare one while the ring is full."""
-        return (self._slots if self.full() else self._head) * SLOT
+        return (self._slots if self.used == self._slots else self._head) * SLOT
 
+    @micropython.native
     def commit(self, end):
         """The claimed slot holds a payload that ends at offset `end` of the buffer. Only when the ring was not full."""
         self._ends[self._head] = end - self._head * SLOT
         self._head = (self._head + 1) % self._slots
         self.used += 1
 
+    @micropython.native
     def oldest(self):
         """Offset of the oldest slot."""
         return ((self._head - self.used) % self._slots) * SLOT
 
+    @micropython.native
     def oldest_end(self):
         """Offset behind the oldest slot's payload."""
         slot = (self._head - self.used) % self._slots
@@ -68,6 +73,7 @@ class Events:
         self.used = 0
         self.dropped = 0
 
+    @micropython.native
     def put(self, edge, now, full, debounce_us):
         """Keep an edge of the board (line, rising, stamp of 4 bytes); `full` is scratch of 8 bytes. Drops it if there is no room.
 

@@ -6,7 +6,7 @@ buffer was lapped) and here (the ring is full because the link does not take the
 """
 
 from truearm_wire.cbor import SINT32_LE, put_head
-from truearm_wire.fast import copy, extend
+from truearm_wire.fast import copy, extend, micropython
 from truearm_wire.frame import HEAD
 from truearm_wire.messages import DATA, FLAG_OVERRUN, STREAM_ADC, STREAM_MAG
 
@@ -46,8 +46,9 @@ class Streams:
         self.mag.flush()
         self.running = False
 
+    @micropython.native
     def pull(self):
-        """Move every whole block that the board has into the ring. Returns whether there was one."""
+        """Move at most one block of each source into the ring. Returns whether there was one."""
         adc = self.adc.pull()
         return self.mag.pull() or adc
 
@@ -72,7 +73,8 @@ class Stream:
         self._ring = ring
         self._sample = 4 * source.channels  # bytes
         self._block = BLOCK_BYTES // self._sample  # samples
-        self._template = bytearray(_SAMPLES)
+        self._template = bytearray(_SAMPLES + 4)
+        put_head(self._template, put_head(self._template, _SAMPLES, 6, SINT32_LE), 2, BLOCK_BYTES)
         self._template[HEAD] = 0x88  # an array of eight
         self._template[HEAD + 1] = DATA
         self._template[_SEQ] = 0x1A
@@ -99,28 +101,27 @@ class Stream:
 
     def flush(self):
         """Move all that was sampled into the ring, after a stop."""
-        self.pull()
+        while self.pull():
+            pass
         rest = self._source.waiting() if self._on else 0
         if rest:
             self._pull_block(rest)
         self._on = False
 
+    @micropython.native
     def pull(self):
         if not self._on:
             return False
-        moved = False
-        while self._pull_block(self._block) or self._pull_rest():
-            moved = True
-        return moved
+        return self._pull_block(self._block) or (self._source.broken() and self._pull_rest())
 
     def _pull_rest(self):
         """What waits before a gap: no more samples will follow it."""
-        rest = self._source.waiting() if self._source.broken() else 0
+        rest = self._source.waiting()
         return rest > 0 and self._pull_block(rest)
 
+    @micropython.native
     def _pull_block(self, n):
         ring = self._ring
-        keep = not ring.full()
         at = ring.claim()
         size = n * self._sample
         samples = at + _SAMPLES + (4 if size >= 24 else 3)
@@ -130,7 +131,7 @@ class Stream:
         if lost:
             self._overrun(lost)
         flags = self._source.fault()
-        if not keep:
+        if ring.full():
             self._overrun(n)
             return True
         self._fill(ring.buf, at, size, samples, flags)
@@ -141,11 +142,13 @@ class Stream:
         self._ring.lose(n)
         self._lost_before = True
 
+    @micropython.native
     def _fill(self, buf, at, size, samples, flags):
-        copy(buf, at, self._template, 0, _SAMPLES)
+        copy(buf, at, self._template, 0, samples - at)  # with the heads of a whole block
         copy(buf, at + _N0 + 1, self._index, 0, 8)
         self._board.now(self._now)
         extend(self._now, self._stamp, 0, buf, at + _T0 + 1)
-        put_head(buf, put_head(buf, at + _SAMPLES, 6, SINT32_LE), 2, size)
+        if size != BLOCK_BYTES:
+            put_head(buf, at + _SAMPLES + 2, 2, size)
         buf[samples + size] = flags | FLAG_OVERRUN if self._lost_before else flags
         self._lost_before = False
