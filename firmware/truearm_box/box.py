@@ -38,9 +38,9 @@ A source samples by itself, in hardware, into a buffer of its own:
 
 None of them may allocate but configure, self_test, output, console, reset, to_repl and boot_loader.
 
-What runs at every step is native code (`micropython.native`), for two reasons. It takes two thirds of the time; and MicroPython takes the
-frame of a bytecode function from the heap if locals and operands are more than 11 words: it gives it back, so nothing grows, but
-looking for room took 3 ms a block. A native function's frame is on the stack. tests/chip/test_speed.py holds it.
+What runs at every step is native code (`micropython.native`), for two reasons. It is a little faster; and MicroPython takes the frame of
+a bytecode function from the heap if locals and operands are more than 11 words: it gives it back, so nothing grows, but looking for room
+took 2 to 3 ms a block. A native function's frame is on the stack. tests/chip/test_speed.py holds it; docs/benchmarks.md has the figures.
 """
 
 import gc
