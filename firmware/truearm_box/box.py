@@ -1,38 +1,65 @@
 """The box's main loop. What the board has to offer:
 
+    name                      "rp2040", "vm"
+    uid, boot_id (4 bytes), reset_cause, ring_slots, config_path, error_path
     now(buf)                  8 bytes, big endian: microseconds since boot. Never steps, never wraps.
     ticks(), ticks_diff(a, b) microseconds for durations, small integers
     receive(buf) → n          bytes that came over the link, at most len(buf)
     send(buf, at, n) → taken  of buf[at:at + n], 0 … n
-    start(osr), stop()        the converter
-    take(n, dst, at, index, stamp) → bool
-                              if n contiguous samples wait: move them (16 bytes each) to dst[at:], the first one's index since
-                              start to index (8 bytes) and the lower half of its hardware stamp to stamp (4 bytes, big endian)
-    waiting() → n             samples that wait
-    lost() → n                samples lost in the board before those just taken; counts from zero again
-    converter_fault() → bool  the converter reported a fault since the last call
-    edge(edge) → bool         if a trigger edge waits: line, rising, stamp (1, 1, 4 bytes) to edge
+    adc, mag                  the sources of samples, see below
+    configure(settings)       the configuration (config.DEFAULT shows one) is in force from now on: gains, blanking and time-out, the
+                              watchdog. At boot and whenever it changed, never while sampling
+    edge(edge) → bool         if a trigger edge waits: line, rising, stamp (1, 1, 4 bytes) to edge. Lines 0 and 1 are the inputs, 2 is
+                              the box's own output
+    edges_lost                counter since boot that wraps at 2^30: edges that the board had no room for
+    output(level)             sets the trigger output
+    alive()                   feeds the watchdog; called once a step, so it may blink the LED too
+    led(code)                 what the LED shows from now on: health.IDLE, STREAMING, HOST_GONE or FAULT
+    self_test(settings) → dict  measurements by name, integers in the units of selftest.LIMITS; what cannot be measured is left out.
+                              Never while sampling. May take a second, in which it feeds the watchdog itself
     idle()                    nothing to do: wait for an interrupt, at most some milliseconds
-    console(text), reset()    the way out of an exception
-    heap_free(), temperature_mdegc(), reset_cause, uid, boot_id (4 bytes), ring_slots, config_path
+    console(text), reset()    the way out of an exception; reset() lets the link take what was sent, as boot_loader() does
+    to_repl(), boot_loader()  the ways out by command; to_repl() returns, and then main ends
+    heap_free(), temperature_mdegc()
 
-None of them may allocate but console and reset.
+A source samples by itself, in hardware, into a buffer of its own:
+
+    channels                  4 and 1: a sample is 4 * channels bytes, little-endian 32-bit integers
+    start(rate), stop()       rate: oversampling (adc), period in ns (mag). A start forgets what was there and counts from 0
+    waiting() → n             samples that wait
+    take(n, dst, at, index, stamp) → bool
+                              if n contiguous samples wait: move them to dst[at:], the first one's index since start to index (8
+                              bytes) and the lower half of its hardware stamp to stamp (4 bytes, big endian)
+    broken() → bool           a gap follows the samples that wait: no more will come before it
+    lost() → n                samples lost in the board before those just taken; counts from zero again
+    fault() → flags           of those just taken, FLAG_CONVERTER and FLAG_MISSING_STOP of the wire
+    crc_errors, resets        counters since boot that wrap at 2^30 (adc: frames with a wrong CRC, resets of the converter by itself)
+    missing                   the same (mag: samples without a stop, which are 0)
+
+None of them may allocate but configure, self_test, output, console, reset, to_repl and boot_loader.
+
+What runs at every step is native code (`micropython.native`), for two reasons. It is a little faster; and MicroPython takes the frame of
+a bytecode function from the heap if locals and operands are more than 11 words: it gives it back, so nothing grows, but looking for room
+took 2 to 3 ms a block. A native function's frame is on the stack. tests/chip/test_speed.py holds it; docs/benchmarks.md has the figures.
 """
 
 import gc
 import io
 import sys
 
-from truearm_wire import PROTOCOL
+from truearm_wire.fast import micropython
 from truearm_wire.frame import Splitter
-from truearm_wire.messages import EVENT
+from truearm_wire.messages import BOOT_LOADER, EVENT, RESET
 
-from . import VERSION, config
 from .commands import Commands
 from .health import Health
 from .link import Link
-from .ring import Events, Ring
-from .stream import Stream
+from .ring import COUNTER, Events, Ring
+from .settings import Settings
+from .storage import keep_error
+from .stream import Streams
+
+EDGES_A_STEP = 8  # a line that nobody terminated may have edges faster than they can be handled
 
 
 class Box:
@@ -40,10 +67,10 @@ class Box:
         self._board = board
         self._ring = Ring(board.ring_slots)
         self.link = Link(board)
-        self.stream = Stream(board, self._ring)
-        self.health = Health(board)
-        settings, fault = config.load(board.config_path, board, VERSION, PROTOCOL)
-        self.commands = Commands(board, self.link, self.stream, self.health, settings, fault)
+        self.streams = Streams(board, self._ring)
+        self.settings = Settings(board)
+        self.health = Health(board)  # from here on memory is collected by call alone
+        self.commands = Commands(board, self.link, self.streams, self.health, self.settings)
         self._splitter = Splitter()
         self._rx = bytearray(64)
         self._rx_at = 0
@@ -54,16 +81,22 @@ class Box:
         self._events = Events()
         self._now = bytearray(8)
         self._sending_block = False
+        self.ended = False  # the host asked for MicroPython's prompt
         self.commands.identify(0)  # the ident that every boot sends
 
+    @micropython.native
     def step(self):
         """One pass: samples into the ring, at most one frame onto the link. Returns whether there was anything to do."""
         start = self._board.ticks()
-        busy = self.stream.pull()
-        self._keep_edges()
+        self._board.alive()
+        busy = self.streams.pull()
+        if self._keep_edges():
+            busy = True
         if self.link.pump():
             busy = True
-        if self.link.free():
+        free = self.link.free()
+        self.health.show(self.streams.running, self.settings.troubled(), not free)
+        if free:
             if self._sending_block:
                 self._ring.release()
                 self._sending_block = False
@@ -74,10 +107,14 @@ class Box:
         self.health.loop(self._board.ticks_diff(self._board.ticks(), start))
         return busy
 
+    @micropython.native
     def _next_frame(self):
         """Begin the most urgent frame. Answers first: they carry times; blocks can wait in the ring."""
         if self.commands.pending():
             self.commands.send_page()
+            return True
+        if self.commands.leaving:
+            self._leave()
             return True
         if self._receive():
             return True
@@ -85,14 +122,17 @@ class Box:
             self._send_event()
             return True
         if self.health.due():
-            self.health.send(self.link, self.stream, self._events, self._splitter.bad_frames + self.commands.bad)
+            bad = self._splitter.bad_frames + self.commands.bad
+            dropped = (self._events.dropped + self._board.edges_lost) & COUNTER
+            self.health.send(self.link, self.streams.running, self._ring.overruns, dropped, bad)
             return True
         if self._ring.used:
             self._sending_block = True
-            self.stream.send_oldest(self.link)
+            self.streams.send_oldest(self.link)
             return True
         return self.commands.send_deferred()
 
+    @micropython.native
     def _receive(self):
         """Read what came until a frame is whole, and handle it."""
         while True:
@@ -108,11 +148,15 @@ class Box:
                 return False
             self._board.now(self._t1)
 
+    @micropython.native
     def _keep_edges(self):
-        """Edges get their full time at once: later their stamps could have wrapped."""
-        while self._board.edge(self._edge):
+        """Edges get their full time at once: later their stamps could have wrapped. Returns whether more may wait."""
+        for _ in range(EDGES_A_STEP):
+            if not self._board.edge(self._edge):
+                return False
             self._board.now(self._now)
-            self._events.put(self._edge, self._now, self._t_edge)
+            self._events.put(self._edge, self._now, self._t_edge, self.settings.config["debounce_us"])
+        return True
 
     def _send_event(self):
         self._events.take(self._edge, self._t_edge)
@@ -122,12 +166,22 @@ class Box:
         self.link.put_int(self._edge[1])
         self.link.send()
 
+    def _leave(self):
+        """The host asked for it and has its answer."""
+        if self.commands.leaving != RESET:
+            self.ended = True
+            return
+        self.settings.forget_error()
+        if self.commands.mode == BOOT_LOADER:
+            self._board.boot_loader()
+        self._board.reset()
+
 
 def run(board):
-    """Run for ever. An exception is printed on the link, between delimiters, and the box starts anew."""
+    """Run until the host asks for the prompt. An exception is stored, printed on the link between delimiters, and the box starts anew."""
     try:
         box = Box(board)
-        while True:
+        while not box.ended:
             if not box.step():
                 board.idle()
     except Exception as e:
@@ -138,5 +192,8 @@ def run(board):
             sys.print_exception(e, text)
         else:
             text.write("%s: %s\n" % (type(e).__name__, e))
+        keep_error(board.error_path, text.getvalue())
         board.console(text.getvalue())
         board.reset()
+    gc.enable()
+    board.to_repl()

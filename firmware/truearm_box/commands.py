@@ -3,76 +3,102 @@
 A command is executed once: one that comes again with the req_id of the last (its answer was lost) is only answered again.
 """
 
-from truearm_wire import PROTOCOL
 from truearm_wire.cbor import CborError, decode, encode
+from truearm_wire.fast import micropython
 from truearm_wire.messages import (
+    BOOT_LOADER,
     CONFIGURE,
     ERROR,
     ERROR_MALFORMED,
     ERROR_RANGE,
+    ERROR_STORAGE,
     ERROR_STREAMING,
     ERROR_UNKNOWN,
+    GET_CONFIG,
     IDENT,
     IDENTIFY,
+    PULSE,
+    PUT_CONFIG,
     REPLY,
+    RESET,
+    SELF_TEST,
     START,
     STOP,
     SYNC_REPLY,
     SYNC_REQUEST,
+    TO_REPL,
     pages,
 )
 
-from . import VERSION, config
+from .ident import plain
 from .ring import COUNTER
 
 SMALL = 1 << 30
+TEXT_MAX = 160  # of an error
+
+
+class Refused(Exception):
+    """A command that is answered with an error of this code and text."""
+
+    def __init__(self, code, text):
+        super().__init__(text)
+        self.code = code
+        self.text = text
 
 
 class Commands:
-    def __init__(self, board, link, stream, health, settings, fault):
+    def __init__(self, board, link, streams, health, settings):
         self._board = board
         self._link = link
-        self._stream = stream
+        self._streams = streams
         self._health = health
         self._settings = settings
-        self._fault = fault
-        self._osr = settings["osr"]
         self._last = 0  # req_id of the last command
-        self._answer = REPLY
-        self._code = 0
-        self._text = b""
-        self._req_id = 0
-        self._pages = ()
+        self._error = None  # it was refused
+        self._document = b""  # that its answer carries
+        self._with_ident = False  # the ident is its answer, or follows it
+        self._pages = ()  # (frame type, req_id, page, pages, data) of what is being answered
         self._page = 0
         self._t2 = bytearray(8)
         self._stop_id = 0  # of a stop that is to be answered
+        self.leaving = 0  # the command by which the box leaves its loop when all is answered
+        self.mode = 0  # of a reset
         self.bad = 0  # frames that were whole but no command
 
+    @micropython.native
     def pending(self):
         """Whether pages of an answer wait."""
         return self._page < len(self._pages)
 
     def identify(self, req_id):
         """Lay the ident document out in pages."""
-        document = config.describe(self._settings, self._fault, self._osr, self._board, VERSION, PROTOCOL)
-        self._req_id = req_id
-        self._pages = pages(encode(document))
+        self._lay_out(_paged(IDENT, req_id, encode(self._settings.document())))
+
+    def _lay_out(self, answer):
+        self._pages = answer
         self._page = 0
 
     def send_page(self):
-        page, count, data = self._pages[self._page]
+        kind, req_id, page, count, data = self._pages[self._page]
         self._page += 1
-        self._link.begin(IDENT, 4)
-        self._link.put_int(self._req_id)
-        self._link.put_int(page)
-        self._link.put_int(count)
-        self._link.put_bytes(data)
-        self._link.send()
+        link = self._link
+        link.begin(kind, 4 if kind != ERROR else 3)
+        link.put_int(req_id)
+        if kind == ERROR:
+            link.put_int(page)  # the code stands in its place
+            link.put_bytes(data, 3)
+        else:
+            link.put_int(page)
+            link.put_int(count)
+            link.put_bytes(data)
+        link.send()
 
     def handle(self, buf, start, end, t1):
         """Answer the frame whose payload is buf[start:end] and whose last byte was read at device time t1."""
-        if self._usual_sync(buf, start, end, t1):
-            return
+        if not self._usual_sync(buf, start, end, t1):
+            self._unusual(buf, start, end, t1)
+
+    def _unusual(self, buf, start, end, t1):
         self._health.make_room()
         try:
             values = decode(bytes(buf[start:end]))
@@ -87,6 +113,7 @@ class Commands:
         else:
             self.bad = (self.bad + 1) & COUNTER
 
+    @micropython.native
     def _usual_sync(self, buf, start, end, t1):
         """Answer [32, id] in its shortest form without allocating. Returns whether it was that."""
         if end - start < 4 or buf[start] != 0x82 or buf[start + 1] != 0x18 or buf[start + 2] != SYNC_REQUEST:
@@ -116,10 +143,10 @@ class Commands:
         if values[1] != self._last:
             self._last = values[1]
             self._execute(values)
-        if values[0] == STOP and self._answer == REPLY:
+        if values[0] == STOP and not self._error:
             self._stop_id = values[1]  # answered when what was sampled has gone
         else:
-            self._reply(self._last)
+            self._answer(self._last)
 
     def send_deferred(self):
         """Answer a stop, now that no block waits. Returns whether there was one to answer."""
@@ -127,68 +154,114 @@ class Commands:
         if not req_id:
             return False
         self._stop_id = 0
-        self._done(req_id)
+        self._lay_out(_paged(REPLY, req_id, b""))
+        self.send_page()
         return True
 
-    def _execute(self, values):
-        self._answer = REPLY
-        kind = values[0]
-        if kind == IDENTIFY:
-            self._answer = IDENT
-        elif kind == CONFIGURE:
-            self._configure(values)
-        elif kind == START:
-            self._start()
-        elif kind == STOP:
-            if self._stream.running:
-                self._stream.stop()
-        else:
-            self._refuse(ERROR_UNKNOWN, b"unknown command")
+    def _answer(self, req_id):
+        if self._error:
+            text = plain(self._error.text, TEXT_MAX).encode()
+            self._lay_out([(ERROR, req_id, self._error.code, 0, text)])
+            return
+        answer = [] if self._document is None else _paged(REPLY, req_id, self._document)
+        if self._with_ident:
+            answer += _paged(IDENT, req_id, encode(self._settings.document()))
+        self._lay_out(answer)
 
-    def _start(self):
-        if self._stream.running:
-            self._refuse(ERROR_STREAMING, b"streaming already")
-        elif self._stream.waiting():
-            self._refuse(ERROR_STREAMING, b"samples of the last start still wait")
-        else:
-            self._stream.start(self._osr)
+    def _execute(self, values):
+        """Do what a command says, and keep what it is answered with."""
+        self._error = None
+        self._with_ident = False
+        self._document = b""
+        do = _DO.get(values[0])
+        try:
+            if do is None:
+                raise Refused(ERROR_UNKNOWN, "unknown command")
+            do(self, values)
+        except Refused as e:
+            self._error = e
+        except ValueError as e:  # values that are out of range; of a configuration, its text says which
+            self._error = Refused(ERROR_RANGE, str(e))
+        except OSError as e:
+            self._error = Refused(ERROR_STORAGE, "the flash does not take it: %s" % e)
+        except MemoryError:  # of a configuration of many parts; they are let go here
+            self._error = Refused(ERROR_RANGE, "it takes too much memory")
+
+    def _identify(self, values):
+        self._document = None
+        self._with_ident = True
 
     def _configure(self, values):
-        if len(values) < 4 or not _is_id(values[2]) or not _is_id(values[3]):
-            self._refuse(ERROR_MALFORMED, b"configure takes stream and osr")
-        elif self._stream.running:
-            self._refuse(ERROR_STREAMING, b"not while streaming")
-        elif values[2] != 0 or values[3] not in config.OSRS:
-            self._refuse(ERROR_RANGE, b"stream 0, osr a power of two, 128 to 16384")
-        else:
-            self._osr = values[3]
+        _need(values, 2, "configure takes stream and rate")
+        self._need_rest()
+        self._settings.set_rate(values[2], values[3])
 
-    def _refuse(self, code, text):
-        self._answer = ERROR
-        self._code = code
-        self._text = text
+    def _start(self, values):
+        self._need_rest()
+        if self._streams.waiting():
+            raise Refused(ERROR_STREAMING, "samples of the last start still wait")
+        self._streams.start(self._settings.osr, self._settings.mag_period_ns)
 
-    def _reply(self, req_id):
-        if self._answer == IDENT:
-            self.identify(req_id)
-        elif self._answer == REPLY:
-            self._done(req_id)
-        else:
-            link = self._link
-            link.begin(ERROR, 3)
-            link.put_int(req_id)
-            link.put_int(self._code)
-            link.put_bytes(self._text, 3)
-            link.send()
+    def _stop(self, values):
+        if self._streams.running:
+            self._streams.stop()
 
-    def _done(self, req_id):
-        link = self._link
-        link.begin(REPLY, 4)
-        link.put_int(req_id)
-        link.put_int(0)
-        link.put_int(1)
-        link.put_bytes(b"")
-        link.send()
+    def _get_config(self, values):
+        self._need_rest()
+        self._document = encode(self._settings.config)
+
+    def _put_config(self, values):
+        if len(values) < 5 or not _is_id(values[2]) or not _is_id(values[3]) or not isinstance(values[4], bytes):
+            raise Refused(ERROR_MALFORMED, "put-config takes page, pages and bytes")
+        self._need_rest()
+        self._with_ident = self._settings.put(values[2], values[3], values[4])
+
+    def _self_test(self, values):
+        self._need_rest()
+        self._document = encode(self._settings.self_test())
+
+    def _leave(self, values):
+        if values[0] == RESET:
+            _need(values, 1, "reset takes a mode")
+            if values[2] > BOOT_LOADER:
+                raise Refused(ERROR_RANGE, "modes are 0, restart, and 1, boot loader")
+            self.mode = values[2]
+        self._need_rest()
+        self.leaving = values[0]
+
+    def _pulse(self, values):
+        _need(values, 1, "pulse takes a level")
+        if values[2] > 1:
+            raise Refused(ERROR_RANGE, "a level is 0 or 1")
+        self._board.output(values[2])
+
+    def _need_rest(self):
+        if self._streams.running:
+            raise Refused(ERROR_STREAMING, "not while streaming")
+
+
+_DO = {
+    IDENTIFY: Commands._identify,
+    CONFIGURE: Commands._configure,
+    START: Commands._start,
+    STOP: Commands._stop,
+    GET_CONFIG: Commands._get_config,
+    PUT_CONFIG: Commands._put_config,
+    SELF_TEST: Commands._self_test,
+    TO_REPL: Commands._leave,
+    RESET: Commands._leave,
+    PULSE: Commands._pulse,
+}
+
+
+def _paged(kind, req_id, document):
+    return [(kind, req_id, page, count, data) for page, count, data in pages(document)]
+
+
+def _need(values, n, text):
+    """Raises Refused unless n unsigned integers follow type and req_id."""
+    if len(values) < 2 + n or not all(_is_id(value) for value in values[2 : 2 + n]):
+        raise Refused(ERROR_MALFORMED, text)
 
 
 def _is_id(value):

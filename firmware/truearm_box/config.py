@@ -1,71 +1,93 @@
-"""What the box knows of itself: rate, channels, their scales and calibrations. A JSON file of integers, text and lists.
+"""What the box can be told: rates, channels, scales, calibrations, times. A table of integers, text and lists (SPEC §5).
 
 Decimals are [mantissa, exponent], so that the chip's single-precision floats never touch them.
 """
 
-import json
+from truearm_wire.cbor import Tag
 
-from truearm_wire.cbor import encode
-from truearm_wire.messages import pages
-
+VERSION = 2
 OSRS = (128, 256, 512, 1024, 2048, 4096, 8192, 16384)
+GAINS = (1, 2, 4, 8, 16, 32, 64, 128)
+TICK_NS = 8
+PERIOD_MIN_NS = 100000
+PERIOD_MAX_NS = 1000000000
+REARM_NS = 10000  # between the time-out and the next interrogation
 DEFAULT = {
+    "version": VERSION,
     "osr": 4096,
     "channels": [
         {"name": "lvdt", "unit": "V", "scale": [1430511474609375, -22]},
         {"name": "transverse_a", "unit": "V", "scale": [1430511474609375, -22]},
         {"name": "transverse_b", "unit": "V", "scale": [1430511474609375, -22]},
         {"name": "excitation", "unit": "V", "scale": [1430511474609375, -22]},
-    ],
-}  # 1.2 V / 2^23 a count
+    ],  # 1.2 V / 2^23 a count
+    "magnetostrictive": {
+        "period_ns": 983040,  # as the converter's at its osr of 4096
+        "blanking_ns": 10000,
+        "timeout_ns": 500000,  # 1.4 m
+        "us_per_inch": [905, -2],
+        "delay_ns": 0,
+        "serial": "",
+        "date": "",
+    },
+    "debounce_us": [0, 0],
+    "watchdog_ms": 2000,
+}
 
 
-def load(path, board, version, protocol):
-    """(configuration of a file, fault): the default one if there is no file, or with a fault in words if it is damaged.
-
-    The ident document is built and cut once on trial: what cannot be told to the host must not stop the box from booting.
-    """
-    try:
-        with open(path) as f:
-            config = check(json.load(f))
-        pages(encode(describe(config, None, config["osr"], board, version, protocol)))
-        return config, None
-    except OSError:
-        return DEFAULT, None
-    except ValueError as e:
-        return DEFAULT, "config: %s; the default one is used" % e
+def completed(config):
+    """A configuration of version 1 as one of version 2; any other as it is. A box of then had no magnetostrictive sensor."""
+    if not isinstance(config, dict) or "version" in config or "osr" not in config or "channels" not in config:
+        return config
+    new = dict(DEFAULT)
+    new["magnetostrictive"] = dict(DEFAULT["magnetostrictive"])
+    new["magnetostrictive"]["period_ns"] = 0
+    new.update(config)
+    return new
 
 
 def check(config):
     """The configuration, if it is one. Raises ValueError."""
-    if not isinstance(config, dict) or not isinstance(config.get("osr"), int) or config["osr"] not in OSRS:
+    if not isinstance(config, dict):
+        raise ValueError("it is no table")
+    if config.get("version") != VERSION:
+        raise ValueError("version %r; this firmware knows %d" % (config.get("version", 1), VERSION))
+    if not _within(config.get("osr"), OSRS[0], OSRS[-1]) or config["osr"] not in OSRS:
         raise ValueError("osr is not one of %s" % (OSRS,))
     channels = config.get("channels")
     if not isinstance(channels, list) or len(channels) != 4:
         raise ValueError("four channels are needed")
     for channel in channels:
-        if not isinstance(channel, dict) or not isinstance(channel.get("name"), str):
-            raise ValueError("a channel is a table with a name")
-        if not isinstance(channel.get("unit"), str) or not _is_decimal(channel.get("scale")):
-            raise ValueError("channel %s needs unit, and scale as [mantissa, exponent]" % channel["name"])
-        if "calibration" in channel:
-            _check_calibration(channel)
+        _check_channel(channel)
+    _check_magnetostrictive(config.get("magnetostrictive"))
+    debounce = config.get("debounce_us")
+    if not isinstance(debounce, list) or len(debounce) != 2 or not all(_within(us, 0, 1000000) for us in debounce):
+        raise ValueError("debounce_us is two times of 0 to 1000000")
+    if config.get("watchdog_ms") != 0 and not _within(config.get("watchdog_ms"), 100, 8000):
+        raise ValueError("watchdog_ms is 0 or 100 to 8000")
     return config
 
 
-def _check_calibration(channel):
-    calibration = channel["calibration"]
-    if not isinstance(calibration, dict) or not isinstance(calibration.get("poly"), list):
-        raise ValueError("the calibration of %s is a table with poly" % channel["name"])
-    if not calibration["poly"] or not all(_is_decimal(c) for c in calibration["poly"]):
-        raise ValueError("poly of %s holds [mantissa, exponent] pairs" % channel["name"])
-    for key in ("unit", "serial", "date"):
-        if not isinstance(calibration.get(key), str):
-            raise ValueError("the calibration of %s needs %s as text" % (channel["name"], key))
+def check_storable(value):
+    """Raises ValueError where a value that CBOR can carry is none that JSON can. Nested no deeper than CBOR is here."""
+    if isinstance(value, (bytes, Tag)):
+        raise ValueError("bytes have no place in it")
+    if isinstance(value, list):
+        for item in value:
+            check_storable(item)
+    elif isinstance(value, dict):
+        for key in value:
+            check_storable(value[key])
 
 
-def _is_decimal(value):
-    return isinstance(value, list) and len(value) == 2 and isinstance(value[0], int) and isinstance(value[1], int)
+def check_rate(config, stream, rate):
+    """Raises ValueError unless a stream can run at this rate."""
+    if stream == 0 and rate not in OSRS:
+        raise ValueError("osr is a power of two, 128 to 16384")
+    if stream == 1 and rate:
+        _check_period(rate, config["magnetostrictive"]["timeout_ns"])
+    if stream > 1:
+        raise ValueError("there are streams 0 and 1")
 
 
 def group_delay_ns(osr):
@@ -79,28 +101,62 @@ def group_delay_ns(osr):
     return 360 * 1023 + 120 * (osr - 1024)
 
 
-def describe(config, fault, osr, board, version, protocol):
-    """The ident document (SPEC §5)."""
-    boot_id = 0
-    for byte in board.boot_id:
-        boot_id = boot_id << 8 | byte
-    document = {
-        "protocol": list(protocol),
-        "firmware": version,
-        "uid": board.uid,
-        "boot_id": boot_id,
-        "clock_hz": 1000000,
-        "streams": [
-            {
-                "id": 0,
-                "name": "adc",
-                "period_ns": 240 * osr,
-                "osr": osr,
-                "group_delay_ns": group_delay_ns(osr),
-                "channels": config["channels"],
-            }
-        ],
-    }
-    if fault:
-        document["fault"] = fault
-    return document
+def _check_channel(channel):
+    if not isinstance(channel, dict) or not isinstance(channel.get("name"), str):
+        raise ValueError("a channel is a table with a name")
+    if not isinstance(channel.get("unit"), str) or not _is_decimal(channel.get("scale")):
+        raise ValueError("channel %s needs unit, and scale as [mantissa, exponent]" % channel["name"])
+    if channel.get("gain", 1) not in GAINS:
+        raise ValueError("the gain of %s is not one of %s" % (channel["name"], GAINS))
+    if "calibration" in channel:
+        _check_calibration(channel)
+
+
+def _check_calibration(channel):
+    calibration = channel["calibration"]
+    if not isinstance(calibration, dict) or not isinstance(calibration.get("poly"), list):
+        raise ValueError("the calibration of %s is a table with poly" % channel["name"])
+    if not calibration["poly"] or not all(_is_decimal(c) for c in calibration["poly"]):
+        raise ValueError("poly of %s holds [mantissa, exponent] pairs" % channel["name"])
+    for key in ("unit", "serial", "date"):
+        if not isinstance(calibration.get(key), str):
+            raise ValueError("the calibration of %s needs %s as text" % (channel["name"], key))
+
+
+def _check_magnetostrictive(sensor):
+    if not isinstance(sensor, dict):
+        raise ValueError("magnetostrictive is a table")
+    if not _within(sensor.get("blanking_ns"), 5000, 21000) or sensor["blanking_ns"] % TICK_NS:
+        raise ValueError("blanking_ns is a multiple of 8, 5000 to 21000")
+    longest = PERIOD_MAX_NS - REARM_NS
+    if (
+        not _within(sensor.get("timeout_ns"), sensor["blanking_ns"] + TICK_NS, longest)
+        or sensor["timeout_ns"] % TICK_NS
+    ):
+        raise ValueError("timeout_ns is a multiple of 8 above blanking_ns")
+    if sensor.get("period_ns") != 0:
+        _check_period(sensor.get("period_ns"), sensor["timeout_ns"])
+    speed = sensor.get("us_per_inch")
+    if not _is_decimal(speed) or not -9 <= speed[1] <= 0 or not 5 <= speed[0] // 10 ** -speed[1] < 20:
+        raise ValueError("us_per_inch is [mantissa, exponent], 5 to 20")
+    if not _within(sensor.get("delay_ns"), -100000, 100000):
+        raise ValueError("delay_ns is -100000 to 100000")
+    if not isinstance(sensor.get("serial"), str) or not isinstance(sensor.get("date"), str):
+        raise ValueError("serial and date of the magnetostrictive sensor are text")
+
+
+def _check_period(period_ns, timeout_ns):
+    if not _within(period_ns, PERIOD_MIN_NS, PERIOD_MAX_NS) or period_ns % TICK_NS or period_ns < timeout_ns + REARM_NS:
+        raise ValueError("period_ns is 0 or a multiple of 8, 100000 to 1000000000, 10000 or more above timeout_ns")
+
+
+def _within(value, low, high):
+    return _is_int(value) and low <= value <= high
+
+
+def _is_int(value):
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _is_decimal(value):
+    return isinstance(value, list) and len(value) == 2 and _is_int(value[0]) and _is_int(value[1])

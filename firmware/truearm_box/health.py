@@ -1,32 +1,47 @@
 """How the box is: counters for the heartbeat, and garbage collection at a moment of our choosing.
 
 Automatic collection is off: it would come in the middle of a block. `tidy` collects after something was allocated, when no
-frame waits; on the chip that takes some 5 ms, which the board's buffer and the ring bridge. On a link that is never idle
-`make_room` collects before the heap runs out.
+frame waits; on the chip that takes some 10 ms, and `heap_free`, once a second for the heartbeat, 8: they walk through the heap. The
+board's buffers and the ring bridge them. On a link that is never idle `make_room` collects before the heap runs out.
 """
 
 import gc
 
-from truearm_wire.fast import add, less
+from truearm_wire.fast import add, copy, less, micropython
 from truearm_wire.messages import HEARTBEAT
 
-HEAP_LOW = 40000  # bytes: a command takes less than 10 000, a heartbeat none
+COMMANDS = (
+    4  # between collections: one takes less than 10 kB, a heartbeat nothing; a new configuration makes its own room
+)
+GONE_US = 2000000  # a link that takes nothing for so long has no host
+
+IDLE = 0  # what the LED shows
+STREAMING = 1
+HOST_GONE = 2
+FAULT = 3
 
 
 class Health:
     def __init__(self, board):
+        gc.collect()  # what booting left: 160 kB on the chip
         gc.disable()
         self._board = board
         self._now = bytearray(8)
         self._due = bytearray(8)
+        self._time = bytearray(8)
+        self._gone_at = bytearray(8)
+        self._held = False
+        self._shown = -1
         self.loop_max_us = 0
         self.gc_max_us = 0
-        self.untidy = True  # something was allocated since the last collection
+        self._commands = 1  # that were handled since the last collection
 
+    @micropython.native
     def loop(self, us):
         if us > self.loop_max_us:
             self.loop_max_us = us
 
+    @micropython.native
     def due(self):
         """Whether a heartbeat is due; the next one is then due a second later."""
         self._board.now(self._now)
@@ -36,39 +51,66 @@ class Health:
             add(self._due, 0, 8, 1000000)
         return True
 
-    def send(self, link, stream, events, bad_frames):
+    @micropython.native
+    def show(self, running, troubled, held):
+        """Set the LED; `held`: the link has not taken a frame whole yet."""
+        if troubled:
+            code = FAULT
+        else:
+            code = STREAMING if running else IDLE
+        if self._host_gone(held):
+            code = HOST_GONE
+        if code != self._shown:
+            self._board.led(code)
+            self._shown = code
+
+    @micropython.native
+    def _host_gone(self, held):
+        if held:
+            self._board.now(self._time)
+            if self._held:
+                return not less(self._time, self._gone_at, 8)
+            copy(self._gone_at, 0, self._time, 0, 8)
+            add(self._gone_at, 0, 8, GONE_US)
+        self._held = held
+        return False
+
+    def send(self, link, running, overruns, dropped, bad_frames):
         heap_free = self._board.heap_free()
-        link.begin(HEARTBEAT, 13)
+        link.begin(HEARTBEAT, 16)
         link.put_u32(self._board.boot_id)
         link.put_u64(self._now)
         link.put_int(link.sent)
-        link.put_int(events.dropped)
+        link.put_int(dropped)
         link.put_int(link.short_writes)
-        link.put_int(stream.overruns)
+        link.put_int(overruns)
         link.put_int(bad_frames)
         link.put_int(self.loop_max_us)
         link.put_int(self.gc_max_us)
         link.put_int(heap_free)
         link.put_int(self._board.temperature_mdegc())
         link.put_int(self._board.reset_cause)
-        link.put_int(1 if stream.running else 0)
+        link.put_int(1 if running else 0)
+        link.put_int(self._board.adc.crc_errors)
+        link.put_int(self._board.adc.resets)
+        link.put_int(self._board.mag.missing)
         link.send()
         self.loop_max_us = 0
         self.gc_max_us = 0
 
     def make_room(self):
-        """Something will be allocated: collect now if little is left, else when no frame waits."""
-        self.untidy = True
-        if 0 < self._board.heap_free() < HEAP_LOW:
+        """A command will allocate: collect now if several have, else when no frame waits. (Asking how much is free takes as long.)"""
+        if self._commands == COMMANDS:
             self.tidy()
+        self._commands += 1
 
     def tidy(self):
         """Collect, if something was allocated. Called when no frame waits."""
-        if not self.untidy:
+        if not self._commands:
             return
         start = self._board.ticks()
         gc.collect()
         us = self._board.ticks_diff(self._board.ticks(), start)
         if us > self.gc_max_us:
             self.gc_max_us = us
-        self.untidy = False
+        self._commands = 0

@@ -5,7 +5,7 @@ A slot of the ring is where a frame is built and whence it is sent: no copies.
 
 from array import array
 
-from truearm_wire.fast import copy, extend
+from truearm_wire.fast import add, copy, extend, less, micropython
 
 COUNTER = (1 << 30) - 1  # counters wrap there (SPEC §4): beyond, an integer would be allocated at every step
 SLOT = 252  # the longest data frame (13 samples of 4 x 32 bit) has 251 bytes
@@ -19,24 +19,30 @@ class Ring:
         self._slots = slots
         self._head = 0  # slot that is filled next
         self.used = 0
+        self.overruns = 0  # samples that were lost in the box
 
+    @micropython.native
     def full(self):
         return self.used == self._slots
 
+    @micropython.native
     def claim(self):
         """Offset of the slot to fill next; the spare one while the ring is full."""
-        return (self._slots if self.full() else self._head) * SLOT
+        return (self._slots if self.used == self._slots else self._head) * SLOT
 
+    @micropython.native
     def commit(self, end):
         """The claimed slot holds a payload that ends at offset `end` of the buffer. Only when the ring was not full."""
         self._ends[self._head] = end - self._head * SLOT
         self._head = (self._head + 1) % self._slots
         self.used += 1
 
+    @micropython.native
     def oldest(self):
         """Offset of the oldest slot."""
         return ((self._head - self.used) % self._slots) * SLOT
 
+    @micropython.native
     def oldest_end(self):
         """Offset behind the oldest slot's payload."""
         slot = (self._head - self.used) % self._slots
@@ -45,6 +51,10 @@ class Ring:
     def release(self):
         """The oldest slot has been sent."""
         self.used -= 1
+
+    def lose(self, n):
+        """Count n samples that are in no slot."""
+        self.overruns = (self.overruns + n) & COUNTER
 
 
 class Events:
@@ -56,20 +66,37 @@ class Events:
         self._buf = bytearray(size * self.RECORD)
         self._size = size
         self._first = 0
+        self._quiet = (
+            bytearray(8),
+            bytearray(8),
+        )  # until when edges of lines 0 and 1 are the bouncing of one that was kept
         self.used = 0
         self.dropped = 0
 
-    def put(self, edge, now, full):
-        """Keep an edge of the board (line, rising, stamp of 4 bytes); `full` is scratch of 8 bytes. Drops it if there is no room."""
+    @micropython.native
+    def put(self, edge, now, full, debounce_us):
+        """Keep an edge of the board (line, rising, stamp of 4 bytes); `full` is scratch of 8 bytes. Drops it if there is no room.
+
+        `debounce_us` of lines 0 and 1: an edge that soon after a kept one of its line is none.
+        """
+        extend(now, edge, 2, full, 0)
+        if edge[0] < 2 and debounce_us[edge[0]] and self._bounces(self._quiet[edge[0]], full, debounce_us[edge[0]]):
+            return
         if self.used == self._size:
             self.dropped = (self.dropped + 1) & COUNTER
             return
-        extend(now, edge, 2, full, 0)
         at = (self._first + self.used) % self._size * self.RECORD
         self._buf[at] = edge[0]
         self._buf[at + 1] = edge[1]
         copy(self._buf, at + 2, full, 0, 8)
         self.used += 1
+
+    def _bounces(self, quiet, full, us):
+        if less(full, quiet, 8):
+            return True
+        copy(quiet, 0, full, 0, 8)
+        add(quiet, 0, 8, us)
+        return False
 
     def take(self, edge, full):
         """The oldest edge: line and edge to `edge`, its time to `full`."""

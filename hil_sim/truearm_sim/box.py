@@ -13,6 +13,7 @@ import struct
 import subprocess
 import sys
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,15 +24,29 @@ from truearm.errors import LinkError
 from .micropython import Interpreter
 
 HEAP_KIB = 237  # free heap of MicroPython 1.25 on an RP2040, for the chip's 32-bit words
-GRANT = struct.Struct(">cBHHHQQiB")
-ANSWER = struct.Struct(">cBHHH")
-RECORD = 20  # bytes a sample takes in a grant: stamp and four counts
-SAMPLES_MAX = 128
+GRANT = struct.Struct(">cBHHQiBBHQHQ")
+ANSWER = struct.Struct(">cBBHIHHBH")
+RECORD = 20  # bytes a sample of the converter takes in a grant: stamp and four counts
+MAG_RECORD = 8  # a sample of the magnetostrictive head: stamp and ticks
+SAMPLES_MAX = 112  # of each
 RX_MAX = 512
-EDGES_MAX = 32  # 29 + 512 + 128 * 20 + 32 * 6 bytes stay below the 4096 that a pipe passes in one piece
+EDGE = 6
+EDGES_MAX = 32  # 512 + 112 * 28 + 32 * 6 bytes stay below the 4096 that a pipe passes in one piece
 
 STALL, CRASH, QUIT = 1, 2, 4
 POWER, WATCHDOG, COMMAND = 1, 2, 3
+FAULT_CRC, FAULT_RESET = 1, 2  # faults of a converter sample
+_ENDS = {2: "reset", 32: "prompt", 64: "boot loader"}
+HEALTHY: Mapping[str, int] = {
+    "converter_id": 0x2402,
+    "excitation": 750_100,
+    "noise_0": 2_900,
+    "noise_1": 3_010,
+    "noise_2": 2_880,
+    "noise_3": 2_950,
+    "stops": 16,
+    "rail_5v": 5_020,
+}
 
 
 class BoxDied(LinkError):
@@ -40,22 +55,45 @@ class BoxDied(LinkError):
 
 @dataclass(frozen=True)
 class Answer:
-    """What the box did in one grant."""
+    """What the box did in one grant.
+
+    ``end`` says how its firmware ended: "reset", "watchdog", "prompt", "boot loader", "power cut"; "" while it runs.
+    """
 
     tx: bytes
     sampling: bool
     osr: int
-    reset: bool
+    end: str
     rx_room: int  # bytes that the next grant may bring
+    mag_sampling: bool = False
+    mag_period_ns: int = 0
+    starts: int = 0  # of sampling since boot, modulo 256
+    output: bool = False
+    led: int = 0
+    alive: bool = True  # the firmware fed its watchdog
+    watchdog_ms: int = 0
+    first_ns: tuple[int | None, int | None] = (
+        None,
+        None,
+    )  # device time of sample 0 of each stream since the latest start
+
+    @property
+    def reset(self) -> bool:
+        """Whether the firmware reset the box."""
+        return self.end == "reset"
 
 
 @dataclass(frozen=True)
 class BoxSetup:
-    """What makes one box different from another; `ring_slots` blocks of 13 samples wait while the link is held back."""
+    """What makes one box different from another; `ring_slots` blocks of samples wait while the link is held back.
+
+    ``self_test``: what the board measures in its self-test.
+    """
 
     uid: bytes = bytes.fromhex("e6614103e7452b2f")
-    ring_slots: int = 160  # 2 s at 1 kHz
+    ring_slots: int = 200  # 2 s of both streams at 1 kHz: 78 and 20 blocks a second
     config: dict[str, Any] | None = field(default=None)
+    self_test: Mapping[str, int] = field(default_factory=lambda: HEALTHY)
 
 
 def firmware_folder() -> Path:
@@ -68,7 +106,8 @@ def firmware_folder() -> Path:
 def write_flash(folder: Path, config: dict[str, Any] | None) -> None:
     """Lay out the box's file system: firmware, wire, board, configuration."""
     skip = shutil.ignore_patterns("__pycache__", "*.pyc")
-    shutil.copytree(firmware_folder(), folder, ignore=skip, dirs_exist_ok=True)
+    shutil.copytree(firmware_folder() / "truearm_box", folder / "truearm_box", ignore=skip)
+    shutil.copyfile(firmware_folder() / "main.py", folder / "main.py")
     shutil.copytree(Path(truearm_wire.__file__).parent, folder / "truearm_wire", ignore=skip)
     shutil.copyfile(Path(__file__).parent / "vm" / "board.py", folder / "board.py")
     if config is not None:
@@ -76,7 +115,11 @@ def write_flash(folder: Path, config: dict[str, Any] | None) -> None:
 
 
 class BoxProcess:
-    """A running box. `interpreter` None: the firmware runs in CPython (no heap limit, no native code)."""
+    """A running box. `interpreter` None: the firmware runs in CPython (no heap limit, no native code).
+
+    ``flash``: a folder that `write_flash` laid out; what the firmware stores there outlives the process. By default the box has
+    one of its own, and it goes with the box.
+    """
 
     def __init__(
         self,
@@ -85,20 +128,25 @@ class BoxProcess:
         boot_id: int,
         reset_cause: int = POWER,
         main: str = "main.py",
+        flash: Path | None = None,
     ) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix="truearm-box-")
-        folder = Path(self._folder.name)
-        write_flash(folder, setup.config)
-        argument = {
+        self._folder = tempfile.TemporaryDirectory(prefix="truearm-box-") if flash is None else None
+        folder = flash or Path(self._folder.name if self._folder else "")
+        if flash is None:
+            write_flash(folder, setup.config)
+        board = {
             "uid": list(setup.uid),
             "boot_id": list(boot_id.to_bytes(4, "big")),
             "reset_cause": reset_cause,
             "ring_slots": setup.ring_slots,
             "config": "config.json",
+            "error": "last_error.txt",
+            "self_test": dict(setup.self_test),
         }
+        (folder / "board.json").write_text(json.dumps(board))  # an argument of MicroPython has 255 bytes at most
         self._stderr = tempfile.TemporaryFile()
         self._process = subprocess.Popen(
-            [*_command(interpreter), main, json.dumps(argument)],
+            [*_command(interpreter), main],
             cwd=folder,
             env={**os.environ, "MICROPYPATH": str(folder), "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"},
             stdin=subprocess.PIPE,
@@ -115,36 +163,51 @@ class BoxProcess:
         rx: bytes = b"",
         samples: bytes = b"",
         index: int = 0,
+        mag: bytes = b"",
+        mag_index: int = 0,
         edges: bytes = b"",
         tx_room: int = 0xFFFF,
         flags: int = 0,
+        fault: int = 0,
         temperature_mdegc: int = 25000,
     ) -> Answer:
-        """One step. `samples` are records of 20 bytes, the first with index `index` since the start of sampling.
+        """One step. `samples` (`mag`) are records of 20 (8) bytes, the first with index `index` since the start of sampling.
 
-        Raises BoxDied if the process has ended.
+        ``fault`` is of the last converter sample. Raises BoxDied if the process has ended.
         """
         assert self._process.stdin is not None
-        n_samples = len(samples) // RECORD
-        if n_samples > SAMPLES_MAX or len(rx) > RX_MAX or len(edges) > 6 * EDGES_MAX:
+        n_samples, n_mag, n_edges = len(samples) // RECORD, len(mag) // MAG_RECORD, len(edges) // EDGE
+        if max(n_samples, n_mag) > SAMPLES_MAX or len(rx) > RX_MAX or n_edges > EDGES_MAX:
             raise ValueError("more than fits a grant")
-        head = GRANT.pack(
-            b"G", flags, len(rx), n_samples, min(tx_room, 0xFFFF), now_us, index, temperature_mdegc, len(edges) // 6
-        )
+        where = (now_us, temperature_mdegc, n_edges, fault, n_samples, index, n_mag, mag_index)
+        head = GRANT.pack(b"G", flags, len(rx), max(0, min(tx_room, 0xFFFF)), *where)
         try:
             # two writes of at most 4096 bytes: each arrives in one piece
             os.write(self._process.stdin.fileno(), head)
-            if rx or samples or edges:
-                os.write(self._process.stdin.fileno(), rx + samples + edges)
+            if rx or samples or mag or edges:
+                os.write(self._process.stdin.fileno(), rx + samples + mag + edges)
         except BrokenPipeError:
             raise BoxDied(self._last_words()) from None
         return self._answer()
 
     def _answer(self) -> Answer:
-        magic, flags, osr, rx_room, n = ANSWER.unpack(self._read(ANSWER.size))
+        magic, flags, led, osr, mag_period_ns, watchdog_ms, rx_room, starts, n = ANSWER.unpack(self._read(ANSWER.size))
         if magic != b"D":
             raise BoxDied("the firmware wrote to standard output: " + repr(magic))
-        return Answer(self._read(n) if n else b"", bool(flags & 1), osr, bool(flags & 2), rx_room)
+        return Answer(
+            tx=self._read(n) if n else b"",
+            sampling=bool(flags & 1),
+            osr=osr,
+            end="".join(end for bit, end in _ENDS.items() if flags & bit),
+            rx_room=rx_room,
+            mag_sampling=bool(flags & 4),
+            mag_period_ns=mag_period_ns,
+            starts=starts,
+            output=bool(flags & 8),
+            led=led,
+            alive=bool(flags & 16),
+            watchdog_ms=watchdog_ms,
+        )
 
     def _read(self, n: int) -> bytes:
         assert self._process.stdout is not None
@@ -170,7 +233,8 @@ class BoxProcess:
         for pipe in (self._process.stdin, self._process.stdout, self._stderr):
             if pipe is not None:
                 pipe.close()
-        self._folder.cleanup()
+        if self._folder is not None:
+            self._folder.cleanup()
 
     def __enter__(self) -> BoxProcess:
         return self

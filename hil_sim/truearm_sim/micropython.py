@@ -5,14 +5,10 @@ and object sizes. :func:`find` looks, in this order, at ``$TRUEARM_MICROPYTHON``
 the one that :func:`get` fetched.
 
 Many systems package no MicroPython, or one too old. Debian 13's packages are good, and they run on any Debian when each
-brings its own loader and C library. So :func:`get` downloads them by the machine's own ``apt`` from the machine's own
-package sources, with another suite name, and unpacks the interpreter, its loader and its libraries into one folder a
-word size. Nothing is installed and nothing of the system's is written: apt works in a private directory, so it needs no
-root. The machine's keyrings verify what is downloaded, and its proxies and credentials are used.
+brings its own loader and C library. So :func:`get` downloads them (debian.py: nothing is installed, no root is needed) and
+unpacks the interpreter, its loader and its libraries into one folder a word size::
 
-This file uses the standard library alone, since it runs before anything is installed::
-
-    python3 hil_sim/truearm_sim/micropython.py --get
+    python3 -m truearm_sim.micropython --get
 """
 
 from __future__ import annotations
@@ -20,28 +16,24 @@ from __future__ import annotations
 import argparse
 import os
 import re
-import shlex
 import shutil
 import struct
 import subprocess
 import sys
 import tarfile
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+
+from . import debian
+from .debian import DebianError
 
 VARIABLE = "TRUEARM_MICROPYTHON"
 MINIMUM = (1, 25)
 SUITE = "trixie"  # Debian 13, the first release with MicroPython ≥ 1.25
-# Names under which a Debian machine's sources call their own release, besides its code name.
-SUITE_ALIASES = frozenset({"oldstable", "stable", "testing", "unstable", "sid", SUITE})
 # 32 bit first. Debian's name of the machine's architecture → architectures whose programs it can usually run.
 ARCHITECTURES = {"amd64": ("i386", "amd64"), "arm64": ("armhf", "arm64")}
-# What apt on this machine needs to reach its sources; nothing that would loosen the verification of signatures.
-ACQUIRE = re.compile(
-    r"Acquire::(?:https?|tor\+https?|mirror)::|Acquire::(?:Check-Valid-Until|Check-Date|Force\w+|Retries) ", re.I
-)
 BY_HAND = f"install MicroPython (unix port, {MINIMUM[0]}.{MINIMUM[1]} or newer) and set ${VARIABLE} to it"
 PROBE = "import sys; v = sys.implementation; print(v.name, v.version[0], v.version[1], v.version[2], sys.maxsize)"
 
@@ -62,14 +54,6 @@ class Interpreter:
 
     def __str__(self) -> str:
         return f"MicroPython {'.'.join(map(str, self.version))}, {self.bits} bit: {self.path}"
-
-
-@dataclass(frozen=True)
-class Source:
-    """One of the machine's package sources: its URIs, its ``Signed-By`` (a file or a key block) or None."""
-
-    uris: str
-    signed_by: str | None
 
 
 # ---- finding
@@ -130,69 +114,6 @@ def default_destination() -> Path:
     return Path(cache).expanduser() / "truearm" / "micropython"
 
 
-# ---- the machine's package sources (pure)
-
-
-def sources_deb822(text: str, suites: Iterable[str]) -> list[Source]:
-    """The sources of a ``.sources`` file whose component main is there for one of ``suites``."""
-    found = []
-    for stanza in re.split(r"\n[ \t]*\n", text):
-        fields = _fields(stanza)
-        if (
-            "deb" in fields.get("types", "").split()
-            and set(suites) & set(fields.get("suites", "").split())
-            and "main" in fields.get("components", "").split()
-            and fields.get("enabled", "yes").lower() not in ("no", "false", "0", "off", "without", "disable")
-        ):
-            found.append(Source(fields.get("uris", ""), fields.get("signed-by")))
-    return found
-
-
-def _fields(stanza: str) -> dict[str, str]:
-    """Fields of a deb822 stanza by lower-case name; continuation lines keep their line breaks."""
-    fields: dict[str, str] = {}
-    name = ""
-    for line in stanza.splitlines():
-        if line.startswith("#") or not line.strip():
-            continue
-        if line[0] in " \t":
-            if name:
-                fields[name] += "\n" + line
-            continue
-        name, _, value = line.partition(":")
-        name = name.strip().lower()
-        fields[name] = value.strip()
-    return fields
-
-
-def sources_one_line(text: str, suites: Iterable[str]) -> list[Source]:
-    """The sources of a ``sources.list`` file (``deb [options] uri suite components``), as in :func:`sources_deb822`."""
-    found = []
-    for line in text.splitlines():
-        match = re.match(r"deb\s+(?:\[([^]]*)\]\s+)?(\S+)\s+(\S+)\s+(.*)", line.partition("#")[0].strip())
-        if match and match[3] in set(suites) and "main" in match[4].split():
-            key = re.search(r"(?:^|\s)signed-by=(\S+)", match[1] or "", re.I)
-            found.append(Source(match[2], key[1] if key else None))
-    return found
-
-
-def source_stanza(source: Source, suite: str) -> str:
-    """The deb822 stanza for the same source and another suite. An unsigned source's ``trusted`` is not taken over."""
-    signed_by = f"Signed-By: {source.signed_by}\n" if source.signed_by else ""
-    return f"Types: deb\nURIs: {source.uris}\nSuites: {suite}\nComponents: main\n{signed_by}"
-
-
-def machine_sources(etc: Path, suites: Iterable[str]) -> list[Source]:
-    """The machine's own sources of its own release, each once; files that this user may not read are passed over."""
-    found = []
-    folder = etc / "sources.list.d"
-    for path in [etc / "sources.list", *sorted(folder.glob("*.list")), *sorted(folder.glob("*.sources"))]:
-        if path.is_file() and os.access(path, os.R_OK):
-            parse = sources_deb822 if path.suffix == ".sources" else sources_one_line
-            found += parse(path.read_text(encoding="utf-8", errors="replace"), suites)
-    return [source for source in dict.fromkeys(found) if not source.uris.startswith("cdrom:")]
-
-
 # ---- getting
 
 
@@ -205,99 +126,37 @@ def get(destination: Path, say: Callable[[str], None] = print) -> Interpreter:
         InterpreterError: this machine has no apt or no Debian source, a download or its verification failed, or
             nothing of what came runs here.
     """
-    for program in ("apt-get", "apt-config", "dpkg", "dpkg-deb"):
-        if shutil.which(program) is None:
-            raise InterpreterError(f"cannot get MicroPython here: no {program}, which Debian has; {BY_HAND}")
-    native = _run(["dpkg", "--print-architecture"]).strip()
-    architectures = ARCHITECTURES.get(native, (native,))
+    if missing := debian.missing_program():
+        raise InterpreterError(f"cannot get MicroPython here: no {missing}, which Debian has; {BY_HAND}")
     try:
         destination.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{destination.name}-", dir=destination.parent) as work:
             tree = Path(work) / "tree"
-            _unpack(_download(Path(work) / "apt", native, architectures, say), tree)
+            _unpack(_download(Path(work) / "apt", say), tree)
             working = _first_that_runs(tree)
             _replace(tree, destination, Path(work) / "old")
+    except DebianError as error:
+        raise InterpreterError(f"cannot get MicroPython here: {error}; {BY_HAND}") from error
     except OSError as error:
         raise InterpreterError(f"cannot write {destination} ({error}); {BY_HAND}") from error
     return probe(destination / working.path.name)
 
 
-def _download(apt: Path, native: str, architectures: tuple[str, ...], say: Callable[[str], None]) -> list[Path]:
+def _download(apt: Path, say: Callable[[str], None]) -> list[Path]:
     """The packages of MicroPython and all that it depends on, for each architecture, downloaded into ``apt``."""
-    suites = SUITE_ALIASES | {os_release().get("VERSION_CODENAME", SUITE)}
-    sources = machine_sources(Path("/etc/apt"), suites)
-    if not sources:
-        raise InterpreterError(f"cannot get MicroPython here: no Debian package source under /etc/apt; {BY_HAND}")
-    _write_apt(apt, sources, native, architectures)
-    environ = {**os.environ, "APT_CONFIG": str(apt / "apt.conf"), "LC_ALL": "C"}
+    native = debian.native_architecture()
+    architectures = ARCHITECTURES.get(native, (native,))
     say(f"MicroPython: reading the package lists of Debian {SUITE} ({', '.join(architectures)})")
-    _run(["apt-get", "-qq", "update"], environ)
+    environ = debian.private_apt(apt, SUITE, architectures)
     for architecture in architectures:
         say(f"MicroPython: downloading micropython for {architecture}")
         try:
-            _run(["apt-get", "-qq", "-y", "--download-only", "install", f"micropython:{architecture}"], environ)
-        except InterpreterError as error:
+            debian.run(["apt-get", "-qq", "-y", "--download-only", "install", f"micropython:{architecture}"], environ)
+        except DebianError as error:
             if architecture == native:
                 raise
             say(f"MicroPython: not for {architecture}: {error}")  # a mirror may hold the native architecture alone
     return sorted((apt / "cache" / "archives").glob("*.deb"))
-
-
-def os_release(path: Path = Path("/etc/os-release")) -> dict[str, str]:
-    """The assignments of an os-release file, unquoted; none where there is no such file."""
-    if not path.exists():
-        return {}
-    words = shlex.split(path.read_text(encoding="utf-8", errors="replace"), comments=True)
-    return {name: value for name, sign, value in (word.partition("=") for word in words) if sign}
-
-
-def _write_apt(apt: Path, sources: list[Source], native: str, architectures: tuple[str, ...]) -> None:
-    """A private apt directory: its own sources, lists, cache and package database, the machine's keys and proxies."""
-    for folder in ("none", "sources", "state/lists/partial", "cache/archives/partial"):
-        (apt / folder).mkdir(parents=True)
-    (apt / "state" / "status").touch()
-    for number, source in enumerate(sources):
-        (apt / "sources" / f"{number}.sources").write_text(source_stanza(source, SUITE), encoding="utf-8")
-    machine = _run(["apt-config", "dump", "--format", '%f "%v";%n', "--no-empty"]).splitlines()
-    lines = [line for line in machine if ACQUIRE.match(line)]
-    listed = " ".join(f'"{name}";' for name in dict.fromkeys((native, *architectures)))
-    # Dir::Etc stays the machine's: its trusted.gpg.d and auth.conf.d are wanted, its hooks and preferences are not.
-    lines += [
-        f'Dir::Etc::{name} "{apt}/none";' for name in ("main", "parts", "preferences", "preferencesparts", "sourcelist")
-    ]
-    lines += [
-        f'Dir::Etc::sourceparts "{apt}/sources";',
-        f'Dir::State "{apt}/state";',
-        f'Dir::State::status "{apt}/state/status";',
-        f'Dir::Cache "{apt}/cache";',
-        f'APT::Architecture "{native}";',
-        f"APT::Architectures {{ {listed} }};",
-        'APT::Install-Recommends "false";',
-        'APT::Sandbox::User "root";',  # for root: the _apt user could not enter every folder that a checkout lies in
-        'Acquire::Languages "none";',
-        'APT::Update::Error-Mode "any";',  # else an unreachable source is only a warning
-    ]
-    (apt / "apt.conf").write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def _run(command: list[str], environ: Mapping[str, str] | None = None) -> str:
-    """Standard output of a command of apt's or dpkg's.
-
-    Raises:
-        InterpreterError: it failed; the text says so in apt's words, and more plainly where a key is missing.
-    """
-    done = subprocess.run(
-        command, capture_output=True, text=True, errors="replace", env=environ, stdin=subprocess.DEVNULL
-    )
-    if done.returncode == 0:
-        return done.stdout
-    if re.search(r"NO_PUBKEY|is not signed|Missing key|EXPKEYSIG", done.stderr):
-        raise InterpreterError(
-            f"cannot verify Debian {SUITE}'s packages: this machine's keyring does not know its keys; "
-            f"update the package debian-archive-keyring, or {BY_HAND}"
-        )
-    lines = [line for line in done.stderr.splitlines() if line.startswith("E:")] or done.stderr.splitlines()
-    raise InterpreterError(f"'{' '.join(command)}' failed: {(lines or ['no message'])[0]}; {BY_HAND}")
 
 
 def _unpack(packages: list[Path], tree: Path) -> None:

@@ -1,4 +1,4 @@
-"""What the box's converter gives: lengths and voltages to counts, with noise that belongs to the sample.
+"""What the box's converter and its magnetostrictive head give: lengths to counts and times, with noise that belongs to the sample.
 
 The LVDT's conditioner turns the bar's extension e [m] into a voltage with e = POLY[0] + POLY[1]·V, which the box's
 calibration knows. The converter has 24 bits over ±1.2 V; beyond, it saturates. While the bar is off, the core hangs out
@@ -7,6 +7,9 @@ of the coil and the input lies at the negative rail.
 Noise is a pure function of seed, channel and sample index: sample k is number k mod BLOCK of the block k div BLOCK, and
 each block has a generator of its own, a counter-based one (Philox) with the seed as key and channel and block in the
 counter. So any chunks that a reader asks for hold the same values.
+
+The magnetostrictive head sends a strain pulse from the magnet along its wire; its time of flight is position / v plus the delay of
+the electronics, with v = 25.4 mm / (US_PER_INCH µs), and the position is that at the interrogation edge.
 """
 
 from __future__ import annotations
@@ -29,6 +32,15 @@ RESTING_SIGMA = np.array([0.0, 18e-6, 18e-6, 9e-6])  # V
 BLOCK = 8192
 MODULATOR_NS = 240  # 125 MHz / 15 = 8.333 MHz, two clocks a modulator period
 OSRS = tuple(2**k for k in range(7, 15))
+US_PER_INCH = (905, -2)  # mantissa and exponent, as on the sensor's label
+SOUND = 25400.0 / 9.05  # m/s
+MAG_DELAY_NS = 1200  # of the head's electronics
+# 5.1 µm. The counter's tick is 22.5 µm; this noise spreads a resting magnet over its borders, so that the mean of many shots is
+# wrong by (tick/π)·exp(−2π²·(σ/tick)²) = 2.6 µm at most, where without noise it would be half a tick.
+MAG_SIGMA_PS = 1800
+TICK_PS = 8000  # of the counter that times the flight
+# Generators beside those of the converter's channels 0 to 3 and of the repeatability, 4.
+_MAG_NOISE, _MAG_STOPS = 5, 6
 
 
 def period_ns(osr: int) -> int:
@@ -57,6 +69,27 @@ def sample_noise(seed: int, channel: int, block: int) -> Floats:
     # The key is 128 bits, the counter 256; a block draws far fewer than the 2^64 counts that its neighbours lie apart.
     bits = np.random.Philox(key=seed, counter=[0, block, channel, 0])
     return np.random.Generator(bits).standard_normal(BLOCK)
+
+
+def flight_times(position: Floats, lost: float, seed: int, block: int) -> NDArray[np.int64]:
+    """Times of flight (BLOCK,) [ps] of one block of shots at magnet positions (BLOCK,) [m]; −1 for a share ``lost`` of them."""
+    flights = 1e12 / SOUND * position + 1e3 * MAG_DELAY_NS + MAG_SIGMA_PS * sample_noise(seed, _MAG_NOISE, block)
+    bits = np.random.Philox(key=seed, counter=[0, block, _MAG_STOPS, 0])
+    stopless = np.random.Generator(bits).random(BLOCK) < lost
+    return np.where(stopless, -1, np.rint(flights)).astype(np.int64)
+
+
+def magnetostrictive(period_ns: int) -> dict[str, Any]:
+    """What the box's configuration says of the head, read at this period; 0: never."""
+    return {
+        "period_ns": period_ns,
+        "blanking_ns": 10_000,
+        "timeout_ns": 240_000 if period_ns and period_ns < 510_000 else 500_000,
+        "us_per_inch": list(US_PER_INCH),
+        "delay_ns": MAG_DELAY_NS,
+        "serial": "sim-mag",
+        "date": "1993-10-01",
+    }
 
 
 def repeatability(seed: int, n: int) -> Floats:

@@ -145,8 +145,13 @@ def serve(
     *,
     stop: Callable[[], bool] = lambda: False,
     started: Callable[[], None] = lambda: None,
+    longest_step_ns: int | None = None,
 ) -> None:
-    """Run until the robot's program has ended and its client has gone, or until ``stop()``."""
+    """Run until the robot's program has ended and its client has gone, or until ``stop()``.
+
+    ``longest_step_ns``: for a box that may be slower than the wall clock. The lab's time goes on by no more than that at once
+    and falls behind, box and robot alike; without it a late box would get longer and longer steps.
+    """
     clock = HostClock()  # the recorder's: a slew of the wall clock would show as a drift of the box
     start_ns: int | None = None
     sent_until_ns = 0
@@ -159,6 +164,9 @@ def serve(
             start_ns = clock.now_ns()
             started()
         t_ns = clock.now_ns() - start_ns
+        if longest_step_ns is not None and t_ns > sent_until_ns + longest_step_ns:
+            start_ns += t_ns - sent_until_ns - longest_step_ns
+            t_ns = sent_until_ns + longest_step_ns
         for tx in box.advance(t_ns, box_port.receive(), box_port.room()):
             box_port.send(tx)
         _, lines = world.robot_lines(sent_until_ns, t_ns)

@@ -1,23 +1,46 @@
-"""The sensor box in its world: hardware that samples, a crystal, a firmware that runs, and the faults that are asked for."""
+"""The sensor box in its world: power, a crystal, flash, what comes to its inputs, and the faults that are asked for.
+
+What runs behind it is ``Hardware``: the firmware in a MicroPython, or whatever ``power_on`` makes of a boot.
+"""
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 from truearm.types import Floats
 
-from .box import CRASH, RECORD, RX_MAX, STALL, Answer, BoxProcess, BoxSetup
+from .box import COMMAND, POWER, WATCHDOG, Answer, BoxSetup, write_flash
+from .hardware import (
+    BAD_CRC,
+    CONVERTER_RESET,
+    CRASH,
+    STALL,
+    TEMPERATURE_MDEGC,
+    Boot,
+    Edge,
+    Hardware,
+    PowerOn,
+    Signals,
+)
 from .micropython import Interpreter
-from .sensors import period_ns
+from .vmbox import VmBox
 from .world import World
 
-BATCH = 100  # samples a grant, at most
 SHORT_WRITE = 100  # bytes that the link takes of a data frame's 251
-BOOT_NS = 1_500_000_000
-FAULTS = ("flip", "lose", "double", "text", "short-write", "stall", "crash", "reboot")
+STALL_NS = 200_000_000
+NO_STOP_S = 0.01
+FAULTS = (
+    "flip", "lose", "double", "text", "short-write", "stall", "crash", "reboot",
+    "hang", "bad-crc", "converter-reset", "no-stop",
+)  # fmt: skip
+_FLAGS = {"crash": CRASH, "bad-crc": BAD_CRC, "converter-reset": CONVERTER_RESET}
+_CAUSES = {"reset": COMMAND, "watchdog": WATCHDOG, "power cut": POWER}
 
 
 @dataclass(frozen=True)
@@ -25,7 +48,9 @@ class Fault:
     """What goes wrong at ``t_s`` of the lab's time.
 
     flip: one bit of a data frame; lose, double: a data frame; text: stray text between frames; short-write: the link takes half a
-    frame; stall: the firmware stands still for 0.2 s; crash: it raises, prints a traceback and restarts; reboot: power fails.
+    frame; stall: the firmware stands still for 0.2 s; crash: it raises, prints a traceback and restarts; reboot: power fails; hang:
+    the firmware stands still until its watchdog bites; bad-crc: a frame of the converter is damaged; converter-reset: the converter
+    resets itself; no-stop: for 10 ms no stop pulse of the magnetostrictive head comes.
     """
 
     t_s: float
@@ -39,136 +64,155 @@ class Fault:
 
 
 class SimulatedBox:
-    """A box process that is fed with the world's samples. ``advance`` is its only step."""
+    """A box that samples the world. ``advance`` is its only step; its flash lasts from boot to boot."""
 
     def __init__(
-        self, world: World, interpreter: Interpreter | None, *, faults: Sequence[Fault] = (), seed: int = 0
+        self,
+        world: World,
+        interpreter: Interpreter | None = None,
+        *,
+        faults: Sequence[Fault] = (),
+        edges: Sequence[Edge] = (),
+        seed: int = 0,
+        setup: BoxSetup | None = None,
+        power_on: PowerOn | None = None,
     ) -> None:
+        """``edges``: on its trigger lines, true time, in order. ``setup``: by default what the world says of its box.
+
+        ``power_on`` makes the hardware of a boot; by default a ``VmBox`` with ``interpreter`` (None: CPython).
+        """
         self._world = world
-        self._interpreter = interpreter
-        self._setup = BoxSetup(config=world.box_config())
+        self._setup = setup or BoxSetup(config=world.box_config())
+        self._power_on = power_on or partial(VmBox, interpreter)
         self._rng = np.random.default_rng((seed, 2))
-        self._faults = sorted(faults, key=lambda fault: fault.t_s)
+        self._no_stop = tuple((fault.t_s, fault.t_s + NO_STOP_S) for fault in faults if fault.kind == "no-stop")
+        self._faults = sorted((f for f in faults if f.kind != "no-stop"), key=lambda fault: fault.t_s)
+        self._edges = list(edges)
+        self._flash = tempfile.TemporaryDirectory(prefix="truearm-flash-")
+        write_flash(Path(self._flash.name), self._setup.config)
         self._boots = 0
-        self._process: BoxProcess | None = None
+        self._cause = POWER
+        self._hardware: Hardware | None = None
         self._boot_at_ns: int | None = 0  # when the power comes (back)
-        self._boot_device_ns = 0
-        self._sampling_since_ns: int | None = None  # device time
-        self._period_ns = 0
-        self._sent = 0  # samples given since the start of sampling
+        self._boot_ns = 0  # what a reset takes
+        self.boot_device_ns = 0  # what the device clock showed at the latest boot
+        self._sampling = False
         self._stalled_until_ns = 0
         self._short_write = False
-        self._rx = b""  # what the host wrote and the box has not taken yet
-        self._rx_room = RX_MAX
+        self.output = False  # level of its trigger output
+        self.led = 0
+        self.first_ns: tuple[int | None, int | None] = (None, None)  # lab's device clock at sample 0 of each stream
+
+    @property
+    def flash(self) -> Path:
+        """The folder that is its file system."""
+        return Path(self._flash.name)
 
     def device_us(self, t_ns: int) -> int:
         """Time on the box's hardware timer [µs since its boot] at true time ``t_ns``."""
-        return (self._world.device_clock.from_true_ns(t_ns) - self._boot_device_ns) // 1000
+        return self._device_ns(t_ns) // 1000
 
     def true_s(self, device_us: Floats) -> Floats:
         """True time [s] of times on the hardware timer since the latest boot: what a clock fit is judged by."""
-        reading = 1e-6 * device_us + 1e-9 * self._boot_device_ns
+        reading = 1e-6 * device_us + 1e-9 * self.boot_device_ns
         true: Floats = self._world.clocks.device.true(reading)
         return true
 
     def advance(self, t_ns: int, rx: bytes = b"", tx_room: int = 0xFFFF) -> Iterator[bytes]:
-        """Let the box run up to true time ``t_ns``; yields the bytes it sent, grant by grant."""
-        if self._process is None:
+        """Let the box run up to true time ``t_ns``; yields the bytes it sent, step by step."""
+        if self._hardware is None:
             if self._boot_at_ns is None or t_ns < self._boot_at_ns:
                 return
             self._boot(t_ns)
-        self._rx += rx
         fault = self._due_fault(t_ns)
         if fault == "reboot":
-            self._power_off(t_ns)
+            self._power_off(t_ns, POWER)
             return
-        flags = CRASH if fault == "crash" else 0
-        if fault == "stall":
-            self._stalled_until_ns = t_ns + 200_000_000
-        if t_ns < self._stalled_until_ns:
-            flags |= STALL
-        if fault == "short-write":
-            self._short_write = True
-        device_us = self.device_us(t_ns)
-        for samples, index in self._due_samples(device_us * 1000):
-            room = min(tx_room, SHORT_WRITE) if self._short_write else tx_room
-            answer = self._grant(device_us, samples, index, room, flags)
-            self._short_write = self._short_write and len(answer.tx) < SHORT_WRITE  # until a frame did not fit
-            flags, tx_room = flags & STALL, 0xFFFF
+        flags = self._flags(t_ns, fault)
+        self._short_write |= fault == "short-write"
+        room = min(tx_room, SHORT_WRITE) if self._short_write else tx_room
+        sent = 0
+        assert self._hardware is not None
+        for answer in self._hardware.advance(
+            self.device_us(t_ns), rx, self._due_edges(t_ns), room, flags, TEMPERATURE_MDEGC
+        ):
+            self._note(answer)
+            sent += len(answer.tx)
             yield self._damage(answer.tx, fault)
             fault = None
-            if answer.reset:
-                self._power_off(t_ns)
+            if answer.end:
+                self._end(t_ns, answer.end)
                 return
+        self._short_write = self._short_write and sent < SHORT_WRITE  # until a frame did not fit
+
+    def power_cycle(self, t_ns: int) -> None:
+        """Power goes, and comes back as after any reset."""
+        self._power_off(t_ns, POWER)
 
     def close(self) -> None:
-        """End the firmware's process."""
-        if self._process is not None:
-            self._process.close()
-            self._process = None
+        """End the firmware's process and drop the flash."""
+        self._switch_off()
+        self._flash.cleanup()
 
     # -- power
 
     def _boot(self, t_ns: int) -> None:
         self._boots += 1
         boot_id = int(np.random.default_rng((self._world.seed, 3, self._boots)).integers(2**32))
-        self._process = BoxProcess(self._interpreter, self._setup, boot_id, reset_cause=1 if self._boots == 1 else 3)
-        self._boot_device_ns = self._world.device_clock.from_true_ns(t_ns)
-        self._sampling_since_ns = None
-        self._rx, self._rx_room = b"", RX_MAX
+        self.boot_device_ns = self._world.device_clock.from_true_ns(t_ns)
+        signals = Signals(self._world, self.boot_device_ns, self._no_stop)
+        self._hardware = self._power_on(Boot(self.flash, self._setup, boot_id, self._cause, signals))
+        self._boot_ns = self._hardware.boot_ns
 
-    def _power_off(self, t_ns: int) -> None:
-        self.close()
-        self._boot_at_ns = t_ns + BOOT_NS
+    def _end(self, t_ns: int, end: str) -> None:
+        """The firmware ended itself or was ended; at the prompt and in the boot loader the box says nothing more."""
+        if end in _CAUSES:
+            self._power_off(t_ns, _CAUSES[end])
+        else:
+            self._switch_off()
+            self._boot_at_ns = None
 
-    # -- hardware
+    def _power_off(self, t_ns: int, cause: int) -> None:
+        self._switch_off()
+        self._cause = cause
+        self._boot_at_ns = t_ns + self._boot_ns
 
-    def _due_samples(self, device_ns: int) -> Iterator[tuple[bytes, int]]:
-        """Batches of the samples that were latched up to ``device_ns``, at least one (maybe empty) batch."""
-        if self._sampling_since_ns is None:
-            yield b"", 0
-            return
-        first_ns = self._sampling_since_ns + self._period_ns
-        due = max(0, (device_ns - first_ns) // self._period_ns + 1)
-        while True:
-            n = min(BATCH, due - self._sent)
-            index = self._sent
-            self._sent += n
-            yield self._records(index, n, first_ns), index
-            if self._sent >= due:
-                return
+    def _switch_off(self) -> None:
+        if self._hardware is not None:
+            self._hardware.close()
+            self._hardware = None
+        self._sampling = self.output = False
+        self._stalled_until_ns = 0
 
-    def _records(self, index: int, n: int, first_ns: int) -> bytes:
-        if n <= 0:
-            return b""
-        counts, _ = self._world.samples(index, index + n, self._boot_device_ns + first_ns, self._period_ns)
-        # the hardware timer counts whole microseconds since boot, and a stamp holds its lower 32 bits
-        stamps = (first_ns + np.arange(index, index + n, dtype=np.int64) * self._period_ns) // 1000
-        records = np.empty((n, RECORD), np.uint8)
-        records[:, :4] = (stamps & 0xFFFFFFFF).astype(">u4").view(np.uint8).reshape(n, 4)
-        records[:, 4:] = np.ascontiguousarray(counts, "<i4").view(np.uint8).reshape(n, 16)
-        return records.tobytes()
+    # -- inputs and outputs
 
-    def _grant(self, device_us: int, samples: bytes, index: int, tx_room: int, flags: int) -> Answer:
-        assert self._process is not None
-        rx = self._rx[: min(RX_MAX, self._rx_room)]
-        self._rx = self._rx[len(rx) :]
-        answer = self._process.grant(
-            device_us, rx=rx, samples=samples, index=index, tx_room=tx_room, flags=flags, temperature_mdegc=24_500
-        )
-        self._rx_room = answer.rx_room
-        if answer.sampling and self._sampling_since_ns is None:
-            self._sampling_since_ns = device_us * 1000
-            self._period_ns = period_ns(answer.osr)
-            self._sent = 0
-        elif not answer.sampling:
-            self._sampling_since_ns = None
-        return answer
+    def _device_ns(self, t_ns: int) -> int:
+        return self._world.device_clock.from_true_ns(t_ns) - self.boot_device_ns
+
+    def _due_edges(self, t_ns: int) -> list[Edge]:
+        """The edges up to ``t_ns``, in device time; those that came before the boot met a box without power."""
+        due = [edge for edge in self._edges if edge.t_ns <= t_ns]
+        self._edges = self._edges[len(due) :]
+        timed = [Edge(self._device_ns(edge.t_ns), edge.line, edge.rising) for edge in due]
+        return [edge for edge in timed if edge.t_ns >= 0]
+
+    def _note(self, answer: Answer) -> None:
+        self._sampling, self.output, self.led = answer.sampling, answer.output, answer.led
+        if answer.sampling:
+            adc, mag = (None if first is None else self.boot_device_ns + first for first in answer.first_ns)
+            self.first_ns = adc, mag
+
+    def _flags(self, t_ns: int, fault: str | None) -> int:
+        if fault == "stall":
+            self._stalled_until_ns = t_ns + STALL_NS
+        if fault == "hang":
+            self._stalled_until_ns = 1 << 62
+        return _FLAGS.get(fault or "", 0) | (STALL if t_ns < self._stalled_until_ns else 0)
 
     # -- faults on the link
 
     def _due_fault(self, t_ns: int) -> str | None:
-        if self._faults and self._sampling_since_ns is not None and t_ns >= self._faults[0].t_s * 1e9:
+        if self._faults and self._sampling and t_ns >= self._faults[0].t_s * 1e9:
             return self._faults.pop(0).kind
         return None
 

@@ -1,12 +1,13 @@
 """The world that the box measures: a robot with true parameters, a ball-bar, clocks. A function of time and a seed.
 
 Nothing here has a state: ask for any samples or readings, in any order and chunks, and the same ones come. (One block of
-samples is kept, because readers ask for the next few samples of it.) True time starts at 0 with the first move.
+samples of each kind is kept, because readers ask for the next few samples of it.) True time starts at 0 with the first move.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +26,9 @@ from truearm_sim.shells import plan_shells
 
 ROBOT, DESIGN, TRUTH = "puma560", "design", "optimised"
 REPEATABILITY = 84e-6  # m
+MAG_STROKE = (0.05, 0.55)  # m, of the magnetostrictive sensor
+MAG_MIDDLE = 0.30
+MAG_Y = 0.15  # m, of the sensor's middle in the base frame
 
 
 def standard_rig() -> Rig:
@@ -80,9 +84,13 @@ class World:
         params: Floats | None = None,
         clocks: Clocks | None = None,
         robot_rate: float = 50.0,
+        mag_period_ns: int = 0,
+        lost_stops: float = 0.0,
     ) -> None:
         """``params`` (p,): the true robot, Table II's optimised values by default; ``clocks``: drawn from the seed.
 
+        ``mag_period_ns``: how often the box is configured to read its magnetostrictive sensor, 0: never. A share ``lost_stops`` of
+        its shots has no stop pulse.
         Raises PlanError when the plan names something that the rig does not have.
         """
         robot = builtin_robot(ROBOT)
@@ -100,7 +108,9 @@ class World:
         self.controller = Controller.from_plan(plan, self.clocks.robot, seed, robot_rate, self._runs_out(plan))
         pose = self.controller.pose
         self._settled_length = self._distance(self.controller.q_held, pose) + self._scatter[pose]
-        self._kept: tuple[tuple[int, ...], NDArray[np.int32]] | None = None
+        self._mag_period_ns = mag_period_ns
+        self._lost_stops = lost_stops
+        self._kept: dict[str, tuple[tuple[int, ...], NDArray[Any]]] = {}
 
     @property
     def duration(self) -> float:
@@ -145,27 +155,66 @@ class World:
         group delay earlier.
         """
         stamps = (t_start_device_ns + np.arange(k0, k1, dtype=np.int64) * period) // 1000
-        parts = []
+        counts = self._blocks(
+            self._counts, np.empty((0, len(sensors.CHANNELS)), np.int32), k0, k1, t_start_device_ns, period
+        )
+        return counts, stamps
+
+    def flight_times(self, k0: int, k1: int, t_start_device_ns: int, period_ns: int) -> NDArray[np.int64]:
+        """Times of flight (m,) [ps] of the magnetostrictive head's shots k0 ≤ k < k1; −1: no stop pulse came.
+
+        Shot k is at the device time ``t_start_device_ns + k·period_ns`` and shows where the magnet was at that moment.
+        """
+        return self._blocks(self._flights, np.empty(0, np.int64), k0, k1, t_start_device_ns, period_ns)
+
+    def magnet_position(self, t: Floats) -> Floats:
+        """Where the magnet is on the magnetostrictive sensor (m,) [m] at true times t (m,).
+
+        A carriage follows the bar's sphere along y within the stroke; while the bar is off it stands in the middle.
+        """
+        pose = self.controller.pose[self.controller.stop_index(t)]
+        p_sphere = point_forward(self.chain, self.params, self.controller.q_true(t), self._p_sphere[pose])
+        along = np.clip(MAG_MIDDLE + p_sphere[:, 1] - MAG_Y, *MAG_STROKE)
+        position: Floats = np.where(self.controller.bar_is_on(t), along, MAG_MIDDLE)
+        return position
+
+    def _blocks(
+        self,
+        make: Callable[[NDArray[np.int64], int], NDArray[Any]],
+        empty: NDArray[Any],
+        k0: int,
+        k1: int,
+        t_start_device_ns: int,
+        period: int,
+    ) -> NDArray[Any]:
+        """Samples k0 ≤ k < k1 out of whole blocks, each of which ``make`` makes of its device times [ns] and number.
+
+        The last block is kept: readers ask for the next few samples of it.
+        """
+        parts = [empty]
         k = k0
         while k < k1:
             block, first = divmod(k, sensors.BLOCK)
             last = min(k1 - block * sensors.BLOCK, sensors.BLOCK)
-            parts.append(self._block(block, t_start_device_ns, period)[first:last])
+            key = (block, t_start_device_ns, period)
+            if make.__name__ not in self._kept or self._kept[make.__name__][0] != key:
+                of_block = np.arange(block * sensors.BLOCK, (block + 1) * sensors.BLOCK, dtype=np.int64)
+                self._kept[make.__name__] = (key, make(t_start_device_ns + of_block * period, block))
+            parts.append(self._kept[make.__name__][1][first:last])
             k += last - first
-        counts = np.concatenate(parts) if parts else np.empty((0, len(sensors.CHANNELS)), np.int32)
-        return counts, stamps
+        return np.concatenate(parts)
 
-    def _block(self, block: int, t_start_device_ns: int, period: int) -> NDArray[np.int32]:
-        """Counts (BLOCK, 4) of a whole block; the last one is kept."""
-        key = (block, t_start_device_ns, period)
-        if self._kept is None or self._kept[0] != key:
-            k = np.arange(block * sensors.BLOCK, (block + 1) * sensors.BLOCK, dtype=np.int64)
-            shown_ns = t_start_device_ns + k * period - sensors.group_delay_ns(period // sensors.MODULATOR_NS)
-            t = self.clocks.device.true(1e-9 * shown_ns)
-            pose = self.controller.pose[self.controller.stop_index(t)]
-            extension = (self.length(t) - self._zero[pose]) / self._gain[pose]
-            self._kept = (key, sensors.sample_counts(extension, self.seed, block))
-        return self._kept[1]
+    def _counts(self, device_ns: NDArray[np.int64], block: int) -> NDArray[np.int32]:
+        period = int(device_ns[1] - device_ns[0])
+        shown_ns = device_ns - sensors.group_delay_ns(period // sensors.MODULATOR_NS)
+        t = self.clocks.device.true(1e-9 * shown_ns)
+        pose = self.controller.pose[self.controller.stop_index(t)]
+        extension = (self.length(t) - self._zero[pose]) / self._gain[pose]
+        return sensors.sample_counts(extension, self.seed, block)
+
+    def _flights(self, device_ns: NDArray[np.int64], block: int) -> NDArray[np.int64]:
+        position = self.magnet_position(self.clocks.device.true(1e-9 * device_ns))
+        return sensors.flight_times(position, self._lost_stops, self.seed, block)
 
     def robot_lines(self, t0_ns: int, t1_ns: int) -> tuple[NDArray[np.int64], list[bytes]]:
         """True times of sending (m,) [ns] and lines of the robot's socket with t0 ≤ true time < t1; none after its end."""
@@ -183,9 +232,16 @@ class World:
         return self.clocks.device
 
     def box_config(self, osr: int = 4096) -> dict[str, Any]:
-        """The configuration file of this world's box: its rate, its channels, the LVDT's calibration."""
+        """The configuration file of this world's box: its rates, its channels, what its sensors' labels say."""
         channels: list[dict[str, Any]] = [
             {"name": name, "unit": "V", "scale": list(sensors.SCALE)} for name in sensors.CHANNELS
         ]
         channels[0]["calibration"] = sensors.calibration()
-        return {"osr": osr, "channels": channels}
+        return {
+            "version": 2,
+            "osr": osr,
+            "channels": channels,
+            "magnetostrictive": sensors.magnetostrictive(self._mag_period_ns),
+            "debounce_us": [0, 0],
+            "watchdog_ms": 2000,
+        }

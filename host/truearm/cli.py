@@ -2,7 +2,7 @@
 
 Exit codes: 0 done (a rank that is not full or a fit that stopped early is a result, not an error), 1 the box or the
 robot failed, 2 the user's input is wrong, 130 interrupted. To add a command, write ``commands/NAME.py`` and add it to
-``COMMANDS``.
+``COMMANDS``. ``truearm box`` has subcommands of its own (commands/box.py).
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Annotated, cast
 import typer
 
 from truearm import __version__
+from truearm.commands.box import app as box
 from truearm.commands.demo import demo
 from truearm.commands.identify import identify
 from truearm.commands.inspect import inspect
@@ -41,6 +42,7 @@ app = typer.Typer(
 )
 for _command in COMMANDS:
     app.command(_command.__name__)(_command)
+app.add_typer(box, name="box")
 
 
 def _print_version(wanted: bool) -> None:

@@ -8,10 +8,13 @@
     │   ├── RigError          a rig file (TOML)
     │   ├── RobotError        a robot file (TOML or URDF)
     │   ├── PlanError         a plan of poses (CSV)
-    │   └── SessionError      a session file (MCAP)
+    │   ├── SessionError      a session file (MCAP)
+    │   ├── ConfigError       a box's configuration (TOML)
+    │   └── ImageError        an image for the box's chip (UF2)
     ├── ProblemError          the observations and the robot do not make a solvable problem
     └── LinkError             the box or the robot stopped answering
         ├── LinkClosed        the other side ended the stream in order
+        ├── RefusedError      the box refuses a command
         └── ProtocolError     the box speaks a protocol that this version does not
 
 Data conditions (rank, convergence, gaps, losses) are fields of results, never exceptions.
@@ -50,6 +53,14 @@ class SessionError(InputError):
     """A session file cannot be read."""
 
 
+class ConfigError(InputError):
+    """A configuration of a box is wrong."""
+
+
+class ImageError(InputError):
+    """An image for the box's chip is damaged, or for another chip."""
+
+
 class ProblemError(TruearmError):
     """Observations and robot do not make a problem that can be solved (too few rows, unknown names)."""
 
@@ -62,6 +73,14 @@ class LinkError(TruearmError):
 
 class LinkClosed(LinkError):
     """The other side ended the stream in order; a robot does so when its plan is done."""
+
+
+class RefusedError(LinkError):
+    """The box refuses a command; ``code`` is that of protocol/SPEC.md §4."""
+
+    def __init__(self, text: str, code: int) -> None:
+        super().__init__(text)
+        self.code = code
 
 
 class ProtocolError(LinkError):

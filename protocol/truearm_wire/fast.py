@@ -2,10 +2,12 @@
 
 One source for both interpreters: under MicroPython the decorated functions become native code (viper), under
 CPython the decorator and `ptr8` do nothing. Only single bytes are touched, so the word size (31-bit small integers on
-the chip) never shows. About 3 µs for a 250-byte frame's CRC on a 64-bit PC, 1.2 ms/kB estimated on the Pico.
+the chip) never shows; only the CRC's table is of words. MicroPython keeps a function's first three locals in registers: what a loop
+changes and reads most comes first. A frame of 250 bytes is sealed in 0.15 ms on the emulated Pico.
 """
 
 import sys
+from array import array
 
 if sys.implementation.name == "micropython":
     import micropython
@@ -16,48 +18,71 @@ else:
         def viper(function):
             return function
 
+        @staticmethod
+        def native(function):
+            return function
+
     def ptr8(buffer):
         return buffer
 
+    def ptr32(buffer):
+        return buffer
 
-def _crc_tables():
-    # the 256 table entries of the reflected polynomial 0xEDB88320, their four bytes in four rows
-    rows = bytearray(1024)
+    uint = int
+
+
+def _crc_table():
+    # of the reflected polynomial 0xEDB88320
+    table = array("I", bytes(1024))
     for i in range(256):
         c = i
         for _ in range(8):
             c = (c >> 1) ^ 0xEDB88320 if c & 1 else c >> 1
-        for k in range(4):
-            rows[256 * k + i] = (c >> (8 * k)) & 255
-    return rows
+        table[i] = c
+    return table
 
 
-_TABLES = _crc_tables()
+_TABLE = _crc_table()
+_ALL_ONES = 0xFFFFFFFF
 
 
 @micropython.viper
-def _crc32(tables: ptr8, buf: ptr8, start: int, end: int, out: ptr8, at: int):
-    c0 = 255
-    c1 = 255
-    c2 = 255
-    c3 = 255
-    i = start
+def _crc32(crc: uint, i: int, buf: ptr8, end: int, table: ptr32, out: ptr8):
     while i < end:
-        k = c0 ^ buf[i]
-        c0 = c1 ^ tables[k]
-        c1 = c2 ^ tables[256 + k]
-        c2 = c3 ^ tables[512 + k]
-        c3 = tables[768 + k]
+        crc = crc >> 8 ^ table[(crc ^ buf[i]) & 255]
         i += 1
-    out[at] = c0 ^ 255
-    out[at + 1] = c1 ^ 255
-    out[at + 2] = c2 ^ 255
-    out[at + 3] = c3 ^ 255
+    i = 0
+    while i < 4:
+        out[i] = crc & 255 ^ 255
+        crc = crc >> 8
+        i += 1
 
 
-def crc32_into(buf, start, end):
-    """Write the CRC-32 of buf[start:end], little endian, into buf[end:end + 4]."""
-    _crc32(_TABLES, buf, start, end, buf, end)
+@micropython.viper
+def _seal(crc: uint, i: int, buf: ptr8, end: int, table: ptr32):
+    code_at = i - 1
+    while i < end:
+        crc = crc >> 8 ^ table[(crc ^ buf[i]) & 255]
+        if buf[i] == 0:
+            buf[code_at] = i - code_at
+            code_at = i
+        i += 1
+    end += 4
+    while i < end:
+        buf[i] = crc & 255 ^ 255
+        crc = crc >> 8
+        if buf[i] == 0:
+            buf[code_at] = i - code_at
+            code_at = i
+        i += 1
+    buf[code_at] = end - code_at
+
+
+def seal(buf, start, end):
+    """Append the CRC-32, little endian, to buf[start:end], at most 250 bytes, and stuff the whole in place (COBS): buf[start - 1]
+    becomes the first code byte, what was stuffed ends at end + 4.
+    """
+    _seal(_ALL_ONES, start, buf, end, _TABLE)
 
 
 _check = bytearray(4)
@@ -67,7 +92,7 @@ def crc32_ok(buf, start, end):
     """Whether buf[end - 4:end] is the CRC-32 of buf[start:end - 4]."""
     if end - start < 4:
         return False
-    _crc32(_TABLES, buf, start, end - 4, _check, 0)
+    _crc32(_ALL_ONES, start, buf, end - 4, _TABLE, _check)
     return same(buf, end - 4, _check, 0, 4)
 
 
@@ -106,19 +131,6 @@ def copy(dst: ptr8, i: int, src: ptr8, k: int, n: int):
     while n > 0:
         n -= 1
         dst[i + n] = src[k + n]
-
-
-@micropython.viper
-def cobs_encode(buf: ptr8, start: int, end: int):
-    """Stuff buf[start:end] in place, at most 254 bytes; buf[start - 1] becomes the first code byte."""
-    code_at = start - 1
-    i = start
-    while i < end:
-        if buf[i] == 0:
-            buf[code_at] = i - code_at
-            code_at = i
-        i += 1
-    buf[code_at] = end - code_at
 
 
 @micropython.viper

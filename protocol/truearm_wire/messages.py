@@ -12,6 +12,12 @@ IDENTIFY = 48
 CONFIGURE = 49
 START = 50
 STOP = 51
+GET_CONFIG = 52
+PUT_CONFIG = 53
+SELF_TEST = 54
+TO_REPL = 55
+RESET = 56
+PULSE = 57
 REPLY = 64
 ERROR = 65
 
@@ -19,9 +25,17 @@ ERROR_UNKNOWN = 1
 ERROR_MALFORMED = 2
 ERROR_RANGE = 3
 ERROR_STREAMING = 4
+ERROR_STORAGE = 5
 
 FLAG_OVERRUN = 1
 FLAG_CONVERTER = 2
+FLAG_MISSING_STOP = 4
+
+STREAM_ADC = 0
+STREAM_MAG = 1
+
+RESTART = 0  # modes of a reset
+BOOT_LOADER = 1
 
 PAGE_BYTES = 200
 PAGES_MAX = 32
@@ -45,22 +59,40 @@ LAYOUT = {
         "temperature_mdegc",
         "reset_cause",
         "streaming",
+        "crc_errors",
+        "converter_resets",
+        "missing_stops",
     ),
     IDENT: ("seq:u32", "req_id", "page", "pages", "data"),
     SYNC_REQUEST: ("id",),
     SYNC_REPLY: ("seq:u32", "id", "t1_us:u64", "t2_us:u64"),
     IDENTIFY: ("req_id",),
-    CONFIGURE: ("req_id", "stream", "osr"),
+    CONFIGURE: ("req_id", "stream", "rate"),
     START: ("req_id",),
     STOP: ("req_id",),
+    GET_CONFIG: ("req_id",),
+    PUT_CONFIG: ("req_id", "page", "pages", "data"),
+    SELF_TEST: ("req_id",),
+    TO_REPL: ("req_id",),
+    RESET: ("req_id", "mode"),
+    PULSE: ("req_id", "level"),
     REPLY: ("seq:u32", "req_id", "page", "pages", "data"),
     ERROR: ("seq:u32", "req_id", "code", "text"),
 }
+
+APPENDED = {
+    HEARTBEAT: 3
+}  # elements at the end of a layout that minor versions appended: an older box does not send them
 
 
 def names(frame_type):
     """Names of the elements after the type."""
     return [entry.split(":")[0] for entry in LAYOUT[frame_type]]
+
+
+def needed(frame_type):
+    """How many elements after the type every minor version sends."""
+    return len(LAYOUT[frame_type]) - APPENDED.get(frame_type, 0)
 
 
 def encode_payload(values):
@@ -71,8 +103,10 @@ def encode_payload(values):
     layout = LAYOUT.get(values[0])
     if layout is None:
         raise CborError("frame type %d is unknown" % values[0])
-    if len(values) <= len(layout):
-        raise CborError("frame type %d has %d elements, %d are needed" % (values[0], len(values) - 1, len(layout)))
+    if len(values) <= needed(values[0]):
+        raise CborError(
+            "frame type %d has %d elements, %d are needed" % (values[0], len(values) - 1, needed(values[0]))
+        )
     sized = [values[0]]
     for entry, value in zip(layout, values[1:]):
         if isinstance(value, int):
@@ -88,7 +122,8 @@ def encode_payload(values):
 def decode_payload(payload):
     """[type, element …] of a payload. Raises CborError if it is no frame of a known layout.
 
-    Unknown frame types are returned as they are (SPEC §7); known ones must have the elements of their layout.
+    Unknown frame types are returned as they are (SPEC §7); known ones must have the elements of their layout, but for those
+    that came with a minor version.
     """
     values = decode(payload)
     if not isinstance(values, list) or not values or not isinstance(values[0], int) or values[0] < 0:
@@ -96,8 +131,10 @@ def decode_payload(payload):
     layout = LAYOUT.get(values[0])
     if layout is None:
         return values
-    if len(values) <= len(layout):
-        raise CborError("frame type %d has %d elements, %d are needed" % (values[0], len(values) - 1, len(layout)))
+    if len(values) <= needed(values[0]):
+        raise CborError(
+            "frame type %d has %d elements, %d are needed" % (values[0], len(values) - 1, needed(values[0]))
+        )
     for entry, value in zip(layout, values[1:]):
         if not isinstance(value, _accepted(entry)):
             raise CborError("element %s of frame type %d has the wrong type" % (entry.split(":")[0], values[0]))

@@ -6,7 +6,7 @@ import cbor2
 import pytest
 
 from truearm_sim import micropython
-from truearm_sim.box import BoxProcess, BoxSetup
+from truearm_sim.box import BoxProcess, BoxSetup, write_flash
 from truearm_wire import frame, messages
 
 OSR = 4096
@@ -23,7 +23,7 @@ def frames(tx: bytes) -> list[list]:
     return found
 
 
-def command(*values: int) -> bytes:
+def command(*values: object) -> bytes:
     return frame.frame(messages.encode_payload(list(values)))
 
 
@@ -36,13 +36,28 @@ def records(index: int, n: int, t_start_us: int = 0) -> bytes:
     )
 
 
+def ticks(k: int) -> int:
+    """Time of flight of shot k: 100 to 400 µs in ticks of 8 ns."""
+    return 12500 + 997 * k % 37500
+
+
+def shots(index: int, n: int, t_start_us: int = 0, missing: frozenset[int] = frozenset()) -> bytes:
+    """n shots of the magnetostrictive head from `index` on."""
+    return b"".join(
+        struct.pack(">I", (t_start_us + k * PERIOD_NS // 1000) % 2**32)
+        + struct.pack("<i", 0 if k in missing else ticks(k))
+        for k in range(index, index + n)
+    )
+
+
 class Bench:
     """A box that was booted at time 0, and the shortest way to talk to it."""
 
-    def __init__(self, interpreter, **setup):
-        self.box = BoxProcess(interpreter, BoxSetup(**setup), 0xDEADBEEF)
+    def __init__(self, interpreter, flash=None, boot_id=0xDEADBEEF, **setup):
+        self.box = BoxProcess(interpreter, BoxSetup(**setup), boot_id, flash=flash)
         self.now_us = 0
         self.index = 0
+        self.req_id = 1000
         self.boot = frames(self.box.grant(0).tx)
 
     def give(self, us=1000, **grant):
@@ -55,18 +70,44 @@ class Bench:
         assert self.give(rx=command(50, 2))[0][:1] == [64]
         self.t_start_us, self.index = self.now_us, 0
 
-    def sample(self, n, **grant):
-        """Let n samples pass."""
+    def sample(self, n, both=False, missing=frozenset(), **grant):
+        """Let n samples pass, of the converter alone or of both sources."""
         samples = records(self.index, n, self.t_start_us)
+        if both:
+            grant.update(mag=shots(self.index, n, self.t_start_us, missing), mag_index=self.index)
         index, self.index = self.index, self.index + n
         self.now_us = self.t_start_us + self.index * PERIOD_NS // 1000
         return self.give(us=0, samples=samples, index=index, **grant)
+
+    def command(self, kind, *values):
+        """Give a command with an id of its own; the frames of its answer."""
+        self.req_id += 1
+        return [f for f in self.give(rx=command(kind, self.req_id, *values)) if f[0] not in (16, 18)]
+
+    def document(self, kind):
+        """The document that a command is answered with."""
+        found = self.command(kind)
+        assert {f[0] for f in found} == {messages.REPLY}
+        return cbor2.loads(b"".join(f[5] for f in found))
+
+    def put(self, config):
+        """Put a configuration; the frames that answer its last page."""
+        pages = messages.pages(cbor2.dumps(config))
+        for page, count, data in pages[:-1]:
+            assert [f[0] for f in self.command(messages.PUT_CONFIG, page, count, data)] == [messages.REPLY]
+        return self.command(messages.PUT_CONFIG, *pages[-1])
 
 
 def real_micropython():
     interpreter = micropython.find()
     assert interpreter is not None, "no MicroPython: run make micropython"
     return interpreter
+
+
+def flash_folder(path, config=None):
+    """A folder with the box's file system, which outlives its boxes."""
+    write_flash(path, config)
+    return path
 
 
 @pytest.fixture(params=["micropython", "cpython"])

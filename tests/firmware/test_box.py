@@ -38,7 +38,7 @@ def assert_contiguous(blocks, start=0):
 
 def test_boot_sends_ident_and_heartbeat(bench):
     document = ident_document(bench.boot)
-    assert document["protocol"] == [1, 0]
+    assert document["protocol"] == [1, 1]
     assert document["boot_id"] == 0xDEADBEEF
     assert document["uid"] == bytes.fromhex("e6614103e7452b2f")
     stream = document["streams"][0]
@@ -337,15 +337,16 @@ GOOD = {"name": "lvdt", "unit": "V", "scale": [1, -7]}
 @pytest.mark.parametrize(
     ("config", "fault"),
     [
-        ({"osr": 5}, "osr is not one of"),
+        ({"osr": 5, "channels": [GOOD] * 4}, "osr is not one of"),
         ({"osr": 4096.0, "channels": [GOOD] * 4}, "osr is not one of"),
-        ([], "osr is not one of"),
+        ([], "it is no table"),
         ({"osr": 1024, "channels": [GOOD] * 3}, "four channels"),
         ({"osr": 1024, "channels": [{**GOOD, "scale": 1.43e-7}] * 4}, "mantissa, exponent"),
         ({"osr": 1024, "channels": [{**GOOD, "scale": [1.5, -7]}] * 4}, "mantissa, exponent"),
         ({"osr": 1024, "channels": [{**GOOD, "calibration": None}] * 4}, "is a table with poly"),
         ({"osr": 1024, "channels": [{**GOOD, "calibration": {"unit": "m", "poly": ["x"]}}] * 4}, "poly of lvdt"),
-        ({"osr": 1024, "channels": [{**GOOD, "note": "x" * 3000}] * 4}, "does not fit"),
+        ({"osr": 1024, "channels": [{**GOOD, "note": "x" * 3000}] * 4}, "longer than"),
+        ({"osr": 1024, "channels": [{**GOOD, "note": "x" * 1500}] * 4}, "does not fit 32 pages"),
         ({"osr": 1024, "channels": [{**GOOD, "note": 1.5}] * 4}, "not on this wire"),
     ],
 )

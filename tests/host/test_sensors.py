@@ -120,6 +120,35 @@ class TestIdent:
         assert found.faults[0].startswith("the box says 'config\\x1b[2J damaged")
         assert max(map(len, found.faults)) < 100
 
+    @pytest.mark.parametrize(
+        ("text", "shown"),
+        [
+            (
+                "Traceback (most recent call last):\n  File x\nOSError: [Errno 28] ENOSPC\n",
+                "'OSError: [Errno 28] ENOSPC'",
+            ),
+            ("", "''"),
+            (7, "7"),
+            ("\x1b[2J" * 99, "'\\x1b[2J\\x1b[2J"),
+        ],
+    )
+    def test_the_last_error_of_its_firmware(self, text, shown):
+        (fault,) = parse_ident({**ident_document(), "last_error": text}).faults
+        assert fault.startswith("its firmware once ended by an error: " + shown)
+        assert len(fault) < 110
+
+    def test_a_stream_of_flight_times(self):
+        """What a box says of its magnetostrictive head: 8 ns a count, metres by its calibration; it has no oversampling."""
+        document = ident_document()
+        calibration = {"unit": "m", "poly": [[-33567, -7], [28066298, -4]], "serial": "T1", "date": "2026-01-02"}
+        channel = {"name": "magnetostrictive", "unit": "s", "scale": [8, -9], "calibration": calibration}
+        mag = {"id": 1, "name": "mag", "period_ns": 983040, "osr": 0, "group_delay_ns": 0, "channels": [channel]}
+        document["streams"].append(mag)
+        found = parse_ident(document)
+        stream, column = find_channel(found, "magnetostrictive")
+        assert (stream.id, stream.osr, column, found.faults) == (1, 0, 0, ())
+        assert extension(np.array([12_500]), stream.channels[0])[0] == pytest.approx(-33567e-7 + 2806.6298 * 100e-6)
+
     def test_the_document_is_kept_whole_and_fit_for_json(self):
         extra = {1: 2.5, "b": b"\xff", "big": 1 << 20_000, "t": cbor2.CBORTag(4711, "x"), b"k": [None, True]}
         found = decode_ident(cbor2.dumps({**ident_document(), "extra": extra}))

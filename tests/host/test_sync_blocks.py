@@ -130,6 +130,64 @@ def test_short_write_is_the_boxs_own_count():
     assert account(box.messages) == {}
 
 
+def test_the_counters_of_version_1_1():
+    box = box_with()
+    box.heartbeat(10**9, crc_errors=2, converter_resets=1, missing_stops=2**30 - 3)
+    box.heartbeat(2 * 10**9, crc_errors=5, converter_resets=1, missing_stops=4)
+    counters = read(box.messages)[1].losses().box
+    assert (counters.crc_errors, counters.converter_resets, counters.missing_stops) == (5, 1, 2**30 + 4)
+
+
+def test_blocks_of_two_streams_are_accounted_for_apart():
+    """The head's frames between the converter's: each stream has its own n0, and a stop that is missing is no gap."""
+    document = ident_document(7)
+    channel = {"name": "magnetostrictive", "unit": "s", "scale": [8, -9]}
+    mag = {"id": 1, "name": "mag", "period_ns": PERIOD_NS, "osr": 0, "group_delay_ns": 0, "channels": [channel]}
+    document["streams"].append(mag)
+    box = Box()
+    ticks = np.arange(12_500, 12_500 + 52, dtype="<i4")
+    for k in range(8):
+        box.data((k + 1) * BLOCK_NS, COUNTS + k)
+        if k % 4 == 3:
+            t0, flags = box.device_us(BLOCK_NS * (k - 3)), wire.FLAG_MISSING_STOP if k == 7 else 0
+            tag = Tag(78, ticks.tobytes())
+            box.frame("mag", k * BLOCK_NS + 10**6, wire.DATA, 1, 52 * (k // 4), t0, PERIOD_NS, tag, flags)
+    blocks, reader = read(box.messages, parse_ident(document))
+    mine = [block for block in blocks if block.data.stream == 1]
+    assert [(block.n, block.channels, block.gap) for block in mine] == [(52, 1, True), (52, 1, False)]
+    assert np.array_equal(mine[0].counts[:, 0], ticks)
+    losses = reader.losses()
+    assert (losses.samples, losses.samples_lost, losses.samples_overrun, losses.converter_faults) == (
+        8 * 13 + 104,
+        0,
+        0,
+        0,
+    )
+    assert [report.name for report in reader.streams()] == ["adc", "mag"]
+
+
+def test_a_heartbeat_of_version_1_0_is_whole():
+    box = box_with()
+    values = [9, 0, 3, 26, 1, 900, 4500, 151000, 31250, 1, 1]
+    box.frame("heartbeat", 10**9, wire.HEARTBEAT, box.boot_id, box.device_us(10**9), *values)
+    losses = read(box.messages)[1].losses()
+    assert losses.frames_malformed == 0
+    assert (losses.box.short_writes, losses.box.overruns, losses.box.crc_errors, losses.box.missing_stops) == (
+        3,
+        26,
+        0,
+        0,
+    )
+
+
+def test_a_heartbeat_that_lacks_an_element_is_none():
+    box = box_with()
+    payload = bytes(wire.encode_payload([wire.HEARTBEAT, box.seq, box.boot_id, 10**6, *[0] * 11]))
+    short = cbor2.dumps(cbor2.loads(payload)[:-1])
+    box.messages.append(Message("/box/heartbeat", 10**9, short))
+    assert read(box.messages)[1].losses().frames_malformed == 1
+
+
 def test_a_running_box_is_not_charged_with_what_was_before():
     box = Box(seq=5000)
     for k, overruns in enumerate((61_000, 61_000, 61_007)):

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from truearm_sim import micropython
-from truearm_sim.micropython import InterpreterError, Source, find, main, probe
+from truearm_sim import debian, micropython
+from truearm_sim.debian import Source
+from truearm_sim.micropython import InterpreterError, find, main, probe
 
 DEB822 = """\
 # the base system
@@ -65,14 +66,14 @@ def says(version: str, maxsize: int = 2**63 - 1) -> str:
 def test_sources_deb822():
     key = "\n -----BEGIN PGP PUBLIC KEY BLOCK-----\n .\n mQINBF\n -----END PGP PUBLIC KEY BLOCK-----"
     base = Source("http://deb.example/debian http://second.example/debian", key)
-    assert micropython.sources_deb822(DEB822, ["bookworm"]) == [base]
+    assert debian.sources_deb822(DEB822, ["bookworm"]) == [base]
     stable = Source("http://stable.example/debian", "/usr/share/keyrings/some.gpg")
-    assert micropython.sources_deb822(DEB822, ["bookworm", "stable"]) == [base, stable]
-    assert micropython.sources_deb822("", ["bookworm"]) == []
+    assert debian.sources_deb822(DEB822, ["bookworm", "stable"]) == [base, stable]
+    assert debian.sources_deb822("", ["bookworm"]) == []
 
 
 def test_sources_one_line():
-    assert micropython.sources_one_line(ONE_LINE, ["bookworm"]) == [
+    assert debian.sources_one_line(ONE_LINE, ["bookworm"]) == [
         Source("http://deb.example/debian", None),
         Source("https://mirror.example/debian", "/etc/apt/keyrings/k.gpg"),
         Source("cdrom:[Debian]/", None),
@@ -86,7 +87,7 @@ def test_machine_sources_are_each_taken_once_and_discs_not(tmp_path):
     (folder / "a.list").write_text(ONE_LINE + "deb cdrom:[x] bookworm main\n")
     (folder / "b.sources").write_text(DEB822)
     (folder / "c.disabled").write_text(DEB822)
-    uris = [source.uris for source in micropython.machine_sources(tmp_path, ["bookworm"])]
+    uris = [source.uris for source in debian.machine_sources(tmp_path, ["bookworm"])]
     assert uris == [
         "http://deb.example/debian",
         "https://mirror.example/debian",
@@ -96,10 +97,10 @@ def test_machine_sources_are_each_taken_once_and_discs_not(tmp_path):
 
 @pytest.mark.parametrize("text", [DEB822, ONE_LINE])
 def test_the_new_stanza_asks_for_another_suite_of_the_same_source_and_keeps_verification(text):
-    parse = micropython.sources_deb822 if text is DEB822 else micropython.sources_one_line
+    parse = debian.sources_deb822 if text is DEB822 else debian.sources_one_line
     for source in parse(text, ["bookworm", "stable"]):
-        stanza = micropython.source_stanza(source, "trixie")
-        assert micropython.sources_deb822(stanza, ["trixie"]) == [source]
+        stanza = debian.source_stanza(source, "trixie")
+        assert debian.sources_deb822(stanza, ["trixie"]) == [source]
         assert "trusted" not in stanza.lower()
 
 
@@ -116,15 +117,15 @@ def test_only_what_reaches_the_sources_is_taken_from_the_machines_apt():
         'Acquire::IndexTargets::deb::DEP-11::DefaultEnabled "true";',
         'APT::Update::Post-Invoke:: "rm -f /var/cache/apt/archives/*.deb || true";',
     ]
-    assert [line for line in taken + left if micropython.ACQUIRE.match(line)] == taken
+    assert [line for line in taken + left if debian.ACQUIRE.match(line)] == taken
 
 
 def test_os_release(tmp_path):
     path = tmp_path / "os-release"
-    assert micropython.os_release(path) == {}
+    assert debian.os_release(path) == {}
     path.write_text('# a comment\nNAME="Debian GNU/Linux"\nVERSION_CODENAME=bookworm\nID=debian\n')
-    assert micropython.os_release(path)["VERSION_CODENAME"] == "bookworm"
-    assert micropython.os_release(path)["NAME"] == "Debian GNU/Linux"
+    assert debian.os_release(path)["VERSION_CODENAME"] == "bookworm"
+    assert debian.os_release(path)["NAME"] == "Debian GNU/Linux"
 
 
 def test_elf_header_of_this_python():

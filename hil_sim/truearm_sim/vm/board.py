@@ -5,13 +5,17 @@ takes so many bytes. The firmware then runs until it has nothing to do; everythi
 stands still in between, so a run is deterministic, and as fast as the two processes are. Real time is the same
 thing with grants given by the wall clock. (The parent's half is truearm_sim/box.py.)
 
-    grant   "G" flags  n_rx:u16  n_samples:u16  tx_room:u16  now:u64  index:u64  temperature:i32  n_edges:u8
-            then rx bytes, samples (stamp:u32, 4 x i32 little endian), edges (line, rising, stamp:u32); 4096 bytes at most
-    answer  "D" flags  osr:u16  rx_room:u16  n_tx:u16, then tx bytes
+    grant   "G" flags  n_rx:u16  tx_room:u16  now:u64  temperature:i32  n_edges:u8  fault:u8
+            n_adc:u16  index_adc:u64  n_mag:u16  index_mag:u64
+            then rx bytes, samples of the converter (stamp:u32, 4 x i32 little endian), of the magnetostrictive head (stamp:u32,
+            ticks:i32 little endian), edges (line, rising, stamp:u32); 4096 bytes at most
+    answer  "D" flags  led:u8  osr:u16  mag_period:u32  watchdog_ms:u16  rx_room:u16  starts:u8  n_tx:u16, then
+            tx bytes
 
-All big endian but the counts. Flags of a grant: 1 the firmware stalls (gets the samples, does not run), 2 the next block
-raises an exception, 4 quit. Flags of an answer: 1 sampling, 2 reset. `rx_room` is flow control, as USB has: the parent keeps
-what would not fit.
+All big endian but the samples. Flags of a grant: 1 the firmware stalls (gets the samples, does not run), 2 the next block
+raises an exception, 4 quit. `fault` is of the last converter sample: 1 its CRC was wrong, 2 the reset bit was set. Flags of an
+answer: 1 the converter samples, 2 reset, 4 the magnetostrictive head samples, 8 the trigger output is high, 16 the firmware fed its
+watchdog, 32 it left for the prompt, 64 for the boot loader. `rx_room` is flow control, as USB has: the parent keeps what would not fit.
 """
 
 import gc
@@ -19,17 +23,21 @@ import json
 import sys
 
 from truearm_wire.fast import add, copy
+from truearm_wire.messages import FLAG_CONVERTER, FLAG_MISSING_STOP
 
-GRANT = 29
-ANSWER = 8
+GRANT = 40
+ANSWER = 16
 MESSAGE_MAX = 4096  # what a pipe passes in one piece
 TX_MAX = 16384
 RX_MAX = 1024
 FIFO = 512  # samples: half a second at 1 kHz
-SAMPLE = 16
-RECORD = 4 + SAMPLE
 EDGE = 6
 EDGES = 64  # that the board holds
+STAMP = 4
+WRAP = (1 << 30) - 1
+TICK_NS = 8
+
+RESET, OUTPUT, ALIVE, PROMPT, BOOT_LOADER = 2, 8, 16, 32, 64
 
 
 class Stopped(SystemExit):
@@ -60,35 +68,135 @@ def _u16(buf, at):
     return buf[at] << 8 | buf[at + 1]
 
 
+class Source:
+    """Samples of one kind that the parent latched, in a ring. `crash` makes the next take raise."""
+
+    def __init__(self, channels):
+        self.channels = channels
+        self.sample = 4 * channels  # bytes
+        self.crc_errors = 0
+        self.resets = 0
+        self.missing = 0
+        self.rate = 0
+        self.sampling = False
+        self.starts = 0
+        self.crash = False
+        self.shortest = 0  # ticks that are a stop, of the magnetostrictive head
+        self.longest = 0
+        self._record = STAMP + self.sample
+        self._fifo = bytearray(FIFO * self._record)
+        self._flags = bytearray(FIFO)
+        self._first = 0  # place of the oldest sample
+        self._count = 0
+        self._index = bytearray(8)  # of the oldest sample
+        self._lost = 0
+        self._fault = 0
+
+    def start(self, rate):
+        self.rate = rate
+        self.sampling = True
+        self.starts = (self.starts + 1) & 255
+        self._count = 0
+        self._first = 0
+        self._lost = 0
+        self._fault = 0
+
+    def stop(self):
+        self.sampling = False
+
+    def waiting(self):
+        return self._count
+
+    def broken(self):
+        return False
+
+    def take(self, n, dst, at, index, stamp):
+        if self._count < n:
+            return False
+        if self.crash:
+            self.crash = False
+            raise RuntimeError("injected by the simulator")
+        copy(stamp, 0, self._fifo, self._first * self._record, STAMP)
+        copy(index, 0, self._index, 0, 8)
+        for i in range(n):
+            copy(dst, at + i * self.sample, self._fifo, self._first * self._record + STAMP, self.sample)
+            self._fault |= self._flags[self._first]
+            self._first = (self._first + 1) % FIFO
+        self._count -= n
+        add(self._index, 0, 8, n)
+        return True
+
+    def lost(self):
+        n = self._lost
+        self._lost = 0
+        return n
+
+    def fault(self):
+        flags = self._fault
+        self._fault = 0
+        return flags
+
+    def latch(self, body, at, n, head, index_at, fault):
+        """Samples into the hardware buffer; one that is lapped loses everything it held, as a DMA ring does."""
+        if self._count + n > FIFO:
+            self._lost += self._count
+            self._count = 0
+            self._first = 0
+        if self._count == 0 and n:
+            copy(self._index, 0, head, index_at, 8)
+        for i in range(n):
+            place = (self._first + self._count) % FIFO
+            copy(self._fifo, place * self._record, body, at + i * self._record, self._record)
+            self._flags[place] = self._stop(place * self._record + STAMP) if self.longest else 0
+            if i == n - 1 and fault:
+                self._flags[place] |= FLAG_CONVERTER
+            self._count += 1
+        self.crc_errors = (self.crc_errors + (fault & 1)) & WRAP
+        self.resets = (self.resets + (fault >> 1)) & WRAP
+
+    def _stop(self, at):
+        """The flags of a time of flight; one outside of blanking and time-out becomes 0."""
+        fifo = self._fifo
+        if fifo[at + 3] == 0 and self.shortest <= fifo[at] | fifo[at + 1] << 8 | fifo[at + 2] << 16 <= self.longest:
+            return 0
+        for i in range(4):
+            fifo[at + i] = 0
+        self.missing = (self.missing + 1) & WRAP
+        return FLAG_MISSING_STOP
+
+
 class Board:
+    name = "vm"
+
     def __init__(self):
-        setup = json.loads(sys.argv[1])
+        with open("board.json") as f:
+            setup = json.load(f)
         self.uid = bytes(setup["uid"])
         self.boot_id = bytes(setup["boot_id"])
         self.reset_cause = setup["reset_cause"]
         self.ring_slots = setup["ring_slots"]
         self.config_path = setup["config"]
+        self.error_path = setup["error"]
+        self._measured = setup["self_test"]
+        self.adc = Source(4)
+        self.mag = Source(1)
         self._head = bytearray(GRANT)
         self._body = bytearray(MESSAGE_MAX)
-        self._rx = bytearray(RX_MAX)  # a ring, as the next two
+        self._rx = bytearray(RX_MAX)  # a ring, as the next
         self._rx_first = 0
         self._rx_n = 0
         self._edge_fifo = bytearray(EDGES * EDGE)
         self._edge_first = 0
         self._edge_n = 0
-        self._fifo = bytearray(FIFO * RECORD)
-        self._first = 0  # place of the oldest sample
-        self._count = 0
-        self._index = bytearray(8)  # of the oldest sample
-        self._lost = 0
-        self._crash = False
+        self.edges_lost = 0
+        self._own_edge = bytearray(EDGE)
         self._temperature = 0
         self._tx = bytearray(ANSWER + TX_MAX)
         self._tx_n = 0
         self._tx_room = 0
-        self._sampling = 0
-        self._osr = 0
         self._flags = 0
+        self._led = 0
+        self._watchdog_ms = 0
         self._wait()
 
     # -- grants
@@ -105,15 +213,25 @@ class Board:
     def _answer(self):
         tx = self._tx
         tx[0] = 68  # "D"
-        tx[1] = self._sampling | self._flags
-        tx[2] = self._osr >> 8
-        tx[3] = self._osr & 255
-        tx[4] = (RX_MAX - self._rx_n) >> 8
-        tx[5] = (RX_MAX - self._rx_n) & 255
-        tx[6] = self._tx_n >> 8
-        tx[7] = self._tx_n & 255
+        tx[1] = self._flags | (1 if self.adc.sampling else 0) | (4 if self.mag.sampling else 0)
+        tx[2] = self._led
+        tx[3] = self.adc.rate >> 8
+        tx[4] = self.adc.rate & 255
+        period = self.mag.rate
+        tx[5] = period >> 24
+        tx[6] = (period >> 16) & 255
+        tx[7] = (period >> 8) & 255
+        tx[8] = period & 255
+        tx[9] = self._watchdog_ms >> 8
+        tx[10] = self._watchdog_ms & 255
+        tx[11] = (RX_MAX - self._rx_n) >> 8
+        tx[12] = (RX_MAX - self._rx_n) & 255
+        tx[13] = self.adc.starts
+        tx[14] = self._tx_n >> 8
+        tx[15] = self._tx_n & 255
         _write(tx, ANSWER + self._tx_n)
         self._tx_n = 0
+        self._flags &= OUTPUT
 
     def _read_exactly(self, buf, n):
         got = _read(buf, n)
@@ -130,19 +248,24 @@ class Board:
         if head[1] & 4:
             raise Stopped
         n_rx = _u16(head, 2)
-        n_samples = _u16(head, 4)
-        size = n_rx + n_samples * RECORD + head[28] * EDGE
+        n_adc = _u16(head, 20)
+        n_mag = _u16(head, 30)
+        adc_at = n_rx
+        mag_at = adc_at + n_adc * (STAMP + self.adc.sample)
+        edges_at = mag_at + n_mag * (STAMP + self.mag.sample)
+        size = edges_at + head[18] * EDGE
         if size:
             self._read_exactly(self._body, size)
         self._take_rx(n_rx)
-        self._take_edges(n_rx + n_samples * RECORD, head[28])
-        self._tx_room = _u16(head, 6)
-        self._temperature = (head[24] - 256 if head[24] & 128 else head[24]) * 16777216 + (
-            head[25] << 16 | head[26] << 8 | head[27]
-        )
+        for i in range(head[18]):
+            self._keep_edge(self._body, edges_at + i * EDGE)
+        self._tx_room = _u16(head, 4)
+        high = head[14] - 256 if head[14] & 128 else head[14]
+        self._temperature = high * 16777216 + (head[15] << 16 | head[16] << 8 | head[17])
         if head[1] & 2:
-            self._crash = True
-        self._latch(n_rx, n_samples)
+            self.adc.crash = True
+        self.adc.latch(self._body, adc_at, n_adc, head, 22, head[19])
+        self.mag.latch(self._body, mag_at, n_mag, head, 32, 0)
         return head[1] & 1
 
     def _take_rx(self, n):
@@ -152,34 +275,22 @@ class Board:
             self._rx[(self._rx_first + self._rx_n) % RX_MAX] = self._body[i]
             self._rx_n += 1
 
-    def _take_edges(self, at, n):
-        for i in range(n):
-            if self._edge_n < EDGES:  # what a real latch has no room for is gone
-                place = (self._edge_first + self._edge_n) % EDGES
-                copy(self._edge_fifo, place * EDGE, self._body, at + i * EDGE, EDGE)
-                self._edge_n += 1
-
-    def _latch(self, at, n):
-        """Samples into the hardware buffer; one that is lapped loses everything it held, as a DMA ring does."""
-        if self._count + n > FIFO:
-            self._lost += self._count
-            self._count = 0
-            self._first = 0
-        if self._count == 0 and n:
-            copy(self._index, 0, self._head, 16, 8)
-        for i in range(n):
-            place = (self._first + self._count) % FIFO
-            copy(self._fifo, place * RECORD, self._body, at + i * RECORD, RECORD)
-            self._count += 1
+    def _keep_edge(self, buf, at):
+        if self._edge_n == EDGES:
+            self.edges_lost = (self.edges_lost + 1) & WRAP
+            return
+        place = (self._edge_first + self._edge_n) % EDGES
+        copy(self._edge_fifo, place * EDGE, buf, at, EDGE)
+        self._edge_n += 1
 
     # -- what the firmware calls
 
     def now(self, buf):
-        copy(buf, 0, self._head, 8, 8)
+        copy(buf, 0, self._head, 6, 8)
 
     def ticks(self):
         head = self._head
-        return (head[12] & 63) << 24 | head[13] << 16 | head[14] << 8 | head[15]
+        return (head[10] & 63) << 24 | head[11] << 16 | head[12] << 8 | head[13]
 
     def ticks_diff(self, a, b):
         return (a - b) & 0x3FFFFFFF
@@ -199,41 +310,32 @@ class Board:
         self._tx_room -= n
         return n
 
-    def start(self, osr):
-        self._osr = osr
-        self._sampling = 1
-        self._count = 0
-        self._first = 0
-        self._lost = 0
+    def configure(self, settings):
+        self._watchdog_ms = settings["watchdog_ms"]
+        self.mag.shortest = settings["magnetostrictive"]["blanking_ns"] // TICK_NS
+        self.mag.longest = settings["magnetostrictive"]["timeout_ns"] // TICK_NS
 
-    def stop(self):
-        self._sampling = 0
+    def self_test(self, settings):
+        measured = dict(self._measured)
+        if settings["magnetostrictive"]["period_ns"] == 0:
+            measured.pop("stops", 0)
+        measured["temperature"] = self._temperature
+        return measured
 
-    def waiting(self):
-        return self._count
+    def alive(self):
+        self._flags |= ALIVE
 
-    def take(self, n, dst, at, index, stamp):
-        if self._count < n:
-            return False
-        if self._crash:
-            self._crash = False
-            raise RuntimeError("injected by the simulator")
-        copy(stamp, 0, self._fifo, self._first * RECORD, 4)
-        copy(index, 0, self._index, 0, 8)
-        for i in range(n):
-            copy(dst, at + i * SAMPLE, self._fifo, self._first * RECORD + 4, SAMPLE)
-            self._first = (self._first + 1) % FIFO
-        self._count -= n
-        add(self._index, 0, 8, n)
-        return True
+    def led(self, code):
+        self._led = code
 
-    def lost(self):
-        n = self._lost
-        self._lost = 0
-        return n
-
-    def converter_fault(self):
-        return False
+    def output(self, level):
+        if level == (1 if self._flags & OUTPUT else 0):
+            return
+        self._flags ^= OUTPUT
+        self._own_edge[0] = 2
+        self._own_edge[1] = level
+        copy(self._own_edge, 2, self._head, 10, 4)
+        self._keep_edge(self._own_edge, 0)
 
     def edge(self, edge):
         if self._edge_n == 0:
@@ -256,7 +358,17 @@ class Board:
         self._tx_n += n
 
     def reset(self):
-        self._flags = 2
-        self._sampling = 0
+        self._leave(RESET)
+
+    def to_repl(self):
+        self._leave(PROMPT)
+
+    def boot_loader(self):
+        self._leave(BOOT_LOADER)
+
+    def _leave(self, flag):
+        self._flags |= flag
+        self.adc.stop()
+        self.mag.stop()
         self._answer()
         sys.exit(0)

@@ -25,6 +25,9 @@ BOX = (
     ("short_writes", "short writes of the box"),
     ("overruns", "overruns by the box's count"),
     ("bad_frames", "bad frames received by the box"),
+    ("crc_errors", "damaged frames of the box's converter"),
+    ("converter_resets", "resets of the box's converter by itself"),
+    ("missing_stops", "magnetostrictive shots without a stop"),
 )
 
 

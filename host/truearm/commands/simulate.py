@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,9 +11,11 @@ import typer
 
 from truearm.errors import InputError, LinkError
 
+CHIP_STEP_NS = 20_000_000  # an emulated chip may be slower than the wall clock
 MARK = ".truearm-simulated"  # in a folder that simulate made and may write again
 
 if TYPE_CHECKING:
+    from truearm_sim.hardware import PowerOn
     from truearm_sim.micropython import Interpreter
     from truearm_sim.simbox import Fault
 
@@ -28,6 +31,10 @@ def simulate(
     pty: Annotated[bool, typer.Option("--pty", help="The box behind a pseudo-terminal, as a serial device.")] = False,
     poses: Annotated[int, typer.Option(min=9, max=5000, help="Poses with each of the two bars.")] = 72,
     seed: Annotated[int, typer.Option(min=0, help="Of everything that is drawn by chance.")] = 1,
+    level: Annotated[
+        str,
+        typer.Option(metavar="LEVEL", help="vm: the firmware in MicroPython; chip: its image in an RP2040 emulator."),
+    ] = "vm",
     fault: Annotated[
         list[str] | None,
         typer.Option(metavar="SECONDS:KIND", help="Something that goes wrong; repeatable. An unknown KIND lists them."),
@@ -35,28 +42,27 @@ def simulate(
 ) -> None:
     """Simulate a sensor box and a robot in real time, on this machine's loopback.
 
-    The firmware's own files run in a real MicroPython (in CPython, and it says so, where there is none). Time starts
-    with the first connection. Ends with the robot's program, or with Ctrl-C.
+    The firmware's own files run in a real MicroPython (in CPython, and it says so, where there is none), or with --level chip in an
+    emulated RP2040, whose time may fall behind the wall clock's on a slow machine. Time starts with the first connection. Ends with
+    the robot's program, or with Ctrl-C.
 
     Example: truearm simulate, and in another terminal the truearm record line that it prints.
     """
     from truearm.files.disk import own_folder
     from truearm.files.plan import write_plan
     from truearm.files.rig import write_rig
-    from truearm_sim import micropython
     from truearm_sim.serve import Port, Terminal, serve
     from truearm_sim.simbox import SimulatedBox
     from truearm_sim.world import World, standard_plan
 
     faults = [parse_fault(text) for text in fault or []]
     own_folder(folder, MARK)
-    interpreter = find_interpreter()
-    typer.echo(f"firmware: {interpreter or 'CPython; no MicroPython was found (' + micropython.BY_HAND + ')'}")
+    power_on = hardware(level)
     plan = standard_plan(poses, seed)
     world = World(seed, plan)
     write_plan(folder / "plan.csv", plan)
     write_rig(folder / "rig.toml", world.rig)
-    box = SimulatedBox(world, interpreter, faults=faults, seed=seed)
+    box = SimulatedBox(world, power_on=power_on, faults=faults, seed=seed)
     try:
         box_port = Terminal() if pty else Port.listen("127.0.0.1", port)
         robot = Port.listen("127.0.0.1", robot_port)
@@ -70,12 +76,30 @@ def simulate(
         f"--out {shlex.quote(str(folder / 'session.mcap'))}\n"
     )
     try:
-        serve(world, box, box_port, robot, started=lambda: typer.echo("connected: time starts"))
+        slow = CHIP_STEP_NS if level == "chip" else None
+        serve(world, box, box_port, robot, started=lambda: typer.echo("connected: time starts"), longest_step_ns=slow)
         typer.echo("the robot's program has ended")
     finally:
         box.close()
         box_port.close()
         robot.close()
+
+
+def hardware(level: str) -> PowerOn:
+    """What runs behind the box; says on the terminal what it is. Raises InputError, and LinkError where the emulator is missing."""
+    from truearm_sim import micropython, node
+    from truearm_sim.chip import ChipBox
+    from truearm_sim.vmbox import VmBox
+
+    if level == "vm":
+        interpreter = find_interpreter()
+        typer.echo(f"firmware: {interpreter or 'CPython; no MicroPython was found (' + micropython.BY_HAND + ')'}")
+        return partial(VmBox, interpreter)
+    if level != "chip":
+        raise InputError(f"--level {level!r}: there are vm and chip")
+    node.ready()
+    typer.echo(f"firmware: {node.image()} in an emulated RP2040")
+    return ChipBox
 
 
 def find_interpreter() -> Interpreter | None:

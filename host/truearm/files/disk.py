@@ -43,10 +43,15 @@ def read_text(path: Path, max_bytes: int, error: type[InputError]) -> str:
     return text
 
 
-def parse_toml(text: str, name: str, error: type[InputError]) -> dict[str, Any]:
-    """TOML text as a dictionary; what is no TOML, or is nested beyond reason, raises ``error``."""
+def parse_toml(
+    text: str, name: str, error: type[InputError], parse_float: Callable[[str], Any] = float
+) -> dict[str, Any]:
+    """TOML text as a dictionary; what is no TOML, or is nested beyond reason, raises ``error``.
+
+    ``parse_float`` makes numbers of TOML's floats, and may raise ValueError.
+    """
     try:
-        return tomllib.loads(text)
+        return tomllib.loads(text, parse_float=parse_float)
     except tomllib.TOMLDecodeError as exc:
         raise error(f"{name}: is not TOML: {exc}") from exc
     except RecursionError as exc:

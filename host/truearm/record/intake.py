@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from truearm.record.fields import fields_of
 from truearm.record.frames import FrameSplitter, frame_seq, frame_type
 from truearm.record.probes import Probes
 from truearm.record.session_writer import SessionWriter
@@ -20,7 +21,7 @@ from truearm.record.status import Counters
 from truearm.sensors.data import Data, data_of, decode, usual_data
 from truearm.sensors.ident import Ident, decode_ident
 from truearm.sensors.pages import Pages
-from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, IDENT, LAYOUT, REPLY, SYNC_REPLY
+from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, IDENT, REPLY, SYNC_REPLY
 
 _TOPICS = {
     EVENT: "/box/event",
@@ -30,7 +31,6 @@ _TOPICS = {
     REPLY: "/box/reply",
     ERROR: "/box/reply",
 }
-_NAMES = {kind: [entry.split(":")[0] for entry in LAYOUT[kind]] for kind in _TOPICS}
 _SEQ_MASK, _SEQ_HALF = 2**32 - 1, 2**31
 _SAMPLE_BYTES = 4
 _LARGEST_UNNAMED_STREAM = 255
@@ -102,7 +102,7 @@ class Intake:
             return
         self.writer.add(_topic(kind), t_host_ns, payload)
         self._count(frame_seq(payload))
-        fields = None if kind not in _TOPICS else _fields(kind, payload)
+        fields = None if kind not in _TOPICS else fields_of(kind, payload)
         if fields is not None:
             self._interpret(t_host_ns, kind, fields)
 
@@ -174,22 +174,3 @@ def _topic(kind: int | None) -> str:
 def _unusual_data(payload: bytes) -> Data | None:
     frame = decode(payload)
     return None if frame is None else data_of(frame)
-
-
-def _fields(kind: int, payload: bytes) -> dict[str, Any] | None:
-    """The elements of a frame by name; None where one is missing or of another type than SPEC §4 says."""
-    values = decode(payload)
-    if values is None:
-        return None
-    fields = dict(zip(_NAMES[kind], values[1:], strict=False))
-    if len(fields) < len(_NAMES[kind]) or not all(_fits(name, value) for name, value in fields.items()):
-        return None
-    return fields
-
-
-def _fits(name: str, value: Any) -> bool:
-    if name == "data":
-        return isinstance(value, bytes)
-    if name == "text":
-        return isinstance(value, str)
-    return type(value) is int and abs(value) < 2**64

@@ -16,12 +16,12 @@ from truearm.errors import LinkError, ProtocolError, TruearmError
 from truearm.record.intake import Answer, Intake
 from truearm.record.links import Clock, Link, Reopenable
 from truearm.record.probes import Probes
+from truearm.record.requests import Requests
 from truearm.record.robot import EXPECTED, RobotIntake
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters, RecordSummary, Status
 from truearm.sensors.ident import Ident
-from truearm_wire.frame import frame
-from truearm_wire.messages import CONFIGURE, IDENTIFY, START, STOP, SYNC_REQUEST, encode_payload
+from truearm_wire.messages import CONFIGURE, IDENTIFY, START, STOP, SYNC_REQUEST
 
 SECOND = 1_000_000_000
 CHORES_NS = SECOND // 20  # probes, chunks and progress are looked after at this pace
@@ -37,7 +37,6 @@ SHORTEST_NS = 10_000
 DRAIN_NS = SECOND // 5
 
 _COMMANDS = {IDENTIFY: "identify", CONFIGURE: "configure", START: "start", STOP: "stop"}
-_IDS = 2**29  # SPEC §6: ids stay below 2^30
 
 
 class _Ended(Exception):
@@ -103,8 +102,7 @@ class _Recorder:
         self._box = Intake(writer, self._counters, self._probes)
         self._robot = None if robot is None else RobotIntake(robot, writer, clock, self._counters)
         now_ns = clock.now_ns()
-        # Ids go on from the clock: the box may still remember, by its id, a command of an earlier session (SPEC §6).
-        self._last_id = now_ns // 1_000_000 % _IDS
+        self._requests = Requests(now_ns)
         self._state = "identifying"
         self._to_set_up = True
         self._to_ask = False  # whether the box is still the one that it was
@@ -278,14 +276,10 @@ class _Recorder:
 
     # --- commands
 
-    def _next_id(self) -> int:
-        self._last_id = self._last_id % _IDS + 1
-        return self._last_id
-
     def _command(self, kind: int, *arguments: Any, may_fail: bool = False, retries: int = RETRIES) -> None:
         """Send a command until it is answered. Raises LinkError if it never is, ProtocolError if it is refused."""
-        self._box.awaited, self._box.answer = self._next_id(), None
-        data = frame(encode_payload([kind, self._box.awaited, *arguments]))
+        self._box.awaited, data = self._requests.make(kind, *arguments)
+        self._box.answer = None
         name = _COMMANDS[kind]
         for _ in range(retries):
             self._link.write(data)
@@ -341,8 +335,8 @@ class _Recorder:
         if now_ns < self._next_probe_ns:
             return
         self._next_probe_ns = max(self._next_probe_ns + PROBE_NS, now_ns)
-        probe = self._next_id()
-        self._probes.asked(probe, self._link.write(frame(encode_payload([SYNC_REQUEST, probe]))))
+        probe, data = self._requests.make(SYNC_REQUEST)
+        self._probes.asked(probe, self._link.write(data))
 
     def _watch_silence(self, now_ns: int) -> None:
         heard_ns = self._box.heard_ns

@@ -139,6 +139,8 @@ def _ident(table: dict[Any, Any]) -> Ident:
     streams = _streams(_typed(table.get("streams"), list, "streams"))
     firmware = table.get("firmware")
     faults = [f"channel {_shown(c.name)} of stream {s.name}: {c.fault}" for s in streams for c in s.channels if c.fault]
+    if "last_error" in table:
+        faults.insert(0, f"its firmware once ended by an error: {_last_line(table['last_error'])}")
     if "fault" in table:
         faults.insert(0, f"the box says {_shown(table['fault'])}")
     if not isinstance(firmware, str):
@@ -222,6 +224,12 @@ def _unsigned(value: object, key: str, limit: int) -> int:
     if type(value) is not int or not 0 <= value < limit:
         raise _Wrong(f"{key} is missing or no unsigned integer below {limit}")
     return value
+
+
+def _last_line(text: object) -> str:
+    """What a traceback ends with: the exception and its text."""
+    lines = text.strip().splitlines() if isinstance(text, str) else []
+    return _shown(lines[-1] if lines else text)
 
 
 def _shown(value: object) -> str:

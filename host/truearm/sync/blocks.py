@@ -37,6 +37,7 @@ REMEMBERED = 64  # frames that a doubled one may lag behind
 HALF_CIRCLE = 2**31
 
 _HEARTBEAT_VALUES = len(wire.names(wire.HEARTBEAT)) - 1  # without seq
+_HEARTBEAT_NEEDED = wire.needed(wire.HEARTBEAT) - 1  # of a box of any minor version
 
 
 class Block(NamedTuple):
@@ -206,7 +207,7 @@ class BoxReader:
 
     def _heartbeat(self, frame: list[Any]) -> None:
         values = frame[2 : 2 + _HEARTBEAT_VALUES]
-        if len(values) < _HEARTBEAT_VALUES or any(type(value) is not int for value in values):
+        if len(values) < _HEARTBEAT_NEEDED or any(type(value) is not int for value in values):
             self._count["frames_malformed"] += 1
             return
         self._boot_id(values[0])

@@ -15,10 +15,20 @@ from truearm.sync.losses import BoxCounters
 from truearm_wire import messages as wire
 
 WRAP = 2**30
-SUMMED = ("sent", "dropped", "short_writes", "overruns", "bad_frames")
+SUMMED = (
+    "sent",
+    "dropped",
+    "short_writes",
+    "overruns",
+    "bad_frames",
+    "crc_errors",
+    "converter_resets",
+    "missing_stops",
+)
 WORST = (("loop_max_us", "loop_max_us", max), ("gc_max_us", "gc_max_us", max), ("heap_free_min", "heap_free", min))
 
 _PLACE = {name: i - 1 for i, name in enumerate(wire.names(wire.HEARTBEAT))}  # in the values: they lack seq
+_APPENDED = (0,) * wire.APPENDED[wire.HEARTBEAT]  # what a box of an older minor version does not count
 
 
 @dataclass
@@ -41,6 +51,7 @@ class Heartbeats:
 
     def take(self, segment: int, values: Sequence[int]) -> None:
         """One heartbeat of a segment. Segments of one boot id are one boot: a frame that came late looks like a restart."""
+        values = (*values, *_APPENDED)
         boot = self._boots.setdefault(values[0], _Boot(segment, values, values))
         if values[_PLACE["t_us"]] >= boot.last[_PLACE["t_us"]]:  # else it came late and says nothing new
             for name in SUMMED:

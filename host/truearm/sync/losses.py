@@ -36,6 +36,9 @@ class BoxCounters:
     short_writes: int = 0
     overruns: int = 0
     bad_frames: int = 0
+    crc_errors: int = 0  # of the converter's frames
+    converter_resets: int = 0
+    missing_stops: int = 0  # shots of the magnetostrictive sensor without a stop
     loop_max_us: int | None = None
     gc_max_us: int | None = None
     heap_free_min: int | None = None

@@ -1,0 +1,389 @@
+"""Magnetostrictive sensor with a start/stop interface: times of flight with 8 ns resolution, by PIO and DMA alone.
+
+The sensor. A current pulse through a wire meets the field of the magnet that marks the position; there the wire twists, and the twist
+runs back to the head at 2.8 km/s. The head is asked by an interrogation pulse and answers with a start pulse at once and a stop pulse
+when the twist arrives. What the makers' manuals say:
+- speed: stamped on every head, typically 9.05 us/inch (Allen-Bradley 1771-QB manual, ch. 4: transducer constant "typically 9.0500"), 8.94371
+  us/inch = 2839.98 m/s in the example of MTS's MK 292 manual (7.3), 2850 m/s in Balluff's BTL7-P511 (6.2.2). 8 ns are 22.5 µm.
+- interrogation: 1 µs recommended, 0.2 µs at least (AMETEK 952 manual, 3.8); 1 to 5 µs, and 10 to 50 µs would switch to a data
+  protocol (Balluff BTL7-P511, 6.2). Its leading edge starts the measurement.
+- start pulse: begins within 50 ns of it, lasts 1 µs (AMETEK) or 3 to 5 µs, typically 4 (Balluff). Stop pulse: as long.
+- blanking: 5 µs, or 21 µs for older heads with noisy signals (Delta RMC, MDT Fundamentals: Temposonics I and II with neuter output).
+- signals: RS-422 or RS-485, differential, 500 m or more. A loss of signal is for the counter to notice (MTS Temposonics II, 4.2.3).
+- rate: a shot needs the flight over the whole rod and its echo's dying away; heads of 50 to 250 mm that time themselves do 780
+  measurements a second, 600 at 1.3 m (Balluff BTL7-V50T, 6.6). An external start/stop counter may go as fast as the rod's length
+  allows: the time-out here is the longest flight, and the period is at least that and 10 µs.
+
+Three state machines of one PIO block, at 125 MHz (a cycle is a tick of 8 ns):
+
+The *pacer* repeats a loop of exactly P cycles, P the period. Count its cycles from that of `push`, which is 0:
+
+    0            push, pin up: the interrogation edge is on the pad at the end of this cycle, at time 1
+    1, 2         mov, set
+    3 ...        16 (k + 1) cycles of the jump to itself: the pulse is A = 16 (k + 1) + 3 cycles long
+    A            mov x, y; pin down
+    A + 1 ...    y + 1 cycles of waiting
+    B            irq 4 (relative 0), with y = B - A - 2
+    B + 1        irq 5
+    B + 2        mov x, osr
+    B + 3 ...    osr + 1 cycles of waiting
+    P - 3 ...    mov, jmp, mov: the number of the next shot. So osr = P - B - 7
+
+Two *counters* run the same program. Counter i (0, 1) waits for flag 4 + i. A flag set in one cycle shows in the next, so `wait` ends in
+cycle B + 1 + i, `mov x, osr` is in B + 2 + i, and the first look at the stop pin in B + 3 + i. From then on it looks every second cycle and
+takes one from x, which began at N, between two looks: one cycle apart, the two look at the pin in every cycle. First each waits for a
+look that finds the pin low, then for one that finds it high: an edge, not a level. So neither a start pulse longer than the
+blanking nor a line that is stuck counts, and RS-422 receivers go high when their wires break.
+
+A look in cycle t shows the pin as it was at t - 1 (two flip-flops of the synchroniser). If the stop edge comes at time s, the first look
+that can find it is in cycle t = floor(s) + 2. Let m = t - (B + 3). Counter 0 looks at even m, after n0 = ceil(m / 2) decrements; counter 1 at
+odd m, after n1 = floor(m / 2). So m = n0 + n1, whichever comes first, and n0 - n1 is 0 or 1. With the edge at s = 1 + F, F the
+time of flight in ticks:
+
+    floor(F) = t - 3 = B + m = B + 2 N - x0 - x1
+
+F is between that number and one more; its mean is half a tick more, which the calibration in the ident adds. Both synchroniser
+delays (2 cycles), pads (some ns) and receivers are the same at every shot: what they add, like a cycle more should flags show later than
+said, is constant and part of the zero that `truearm box gauge` finds. The stop pin's synchroniser is common to both counters, so
+they never see different pins. n0 - n1 is neither 0 nor 1 if only one saw a pulse: it was shorter than 16 ns, a disturbance.
+A resting magnet and a head without noise give the same count at every shot, and the mean is as wrong as the one; noise of some ns cures it.
+
+Blanking: both counters need one low look before the edge, so edges count from m = 2 on, F > B + 2: B is the blanking less 2. A stop edge in
+the very last tick of the blanking is seen as one by counter 0 alone; the shot then counts as one without a stop.
+
+Time-out: x is taken from at 0, too, and then -1 is pushed. A shot without a stop is 0, counted in `missing`, and sets FLAG_MISSING_STOP.
+
+DMA. Four channels go round for ever, each started by the one before; every start reloads the transfer count of 1, so nothing
+ever counts out:
+
+    number    pacer's RX FIFO → state word NUMBER      paced by the FIFO: a shot has begun
+    stamp     TIMERAWL → ring of stamps                at once
+    counts 0  counter 0's RX FIFO → ring               paced by the FIFO
+    counts 1  counter 1's RX FIFO → ring               paced by the FIFO
+
+The push is in the cycle of the interrogation edge; two transfers of some 10 cycles follow, so TIMERAWL is read within 0.3 µs of it even with
+the bus taken: the stamp is at most 1 µs early (it is the microsecond begun) and 0.3 µs late. Number, stamp and counts of a shot cannot
+come apart: each stands in place (number of the shot) mod SHOTS of its ring. The pacer counts shots down from 2^32 - 1, so laps of the ring
+are counted exactly, whatever Python does: begun = -NUMBER, and of those whole are as many as make counts 1's write address.
+No shot is lost in hardware: the FIFOs hold four. Python must come by once in SHOTS - SPARE shots, else what waited is lost, and counted.
+"""
+
+# ruff: noqa: F821  (the state machine's instructions are names that asm_pio brings)
+
+import sys
+from array import array
+
+from truearm_wire.fast import add, copy
+from truearm_wire.messages import FLAG_MISSING_STOP
+
+from .registers import address, aligned, arm, drain, halt, poke
+
+if sys.implementation.name == "micropython":
+    import micropython
+else:
+
+    class micropython:  # the decorator is matched by its text, so the name must be this one
+        @staticmethod
+        def viper(function):
+            return function
+
+        @staticmethod
+        def native(function):
+            return function
+
+    def ptr8(buffer):
+        return buffer
+
+    def ptr32(buffer):
+        return buffer
+
+
+COUNTER = (1 << 30) - 1  # counters of the box wrap there
+TICK_NS = 8
+SHOTS = 512  # of the rings
+RING_BITS = 11  # 2^11 bytes each
+SPARE = 64  # shots of room that the DMA has while Python copies
+REARM_NS = 10000  # from the time-out to the next interrogation
+
+# state words
+NUMBER = 0  # of the shot begun last, minus it: written by DMA
+READ = 1  # shots handed out or lost, modulo 2^30
+
+
+@micropython.viper
+def whole(state: ptr32, channel: ptr32, ring: int) -> int:
+    """Shots whose counts stand in the ring, and that were not handed out. channel: registers of the last channel's."""
+    place = (channel[1] - ring) >> 2  # read before NUMBER, which is then never behind it
+    begun = 0 - state[0]
+    return (begun - ((begun - place) & 511) - state[1]) & 0x3FFFFFFF
+
+
+@micropython.viper
+def unload(state: ptr32, counts0: ptr32, counts1: ptr32, n: int, top: int, dst: ptr8, at: int) -> int:
+    """Move the times of flight of n shots to dst[at:]. top is B + 2 N. Returns how many had no stop."""
+    missing = 0
+    i = state[1]
+    end = i + n
+    while i < end:
+        x0 = counts0[i & 511]
+        x1 = counts1[i & 511]
+        ticks = top - x0 - x1
+        if x0 < 0 or x1 < 0 or x1 < x0 or x1 > x0 + 1:
+            ticks = 0
+            missing += 1
+        dst[at] = ticks
+        dst[at + 1] = ticks >> 8
+        dst[at + 2] = ticks >> 16
+        dst[at + 3] = ticks >> 24
+        at += 4
+        i += 1
+    state[1] = end & 0x3FFFFFFF
+    return missing
+
+
+@micropython.viper
+def read_stamp(state: ptr32, stamps: ptr32, stamp: ptr8):
+    """The stamp of the oldest shot, big endian."""
+    time = stamps[state[1] & 511]
+    stamp[0] = time >> 24
+    stamp[1] = time >> 16
+    stamp[2] = time >> 8
+    stamp[3] = time
+
+
+def pulse_rounds(pulse_ns):
+    """k of the interrogation pulse, 16 (k + 1) + 3 ticks. Raises ValueError."""
+    if not 1000 <= pulse_ns <= 4000:
+        raise ValueError("an interrogation pulse of %d ns; 1000 to 4000 are possible" % pulse_ns)
+    return (pulse_ns // TICK_NS - 3 + 8) // 16 - 1
+
+
+def pulse_ticks(rounds):
+    return 16 * (rounds + 1) + 3
+
+
+def pacer_program(rp2, rounds):
+    """The pacer. Y, OSR: cycles to wait, see above; X and ISR: minus the number of the shot."""
+
+    @rp2.asm_pio(sideset_init=rp2.PIO.OUT_LOW)
+    def pacer():
+        wrap_target()
+        push(noblock).side(1)
+        mov(isr, x).side(1)
+        set(x, rounds).side(1)
+        label("pulse")
+        jmp(x_dec, "pulse").side(1)[15]
+        mov(x, y).side(0)
+        label("blanking")
+        jmp(x_dec, "blanking").side(0)
+        irq(4).side(0)
+        irq(5).side(0)
+        mov(x, osr).side(0)
+        label("rest")
+        jmp(x_dec, "rest").side(0)
+        mov(x, isr).side(0)
+        jmp(x_dec, "next").side(0)
+        label("next")
+        mov(isr, x).side(0)
+        wrap()
+
+    return pacer
+
+
+def counter_program(rp2):
+    """A counter. OSR: N."""
+
+    @rp2.asm_pio()
+    def counter():
+        wrap_target()
+        wait(1, irq, rel(4))
+        mov(x, osr)
+        label("high")
+        jmp(pin, "still")
+        jmp(x_dec, "low")
+        jmp("done")
+        label("still")
+        jmp(x_dec, "high")
+        jmp("done")
+        label("low")
+        jmp(pin, "done")
+        jmp(x_dec, "low")
+        label("done")
+        mov(isr, x)
+        push()
+        wrap()
+
+    return counter
+
+
+def timing(blanking_ns, timeout_ns, rounds):
+    """B + 7, the pacer's Y, the counters' N, B + 2 N. The pacer's OSR is the period in ticks less the first."""
+    b = blanking_ns // TICK_NS - 2
+    n = (timeout_ns // TICK_NS - b) // 2
+    return b + 7, b - pulse_ticks(rounds) - 2, n, b + 2 * n
+
+
+# instructions that the CPU gives to the state machines; side set is 0 in all
+_PULL = 0x80A0
+_Y_OSR = 0xA047
+_X_MINUS_1 = 0xA02B
+_ISR_X = 0xA0C1
+_NOP = 0xA042
+
+
+class Magnetostrictive:
+    """The source of stream 1 (box.py says what a source is). Pins: interrogation, stop.
+
+    Takes three state machines of one block (counters 0 and 1, pacer 2), 24 of its instructions, flags 4 and 5, four DMA channels and 8 KiB.
+    """
+
+    channels = 1
+
+    def __init__(self, machine, rp2, chip, pins, block=1, pulse_ns=2000):
+        interrogation, stop = pins
+        Pin = machine.Pin
+        self._chip = chip
+        self._rounds = pulse_rounds(pulse_ns)
+        Pin(stop, Pin.IN, Pin.PULL_DOWN)
+        counter = counter_program(rp2)
+        self._counters = [rp2.StateMachine(4 * block + i, counter, jmp_pin=Pin(stop)) for i in range(2)]
+        self._pacer = rp2.StateMachine(4 * block + 2, pacer_program(rp2, self._rounds), sideset_base=Pin(interrogation))
+        base = chip.PIO[block]
+        self._flags = base + chip.PIO_IRQ
+        self._levels = base + chip.PIO_FLEVEL
+        self._fifos = tuple([base + chip.PIO_RXF + 4 * i for i in range(3)])
+        self._rings(rp2, chip.DREQ_PIO_RX + chip.DREQ_PIO_STRIDE * block)
+        self._index = bytearray(8)
+        self._lost = 0
+        self._fault = 0
+        self.missing = 0
+        self.configure(10000, 500000)
+
+    def _rings(self, rp2, request):
+        """Three aligned rings in one buffer, and what the four channels do."""
+        chip = self._chip
+        size = 4 * SHOTS
+        self._memory = bytearray(4 * size)
+        self._stamps = aligned(self._memory, size)
+        self._counts = (self._stamps + size, self._stamps + 2 * size)
+        self._state = array("I", (0, 0))
+        self._dma = [rp2.DMA() for _ in range(4)]
+        each = {"size": 2, "inc_read": False, "irq_quiet": True}
+        ring = {"ring_sel": True, "ring_size": RING_BITS}
+        pacings = ((request + 2, False), (chip.DREQ_FORCE, True), (request, True), (request + 1, True))
+        reads = (self._fifos[2], chip.TIMERAWL, self._fifos[0], self._fifos[1])
+        writes = (address(self._state), self._stamps, self._counts[0], self._counts[1])
+        setups = []
+        for k, (pacing, ringed) in enumerate(pacings):
+            options = dict(each)
+            if ringed:
+                options.update(ring)
+            control = self._dma[k].pack_ctrl(
+                treq_sel=pacing, inc_write=ringed, chain_to=self._dma[(k + 1) % 4].channel, **options
+            )
+            setups.append(array("I", (reads[k], writes[k], 1, control)))
+        self._setups = tuple(setups)
+        self._bases = tuple([chip.DMA + chip.DMA_STRIDE * dma.channel for dma in self._dma])
+        self._all = 0
+        for dma in self._dma:
+            self._all |= 1 << dma.channel
+        self._first = 1 << self._dma[0].channel
+
+    def configure(self, blanking_ns, timeout_ns):
+        """In force from the next start on. Both count from the interrogation edge. Raises ValueError."""
+        if blanking_ns % TICK_NS or not 5000 <= blanking_ns <= 21000:
+            raise ValueError("the blanking is a multiple of 8 ns, 5000 to 21000, not %d" % blanking_ns)
+        if timeout_ns <= blanking_ns:
+            raise ValueError("the time-out of %d ns is within the blanking" % timeout_ns)
+        self._timeout_ns = timeout_ns
+        self._busy, self._blanking, self._n, self._top = timing(blanking_ns, timeout_ns, self._rounds)
+
+    # -- a source of samples
+
+    def start(self, period_ns):
+        """Raises ValueError if the period is no multiple of 8 ns or too short for the time-out."""
+        if period_ns % TICK_NS or period_ns < self._timeout_ns + REARM_NS:
+            raise ValueError(
+                "the period is a multiple of 8 ns, at least %d, not %d" % (self._timeout_ns + REARM_NS, period_ns)
+            )
+        self.halt()
+        self._state[NUMBER] = self._state[READ] = 0
+        for i in range(8):
+            self._index[i] = 0
+        self._lost = 0
+        self._fault = 0
+        for k in range(4):
+            arm(self._bases[k], self._setups[k])
+        poke(self._chip.DMA_MULTI_CHAN_TRIGGER, self._first)
+        for counter in self._counters:
+            self._restart(counter, self._n)
+            counter.active(1)
+        self._restart(self._pacer, self._blanking)
+        self._pacer.exec(_Y_OSR)
+        self._pacer.put(period_ns // TICK_NS - self._busy)
+        self._pacer.exec(_PULL)
+        self._pacer.exec(_X_MINUS_1)
+        self._pacer.exec(_ISR_X)
+        self._pacer.active(1)
+
+    def stop(self):
+        """No more shots; one under way is not waited for. What was sampled stays to be taken."""
+        self._pacer.active(0)
+        self._pacer.exec(_NOP)  # its side set takes the pin down
+
+    @micropython.native
+    def waiting(self):
+        n = whole(self._state, self._bases[3], self._counts[1])
+        if n <= SHOTS - SPARE:
+            return n
+        self._lost += n
+        self._state[READ] = (self._state[READ] + n) & COUNTER
+        self._advance(n)
+        return 0
+
+    @micropython.native
+    def take(self, n, dst, at, index, stamp):
+        if self.waiting() < n:
+            return False
+        copy(index, 0, self._index, 0, 8)
+        read_stamp(self._state, self._stamps, stamp)
+        missing = unload(self._state, self._counts[0], self._counts[1], n, self._top, dst, at)
+        self.missing = (self.missing + missing) & COUNTER
+        self._fault = FLAG_MISSING_STOP if missing else 0
+        self._advance(n)
+        return True
+
+    def broken(self):
+        return False
+
+    def lost(self):
+        n = self._lost
+        self._lost = 0
+        return n
+
+    def fault(self):
+        return self._fault
+
+    # -- the hardware; no call allocates
+
+    def _advance(self, n):
+        while n > 0:
+            add(self._index, 0, 8, min(n, 1 << 20))
+            n -= 1 << 20
+
+    @staticmethod
+    def _restart(state_machine, word):
+        """At its first instruction, with a word in OSR."""
+        state_machine.restart()
+        state_machine.put(word)
+        state_machine.exec(_PULL)
+
+    def halt(self):
+        """Stop, now: what was sampled is gone, and the buffers may go."""
+        self.stop()
+        for counter in self._counters:
+            counter.active(0)
+        halt(self._chip, self._bases, self._setups, self._all)
+        for i in range(3):
+            drain(self._fifos[i], self._levels, 0xF << 4 << 8 * i)
+        poke(self._flags, 3 << 4)

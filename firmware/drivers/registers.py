@@ -1,0 +1,72 @@
+"""Single registers and addresses, for drivers whose work is done by DMA and PIO. No call but `aligned` allocates."""
+
+import sys
+
+if sys.implementation.name == "micropython":
+    import micropython
+else:
+
+    class micropython:  # the decorator is matched by its text, so the name must be this one
+        @staticmethod
+        def viper(function):
+            return function
+
+    def ptr8(buffer):
+        return buffer
+
+    def ptr32(buffer):
+        return buffer
+
+
+@micropython.viper
+def address(buffer: ptr8) -> int:
+    """Where a buffer lies."""
+    return int(buffer)
+
+
+def aligned(buffer, size):
+    """The first multiple of size, a power of two, in a buffer: a DMA ring of size bytes must begin there."""
+    return (address(buffer) + size - 1) & -size
+
+
+@micropython.viper
+def poke(register: ptr32, value: int):
+    register[0] = value
+
+
+@micropython.viper
+def peek(register: ptr32, bits: int) -> int:
+    """Those bits of a register, at most 30 of them."""
+    return register[0] & bits
+
+
+@micropython.viper
+def arm(channel: ptr32, setup: ptr32):
+    """Read address, write address, count and control of a DMA channel, without starting it."""
+    channel[0] = setup[0]
+    channel[1] = setup[1]
+    channel[2] = setup[2]
+    channel[4] = setup[3]
+
+
+def halt(chip, bases, setups, channels):
+    """Stop DMA channels that start one another: none may while it is stopped, so each is disabled first (RP2040 datasheet 2.5.5.3).
+
+    bases: of their registers; setups: as of `arm`; channels: a bit for each.
+    """
+    for k in range(len(bases)):
+        disable(bases[k], setups[k])
+    poke(chip.DMA_CHAN_ABORT, channels)
+    while peek(chip.DMA_CHAN_ABORT, channels):
+        pass
+
+
+@micropython.viper
+def disable(channel: ptr32, setup: ptr32):
+    channel[4] = setup[3] & -2
+
+
+def drain(fifo, levels, bits):
+    """Empty an RX FIFO: its register, the block's FLEVEL and the FIFO's bits of that."""
+    while peek(levels, bits):
+        peek(fifo, 0)

@@ -1,0 +1,100 @@
+"""What the box says of itself (SPEC §5), put together from its board and its configuration."""
+
+from truearm_wire import PROTOCOL
+from truearm_wire.messages import STREAM_ADC, STREAM_MAG
+
+from . import VERSION
+from .config import group_delay_ns
+
+FAULT_MAX = 400  # characters
+ERROR_MAX = 600
+INT_MAX = 1 << 63  # what fits the wire, with a sign
+
+
+def document(board, config, osr, mag_period_ns, fault, last_error):
+    """The ident document. A stream that is off is left out."""
+    boot_id = 0
+    for byte in board.boot_id:
+        boot_id = boot_id << 8 | byte
+    found = {
+        "protocol": list(PROTOCOL),
+        "firmware": VERSION,
+        "board": board.name,
+        "uid": board.uid,
+        "boot_id": boot_id,
+        "clock_hz": 1000000,
+        "streams": [_adc(config, osr)],
+    }
+    if mag_period_ns:
+        found["streams"].append(_mag(config["magnetostrictive"], mag_period_ns))
+    if fault:
+        found["fault"] = plain(fault, FAULT_MAX)
+    if last_error:
+        found["last_error"] = plain(last_error, ERROR_MAX)
+    return found
+
+
+def plain(text, length):
+    """The beginning of a text that may be a stranger's: ASCII, so that characters are bytes."""
+    return "".join([c if " " <= c <= "~" or c == "\n" else "?" for c in text[:length]])
+
+
+def _adc(config, osr):
+    return {
+        "id": STREAM_ADC,
+        "name": "adc",
+        "period_ns": 240 * osr,
+        "osr": osr,
+        "group_delay_ns": group_delay_ns(osr),
+        "channels": [_input(channel) for channel in config["channels"]],
+    }
+
+
+def _input(channel):
+    """A channel with the scale of the volts before the gain."""
+    gain = channel.get("gain", 1)
+    if gain == 1:
+        return channel
+    mantissa, exponent = channel["scale"]
+    while gain > 1:  # half of m · 10^e is 5 m · 10^(e - 1)
+        mantissa *= 5
+        exponent -= 1
+        gain >>= 1
+    described = dict(channel)
+    described["scale"] = _fitting(mantissa, exponent)
+    return described
+
+
+def _mag(sensor, period_ns):
+    """Stream 1, with position = v · (time of flight + half a tick - delay), v = 25.4 mm / us_per_inch."""
+    mantissa, exponent = sensor["us_per_inch"]
+    speed = (25400 * 10**14 + mantissa // 2) // mantissa  # m/s, times 10^(14 + exponent)
+    early_ns = 4 - sensor["delay_ns"]
+    return {
+        "id": STREAM_MAG,
+        "name": "mag",
+        "period_ns": period_ns,
+        "osr": 0,
+        "group_delay_ns": 0,
+        "channels": [
+            {
+                "name": "magnetostrictive",
+                "unit": "s",
+                "scale": [8, -9],
+                "calibration": {
+                    "unit": "m",
+                    "poly": [_fitting(speed * early_ns, -23 - exponent), _fitting(speed, -14 - exponent)],
+                    "serial": sensor["serial"],
+                    "date": sensor["date"],
+                },
+            }
+        ],
+    }
+
+
+def _fitting(mantissa, exponent):
+    """A decimal whose mantissa the wire can carry; 18 digits are left at least."""
+    while not -INT_MAX <= mantissa < INT_MAX:
+        mantissa = (mantissa + 5) // 10
+        exponent += 1
+    return [mantissa, exponent]

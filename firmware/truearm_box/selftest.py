@@ -1,0 +1,41 @@
+"""What the board measured in its self-test, judged.
+
+converter_id        the ADS131M04's ID register, 24xx
+excitation          µV on the converter's channel of that name: the conditioner is alive
+noise_0 … noise_3   nV RMS with the inputs shorted, at gain 1 and osr 4096: about 3000 by the datasheet; 0 is no converter at work
+stops               of 16 interrogations
+rail_5v             mV; USB allows 4.4 to 5.5 V
+temperature         thousandths of a degree Celsius
+"""
+
+LIMITS = {  # name: unit, low, high
+    "converter_id": ("", 0x2400, 0x24FF),
+    "excitation": ("uV", 100000, 1200000),
+    "noise_0": ("nV", 1, 20000),
+    "noise_1": ("nV", 1, 20000),
+    "noise_2": ("nV", 1, 20000),
+    "noise_3": ("nV", 1, 20000),
+    "stops": ("", 15, 16),
+    "rail_5v": ("mV", 4400, 5500),
+    "temperature": ("mdegC", -20000, 70000),
+}
+
+
+def judge(measured):
+    """The results (SPEC §5) of measurements by name."""
+    results = {}
+    for name in measured:
+        value = measured[name]
+        unit, low, high = LIMITS[name]
+        results[name] = {"ok": 1 if low <= value <= high else 0, "value": value, "unit": unit, "low": low, "high": high}
+    return results
+
+
+def failure(results):
+    """The results that are not good in words, or None."""
+    bad = []
+    for name in sorted(results):
+        r = results[name]
+        if not r["ok"]:
+            bad.append("%s is %d %s, not %d to %d" % (name, r["value"], r["unit"], r["low"], r["high"]))
+    return "self-test: " + "; ".join(bad) if bad else None

@@ -1,0 +1,101 @@
+"""The configuration in force, the rates of the streams, and what the box knows of its own faults."""
+
+import gc
+
+from truearm_wire.cbor import decode, encode
+from truearm_wire.messages import PAGE_BYTES, STREAM_ADC, pages
+
+from . import config, ident, selftest, storage
+
+PAGES_MAX = 16  # of a configuration that is put: 3200 bytes
+ROOM = 50000  # bytes of heap that a configuration has to leave: of many small parts it may be 40 times its size
+
+
+class Settings:
+    def __init__(self, board):
+        self._board = board
+        self._parts = []  # pages of a configuration that is being put
+        self._pages = 0
+        self.last_error = storage.last_error(board.error_path)
+        self.test_fault = None
+        self.config, self.fault = storage.load(board.config_path, self._try_out)
+        self._use()
+        self.self_test()
+
+    def _use(self):
+        self.osr = self.config["osr"]
+        self.mag_period_ns = self.config["magnetostrictive"]["period_ns"]
+        self._board.configure(self.config)
+
+    def _try_out(self, found):
+        """What cannot be told to the host must not stop the box from booting: raises ValueError for it."""
+        pages(encode(found))
+        longest = ident.document(self._board, found, 1 << 30, 1 << 30, "x" * ident.FAULT_MAX, "x" * ident.ERROR_MAX)
+        pages(encode(longest))
+        longest = None
+        gc.collect()
+        if 0 < self._board.heap_free() < ROOM:
+            raise ValueError("it takes too much memory")
+
+    def troubled(self):
+        """Whether the operator should look."""
+        return bool(self.fault or self.test_fault or self.last_error)
+
+    def document(self):
+        """The ident document."""
+        fault = "; ".join([text for text in (self.fault, self.test_fault) if text])
+        return ident.document(self._board, self.config, self.osr, self.mag_period_ns, fault, self.last_error)
+
+    def self_test(self):
+        """Test the board; returns the results."""
+        results = selftest.judge(self._board.self_test(self.config))
+        self.test_fault = selftest.failure(results)
+        return results
+
+    def set_rate(self, stream, rate):
+        """The rate of a stream until the next boot. Raises ValueError."""
+        config.check_rate(self.config, stream, rate)
+        if stream == STREAM_ADC:
+            self.osr = rate
+        else:
+            self.mag_period_ns = rate
+
+    def put(self, page, count, data):
+        """Take a page of a new configuration; returns whether it was the last, and the configuration is in force.
+
+        Raises ValueError if it comes out of order or the whole is no configuration, OSError if the flash does not take it.
+        """
+        if page == 0:
+            self._parts = []
+            self._pages = count
+        if not 1 <= count <= PAGES_MAX or count != self._pages or page != len(self._parts) or page >= count:
+            self._parts = []
+            self._pages = 0
+            raise ValueError("pages come in order from 0, at most %d" % PAGES_MAX)
+        if not 1 <= len(data) <= PAGE_BYTES:
+            raise ValueError("a page has 1 to %d bytes" % PAGE_BYTES)
+        self._parts.append(data)
+        if len(self._parts) < count:
+            return False
+        data = b"".join(self._parts)
+        self._parts = []
+        self._pages = 0
+        gc.enable()  # much is allocated, and nothing streams
+        try:
+            self._take(decode(data))
+        finally:
+            gc.disable()
+        return True
+
+    def _take(self, found):
+        found = config.check(config.completed(found))
+        self._try_out(found)
+        config.check_storable(found)
+        storage.save(self._board.config_path, found, self._try_out)
+        self.config = found
+        self.fault = None
+        self._use()
+
+    def forget_error(self):
+        storage.forget_error(self._board.error_path)
+        self.last_error = ""

@@ -1,0 +1,199 @@
+"""The sensor box at chip level: MicroPython's own RP2040 image with the firmware in it, in an emulator (hil_sim/chip).
+
+The parent's half of hil_sim/chip/box.mjs, which describes the messages; a ``Hardware`` as ``VmBox`` is. Drivers, PIO
+and DMA run for real. What the parts measure they ask for while a grant runs, and ``Signals`` answers. The
+box's flash is one file, ``flash.bin`` in the boot's folder: an image of its littlefs, written at every erase and program
+operation, so that it holds what a real flash would when the power goes.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import subprocess
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from . import node
+from .box import COMMAND, POWER, RX_MAX, WATCHDOG, Answer, BoxDied
+from .hardware import BAD_CRC, CONVERTER_RESET, CRASH, STALL, Boot, Edge
+
+SCRIPT = node.SOURCES / "box.mjs"
+STORE = "flash.bin"
+# littlefs as MicroPython 1.25 makes it on a Pico: 1408 KiB in erase blocks of 4 KiB
+BLOCK, BLOCKS = 4096, 352
+FILE_SYSTEM: dict[str, Any] = {
+    "block_size": BLOCK,
+    "block_count": BLOCKS,
+    "prog_size": 256,
+    "read_size": 128,
+    "lookahead_size": 128,
+    "cache_size": 1024,
+}
+FIRST_VERSION = 0x00020000  # of littlefs on disk; MicroPython makes it 2.1 when it first writes
+
+GRANT = struct.Struct("<cBHHIQi")
+EDGE_IN = struct.Struct("<BBQ")
+ANSWER = struct.Struct("<BBQIH")
+EDGE_OUT = struct.Struct("<BQ")
+QUERY = struct.Struct("<BHQQQ")
+CLOSED, STALLED = 1, 2  # flags of a grant
+SAMPLING, RESET, BOOT_LOADER, POWER_CUT = 1, 2, 4, 8  # flags of an answer
+ANY_ROOM = 0xFFFF  # what a link that is never full says it takes; USB then takes all
+OUTPUT_LINE = 2
+SETTLING = 6  # conversions after a start that the driver does not hand out (firmware/drivers/ads131m04.py)
+_FAULTS: dict[int, dict[str, Any]] = {
+    CRASH: {"pico": "crash"},
+    BAD_CRC: {"part": "adc", "fault": "corrupt", "frames": 1},
+    CONVERTER_RESET: {"part": "adc", "fault": "reset"},
+}
+_ENDS = {COMMAND: "reset", WATCHDOG: "watchdog", POWER: "power cut"}
+
+
+def make_flash(path: Path, files: dict[str, bytes]) -> None:
+    """A file system image with ``files`` in it."""
+    from littlefs import LittleFS
+
+    fs = LittleFS(disk_version=FIRST_VERSION, **FILE_SYSTEM)
+    for name, data in files.items():
+        with fs.open(name, "wb") as file:
+            file.write(data)
+    path.write_bytes(bytes(fs.context.buffer))
+
+
+def read_flash(path: Path) -> dict[str, bytes]:
+    """The files of a file system image, by name. Raises littlefs's error if the image is damaged."""
+    from littlefs import LittleFS
+
+    fs = LittleFS(mount=False, **FILE_SYSTEM)
+    fs.context.buffer[:] = path.read_bytes()
+    fs.mount()
+    found = {}
+    for name in fs.listdir("/"):
+        with fs.open(name, "rb") as file:
+            found[name] = file.read()
+    return found
+
+
+class ChipBox:
+    """A running box (``Hardware``). ``host_gone`` closes the host's port until it is set to False again."""
+
+    boot_ns = 0
+
+    def __init__(self, boot: Boot, *, image: Path | None = None, start_us: int = 0) -> None:
+        """``start_us``: what the hardware timer shows at power-on, for tests of its wraps; device times then count from there.
+
+        Raises NodeError where the emulator or the image is missing.
+        """
+        store = boot.flash / STORE
+        if not store.exists():
+            config = boot.setup.config
+            make_flash(store, {"config.json": json.dumps(config).encode()} if config is not None else {})
+        argument = {
+            "uf2": str(image or node.image()),
+            "store": str(store),
+            "cause": boot.cause,
+            "uid": list(boot.setup.uid),
+            "seed": boot.boot_id,
+            "startNs": 1000 * start_us,
+        }
+        self._signals = boot.signals
+        self.host_gone = False
+        self.output_edges: list[Edge] = []  # of the box's trigger output so far, device time
+        self._output = False
+        self._first_ns: list[int | None] = [None, None]
+        self._stderr = tempfile.TemporaryFile()
+        self._process = subprocess.Popen(
+            [node.ready().path, SCRIPT, json.dumps(argument)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._stderr,
+            start_new_session=True,  # Ctrl-C is for the parent, which ends this process in order
+        )
+
+    def advance(
+        self, device_us: int, rx: bytes, edges: Sequence[Edge], tx_room: int, flags: int, temperature_mdegc: int
+    ) -> Iterator[Answer]:
+        """See ``Hardware``: one grant."""
+        for flag, message in _FAULTS.items():
+            if flags & flag:
+                self.control(message)
+        head = GRANT.pack(
+            b"G",
+            (CLOSED if self.host_gone else 0) | (STALLED if flags & STALL else 0),
+            len(rx),
+            len(edges),
+            0xFFFFFFFF if tx_room == ANY_ROOM else tx_room,
+            1000 * device_us,
+            temperature_mdegc,
+        )
+        self._write(head + rx + b"".join(EDGE_IN.pack(edge.line, edge.rising, edge.t_ns) for edge in edges))
+        while (kind := self._read(1)) == b"?":
+            self._answer_query()
+        if kind != b"D":
+            raise BoxDied(f"the chip emulator wrote {kind!r}")
+        yield self._answer()
+
+    def control(self, message: dict[str, Any]) -> None:
+        """A message to the emulator or one of its parts (box.mjs): faults mostly."""
+        text = json.dumps(message).encode()
+        self._write(b"C" + struct.pack("<I", len(text)) + text)
+
+    def close(self) -> None:
+        """End the emulator: the power is gone."""
+        self._process.kill()
+        self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout, self._stderr):
+            if pipe is not None:
+                pipe.close()
+
+    def _answer_query(self) -> None:
+        stream, n, index, t_ns, period_ns = QUERY.unpack(self._read(QUERY.size))
+        if index == 0:
+            self._first_ns[stream] = t_ns + (SETTLING * period_ns if stream == 0 else 0)
+        self._write((self._shots if stream else self._conversions)(index, n, t_ns - index * period_ns, period_ns))
+
+    def _conversions(self, index: int, n: int, start_ns: int, period_ns: int) -> bytes:
+        """Conversions from ``index`` on. Those that the driver does not hand out are 0: samples count from behind them."""
+        settling = min(n, max(0, SETTLING - index))
+        k = index + settling - SETTLING
+        counts = self._signals.counts(k, k + n - settling, start_ns + SETTLING * period_ns, period_ns)
+        return bytes(16 * settling) + counts.astype("<i4").tobytes()
+
+    def _shots(self, index: int, n: int, start_ns: int, period_ns: int) -> bytes:
+        return self._signals.flight_times(index, index + n, start_ns, period_ns).astype("<i8").tobytes()
+
+    def _answer(self) -> Answer:
+        flags, cause, _now_ns, n_tx, n_edges = ANSWER.unpack(self._read(ANSWER.size))
+        tx = self._read(n_tx)
+        for _ in range(n_edges):
+            level, t_ns = EDGE_OUT.unpack(self._read(EDGE_OUT.size))
+            self._output = bool(level)
+            self.output_edges.append(Edge(t_ns, OUTPUT_LINE, self._output))
+        end = "boot loader" if flags & BOOT_LOADER else _ENDS[cause] if flags & (RESET | POWER_CUT) else ""
+        first_ns = (self._first_ns[0], self._first_ns[1])
+        return Answer(tx, bool(flags & SAMPLING), 0, end, RX_MAX, output=self._output, first_ns=first_ns)
+
+    def _write(self, data: bytes) -> None:
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(data)
+            self._process.stdin.flush()
+        except BrokenPipeError:
+            raise BoxDied(self._last_words()) from None
+
+    def _read(self, n: int) -> bytes:
+        assert self._process.stdout is not None
+        data = self._process.stdout.read(n)
+        if len(data) < n:
+            raise BoxDied(self._last_words())
+        return data
+
+    def _last_words(self) -> str:
+        self._process.wait(timeout=5)
+        self._stderr.seek(0)
+        lines = self._stderr.read().decode(errors="replace").strip().splitlines()
+        told = [line for line in lines if "Error" in line] or lines[-1:]
+        return "the chip emulator ended: " + (told[0].strip() if told else "no message")

@@ -1,0 +1,192 @@
+"""Packages of another Debian suite than the machine's, without installing anything and without root.
+
+The machine's own ``apt`` works in a private directory: the machine's own package sources with another suite name, the machine's
+keyrings, proxies and credentials. Nothing of the system's is written. What comes is verified as apt verifies everything.
+No host name stands here: sources are whatever the machine has.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+# Names under which a Debian machine's sources call their own release, besides its code name.
+SUITE_ALIASES = frozenset({"oldstable", "stable", "testing", "unstable", "sid"})
+# What apt on this machine needs to reach its sources; nothing that would loosen the verification of signatures.
+ACQUIRE = re.compile(
+    r"Acquire::(?:https?|tor\+https?|mirror)::|Acquire::(?:Check-Valid-Until|Check-Date|Force\w+|Retries) ", re.I
+)
+PROGRAMS = ("apt-get", "apt-config", "dpkg", "dpkg-deb")
+
+
+class DebianError(Exception):
+    """Packages cannot be had here; the text is one line that says why."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """One of the machine's package sources: its URIs, its ``Signed-By`` (a file or a key block) or None."""
+
+    uris: str
+    signed_by: str | None
+
+
+def missing_program() -> str | None:
+    """The first of the programs needed that this machine lacks: not every machine is a Debian."""
+    return next((program for program in PROGRAMS if shutil.which(program) is None), None)
+
+
+def native_architecture() -> str:
+    """Debian's name of the machine's architecture. Raises DebianError."""
+    return run(["dpkg", "--print-architecture"]).strip()
+
+
+# ---- the machine's package sources (pure)
+
+
+def sources_deb822(text: str, suites: Iterable[str]) -> list[Source]:
+    """The sources of a ``.sources`` file whose component main is there for one of ``suites``."""
+    found = []
+    for stanza in re.split(r"\n[ \t]*\n", text):
+        fields = _fields(stanza)
+        if (
+            "deb" in fields.get("types", "").split()
+            and set(suites) & set(fields.get("suites", "").split())
+            and "main" in fields.get("components", "").split()
+            and fields.get("enabled", "yes").lower() not in ("no", "false", "0", "off", "without", "disable")
+        ):
+            found.append(Source(fields.get("uris", ""), fields.get("signed-by")))
+    return found
+
+
+def _fields(stanza: str) -> dict[str, str]:
+    """Fields of a deb822 stanza by lower-case name; continuation lines keep their line breaks."""
+    fields: dict[str, str] = {}
+    name = ""
+    for line in stanza.splitlines():
+        if line.startswith("#") or not line.strip():
+            continue
+        if line[0] in " \t":
+            if name:
+                fields[name] += "\n" + line
+            continue
+        name, _, value = line.partition(":")
+        name = name.strip().lower()
+        fields[name] = value.strip()
+    return fields
+
+
+def sources_one_line(text: str, suites: Iterable[str]) -> list[Source]:
+    """The sources of a ``sources.list`` file (``deb [options] uri suite components``), as in :func:`sources_deb822`."""
+    found = []
+    for line in text.splitlines():
+        match = re.match(r"deb\s+(?:\[([^]]*)\]\s+)?(\S+)\s+(\S+)\s+(.*)", line.partition("#")[0].strip())
+        if match and match[3] in set(suites) and "main" in match[4].split():
+            key = re.search(r"(?:^|\s)signed-by=(\S+)", match[1] or "", re.I)
+            found.append(Source(match[2], key[1] if key else None))
+    return found
+
+
+def source_stanza(source: Source, suite: str, types: str = "deb") -> str:
+    """The deb822 stanza for the same source and another suite. An unsigned source's ``trusted`` is not taken over."""
+    signed_by = f"Signed-By: {source.signed_by}\n" if source.signed_by else ""
+    return f"Types: {types}\nURIs: {source.uris}\nSuites: {suite}\nComponents: main\n{signed_by}"
+
+
+def machine_sources(etc: Path, suites: Iterable[str]) -> list[Source]:
+    """The machine's own sources of its own release, each once; files that this user may not read are passed over."""
+    found = []
+    folder = etc / "sources.list.d"
+    for path in [etc / "sources.list", *sorted(folder.glob("*.list")), *sorted(folder.glob("*.sources"))]:
+        if path.is_file() and os.access(path, os.R_OK):
+            parse = sources_deb822 if path.suffix == ".sources" else sources_one_line
+            found += parse(path.read_text(encoding="utf-8", errors="replace"), suites)
+    return [source for source in dict.fromkeys(found) if not source.uris.startswith("cdrom:")]
+
+
+def os_release(path: Path = Path("/etc/os-release")) -> dict[str, str]:
+    """The assignments of an os-release file, unquoted; none where there is no such file."""
+    if not path.exists():
+        return {}
+    words = shlex.split(path.read_text(encoding="utf-8", errors="replace"), comments=True)
+    return {name: value for name, sign, value in (word.partition("=") for word in words) if sign}
+
+
+# ---- a private apt
+
+
+def private_apt(folder: Path, suite: str, architectures: Iterable[str], types: str = "deb") -> dict[str, str]:
+    """Lay out apt's private directory for ``suite`` in ``folder`` and read the package lists.
+
+    Returns the environment in which apt's programs use it; packages are downloaded to ``folder``/cache/archives.
+    ``types`` is "deb", or "deb deb-src" where sources are wanted.
+
+    Raises:
+        DebianError: this machine has no apt or no Debian source, or the lists do not come or do not verify.
+    """
+    if missing := missing_program():
+        raise DebianError(f"no {missing}, which Debian has")
+    suites = SUITE_ALIASES | {suite, os_release().get("VERSION_CODENAME", suite)}
+    sources = machine_sources(Path("/etc/apt"), suites)
+    if not sources:
+        raise DebianError("no Debian package source under /etc/apt")
+    _write_apt(folder, [source_stanza(source, suite, types) for source in sources], architectures)
+    environ = {**os.environ, "APT_CONFIG": str(folder / "apt.conf"), "LC_ALL": "C"}
+    run(["apt-get", "-qq", "update"], environ)
+    return environ
+
+
+def _write_apt(apt: Path, stanzas: list[str], architectures: Iterable[str]) -> None:
+    """A private apt directory: its own sources, lists, cache and package database, the machine's keys and proxies."""
+    for folder in ("none", "sources", "state/lists/partial", "cache/archives/partial"):
+        (apt / folder).mkdir(parents=True)
+    (apt / "state" / "status").touch()
+    for number, stanza in enumerate(stanzas):
+        (apt / "sources" / f"{number}.sources").write_text(stanza, encoding="utf-8")
+    native = native_architecture()
+    machine = run(["apt-config", "dump", "--format", '%f "%v";%n', "--no-empty"]).splitlines()
+    lines = [line for line in machine if ACQUIRE.match(line)]
+    listed = " ".join(f'"{name}";' for name in dict.fromkeys((native, *architectures)))
+    # Dir::Etc stays the machine's: its trusted.gpg.d and auth.conf.d are wanted, its hooks and preferences are not.
+    lines += [
+        f'Dir::Etc::{name} "{apt}/none";' for name in ("main", "parts", "preferences", "preferencesparts", "sourcelist")
+    ]
+    lines += [
+        f'Dir::Etc::sourceparts "{apt}/sources";',
+        f'Dir::State "{apt}/state";',
+        f'Dir::State::status "{apt}/state/status";',
+        f'Dir::Cache "{apt}/cache";',
+        f'APT::Architecture "{native}";',
+        f"APT::Architectures {{ {listed} }};",
+        'APT::Install-Recommends "false";',
+        'APT::Sandbox::User "root";',  # for root: the _apt user could not enter every folder that a checkout lies in
+        'Acquire::Languages "none";',
+        'APT::Update::Error-Mode "any";',  # else an unreachable source is only a warning
+    ]
+    (apt / "apt.conf").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def run(command: list[str], environ: Mapping[str, str] | None = None, folder: Path | None = None) -> str:
+    """Standard output of a command of apt's or dpkg's, run in ``folder``.
+
+    Raises:
+        DebianError: it failed; the text says so in apt's words, and more plainly where a key is missing.
+    """
+    done = subprocess.run(
+        command, capture_output=True, text=True, errors="replace", env=environ, cwd=folder, stdin=subprocess.DEVNULL
+    )
+    if done.returncode == 0:
+        return done.stdout
+    if re.search(r"NO_PUBKEY|is not signed|Missing key|EXPKEYSIG", done.stderr):
+        raise DebianError(
+            "the packages cannot be verified: this machine's keyring does not know their keys; "
+            "update the package debian-archive-keyring"
+        )
+    lines = [line for line in done.stderr.splitlines() if line.startswith("E:")] or done.stderr.splitlines()
+    raise DebianError(f"'{' '.join(command)}' failed: {(lines or ['no message'])[0]}")

@@ -1,0 +1,87 @@
+"""What is behind a simulated box: a process that runs its firmware, and signals that it samples.
+
+:class:`Hardware` is the one contract of both levels: the firmware in a MicroPython with a simulated board (``vmbox.py``), and the
+chip's own image in an emulator. Time moves on by grants. What the parts measure is a pure function of device time and
+sample index, :class:`Signals`; the one level is given it, the other asks for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .box import Answer, BoxSetup
+from .world import World
+
+# What a grant may do to the box besides letting it run.
+STALL, CRASH, BAD_CRC, CONVERTER_RESET = 1, 2, 4, 8
+TEMPERATURE_MDEGC = 24_500
+
+
+@dataclass(frozen=True)
+class Edge:
+    """An edge on a trigger line, at ``t_ns``: true time where the lab is told of it, device time since boot in a grant."""
+
+    t_ns: int
+    line: int
+    rising: bool
+
+
+@dataclass(frozen=True)
+class Signals:
+    """What a box's inputs show from its boot on, by its own clock. ``no_stop``: true times [s] between which no stop pulse comes."""
+
+    world: World
+    boot_device_ns: int
+    no_stop: tuple[tuple[float, float], ...] = ()
+
+    def counts(self, k0: int, k1: int, start_ns: int, period_ns: int) -> NDArray[np.int32]:
+        """The converter's samples k0 ≤ k < k1 as (n, 4); sample 0 is converted ``start_ns`` after boot."""
+        return self.world.samples(k0, k1, self.boot_device_ns + start_ns, period_ns)[0]
+
+    def flight_times(self, k0: int, k1: int, start_ns: int, period_ns: int) -> NDArray[np.int64]:
+        """Times of flight (n,) [ps] of shots k0 ≤ k < k1, −1 where no stop comes; shot 0 is ``start_ns`` after boot."""
+        flights = self.world.flight_times(k0, k1, self.boot_device_ns + start_ns, period_ns)
+        if self.no_stop:
+            device_ns = self.boot_device_ns + start_ns + np.arange(k0, k1, dtype=np.int64) * period_ns
+            t = self.world.clocks.device.true(1e-9 * device_ns)
+            for begin, end in self.no_stop:
+                flights = np.where((t >= begin) & (t < end), -1, flights)
+        return flights
+
+
+@dataclass(frozen=True)
+class Boot:
+    """A power-up or reset: what the box wakes up with. ``flash`` is a folder that outlives it, laid out by ``write_flash``."""
+
+    flash: Path
+    setup: BoxSetup
+    boot_id: int
+    cause: int
+    signals: Signals
+
+
+class Hardware(Protocol):
+    """A box from one boot to its end. ``boot_ns``: what a reset takes before it begins, where booting itself takes no time."""
+
+    boot_ns: int
+
+    def advance(
+        self, device_us: int, rx: bytes, edges: Sequence[Edge], tx_room: int, flags: int, temperature_mdegc: int
+    ) -> Iterator[Answer]:
+        """Let it run up to ``device_us`` after boot, in one or more steps; the last answer has an ``end`` if it came to one.
+
+        ``rx``: what the host wrote; what the box does not take yet is kept for it. The link takes ``tx_room`` bytes. Answers say
+        whether the box samples, and since which instants (``first_ns``).
+        """
+
+    def close(self) -> None:
+        """End what runs."""
+
+
+PowerOn = Callable[[Boot], Hardware]

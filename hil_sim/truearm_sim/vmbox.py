@@ -1,0 +1,149 @@
+"""A box at VM level: the firmware in a MicroPython, fed with what the hardware would have latched."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import box
+from .box import MAG_RECORD, RECORD, RX_MAX, Answer, BoxProcess
+from .hardware import BAD_CRC, CONVERTER_RESET, CRASH, STALL, Boot, Edge
+from .micropython import Interpreter
+from .sensors import TICK_PS, period_ns
+
+BATCH = 100  # samples of a stream a grant, at most
+
+
+@dataclass
+class Feed:
+    """One source's samples since it was started: when the first is due (device time), how many were given."""
+
+    first_ns: int
+    period_ns: int
+    given: int = 0
+
+    def take(self, device_ns: int) -> tuple[int, int]:
+        """Samples k0 ≤ k < k1 that were latched up to ``device_ns`` and not given yet, at most BATCH."""
+        due = max(0, (device_ns - self.first_ns) // self.period_ns + 1)
+        k0 = self.given
+        self.given = max(k0, min(due, k0 + BATCH))
+        return k0, self.given
+
+    def stamps(self, k0: int, k1: int) -> NDArray[np.uint8]:
+        """The lower 32 bits of the hardware timer (n, 4), which counts whole microseconds since boot."""
+        stamps = (self.first_ns + np.arange(k0, k1, dtype=np.int64) * self.period_ns) // 1000
+        return (stamps & 0xFFFFFFFF).astype(">u4").view(np.uint8).reshape(-1, 4)
+
+
+class VmBox:
+    """A running box (``Hardware``). ``interpreter`` None: CPython in MicroPython's place."""
+
+    boot_ns = 1_500_000_000
+
+    def __init__(self, interpreter: Interpreter | None, boot: Boot) -> None:
+        self._process = BoxProcess(interpreter, boot.setup, boot.boot_id, boot.cause, flash=boot.flash)
+        self._signals = boot.signals
+        self._adc: Feed | None = None
+        self._mag: Feed | None = None
+        self._starts = 0
+        self._rx = b""
+        self._rx_room = RX_MAX
+        self._fed_us = 0  # when the firmware last fed its watchdog
+
+    def advance(
+        self, device_us: int, rx: bytes, edges: Sequence[Edge], tx_room: int, flags: int, temperature_mdegc: int
+    ) -> Iterator[Answer]:
+        """See ``Hardware``."""
+        self._rx += rx
+        pending = list(edges)
+        flying = (box.FAULT_CRC if flags & BAD_CRC else 0) | (box.FAULT_RESET if flags & CONVERTER_RESET else 0)
+        while True:
+            adc, adc_index = _taken(self._adc, device_us, self._adc_records)
+            mag, mag_index = _taken(self._mag, device_us, self._mag_records)
+            now, pending = pending[: box.EDGES_MAX], pending[box.EDGES_MAX :]
+            sent, self._rx = _split(self._rx, min(RX_MAX, self._rx_room))
+            answer = self._process.grant(
+                device_us,
+                rx=sent,
+                samples=adc,
+                index=adc_index,
+                mag=mag,
+                mag_index=mag_index,
+                edges=b"".join(_edge_record(edge) for edge in now),
+                tx_room=tx_room,
+                flags=(box.STALL if flags & STALL else 0) | (box.CRASH if flags & CRASH else 0),
+                fault=flying if adc else 0,
+                temperature_mdegc=temperature_mdegc,
+            )
+            flags &= STALL
+            flying = 0 if adc else flying
+            tx_room -= len(answer.tx)
+            answer = self._judged(answer, device_us)
+            yield answer
+            if answer.end or not (pending or self._more(device_us)):
+                return
+
+    def close(self) -> None:
+        """End the firmware's process."""
+        self._process.close()
+
+    def _adc_records(self, feed: Feed, k0: int, k1: int) -> bytes:
+        records = np.empty((k1 - k0, RECORD), np.uint8)
+        records[:, :4] = feed.stamps(k0, k1)
+        counts = self._signals.counts(k0, k1, feed.first_ns, feed.period_ns)
+        records[:, 4:] = np.ascontiguousarray(counts, "<i4").view(np.uint8).reshape(-1, 16)
+        return records.tobytes()
+
+    def _mag_records(self, feed: Feed, k0: int, k1: int) -> bytes:
+        records = np.empty((k1 - k0, MAG_RECORD), np.uint8)
+        records[:, :4] = feed.stamps(k0, k1)
+        flights = self._signals.flight_times(k0, k1, feed.first_ns, feed.period_ns)
+        ticks = np.maximum(flights, 0) // TICK_PS  # 0 is shorter than any blanking
+        records[:, 4:] = ticks.astype("<i4").view(np.uint8).reshape(-1, 4)
+        return records.tobytes()
+
+    def _judged(self, answer: Answer, device_us: int) -> Answer:
+        """Take over what the answer says of the hardware; a watchdog that was not fed ends the box."""
+        self._rx_room = answer.rx_room
+        if answer.starts != self._starts:
+            self._starts = answer.starts
+            period = period_ns(answer.osr)
+            self._adc = Feed(device_us * 1000 + period, period)
+            self._mag = None
+            if answer.mag_sampling:
+                self._mag = Feed(device_us * 1000 + answer.mag_period_ns, answer.mag_period_ns)
+        answer = replace(answer, first_ns=(_first_ns(self._adc), _first_ns(self._mag)))
+        if not answer.sampling:
+            self._adc = self._mag = None
+        if answer.alive:
+            self._fed_us = device_us
+        elif answer.watchdog_ms and device_us - self._fed_us > 1000 * answer.watchdog_ms:
+            return replace(answer, end="watchdog")
+        return answer
+
+    def _more(self, device_us: int) -> bool:
+        feeds = (feed for feed in (self._adc, self._mag) if feed is not None)
+        return any(feed.first_ns + feed.given * feed.period_ns <= 1000 * device_us for feed in feeds)
+
+
+def _taken(feed: Feed | None, device_us: int, records: Callable[[Feed, int, int], bytes]) -> tuple[bytes, int]:
+    """Records of the samples that are due, and the first one's index."""
+    if feed is None:
+        return b"", 0
+    k0, k1 = feed.take(1000 * device_us)
+    return (records(feed, k0, k1) if k1 > k0 else b""), k0
+
+
+def _first_ns(feed: Feed | None) -> int | None:
+    return None if feed is None else feed.first_ns
+
+
+def _split(data: bytes, n: int) -> tuple[bytes, bytes]:
+    return data[:n], data[n:]
+
+
+def _edge_record(edge: Edge) -> bytes:
+    return bytes([edge.line, edge.rising]) + (edge.t_ns // 1000 & 0xFFFFFFFF).to_bytes(4, "big")

@@ -1,0 +1,120 @@
+"""UF2 images for the box's chip: read as a stranger's file, and judged before anything is written.
+
+A UF2 file is a row of blocks of 512 bytes: eight words (two magic numbers, flags, address, size of the data, number of
+this block, number of blocks, family of the chip), 476 bytes of data, a third magic number
+(github.com/microsoft/uf2). The chip's boot ROM takes what comes without a question and skips what it does not understand,
+so a damaged file leaves a box that does not start. Here every block has to be in order: of the chip's family, whole,
+in its place, within the chip's flash, and the boot stage in the first 256 bytes has to bear the checksum without which
+the ROM does not start it (RP2040 datasheet, 2.8.1.3.1).
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+from truearm.errors import ImageError
+from truearm.files.disk import read_bytes
+
+BLOCK = 512
+PAGE = 256  # bytes of data in a block; the ROM takes no other size
+_HEAD = struct.Struct("<8I")
+_MAGIC = (0x0A324655, 0x9E5D5157)
+_MAGIC_END = struct.pack("<I", 0x0AB16F30)
+_NOT_MAIN_FLASH, _FAMILY_PRESENT = 0x1, 0x2000
+_MARK = b"truearm_box"  # the package's name stands in every image that has the firmware frozen in
+
+
+@dataclass(frozen=True)
+class Chip:
+    """What a family of chips takes: ``flash`` from ``start`` on [bytes]; ``board`` is how its boot drive calls it."""
+
+    name: str
+    start: int
+    flash: int
+    board: str
+
+
+CHIPS = {0xE48BFF56: Chip("RP2040", 0x1000_0000, 2 << 20, "RPI-RP2")}
+MAX_BYTES = max(chip.flash for chip in CHIPS.values()) // PAGE * BLOCK
+
+
+@dataclass(frozen=True)
+class Image:
+    """A judged image. ``size``: bytes of flash it takes; ``is_box``: whether the box's firmware is in it."""
+
+    chip: Chip
+    blocks: int
+    size: int
+    is_box: bool
+    data: bytes  # the file
+
+
+def read_uf2(path: Path) -> Image:
+    """The image in a file. Raises ImageError."""
+    return parse_uf2(read_bytes(path, MAX_BYTES, ImageError), str(path))
+
+
+def parse_uf2(data: bytes, name: str) -> Image:
+    """The image of a UF2 file's bytes. Raises ImageError, which calls it ``name``."""
+    if not data or len(data) % BLOCK:
+        raise ImageError(
+            f"{name}: is {len(data)} bytes, no whole number of UF2's blocks of {BLOCK}; get the file again"
+        )
+    if len(data) > MAX_BYTES:
+        raise ImageError(f"{name}: is larger than the chip's flash")
+    blocks = [data[at : at + BLOCK] for at in range(0, len(data), BLOCK)]
+    chip = _chip(blocks[0], name)
+    family = _HEAD.unpack_from(blocks[0])[7]
+    behind = chip.start
+    for number, block in enumerate(blocks):
+        behind = _check_block(block, number, len(blocks), family, chip, behind, name)
+    pages = [block[_HEAD.size : _HEAD.size + PAGE] for block in blocks]
+    if _HEAD.unpack_from(blocks[0])[3] != chip.start:
+        raise ImageError(f"{name}: does not begin where the {chip.name}'s flash begins, so nothing in it would start")
+    if boot_checksum(pages[0][:-4]) != int.from_bytes(pages[0][-4:], "little"):
+        raise ImageError(
+            f"{name}: its boot stage has a wrong checksum, so the chip would not start; get the file again"
+        )
+    return Image(chip, len(blocks), behind - chip.start, _MARK in b"".join(pages), data)
+
+
+def boot_checksum(stage: bytes) -> int:
+    """CRC-32/MPEG-2, by which the boot ROM knows a boot stage."""
+    crc = 0xFFFFFFFF
+    for byte in stage:
+        crc ^= byte << 24
+        for _ in range(8):
+            crc = (crc << 1 ^ (0x04C11DB7 if crc >> 31 else 0)) & 0xFFFFFFFF
+    return crc
+
+
+def _chip(block: bytes, name: str) -> Chip:
+    head = _HEAD.unpack_from(block)
+    if head[:2] != _MAGIC or not block.endswith(_MAGIC_END):
+        raise ImageError(f"{name}: is no UF2 file")
+    if not head[2] & _FAMILY_PRESENT or head[7] not in CHIPS:
+        known = ", ".join(chip.name for chip in CHIPS.values())
+        family = f"family {head[7]:#010x}" if head[2] & _FAMILY_PRESENT else "no family"
+        raise ImageError(f"{name}: is for another chip ({family}); the box has an {known}")
+    return CHIPS[head[7]]
+
+
+def _check_block(block: bytes, number: int, count: int, family: int, chip: Chip, behind: int, name: str) -> int:
+    """The address behind a block that is in order and lies at ``behind`` or later. Raises ImageError."""
+    magic_0, magic_1, flags, address, size, at, of, of_family = _HEAD.unpack_from(block)
+    where = f"{name}: block {number} of {count}"
+    if (magic_0, magic_1) != _MAGIC or not block.endswith(_MAGIC_END):
+        raise ImageError(f"{where} is damaged; get the file again")
+    if flags & _NOT_MAIN_FLASH or not flags & _FAMILY_PRESENT or of_family != family:
+        raise ImageError(f"{where} is not for the {chip.name}'s flash")
+    if (at, of) != (number, count):
+        raise ImageError(f"{where} says that it is block {at} of {of}; the file is not whole")
+    if size != PAGE or address % PAGE:
+        raise ImageError(f"{where} holds {size} bytes for address {address:#x}; the chip takes pages of {PAGE}")
+    if not chip.start <= address <= chip.start + chip.flash - PAGE:
+        raise ImageError(f"{where} is for address {address:#x}, which is not in the {chip.name}'s flash")
+    if address < behind:
+        raise ImageError(f"{where} lies over an earlier one")
+    return int(address) + PAGE

@@ -1,0 +1,29 @@
+"""Elements of the box's frames by name, checked; data frames have a reader of their own (sensors/data.py)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from truearm.sensors.data import decode
+from truearm_wire.messages import ERROR, EVENT, HEARTBEAT, IDENT, REPLY, SYNC_REPLY, names, needed
+
+_NAMES = {kind: names(kind) for kind in (EVENT, HEARTBEAT, IDENT, SYNC_REPLY, REPLY, ERROR)}
+
+
+def fields_of(kind: int, payload: bytes) -> dict[str, Any] | None:
+    """The elements of a frame by name; None where one is missing, of another type than SPEC §4 says, or of no such kind."""
+    values = decode(payload) if kind in _NAMES else None
+    if values is None:
+        return None
+    fields = dict(zip(_NAMES[kind], values[1:], strict=False))
+    if len(fields) < needed(kind) or not all(_fits(name, value) for name, value in fields.items()):
+        return None
+    return fields
+
+
+def _fits(name: str, value: Any) -> bool:
+    if name == "data":
+        return isinstance(value, bytes)
+    if name == "text":
+        return isinstance(value, str)
+    return type(value) is int and abs(value) < 2**64

@@ -1,0 +1,105 @@
+"""The results of a box's self-test (protocol/SPEC.md §5) in words: what each means, and what to do about it.
+
+The box judges by its limits. What is within them but near to one is a warning here: a rail that sags, a noise that has
+doubled, a stop that was lost tell of what will fail.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+PASS, WARN, FAIL = "pass", "warn", "fail"
+MAX_RESULTS = 64
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One result. ``value`` with its unit, "" where there is none; ``advice`` for what is no pass."""
+
+    name: str
+    verdict: str
+    what: str
+    value: str
+    advice: str
+
+
+@dataclass(frozen=True)
+class _Item:
+    """``inner``: between these a value passes without a warning; the shown unit is the wire's times 1 / ``per``."""
+
+    what: str
+    advice: str
+    inner: tuple[float, float]
+    unit: str = ""
+    per: int = 1
+    shown_as: str = "d"
+
+
+_NOISE = _Item(
+    "noise of converter input {0}, shorted",
+    "look at the analogue ground and the 3.3 V supply; keep USB and motor cables away from the converter",
+    (1, 10_000), "µV", 1000, ".2f",
+)  # fmt: skip
+_ITEMS = {
+    "converter_id": _Item(
+        "the converter answers",
+        "check its supply and the SPI wires: DOUT, CS, SCLK, DIN (docs/hardware.md)",
+        (0x2400, 0x24FF), shown_as="#x",
+    ),
+    "excitation": _Item(
+        "excitation of the LVDT conditioner",
+        "check the conditioner's supply and the wire to the converter's input of that name",
+        (200_000, 1_100_000), "mV", 1000, ".1f",
+    ),
+    "noise_0": _NOISE, "noise_1": _NOISE, "noise_2": _NOISE, "noise_3": _NOISE,
+    "stops": _Item(
+        "stop pulses of 16 interrogations of the magnetostrictive head",
+        "check the head's supply, that the magnet is on its rod, both RS-422 pairs, and blanking and time-out; "
+        "without such a head say truearm box config set magnetostrictive.period_us=0",
+        (16, 16),
+    ),
+    "rail_5v": _Item(
+        "5 V of the USB port", "use another port or a shorter cable, or a hub with a supply of its own",
+        (4_500, 5_400), "V", 1000, ".2f",
+    ),
+    "temperature": _Item("temperature of the chip", "give the box air, or warm it", (-10_000, 60_000), "°C", 1000, ".1f"),
+}  # fmt: skip
+ALWAYS = ("converter_id", "noise_0", "noise_1", "noise_2", "noise_3", "rail_5v", "temperature")
+
+
+def findings(results: Mapping[str, Any]) -> list[Finding]:
+    """What the results say, in the order of the signal's way; names that are not known here come last, as the box judged them.
+
+    A result that cannot be read is a failure, one of ``ALWAYS`` that is missing a warning.
+    """
+    names = [name for name in _ITEMS if name in results or name in ALWAYS]
+    names += sorted(set(results) - set(_ITEMS))[:MAX_RESULTS]
+    return [_finding(name, results.get(name)) for name in names]
+
+
+def _finding(name: str, result: Any) -> Finding:
+    item = _ITEMS.get(
+        name, _Item(name[:40], "the box's firmware is newer than this truearm; update it", (-(2.0**63), 2.0**63))
+    )
+    what = item.what.format(name[-1])
+    if result is None:
+        return Finding(name, WARN, what, "", f"the box did not measure it; {item.advice}")
+    value = result.get("value") if isinstance(result, dict) else None
+    if type(value) is not int or abs(value) >= 2**63 or result.get("ok") not in (0, 1):
+        return Finding(name, FAIL, what, "", "the box's answer cannot be read; update its firmware")
+    unit = item.unit if name in _ITEMS else str(result.get("unit", ""))[:10]
+    shown = f"{_scaled(value, item)} {unit}".strip()
+    if not result["ok"]:
+        limits = [
+            _scaled(v, item) for v in (result.get("low"), result.get("high")) if type(v) is int and abs(v) < 2**63
+        ]
+        between = f" (allowed: {' to '.join(limits)} {unit}".rstrip() + ")" if len(limits) == 2 else ""
+        return Finding(name, FAIL, what, shown + between, item.advice)
+    near = not item.inner[0] <= value <= item.inner[1]
+    return Finding(name, WARN if near else PASS, what, shown, f"near its limit; {item.advice}" if near else "")
+
+
+def _scaled(value: int, item: _Item) -> str:
+    return format(value if item.per == 1 else value / item.per, item.shown_as)

@@ -1,0 +1,110 @@
+"""The box at chip level: MicroPython's RP2040 image with the firmware in it, in the emulator, as `make test` built it."""
+
+import cbor2
+import numpy as np
+import pytest
+
+from truearm_sim.box import POWER, BoxSetup
+from truearm_sim.chip import ANY_ROOM, ChipBox
+from truearm_sim.hardware import Boot
+from truearm_wire import frame, messages
+from truearm_wire.messages import GET_CONFIG, IDENT, PUT_CONFIG, REPLY
+
+READY_S = 3.2  # the boot window of 2 s, the self-test, the first ident
+MS = 1000  # µs
+
+
+class Counting:
+    """Signals that say which sample they are."""
+
+    def counts(self, k0, k1, start_ns, period_ns):
+        k = np.arange(k0, k1, dtype=np.int64)[:, None]
+        return ((k * 4 + np.arange(4)) % 2**22).astype(np.int32)
+
+    def flight_times(self, k0, k1, start_ns, period_ns):
+        return 100_000_000 + 8_000 * np.arange(k0, k1, dtype=np.int64)  # a tick more each shot
+
+
+def frames(tx: bytes) -> list[list]:
+    """The frames of sent bytes, decoded; anything else stays bytes."""
+    found = []
+    for run in tx.split(b"\0"):
+        if run:
+            payload = frame.unframe(run)
+            found.append(messages.decode_payload(payload) if payload else run)
+    return found
+
+
+def command(*values) -> bytes:
+    return frame.frame(messages.encode_payload(list(values)))
+
+
+class Chip:
+    """A box that was switched on, and the shortest way to talk to it. Its flash is a folder, so it can be switched on again."""
+
+    def __init__(self, folder, cause=POWER, config=None, start_us=0, signals=None):
+        boot = Boot(folder, BoxSetup(config=config), 0x12345678, cause, signals or Counting())
+        self.hardware = ChipBox(boot, start_us=start_us)
+        self.now_us = start_us
+        self.end = ""
+        self.req_id = 0
+        self.rest = b""  # of a frame that came in part
+
+    def give(self, us, rx=b"", edges=(), room=ANY_ROOM, flags=0):
+        """Let it run; the bytes it sent. `end` says how it ended, if it did."""
+        self.now_us += us
+        (answer,) = self.hardware.advance(self.now_us, rx, edges, room, flags, 24_500)
+        self.end, self.sampling = answer.end, answer.sampling
+        return answer.tx
+
+    def hear(self, us, **grant):
+        """Let it run; the frames that have come whole."""
+        whole, zero, self.rest = (self.rest + self.give(us, **grant)).rpartition(b"\0")
+        return frames(whole + zero)
+
+    def boot(self):
+        """Let it boot; what it said."""
+        return self.hear(int(READY_S * 1e6))
+
+    def ask(self, *values, ms=100):
+        """Give a command; the frames that came within `ms`."""
+        self.req_id += 1
+        return self.hear(ms * MS, rx=command(values[0], self.req_id, *values[1:]))
+
+    def config(self):
+        return cbor2.loads(document(self.ask(GET_CONFIG), REPLY))
+
+    def put_config(self, config, ms=400):
+        """All pages; the frames that answered the last one."""
+        parts = messages.pages(cbor2.dumps(config))
+        for page, pages, data in parts[:-1]:
+            assert self.ask(PUT_CONFIG, page, pages, data)[-1][0] == REPLY
+        return self.ask(PUT_CONFIG, *parts[-1], ms=ms)
+
+    def close(self):
+        self.hardware.close()
+
+
+def document(found: list[list], kind: int) -> bytes:
+    """The pages of an ident or reply, put together."""
+    return b"".join(f[5] for f in found if isinstance(f, list) and f[0] == kind)
+
+
+def ident(found: list[list]) -> dict:
+    return cbor2.loads(document(found, IDENT))
+
+
+@pytest.fixture
+def power_on(tmp_path):
+    """Boxes on one flash, one after the other; each ends when the next is switched on."""
+    switched_on = []
+
+    def switch_on(**options):
+        for chip in switched_on:
+            chip.close()
+        switched_on.append(Chip(tmp_path, **options))
+        return switched_on[-1]
+
+    yield switch_on
+    for chip in switched_on:
+        chip.close()

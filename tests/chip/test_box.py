@@ -1,0 +1,347 @@
+"""The box's firmware on its chip: boot, time, flash, ways out, a host that goes away."""
+
+import itertools
+import random
+
+import cbor2
+import numpy as np
+import pytest
+
+from truearm_sim.box import COMMAND, WATCHDOG
+from truearm_sim.chip import STORE, make_flash, read_flash
+from truearm_sim.hardware import BAD_CRC, CONVERTER_RESET, CRASH, STALL
+from truearm_wire import frame
+from truearm_wire.messages import (
+    BOOT_LOADER,
+    CONFIGURE,
+    DATA,
+    ERROR,
+    ERROR_MALFORMED,
+    ERROR_RANGE,
+    ERROR_STORAGE,
+    ERROR_STREAMING,
+    ERROR_UNKNOWN,
+    FLAG_CONVERTER,
+    HEARTBEAT,
+    IDENT,
+    REPLY,
+    RESET,
+    RESTART,
+    SELF_TEST,
+    START,
+    STOP,
+    SYNC_REPLY,
+    SYNC_REQUEST,
+    TO_REPL,
+    names,
+)
+
+from .conftest import MS, command, document, ident
+
+S = 1_000_000
+PERIOD_NS = 983_040
+BLOCK = 13  # samples of the converter in a frame
+FULL = 1_430_832  # bytes of the largest file that the file system takes
+
+
+def heartbeats(found):
+    return [dict(zip(names(HEARTBEAT), f[1:], strict=True)) for f in found if isinstance(f, list) and f[0] == HEARTBEAT]
+
+
+def blocks(found, stream):
+    return [f for f in found if isinstance(f, list) and f[0] == DATA and f[2] == stream]
+
+
+def indices(found, stream):
+    """Of all samples of a stream, from what their counts say (conftest.Counting)."""
+    width = (4, 1)[stream]
+    values = [np.frombuffer(f[6].data, "<i4").reshape(-1, width)[:, 0] for f in blocks(found, stream)]
+    return np.concatenate(values)
+
+
+def test_it_boots_tells_who_it_is_answers_and_keeps_time(power_on):
+    chip = power_on()
+    said = chip.boot()
+    who = ident(said)
+    assert who["board"] == "rp2040"
+    assert who["uid"].hex() == "e6614103e7452b2f"
+    assert who["clock_hz"] == 1_000_000
+    assert "last_error" not in who
+    assert {s["id"] for s in who["streams"]} == {0, 1}
+    for k in range(5):
+        sent_us = chip.now_us
+        (reply,) = [f for f in chip.hear(20 * MS, rx=command(SYNC_REQUEST, 70 + k)) if f[0] == 33]
+        assert reply[2] == 70 + k
+        assert sent_us < reply[3] < reply[4] < chip.now_us
+    beats = heartbeats(chip.hear(3 * S))
+    assert len(beats) == 3
+    assert np.abs(np.diff([b["t_us"] for b in beats]) - S).max() < 10 * MS  # as late as a step of the loop
+    assert all(b["reset_cause"] == 1 and b["streaming"] == 0 and b["bad_frames"] == 0 for b in beats)
+    # 24.5 °C through a 12-bit ADC of 3.3 V: 0.81 mV a step, 0.47 °C
+    assert abs(beats[-1]["temperature_mdegc"] - 24_500) < 470
+    assert beats[-1]["heap_free"] > 50_000
+
+
+def test_its_self_test_measures_every_part(power_on):
+    chip = power_on()
+    chip.boot()
+    results = cbor2.loads(document(chip.ask(SELF_TEST, ms=1500), 64))
+    assert results["converter_id"]["value"] >> 8 == 0x24
+    assert all(results[f"noise_{c}"]["ok"] == 1 for c in range(4))
+    assert results["stops"] == {"ok": 1, "value": 16, "unit": "", "low": 15, "high": 16}
+    assert results["rail_5v"]["ok"] == 1
+    assert abs(results["temperature"]["value"] - 24_500) < 470
+
+
+def test_it_streams_both_sources_without_a_gap(power_on):
+    chip = power_on()
+    chip.boot()
+    chip.ask(START, ms=10)
+    found = chip.hear(1500 * MS)
+    found += chip.ask(STOP, ms=500)
+    for stream in (0, 1):
+        k = indices(found, stream)
+        assert k[0] == (0, 12_500)[stream]  # sample 0 of the stream is sample 0 of the signals
+        assert len(k) > 1400
+        assert (np.diff(k) == (4 if stream == 0 else 1)).all()
+        t0 = np.array([f[4] for f in blocks(found, stream)])
+        n0 = np.array([f[3] for f in blocks(found, stream)])
+        late = t0 - t0[0] - n0 * PERIOD_NS / 1000
+        assert np.ptp(late) <= 1.0 + 1e-9  # stamps are whole microseconds
+    assert heartbeats(found)[-1]["overruns"] == 0
+
+
+def test_a_damaged_frame_and_a_reset_of_the_converter_are_counted_and_survived(power_on):
+    chip = power_on()
+    chip.boot()
+    chip.ask(START, ms=10)
+    chip.hear(300 * MS)
+    found = chip.hear(400 * MS, flags=BAD_CRC)
+    found += chip.hear(1500 * MS, flags=CONVERTER_RESET)
+    assert FLAG_CONVERTER in {f[7] & FLAG_CONVERTER for f in blocks(found, 0)}
+    beat = heartbeats(found)[-1]
+    assert beat["converter_resets"] == 1
+    assert beat["crc_errors"] >= 1
+    lost = int((np.diff([f[3] for f in blocks(found, 0)]) - BLOCK).clip(0).sum())
+    assert 0 < lost < 100
+    assert len(blocks(found, 0)) > 120
+
+
+def test_a_configuration_outlives_a_restart(power_on):
+    chip = power_on()
+    chip.boot()
+    config = chip.config()
+    config["osr"] = 2048
+    config["magnetostrictive"]["period_ns"] = 0
+    answers = chip.put_config(config)
+    assert [f[0] for f in answers].count(IDENT) >= 1
+    chip.ask(RESET, RESTART, ms=500)
+    assert chip.end == "reset"
+    chip = power_on(cause=COMMAND)
+    who = ident(chip.boot())
+    assert [s["id"] for s in who["streams"]] == [0]
+    assert who["streams"][0]["osr"] == 2048
+    assert heartbeats(chip.hear(S))[0]["reset_cause"] == COMMAND
+
+
+def test_power_that_fails_while_it_writes_leaves_the_old_or_the_new_configuration(power_on, tmp_path):
+    chip = power_on()
+    chip.boot()
+    config = chip.config()
+    chip.put_config(config)
+    for cut, osr in ((1, 128), (3, 256), (5, 512)):
+        before = config["osr"]
+        config["osr"] = osr
+        chip.hardware.control({"pico": "cut", "operations": cut})
+        chip.put_config(config)
+        assert chip.end == "power cut"
+        chip = power_on()
+        chip.boot()
+        after = chip.config()
+        assert after["osr"] in (before, osr)
+        config["osr"] = after["osr"]
+        assert after == config
+    assert "config.json" in read_flash(tmp_path / STORE)
+
+
+def test_a_full_flash_refuses_a_configuration_and_keeps_the_old_one(power_on, tmp_path):
+    make_flash(tmp_path / STORE, {"fill": bytes(FULL)})
+    chip = power_on()
+    chip.boot()
+    config = chip.config()
+    changed = {**config, "osr": 1024}
+    (error,) = [f for f in chip.put_config(changed) if f[0] == ERROR]
+    assert error[3] == ERROR_STORAGE
+    assert chip.config() == config
+    chip.ask(START, ms=10)
+    chip.hear(500 * MS, flags=CRASH)  # its traceback has no place either
+    assert chip.end == "reset"
+    assert read_flash(tmp_path / STORE)["fill"] == bytes(FULL)
+    chip = power_on(cause=COMMAND)
+    assert ident(chip.boot())["board"] == "rp2040"
+
+
+def test_a_firmware_that_hangs_is_reset_by_the_watchdog(power_on):
+    chip = power_on()
+    chip.boot()
+    chip.give(3 * S, flags=STALL)
+    assert chip.end == "watchdog"
+    chip = power_on(cause=WATCHDOG)
+    chip.boot()
+    assert heartbeats(chip.hear(S))[0]["reset_cause"] == WATCHDOG
+
+
+def test_an_exception_is_printed_between_delimiters_kept_and_told_at_the_next_boot(power_on):
+    chip = power_on()
+    chip.boot()
+    found = chip.hear(500 * MS, flags=CRASH)
+    (text,) = [f for f in found if isinstance(f, bytes)]
+    assert b"Traceback" in text
+    assert b"RuntimeError: injected by the simulator" in text
+    assert chip.end == "reset"
+    chip = power_on(cause=COMMAND)
+    assert "RuntimeError: injected by the simulator" in ident(chip.boot())["last_error"]
+
+
+def test_ctrl_c_at_boot_and_a_command_lead_to_the_prompt(power_on):
+    chip = power_on()
+    chip.give(S)
+    assert b"KeyboardInterrupt" in chip.give(500 * MS, rx=b"\x03")
+    assert b"42" in chip.give(S, rx=b"6 * 7\r\n")
+    chip = power_on()
+    chip.boot()
+    assert [f[0] for f in chip.ask(TO_REPL) if isinstance(f, list)] == [64]
+    assert b"42" in chip.give(10 * S, rx=b"6 * 7\r\n")  # and no watchdog bites
+    busy = b"import machine; print([c for c in range(12) if machine.mem32[0x50000010 + 64 * c] & 1 << 24], 'busy')\r\n"
+    assert b"[] busy" in chip.give(S, rx=busy)
+    assert chip.end == ""
+
+
+def test_a_command_leads_to_the_rom_s_boot_loader(power_on):
+    chip = power_on()
+    chip.boot()
+    chip.ask(RESET, BOOT_LOADER, ms=500)
+    assert chip.end == "boot loader"
+
+
+@pytest.mark.parametrize("wrap", [1 << 30, 1 << 32])
+def test_time_goes_on_where_counters_wrap(power_on, wrap):
+    """2^30: MicroPython's small integers and ticks; 2^32: the lower half of the hardware timer."""
+    start_us = wrap - int(4.2e6)
+    chip = power_on(start_us=start_us)
+    chip.boot()
+    chip.ask(START, ms=10)
+    found = chip.hear(2 * S)
+    for stream in (0, 1):
+        t0 = np.array([f[4] for f in blocks(found, stream)])
+        n0 = np.array([f[3] for f in blocks(found, stream)])
+        assert t0[0] < wrap < t0[-1]
+        assert np.ptp(t0 - n0 * PERIOD_NS / 1000) <= 1.0 + 1e-9
+    beats = [b["t_us"] for b in heartbeats(found)]
+    assert start_us < beats[0] < chip.now_us
+    (reply,) = [f for f in chip.hear(50 * MS, rx=command(SYNC_REQUEST, 1)) if f[0] == 33]
+    assert wrap < reply[3] < reply[4] < chip.now_us
+
+
+def test_a_host_that_stalls_or_leaves_costs_what_the_ring_does_not_hold_and_it_is_counted(power_on):
+    chip = power_on()
+    chip.boot()
+    chip.ask(CONFIGURE, 1, 0, ms=20)
+    chip.ask(START, ms=10)
+    before = chip.hear(S)
+    held = chip.hear(3 * S, room=0)
+    assert held == []
+    after = chip.hear(2500 * MS)
+    k = np.concatenate([indices(before, 0), indices(after, 0)]) // 4
+    gaps = np.diff(k) - 1
+    lost = int(gaps.sum())
+    assert np.count_nonzero(gaps) <= 1
+    assert heartbeats(after)[-1]["overruns"] == lost
+    chip.hardware.host_gone = True
+    chip.give(3 * S)
+    assert chip.end == ""
+    chip.hardware.host_gone = False
+    back = chip.hear(2 * S)
+    assert heartbeats(back)[-1]["reset_cause"] == 1
+    assert heartbeats(back)[-1]["overruns"] > lost
+    assert len(blocks(back, 0)) > 200
+
+
+@pytest.mark.soak
+def test_a_minute_without_a_host(power_on):
+    """It keeps time, counts what it drops, and resumes: one jump of the index in each stream."""
+    chip = power_on()
+    chip.boot()
+    chip.ask(START, ms=10)
+    before = chip.hear(S)
+    chip.hardware.host_gone = True
+    chip.give(60 * S)
+    assert chip.end == ""
+    chip.hardware.host_gone = False
+    after = chip.hear(4 * S)
+    lost = 0
+    for stream, width, step in ((0, 4, 4), (1, 1, 1)):
+        found = [f for f in before + after if isinstance(f, list) and f[0] == DATA and f[2] == stream]
+        k = indices(found, stream) // step
+        gaps = np.diff(k) - 1
+        assert np.count_nonzero(gaps) == 1
+        lost += int(gaps.sum())
+        ends = [(f[3], f[3] + len(f[6].data) // (4 * width), f[4]) for f in found]
+        assert sum(b[0] - a[1] for a, b in itertools.pairwise(ends)) == gaps.sum()
+        late = [t0 - n0 * PERIOD_NS / 1000 for n0, _, t0 in ends]
+        assert np.ptp(late) <= 1.0 + 1e-9
+    beat = heartbeats(after)[-1]
+    assert beat["overruns"] == lost > 50_000
+    assert beat["reset_cause"] == 1
+
+
+def test_rubbish_and_wrong_commands_are_answered_or_counted(power_on):
+    """Random bytes, random frames, commands with wrong arguments, frames too long; while it streams, so that none may stop it."""
+    chip = power_on()
+    chip.boot()
+    chip.ask(START, ms=20)
+    rng = random.Random(4)
+    found, asked = [], set()
+    for _ in range(200):
+        data, req_id = rubbish(rng)
+        asked |= {req_id} - {None}
+        found += chip.hear(10 * MS, rx=data)
+    found += chip.hear(2500 * MS, rx=b"\0" + command(SYNC_REQUEST, 9))
+    assert chip.end == ""
+    assert all(isinstance(f, list) for f in found), "no traceback, no prompt"
+    assert [f[2] for f in found if f[0] == SYNC_REPLY][-1] == 9, "all has been read"
+    assert len(asked) > 40
+    assert asked <= {f[2] for f in found if f[0] in (ERROR, REPLY, IDENT)}
+    codes = {f[3] for f in found if f[0] == ERROR}
+    assert codes <= {ERROR_UNKNOWN, ERROR_MALFORMED, ERROR_RANGE, ERROR_STREAMING}
+    found += chip.hear(3 * S)  # the ring is sent
+    quiet = chip.hear(1200 * MS)
+    assert (np.diff(indices(quiet, 0)) == 4).all()
+    assert len(indices(quiet, 0)) > 1100
+    beat = heartbeats(quiet)[-1]
+    assert beat["bad_frames"] > 50
+    assert (beat["reset_cause"], beat["streaming"]) == (1, 1)
+    # a hundred answers a second go before samples; what that costs is counted
+    found += quiet
+    gaps = np.diff(indices(found, 0)) // 4 - 1, np.diff(indices(found, 1)) - 1
+    assert beat["overruns"] == sum(int(gap.sum()) for gap in gaps)
+    (reply,) = [f for f in chip.ask(STOP, ms=500) if f[0] == REPLY]
+    assert reply[2] == chip.req_id
+
+
+def rubbish(rng) -> tuple[bytes, int | None]:
+    """What a broken or hostile host may send at once, and the id that has to be answered. Nothing of it stops the box by right."""
+    kind = rng.randrange(20)
+    if kind < 4:
+        return rng.randbytes(rng.randrange(1, 60)), None
+    if kind < 8:  # a frame of random payload
+        return frame.frame(rng.randbytes(rng.randrange(1, 60))), None
+    if kind == 8:  # a frame that is too long
+        return b"\0" + bytes([rng.randrange(1, 256) for _ in range(700)]) + b"\0", None
+    number = rng.choice([n for n in range(40, 72) if n not in (START, STOP)])
+    arguments = [rng.choice([0, -1, 5, 2**40, "text", b"bytes", [1, [2]], None]) for _ in range(rng.randrange(4))]
+    if kind < 11:
+        return frame.frame(cbor2.dumps([number, *arguments])), None
+    req_id = rng.randrange(1, 2**28)
+    readable = None not in arguments  # the protocol has no null: what holds one is no command
+    return frame.frame(cbor2.dumps([number, req_id, *arguments])), req_id if readable and 48 <= number < 64 else None

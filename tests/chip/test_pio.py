@@ -1,0 +1,332 @@
+"""The programs of the drivers on an interpreter of our own, cycle by cycle, and the emulator's PIO against it.
+
+Three parties that share no code: pio_reference.py (the datasheet's chapter 3, plainly), hil_sim/chip/pio.mjs (event-driven, with
+fast-forward), and the formulas in the drivers' docstrings.
+"""
+
+import itertools
+import json
+import random
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from truearm_sim import node
+
+from .pio_reference import Assembler, Block, Program
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "firmware"))
+
+from drivers import magnetostrictive, triggers  # noqa: E402
+
+BENCH = Path(__file__).with_name("pio_bench.mjs")
+TICK = 8.0  # ns
+INTERROGATION, STOP = 2, 3
+
+
+# -- the assembler, against programs whose words are published
+
+
+def squarewave():
+    set(pindirs, 1)  # noqa: F821
+    label("again")  # noqa: F821
+    set(pins, 1)[1]  # noqa: F821
+    set(pins, 0)  # noqa: F821
+    jmp("again")  # noqa: F821
+
+
+def ws2812():
+    label("bitloop")  # noqa: F821
+    out(x, 1).side(0)[2]  # noqa: F821
+    jmp(not_x, "do_zero").side(1)[1]  # noqa: F821
+    jmp("bitloop").side(1)[4]  # noqa: F821
+    label("do_zero")  # noqa: F821
+    nop().side(0)[4]  # noqa: F821
+
+
+def spi_cpha0():
+    out(pins, 1).side(0)[1]  # noqa: F821
+    in_(pins, 1).side(1)[1]  # noqa: F821
+
+
+@pytest.mark.parametrize(
+    ("source", "side", "words"),
+    [
+        (squarewave, None, [0xE081, 0xE101, 0xE000, 0x0001]),  # RP2040 datasheet 3.2.2
+        (ws2812, 0, [0x6221, 0x1123, 0x1400, 0xA442]),  # pico-examples, ws2812.pio.h
+        (spi_cpha0, 0, [0x6101, 0x5101]),  # pico-examples, spi.pio.h
+    ],
+)
+def test_the_assembler_makes_the_published_words(source, side, words):
+    assert Assembler.asm_pio(sideset_init=side)(source).words == words
+
+
+def test_both_blocks_have_room_for_the_programs():
+    magnetic = len(magnetostrictive.pacer_program(Assembler, 14).words) + len(
+        magnetostrictive.counter_program(Assembler).words
+    )
+    assert magnetic <= 32
+    assert len(triggers.program(Assembler).words) <= 32 - 16  # the converter's program may have half of its block
+
+
+# -- the magnetostrictive programs against random flights
+
+
+class Head:
+    """Drives the stop pin: rising edges at given times after the interrogation edge, in ticks, each one long."""
+
+    def __init__(self, pulses):
+        self.pulses = pulses  # (begin, end) in ticks after the edge
+        self.edge = None
+
+    def level(self, time):
+        """Just before `time`, in ticks."""
+        return self.edge is not None and any(self.edge + begin < time <= self.edge + end for begin, end in self.pulses)
+
+
+def shots(period_ns, blanking_ns, timeout_ns, heads, pulse_ns=1000):
+    """Run the three state machines for len(heads) shots. Returns [(x0, x1)], B + 2 N, edges and ends of the pulses (ticks)."""
+    block = Block()
+    rounds = magnetostrictive.pulse_rounds(pulse_ns)
+    busy, y, n, top = magnetostrictive.timing(blanking_ns, timeout_ns, rounds)
+    rest = period_ns // 8 - busy
+    counter = magnetostrictive.counter_program(Assembler)
+    pacer = magnetostrictive.pacer_program(Assembler, rounds)
+    for i in range(2):
+        block.load(i, counter, 0, osr=n, osr_count=0, jmp_pin=STOP)
+    block.load(2, pacer, len(counter.words), side_base=INTERROGATION, y=y, osr=rest, x=(1 << 32) - 1, isr=(1 << 32) - 1)
+    for machine in block.machines[:3]:
+        machine.enabled = True
+    edges, ends, was = [], [], 0
+    for _ in range(len(heads) * period_ns // 8 - 20):  # the last shot's next edge is not wanted
+        head = heads[max(0, len(edges) - 1)]
+        block.pads = head.level(block.now) << STOP  # what the edge at the begin of this cycle samples
+        block.cycle()
+        for machine in block.machines:
+            machine.rx.clear()  # as DMA does
+        now = block._next[0] >> INTERROGATION & 1  # on the pad from the end of this cycle
+        if now and not was:
+            edges.append(block.now)
+            heads[len(edges) - 1].edge = block.now
+        elif was and not now:
+            ends.append(block.now)
+        was = now
+    counts = [[word for _, i, word in block.pushed if i == k] for k in range(3)]
+    assert counts[2] == [(1 << 32) - 1 - k for k in range(len(heads))]  # the shots' numbers
+    return list(zip(counts[0], counts[1], strict=True)), top, edges, ends
+
+
+def ticks_of(pair, top):
+    """What the driver's `unload` makes of two counts."""
+    x0, x1 = (x - (1 << 32) if x >> 31 else x for x in pair)
+    return top - x0 - x1 if x0 >= 0 and x1 >= 0 and x1 - x0 in (0, 1) else 0
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_flight_is_measured_to_a_tick_whatever_blanking_period_and_pulse(seed):
+    rng = random.Random(seed)
+    blanking_ns = rng.choice([5000, 5008, 8000, 10000, 13336, 21000])
+    timeout_ns = blanking_ns + rng.randrange(3000, 9000, 8)
+    period_ns = timeout_ns + magnetostrictive.REARM_NS + rng.randrange(0, 2000, 8)
+    flights = [rng.uniform(blanking_ns / 8 + 0.01, timeout_ns / 8 - 3) for _ in range(25)]
+    heads = [Head([(5, 130), (flight, flight + 125)]) for flight in flights]
+    pulse_ns = rng.choice([1000, 2000, 3000])
+    pairs, top, edges, ends = shots(period_ns, blanking_ns, timeout_ns, heads, pulse_ns)
+    assert {b - a for a, b in itertools.pairwise(edges)} == {period_ns // 8}  # to the cycle
+    assert {b - a for a, b in zip(edges, ends, strict=True)} == {
+        magnetostrictive.pulse_ticks(magnetostrictive.pulse_rounds(pulse_ns))
+    }
+    assert [ticks_of(pair, top) for pair in pairs] == [int(flight) for flight in flights]
+    errors = [(ticks_of(pair, top) + 0.5 - flight) * TICK for pair, flight in zip(pairs, flights, strict=True)]
+    assert max(abs(e) for e in errors) <= TICK / 2
+    # a uniform error of ± half a tick has σ = tick / √12, the mean of n of them σ / √n: four of those
+    assert abs(sum(errors) / len(errors)) < 4 * TICK / (12 * len(errors)) ** 0.5
+
+
+def test_edges_at_the_borders_of_blanking_and_time_out():
+    blanking, timeout = 625, 1000  # ticks
+    flights = [blanking - 1, blanking - 0.5, blanking + 0.001, blanking + 1, timeout - 2, timeout + 1.5, timeout + 5]
+    heads = [Head([(flight, flight + 60)]) for flight in flights]
+    pairs, top, _, _ = shots(8 * timeout + 10000, 8 * blanking, 8 * timeout, heads)
+    found = [ticks_of(pair, top) for pair in pairs]
+    # within the blanking; in its last tick; just behind it; ...; behind the time-out
+    assert found == [0, 0, blanking, blanking + 1, timeout - 2, 0, 0]
+
+
+def test_an_edge_counts_and_not_a_level():
+    heads = [
+        Head([]),  # no stop
+        Head([(5, 700), (800, 925)]),  # a start pulse longer than the blanking
+        Head([(-1e9, 1e9)]),  # a broken line: the receiver's output is high
+        Head([(600, 640), (660, 670), (900, 1000)]),  # ringing within the blanking, and after it: the first edge counts
+        Head([(750, 751), (850, 950)]),  # 8 ns: one counter alone sees it
+        Head([(700.5, 800), (810, 900)]),
+    ]
+    pairs, top, _, _ = shots(18400, 5000, 8000, heads)
+    assert [ticks_of(pair, top) for pair in pairs] == [0, 800, 0, 660, 0, 700]
+
+
+# -- the trigger program
+
+
+def test_the_watcher_pushes_every_change_with_its_number():
+    block = Block()
+    watcher = triggers.program(Assembler)
+    machine = block.load(2, watcher, 4, in_base=6, x=0b100, osr=0, osr_count=0)
+    machine.enabled = True
+    rng = random.Random(1)
+    block.pads = 0b100 << 6
+    times, time = [], 40
+    while len(times) < 200:
+        times.append(time)
+        time += rng.randrange(12, 60)  # at least the 11 cycles of a change and its loop, and one
+    levels, at = [0b100], iter(times)
+    change = next(at)
+    for _ in range(time + 40):
+        if block.now == change:
+            levels.append(levels[-1] ^ 1 << rng.randrange(3))
+            change = next(at, None)
+        block.pads = levels[-1] << 6
+        block.cycle()
+        machine.rx.clear()  # as DMA does
+    words = [word for _, _, word in block.pushed]
+    assert [word & 7 for word in words] == levels  # the first is the state at the start
+    assert [-(word >> 3) % (1 << 29) for word in words] == list(range(201))
+    late = [pushed - change for (pushed, _, _), change in zip(block.pushed[1:], times, strict=True)]
+    # a change before cycle c shows in c + 1; then at most 3 cycles to the next look, and mov, jmp, mov, mov, in, push
+    assert min(late) >= 7
+    assert max(late) <= 10
+
+
+# -- the emulator against the interpreter
+
+
+def random_program(rng):
+    """Instructions, more of those that loop, count, wait and look at pins than of others."""
+    words = []
+    for at in range(8):
+        kind = rng.choice([0, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 7])
+        low = rng.randrange(256)
+        if kind == 0:  # jumps back, mostly on a count or the pin
+            low = rng.choice([0, 2, 2, 4, 6, 6, 1, 3, 5, 7]) << 5 | max(0, at - rng.randrange(4))
+        elif kind == 1:
+            low = rng.choice([0x00, 0x80]) | rng.choice([0x20 | rng.randrange(4), 0x40 | rng.choice([4, 5, 20, 21])])
+        elif kind in (3, 5) and low >> 5 in (4, 5, 7):
+            low &= 0x7F if kind == 3 else 0x5F  # no random jumps or instructions out of data
+        elif kind == 4:
+            low = rng.choice([0x00, 0x20, 0x80, 0xA0, 0x40, 0xC0])
+        elif kind == 6:
+            low = rng.choice([0x04, 0x05, 0x14, 0x44, 0x45, 0x24])
+        delay = rng.choice([0, 0, 0, 1, 3])
+        side = rng.choice([0, 0, 8, 12])
+        words.append(kind << 13 | (side | delay) << 8 | low)
+    words[-1] = rng.randrange(3) << 8 | rng.randrange(4)  # jump back
+    return Program(
+        words, rng.randrange(3), 7, 2, True, rng.random() < 0.5, rng.random() < 0.5, rng.random() < 0.3, rng.random() < 0.3,
+        rng.choice([3, 8, 32]), rng.choice([3, 8, 32]), rng.randrange(3),
+    )  # fmt: skip
+
+
+CONFIG = {"in_base": 4, "out_base": 8, "out_count": 3, "set_base": 12, "set_count": 2, "side_base": 16, "jmp_pin": 5}
+
+
+def scenario(rng, cycles):
+    """Four random machines, levels that change on pins 4 to 7, and a processor that reads and writes FIFOs: (cycle, what, ...)."""
+    machines = [
+        {
+            "program": random_program(rng),
+            "x": rng.choice([0, 1, 3, 17, 200, 5000]),
+            "y": rng.choice([0, 1, 3, 17, 200, 5000]),
+            "divider": rng.choice([256, 256, 256, 512, 700]),
+            "tx": [rng.randrange(1 << 32) for _ in range(4)],
+        }
+        for _ in range(4)
+    ]
+    edges = [(rng.randrange(2, cycles), "toggle", rng.randrange(4, 8)) for _ in range(rng.choice([0, 5, 60]))]
+    reads = [(rng.randrange(2, cycles), "read", rng.randrange(4)) for _ in range(rng.choice([0, 40]))]
+    writes = [
+        (rng.randrange(2, cycles), "write", rng.randrange(4), rng.randrange(1 << 32))
+        for _ in range(rng.choice([0, 40]))
+    ]
+    return machines, sorted([*edges, *reads, *writes], key=lambda event: event[0])
+
+
+def reference_run(machines, events, cycles):
+    block = Block()
+    for i, one in enumerate(machines):
+        found = block.load(i, one["program"], 8 * i, x=one["x"], y=one["y"], divider=one["divider"], **CONFIG)
+        found.tx.extend(one["tx"][: found.tx_depth])
+        found.enabled = True
+    pins, reads, last, pending = [], [], (0, 0), list(events)
+    for _ in range(cycles):
+        block.cycle()
+        while pending and pending[0][0] == block.now - 1:  # within the cycle: seen from the next on
+            _, what, index, *word = pending.pop(0)
+            if what == "toggle":
+                block.pads ^= 1 << index
+            elif what == "write" and len(block.machines[index].tx) < block.machines[index].tx_depth:
+                block.machines[index].tx.append(word[0])
+            elif what == "read" and block.machines[index].rx:
+                reads.append(block.machines[index].rx.popleft())
+        if tuple(block._next) != last:
+            last = tuple(block._next)
+            pins.append([block.now, last[0], last[1]])
+    state = [[m.x, m.y, m.pc, m.isr, m.osr, m.isr_count, m.osr_count, list(m.rx), list(m.tx)] for m in block.machines]
+    return {"pins": pins, "reads": reads, "state": state, "flags": block.flags}
+
+
+def emulator_runs(scenarios, cycles, fast):
+    """The same in the emulator: one process for all."""
+
+    def described(one):
+        return {**one, "program": vars(one["program"])}
+
+    message = {
+        "cycles": cycles,
+        "fast": fast,
+        "config": CONFIG,
+        "scenarios": [
+            {"machines": [described(m) for m in machines], "events": events} for machines, events in scenarios
+        ],
+    }
+    command = [str(node.ready().path), str(BENCH)]
+    done = subprocess.run(command, input=json.dumps(message), capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr[-2000:]
+    return json.loads(done.stdout)
+
+
+def compare(seed, n, cycles):
+    """Scenarios in the interpreter and in the emulator. Returns the ticks that fast-forward saved."""
+    rng = random.Random(seed)
+    scenarios = [scenario(rng, cycles) for _ in range(n)]
+    fast, stepped = emulator_runs(scenarios, cycles, True), emulator_runs(scenarios, cycles, False)
+    saved = 0
+    for k, (machines, events) in enumerate(scenarios):
+        expected = reference_run(machines, events, cycles)
+        saved += stepped[k].pop("done") - fast[k].pop("done")
+        assert stepped[k] == expected, (seed, k)
+        assert fast[k] == expected, (seed, k)
+    return saved
+
+
+def test_the_emulators_pio_does_what_the_datasheet_says_stepped_and_fast_forwarded():
+    saved = compare(4, 60, 2000)
+    assert saved > 60 * 4 * 2000 / 10  # ticks: else nothing was proved of fast-forward
+
+
+def test_fast_forward_is_stepping_over_long_times_too():
+    rng = random.Random(5)
+    scenarios = [scenario(rng, 500) for _ in range(40)]
+    fast, stepped = emulator_runs(scenarios, 20000, True), emulator_runs(scenarios, 20000, False)
+    for one in (*fast, *stepped):
+        one.pop("done")
+    assert fast == stepped
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(100, 130))
+def test_many_programs(seed):
+    compare(seed, 100, 2000)

@@ -1,0 +1,270 @@
+"""A conversation with the box, in virtual time: every command, pages, refusals, lost answers, a hostile other side."""
+
+import cbor2
+import pytest
+from tests.end_to_end.levels import LEVELS, lab_of
+
+from truearm.commands.box_gauge import sample
+from truearm.errors import LinkError, ProtocolError, RefusedError
+from truearm.record.box_control import MAX_WAITING, BoxControl, NoAnswer
+from truearm.sensors.selftest import FAIL, PASS, WARN, findings
+from truearm_sim.sensors import calibration
+from truearm_wire import messages as wire
+from truearm_wire.frame import frame
+
+
+@pytest.fixture(params=sorted(LEVELS))
+def lab(request):
+    with lab_of(request.param) as lab:
+        yield lab
+
+
+@pytest.fixture
+def box(lab):
+    return BoxControl(lab.box_link, lab.clock)
+
+
+class Lossy:
+    """A link on which some of what is written never arrives, and some of what is read never came."""
+
+    def __init__(self, link, lose_writes=(), lose_reads=0):
+        self.name, self._link, self.written = link.name, link, []
+        self._lose_writes, self._lose_reads = set(lose_writes), lose_reads
+
+    def write(self, data):
+        self.written.append(data)
+        return 0 if len(self.written) - 1 in self._lose_writes else self._link.write(data)
+
+    def read(self, timeout_s):
+        arrivals = self._link.read(timeout_s)
+        if arrivals and self._lose_reads:
+            self._lose_reads -= 1
+            return []
+        return arrivals
+
+
+def test_the_box_says_what_it_is(box):
+    ident = box.identify()
+    assert ident.document["board"] in ("vm", "rp2040")
+    assert [stream.name for stream in ident.streams.values()] == ["adc", "mag"]
+    assert box.ident is ident
+
+
+def test_a_configuration_out_and_back(box):
+    box.identify()
+    config = box.config()
+    assert config["channels"][0]["calibration"] == calibration()
+    config["osr"] = 2048
+    config["channels"][1]["gain"] = 4
+    ident = box.put_config(config)
+    assert ident.streams[0].osr == 2048
+    assert ident.streams[0].channels[1].scale == pytest.approx(ident.streams[0].channels[0].scale / 4, rel=1e-15)
+    assert box.config() == config
+
+
+def test_what_is_no_configuration_is_refused_and_changes_nothing(box):
+    box.identify()
+    config = box.config()
+    with pytest.raises(RefusedError, match="osr is not one of") as info:
+        box.put_config({**config, "osr": 1000})
+    assert info.value.code == wire.ERROR_RANGE
+    with pytest.raises(ProtocolError, match="pages, a box takes 16"):
+        box.put_config({**config, "note": "x" * 4000})
+    assert box.config() == config
+
+
+def test_the_self_test(box):
+    results = box.self_test()
+    assert all(finding.verdict == PASS for finding in findings(results))
+    assert {"converter_id", "excitation", "stops", "rail_5v"} <= set(results)
+
+
+def test_not_while_streaming(box):
+    box.identify()
+    box.command(wire.START)
+    for ask in (box.config, box.self_test, lambda: box.reset(wire.RESTART)):
+        with pytest.raises(RefusedError, match="not while streaming") as info:
+            ask()
+        assert info.value.code == wire.ERROR_STREAMING
+    box.command(wire.STOP)
+    assert box.config()["osr"] == 4096
+
+
+def test_samples_of_a_stream(box):
+    """So many samples, none twice, none of the first while the filter settles."""
+    streams = box.identify().streams
+    counts = sample(box, streams[0], 0.5)
+    assert 0.5e9 / streams[0].period_ns <= len(counts) < 0.5e9 / streams[0].period_ns + 13
+    assert counts.shape[1] == 4
+    shots = sample(box, streams[1], 0.5)
+    assert shots.shape[1] == 1
+    assert box.lost_frames == 0
+
+
+def test_a_restart_shows_a_new_boot(box):
+    before = box.identify().boot_id
+    box.reset(wire.RESTART)
+    assert box.identify().boot_id != before
+
+
+def test_in_its_boot_loader_the_box_is_silent(box):
+    box.identify()
+    box.reset(wire.BOOT_LOADER)
+    with pytest.raises(NoAnswer, match="no answer to 'identify' in 2 s"):
+        box.identify(retries=4)
+
+
+def test_a_lost_command_and_a_lost_answer_are_repeated_with_the_same_id(lab):
+    """The level of the trigger output would be set twice if the box took a repetition for another command."""
+    BoxControl(lab.box_link, lab.clock).identify()
+    link = Lossy(lab.box_link, lose_writes={0})
+    box = BoxControl(link, lab.clock)
+    box.command(wire.PULSE, 1)
+    assert len(link.written) == 2
+    assert link.written[0] == link.written[1]
+    assert lab.box.output
+
+    link = Lossy(lab.box_link, lose_reads=1)
+    box = BoxControl(link, lab.clock)
+    box.command(wire.PULSE, 0)
+    assert len(set(link.written)) == 1
+    assert not lab.box.output
+
+
+# --- the other side made up
+
+
+class Parrot:
+    """A link that answers what it is told, in virtual time of its own. ``answer(request) → bytes``."""
+
+    name = "parrot"
+    kind = "virtual"
+
+    def __init__(self, answer):
+        self._answer, self._due, self._now_ns = answer, [], 0
+
+    def now_ns(self):
+        return self._now_ns
+
+    def write(self, data):
+        request = cbor2.loads(_payload(data))
+        self._due.append((self._now_ns, self._answer(request)))
+        return self._now_ns
+
+    def read(self, timeout_s):
+        self._now_ns += int(timeout_s * 1e9)
+        due, self._due = self._due, []
+        return due
+
+
+def _payload(data):
+    from truearm.record.frames import payload_of
+
+    return payload_of(data.strip(b"\0"))
+
+
+def reply(req_id, document, seq=0):
+    pages = wire.pages(document)
+    return b"".join(frame(wire.encode_payload([wire.REPLY, seq + k, req_id, *page])) for k, page in enumerate(pages))
+
+
+def talk(answer):
+    link = Parrot(answer)
+    return BoxControl(link, link)
+
+
+@pytest.mark.parametrize(
+    ("document", "says"),
+    [
+        (b"\xff", "cannot be decoded"),
+        (b"", "cannot be decoded"),
+        (cbor2.dumps([1]), "is no table"),
+        (cbor2.dumps({1: 2}), "is no table"),
+        (b"\xa1" * 100 + b"\x60", "cannot be decoded|no table"),
+        (bytes.fromhex("d8 1c 81 d8 1d 00"), "cannot be decoded"),  # a list that holds itself
+    ],
+)
+def test_a_document_that_is_none(document, says):
+    with pytest.raises(ProtocolError, match=says):
+        talk(lambda request: reply(request[1], document)).config()
+
+
+def test_answers_to_others_are_not_ours():
+    with pytest.raises(NoAnswer):
+        talk(lambda request: reply(request[1] + 1, b"")).command(wire.STOP)
+
+
+def test_noise_is_counted_and_survived():
+    box = talk(lambda request: b"\0Traceback\r\n\0" + b"\x05" * 300 + b"\0" + reply(request[1], b"ok"))
+    assert box.command(wire.STOP) == b"ok"
+    assert box.console_bytes > 300
+
+
+def test_a_flood_is_bounded():
+    beat = [wire.HEARTBEAT, 0, 1, 0, *[0] * 13]
+    flood = frame(wire.encode_payload(beat)) * (MAX_WAITING + 100)
+    box = talk(lambda request: flood + reply(request[1], b""))
+    box.command(wire.STOP)
+    assert len(list(box.sent(0.0))) == MAX_WAITING
+
+
+def test_a_link_that_is_lost_by_a_reset_is_what_was_asked_for():
+    class Unplugged(Parrot):
+        def read(self, timeout_s):
+            raise LinkError("gone")
+
+    link = Unplugged(lambda request: b"")
+    BoxControl(link, link).reset(wire.BOOT_LOADER)
+    with pytest.raises(LinkError, match="gone"):
+        BoxControl(link, link).command(wire.STOP)
+
+
+# --- the self-test in words
+
+
+def result(value, ok=1, **more):
+    return {"ok": ok, "value": value, "unit": "", "low": 0, "high": 10, **more}
+
+
+def test_findings_pass_warn_and_fail():
+    found = {
+        f.name: f
+        for f in findings(
+            {
+                "converter_id": result(0x2400, 0, low=0x2401, high=0x24FF),
+                "rail_5v": result(4410, low=4400, high=5500),
+                "noise_0": result(2900),
+                "stops": result(15),
+                "temperature": "hot",
+                "coffee": result(3),
+                "tea": result(3, 0, low=None),
+            }
+        )
+    }
+    verdicts = {name: f.verdict for name, f in found.items()}
+    assert verdicts == {
+        "converter_id": FAIL,
+        "noise_0": PASS,
+        "noise_1": WARN,
+        "noise_2": WARN,
+        "noise_3": WARN,
+        "stops": WARN,
+        "rail_5v": WARN,
+        "temperature": FAIL,
+        "coffee": PASS,
+        "tea": FAIL,
+    }
+    assert found["converter_id"].value == "0x2400 (allowed: 0x2401 to 0x24ff)"
+    assert "SPI wires" in found["converter_id"].advice
+    assert found["rail_5v"].value == "4.41 V"
+    assert "near its limit" in found["rail_5v"].advice
+    assert "did not measure" in found["noise_1"].advice
+    assert found["noise_0"].advice == ""
+
+
+@pytest.mark.parametrize(
+    "junk", [None, 3, [], {}, {"ok": 2, "value": 1}, {"ok": 1, "value": 2**70}, {"ok": 1, "value": True}]
+)
+def test_results_that_are_none_are_failures_or_not_measured(junk):
+    (found,) = [f for f in findings({"rail_5v": junk}) if f.name == "rail_5v"]
+    assert found.verdict == (WARN if junk is None else FAIL)

@@ -1,0 +1,382 @@
+"""The configuration: put and got by command, kept on flash, old and damaged ones; self-test, reset, the last traceback."""
+
+import json
+
+import cbor2
+import pytest
+
+from tests.firmware.conftest import Bench, command, flash_folder, frames, ident_document, real_micropython
+from truearm_sim.box import CRASH, HEALTHY
+from truearm_wire import messages
+from truearm_wire.messages import ERROR, IDENT, PUT_CONFIG, REPLY
+
+OLD = {  # as a box of version 1.0 has it
+    "osr": 1024,
+    "channels": [{"name": name, "unit": "V", "scale": [1430511474609375, -22]} for name in ("lvdt", "a", "b", "ref")],
+}
+
+
+@pytest.fixture
+def flash(tmp_path):
+    return flash_folder(tmp_path / "flash")
+
+
+@pytest.fixture
+def boot(flash):
+    """Boots a box from the flash folder, again and again."""
+    boxes = []
+
+    def boot(**setup):
+        for box in boxes:
+            box.box.close()
+        boxes.append(Bench(real_micropython(), flash=flash, boot_id=len(boxes) + 1, **setup))
+        return boxes[-1]
+
+    yield boot
+    for box in boxes:
+        box.box.close()
+
+
+def changed(config, **changes):
+    """The configuration with keys changed, also by dotted path: magnetostrictive__serial."""
+    config = json.loads(json.dumps(config))
+    for key, value in changes.items():
+        *path, last = key.split("__")
+        table = config
+        for part in path:
+            table = table[int(part) if isinstance(table, list) else part]
+        table[int(last) if isinstance(table, list) else last] = value
+    return config
+
+
+def poly(stream):
+    return [float(f"{m}e{e}") for m, e in stream["channels"][0]["calibration"]["poly"]]
+
+
+def test_a_configuration_is_put_told_kept_and_in_force(boot):
+    box = boot()
+    config = changed(
+        box.document(messages.GET_CONFIG),
+        osr=512,
+        magnetostrictive__serial="T-1234",
+        magnetostrictive__us_per_inch=[9017, -3],
+        channels__0__calibration={"unit": "m", "poly": [[-42, -5], [379, -4]], "serial": "L7", "date": "2026-03-04"},
+        debounce_us=[2000, 0],
+    )
+    answer = box.put(config)
+    assert [f[0] for f in answer] == [REPLY] + [IDENT] * (len(answer) - 1)
+    assert {f[2] for f in answer} == {box.req_id}
+    said = ident_document(answer)
+    assert said["streams"][0]["osr"] == 512
+    assert said["streams"][1]["channels"][0]["calibration"]["serial"] == "T-1234"
+    assert box.document(messages.GET_CONFIG) == config
+    box = boot()
+    assert box.document(messages.GET_CONFIG) == config
+    assert "fault" not in ident_document(box.boot)
+
+
+def test_position_of_the_head_by_hand(boot):
+    """9.05 µs an inch: 100 µs less 1.2 µs of delay and 4 ns that rounding down takes are 277.2961 mm."""
+    box = boot()
+    (mag,) = [
+        s
+        for s in ident_document(box.put(changed(box.document(52), magnetostrictive__delay_ns=1200)))["streams"]
+        if s["id"] == 1
+    ]
+    zero, speed = poly(mag)
+    assert speed == pytest.approx(25400 / 9.05, rel=1e-13)
+    assert zero + speed * 8e-9 * 12_500 == pytest.approx((100e-6 - 1.2e-6 + 4e-9) * 0.0254 / 9.05e-6, rel=1e-13)
+    assert zero + speed * 8e-9 * 12_500 == pytest.approx(0.2773063, abs=1e-7)
+
+
+@pytest.mark.parametrize("gain", [1, 2, 32, 64, 128])
+def test_the_scale_that_is_told_is_of_the_volts_before_the_gain(boot, gain):
+    box = boot()
+    answer = box.put(changed(box.document(52), channels__2__gain=gain))
+    mantissa, exponent = ident_document(answer)["streams"][0]["channels"][2]["scale"]
+    assert float(f"{mantissa}e{exponent}") == 1.2 / 2**23 / gain
+
+
+def test_an_old_configuration_is_completed_with_the_head_off(boot, flash):
+    (flash / "config.json").write_text(json.dumps(OLD))
+    box = boot()
+    said = ident_document(box.boot)
+    assert "fault" not in said
+    assert [s["osr"] for s in said["streams"]] == [1024]
+    config = box.document(messages.GET_CONFIG)
+    assert (config["version"], config["magnetostrictive"]["period_ns"]) == (2, 0)
+    assert config["channels"] == OLD["channels"]
+    assert box.put(OLD)[0][0] == REPLY
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"version": 3}, "version 3"),
+        ({"osr": 1000}, "osr"),
+        ({"osr": "4096"}, "osr"),
+        ({"channels": []}, "four channels"),
+        ({"channels__1": 7}, "a table with a name"),
+        ({"channels__1__gain": 3}, "gain of transverse_a"),
+        ({"channels__1__scale": [1, 2, 3]}, "mantissa"),
+        ({"channels__0__calibration": {"unit": "m", "poly": [[1, 0]], "serial": 5, "date": ""}}, "serial as text"),
+        ({"magnetostrictive": 7}, "magnetostrictive"),
+        ({"magnetostrictive__blanking_ns": 4992}, "blanking_ns"),
+        ({"magnetostrictive__blanking_ns": 10_001}, "blanking_ns"),
+        ({"magnetostrictive__timeout_ns": 10_000}, "timeout_ns"),
+        ({"magnetostrictive__period_ns": 503_992}, "period_ns"),
+        ({"magnetostrictive__us_per_inch": [905, -1]}, "us_per_inch"),
+        ({"magnetostrictive__us_per_inch": [0, 0]}, "us_per_inch"),
+        ({"magnetostrictive__us_per_inch": [2**63, 0]}, "us_per_inch"),
+        ({"magnetostrictive__delay_ns": 100_001}, "delay_ns"),
+        ({"magnetostrictive__date": 1993}, "serial and date"),
+        ({"debounce_us": [0]}, "debounce_us"),
+        ({"debounce_us": [0, -1]}, "debounce_us"),
+        ({"watchdog_ms": 20}, "watchdog_ms"),
+        ({"watchdog_ms": 9000}, "watchdog_ms"),
+        ({"note": b"bytes"}, "bytes have no place"),
+        ({"channels__3__notes": [{"deep": b""}]}, "bytes have no place"),
+    ],
+)
+def test_what_is_no_configuration_is_refused_in_words_and_changes_nothing(boot, flash, changes, text):
+    box = boot()
+    before = box.document(messages.GET_CONFIG)
+    (error,) = box.put(_with(before, changes))
+    assert (error[0], error[3]) == (ERROR, messages.ERROR_RANGE)
+    assert text in error[4]
+    assert box.document(messages.GET_CONFIG) == before
+    assert sorted(p.name for p in flash.glob("config*")) == []
+
+
+def _with(config, changes):
+    plain = {
+        key: value for key, value in changes.items() if "bytes" not in repr(type(value)) and "b'" not in repr(value)
+    }
+    config = changed(config, **plain)
+    for key in changes.keys() - plain.keys():
+        if key == "note":
+            config["note"] = changes[key]
+        else:
+            config["channels"][3]["notes"] = changes[key]
+    return config
+
+
+@pytest.mark.parametrize(
+    ("values", "code"),
+    [
+        ((1, 2, b"x"), 3),  # not from 0
+        ((0, 0, b"x"), 3),
+        ((0, 17, b"x"), 3),
+        ((0, 1, b""), 3),
+        ((0, 1, b"\xff"), 3),  # no CBOR
+        ((0, 1, b"\x9f\xff"), 3),
+        ((0, 1), 2),
+        ((0, 1, "x"), 2),
+        (("0", 1, b"x"), 2),
+        ((-1, 1, b"x"), 2),
+        ((), 2),
+    ],
+)
+def test_pages_that_are_none_are_refused(bench, values, code):
+    from truearm_wire import cbor, frame
+
+    (error,) = bench.give(rx=frame.frame(cbor.encode([PUT_CONFIG, 9, *values])))
+    assert (error[0], error[2], error[3]) == (ERROR, 9, code)
+
+
+def test_pages_come_in_order_and_page_0_begins_anew(bench):
+    pages = messages.pages(cbor2.dumps({**bench.document(52), "note": "x" * 200}))
+    assert len(pages) == 3
+    send = [pages[0], pages[1], pages[0], pages[2]]
+    answers = [bench.command(PUT_CONFIG, *page)[0] for page in send]
+    assert [a[0] for a in answers] == [REPLY, REPLY, REPLY, ERROR]
+    assert bench.command(PUT_CONFIG, *pages[1])[0][0] == ERROR, "what was begun is dropped"
+    assert [bench.command(PUT_CONFIG, *page)[0][0] for page in pages] == [REPLY] * len(pages)
+
+
+def test_a_page_that_comes_again_is_answered_again_and_not_taken_twice(bench):
+    pages = messages.pages(cbor2.dumps(bench.document(52)))
+    for k, page in enumerate(pages):
+        first, again = (bench.give(rx=command(PUT_CONFIG, 50 + k, *page)) for _ in range(2))
+        assert [f[0] for f in first] == [f[0] for f in again]
+        assert first[0][0] == REPLY
+    assert [f[0] for f in again[1:]] == [IDENT] * (len(again) - 1) != []
+
+
+def test_a_full_configuration_fits_the_chip(chip):
+    """The longest that is accepted: sixteen pages, whatever is in them; the heap is the chip's."""
+    config = chip.document(52)
+    config["note"] = "x" * (3200 - 3 - len(cbor2.dumps(config)) - len(cbor2.dumps("note")))
+    assert len(cbor2.dumps(config)) == 3200
+    for _ in range(3):
+        assert chip.put(config)[0][0] == REPLY
+    assert chip.document(52) == config
+
+
+@pytest.mark.parametrize("part", [{}, [], 7, "", {"a": []}], ids=str)
+def test_a_configuration_of_many_small_parts_does_not_exhaust_the_heap(chip, part):
+    """In memory a part of one byte may take 40. It is refused or it leaves room: the box goes on, and boots with it."""
+    config = chip.document(52)
+    config["note"] = [part] * ((3190 - len(cbor2.dumps({**config, "note": []}))) // len(cbor2.dumps(part)))
+    answer = chip.put(config)
+    assert chip.answer.end == ""
+    if answer[0][0] == ERROR:
+        assert answer[0][3] == messages.ERROR_RANGE
+        assert answer[0][4] in ("it takes too much memory", "it is longer than 8000 characters")
+    for _ in range(3):
+        assert chip.document(52)["version"] == 2
+        assert ident_document(chip.command(48))["board"] == "vm"
+    chip.start()
+    found = [f for _ in range(200) for f in chip.sample(13)]
+    assert sum(f[0] == messages.DATA for f in found) == 200
+
+
+@pytest.mark.parametrize("part", ["{}", "[]", "7"])
+def test_a_file_of_many_small_parts_does_not_keep_the_box_from_booting(boot, flash, part):
+    config = changed(boot().document(52))
+    config["note"] = [json.loads(part)] * 2000
+    (flash / "config.json").write_text(json.dumps(config, separators=(",", ":"))[:8000])
+    said = ident_document(boot().boot)
+    assert said["streams"][0]["osr"] == 4096
+
+
+@pytest.mark.parametrize("kind", [49, 52, 53, 54, 55, 56])
+def test_refused_while_streaming(bench, kind):
+    bench.start()
+    values = {49: (1, 0), 53: (0, 1, b"x"), 56: (0,)}.get(kind, ())
+    (error,) = bench.command(kind, *values)
+    assert (error[0], error[3]) == (ERROR, messages.ERROR_STREAMING)
+    assert bench.answer.end == ""
+
+
+@pytest.mark.parametrize("values", [(56,), (56, "0"), (57,), (57, -1)])
+def test_malformed(bench, values):
+    from truearm_wire import cbor, frame
+
+    (error,) = bench.give(rx=frame.frame(cbor.encode([values[0], 9, *values[1:]])))
+    assert (error[0], error[3]) == (ERROR, 2)
+
+
+@pytest.mark.parametrize("values", [(56, 2), (57, 2)])
+def test_out_of_range(bench, values):
+    (error,) = bench.command(*values)
+    assert (error[0], error[3]) == (ERROR, 3)
+
+
+# -- what the flash does
+
+
+def test_a_newer_version_on_flash_is_a_fault_and_the_file_before_it_serves(boot, flash):
+    box = boot()
+    first = changed(box.document(52), osr=512)
+    box.put(first)
+    box.put(changed(first, osr=256))
+    assert json.loads((flash / "config.json.old").read_text())["osr"] == 512
+    (flash / "config.json").write_text(json.dumps(changed(first, version=3)))
+    box = boot()
+    said = ident_document(box.boot)
+    assert said["fault"] == "config: version 3; this firmware knows 2; the one before it is used"
+    assert said["streams"][0]["osr"] == 512
+    # putting one again mends it, and the damaged file does not take the good one's place
+    assert "fault" not in ident_document(box.put(changed(first, osr=128)))
+    assert json.loads((flash / "config.json.old").read_text())["osr"] == 512
+    assert "fault" not in ident_document(boot().boot)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", "[" * 5000, '{"version": 2}', "\x00" * 900, "9" * 9000, '{"a":' * 900 + "1" + "}" * 900]
+)
+def test_rubbish_on_flash_is_a_fault_and_no_reason_not_to_boot(boot, flash, text):
+    (flash / "config.json").write_text(text)
+    said = ident_document(boot().boot)
+    assert said["fault"].startswith("config: ")
+    assert said["fault"].endswith("; the default one is used")
+
+
+def test_between_the_two_renames_the_old_one_serves(boot, flash):
+    box = boot()
+    box.put(changed(box.document(52), osr=512))
+    (flash / "config.json").rename(flash / "config.json.old")
+    (flash / "config.json.new").write_text("{half")
+    said = ident_document(boot().boot)
+    assert "fault" not in said
+    assert said["streams"][0]["osr"] == 512
+
+
+def test_a_flash_that_takes_nothing_is_an_error_and_the_box_goes_on(boot, flash):
+    box = boot()
+    before = box.document(52)
+    (flash / "config.json.new").mkdir()  # no file can be opened there
+    (error,) = box.put(changed(before, osr=512))
+    assert (error[0], error[3]) == (ERROR, messages.ERROR_STORAGE)
+    assert "flash" in error[4]
+    assert box.document(52) == before
+    (flash / "config.json.new").rmdir()
+    assert box.put(changed(before, osr=512))[0][0] == REPLY
+
+
+# -- self-test, traceback, ways out
+
+
+def test_self_test_of_a_healthy_box(bench):
+    results = bench.document(messages.SELF_TEST)
+    assert all(r["ok"] for r in results.values())
+    assert set(results) == {*HEALTHY, "temperature"}
+    assert results["rail_5v"] == {"ok": 1, "value": 5020, "unit": "mV", "low": 4400, "high": 5500}
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "text"),
+    [
+        ("converter_id", 0xFFFF, "converter_id is 65535"),
+        ("excitation", 900, "excitation is 900 uV"),
+        ("noise_2", 0, "noise_2 is 0 nV"),
+        ("stops", 3, "stops is 3"),
+        ("rail_5v", 4300, "rail_5v is 4300 mV, not 4400 to 5500"),
+    ],
+)
+def test_an_injured_box_says_so_at_boot_and_on_command(name, value, text):
+    box = Bench(real_micropython(), self_test={**HEALTHY, name: value})
+    assert text in ident_document(box.boot)["fault"]
+    results = box.document(messages.SELF_TEST)
+    assert [n for n, r in results.items() if not r["ok"]] == [name]
+    assert results[name]["value"] == value
+    box.box.close()
+
+
+def test_the_last_traceback_is_told_until_a_reset_by_command(boot):
+    box = boot()
+    box.start()
+    box.sample(26, flags=CRASH)
+    assert box.answer.end == "reset"
+    for _ in range(2):
+        box = boot()
+        said = ident_document(box.boot)["last_error"]
+        assert said.endswith("RuntimeError: injected by the simulator\n")
+    assert [f[0] for f in box.command(messages.RESET, 0)] == [REPLY]
+    assert box.answer.end == "reset"
+    assert "last_error" not in ident_document(boot().boot)
+
+
+def test_a_traceback_that_is_no_text_any_more_does_no_harm(boot, flash):
+    (flash / "last_error.txt").write_bytes(b"\xff\xfe" * 4000)
+    assert ident_document(boot().boot)["boot_id"] == 1
+
+
+@pytest.mark.parametrize(
+    ("values", "end"), [((55,), "prompt"), ((56, 0), "reset"), ((56, 1), "boot loader")], ids=["repl", "reset", "boot"]
+)
+def test_the_ways_out_answer_first(values, end):
+    box = Bench(real_micropython())
+    assert [f[0] for f in box.command(*values)] == [REPLY]
+    assert box.answer.end == end
+    box.box.close()
+
+
+def test_the_answer_to_a_way_out_waits_for_the_link(chip):
+    chip.give(rx=command(56, 5, 0), tx_room=5)
+    assert chip.answer.end == ""
+    tx = chip.answer.tx
+    chip.give()
+    assert chip.answer.end == "reset"
+    assert [f[0] for f in frames(tx + chip.answer.tx)] == [REPLY]

@@ -1,0 +1,273 @@
+"""Two sources in one ring, the box's output and its inputs, and a host that is gone, grant by grant."""
+
+import itertools
+import struct
+
+import pytest
+
+from tests.firmware.conftest import PERIOD_NS, Bench, command, frames, ident_document, real_micropython, ticks
+from truearm_sim.box import FAULT_CRC, FAULT_RESET, STALL
+from truearm_wire import messages
+from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, REPLY
+
+LED = {"idle": 0, "streaming": 1, "host gone": 2, "fault": 3}
+
+
+def blocks(found, stream):
+    return [f for f in found if f[0] == DATA and f[2] == stream]
+
+
+def values(block):
+    return struct.unpack("<%di" % (len(block[6].data) // 4), block[6].data)
+
+
+def beat(bench):
+    """The counters of the next heartbeat by name."""
+    found = [f for f in bench.give(us=2_000_000) if f[0] == HEARTBEAT][-1]
+    return dict(zip(messages.names(HEARTBEAT), found[1:], strict=True))
+
+
+def flights(found, missing=frozenset()):
+    """Every shot is there once, in order; returns how many."""
+    n = 0
+    for block in blocks(found, 1):
+        assert block[3] == n
+        expected = [0 if k in missing else ticks(k) for k in range(n, n + len(values(block)))]
+        assert list(values(block)) == expected
+        assert block[7] == (messages.FLAG_MISSING_STOP if 0 in expected else 0)
+        n += len(expected)
+    return n
+
+
+def test_both_streams_come_whole_and_in_their_own_blocks(bench):
+    bench.start()
+    found = [f for _ in range(40) for f in bench.sample(64, both=True)]
+    found += bench.give(rx=command(51, 3))
+    assert found[-1][0] == REPLY
+    assert flights(found) == 40 * 64
+    assert sum(len(values(f)) // 4 for f in blocks(found, 0)) == 40 * 64
+    assert [len(values(f)) for f in blocks(found, 1)] == [52] * (2560 // 52) + [2560 % 52]
+    for f in blocks(found, 1):
+        assert f[4] == bench.t_start_us + f[3] * PERIOD_NS // 1000
+        assert f[5] == PERIOD_NS
+    seqs = [f[1] for f in found]
+    assert seqs == list(range(seqs[0], seqs[0] + len(seqs)))
+
+
+def test_nothing_is_allocated_while_both_stream(chip):
+    """As with one source: blocks of both, missing stops, damaged converter frames, edges, syncs, short writes, a stall, a host gone."""
+    chip.start()
+    missing = frozenset(range(0, 40000, 17))
+    free, count, tx = [], 0, b""
+    for i in range(2000):
+        edges = struct.pack(">BBI", i % 3, i & 1, chip.now_us % 2**32) if i % 40 == 0 else b""
+        rx = command(32, i) if i % 20 == 0 else b""
+        room = {3: 0, 4: 100}.get(i // 250, 0xFFFF)
+        flags = STALL if 1500 <= i < 1550 else 0
+        chip.sample(
+            13,
+            both=True,
+            missing=missing,
+            rx=rx,
+            edges=edges,
+            tx_room=room,
+            flags=flags,
+            fault=FAULT_CRC * (i % 90 == 0),
+        )
+        tx += chip.answer.tx
+    for f in frames(tx):
+        count += f[0] == DATA
+        if f[0] == HEARTBEAT:
+            free.append(f[11])
+    assert count > 1500
+    assert len(free) >= 16
+    assert set(free[1:]) == {free[1]}, "heap_free moved while streaming"
+    assert free[1] > 80_000
+
+
+def test_missing_stops_are_zeros_flagged_and_counted(bench):
+    bench.start()
+    missing = frozenset({0, 60, 61, 150})
+    found = [f for _ in range(4) for f in bench.sample(52, both=True, missing=missing)]
+    assert flights(found, missing) == 208
+    assert [f[7] for f in blocks(found, 1)] == [4, 4, 4, 0]
+    assert beat(bench)["missing_stops"] == 4
+
+
+def test_times_outside_of_blanking_and_time_out_are_no_stops(bench):
+    config = bench.document(messages.GET_CONFIG)
+    config["magnetostrictive"].update(blanking_ns=20_000, timeout_ns=200_000)
+    bench.put(config)
+    bench.start()
+    edge = [2499, 2500, 25_000, 25_001]
+    mag = b"".join(struct.pack(">I", k) + struct.pack("<i", n) for k, n in enumerate(edge))
+    bench.give(mag=mag, mag_index=0)
+    found = bench.give(rx=command(51, 3))
+    assert values(blocks(found, 1)[0]) == (0, 2500, 25_000, 0)
+
+
+@pytest.mark.parametrize(
+    ("fault", "counter"), [(FAULT_CRC, "crc_errors"), (FAULT_RESET, "converter_resets")], ids=["crc", "reset"]
+)
+def test_a_fault_of_the_converter_flags_its_block_alone_and_is_counted(bench, fault, counter):
+    bench.start()
+    found = bench.sample(13, both=True) + bench.sample(13, both=True, fault=fault) + bench.sample(13, both=True)
+    assert [f[7] for f in blocks(found, 0)] == [0, messages.FLAG_CONVERTER, 0]
+    after = beat(bench)
+    assert after[counter] == 1
+    assert after["crc_errors"] + after["converter_resets"] == 1
+
+
+def test_a_stream_that_is_off_is_not_described_and_not_started(bench):
+    assert [s["id"] for s in ident_document(bench.boot)["streams"]] == [0, 1]
+    assert bench.give(rx=command(49, 5, 1, 0))[0][0] == REPLY
+    assert [s["id"] for s in ident_document(bench.give(rx=command(48, 6)))["streams"]] == [0]
+    bench.start()
+    assert (bench.answer.sampling, bench.answer.mag_sampling) == (True, False)
+
+
+def test_the_streams_have_rates_of_their_own(bench):
+    assert bench.give(rx=command(49, 5, 1, 2_000_000))[0][0] == REPLY
+    bench.start()
+    assert (bench.answer.osr, bench.answer.mag_period_ns) == (4096, 2_000_000)
+    bench.sample(13, both=True)
+    found = bench.give(rx=command(51, 7))
+    assert [f[5] for f in blocks(found, 1)] == [2_000_000]
+
+
+@pytest.mark.parametrize("period", [8, 983_041, 99_992, 500_000, 1_000_000_008, 2**30 - 8])
+def test_periods_that_the_head_cannot_keep_are_refused(bench, period):
+    (error,) = bench.give(rx=command(49, 5, 1, period))
+    assert (error[0], error[3]) == (ERROR, messages.ERROR_RANGE)
+
+
+def test_a_pulse_is_an_edge_of_line_2_also_while_streaming(bench):
+    bench.start()
+    found = []
+    for level in (1, 1, 0):
+        found += bench.command(messages.PULSE, level)
+        assert bench.answer.output == bool(level)
+    events = [f for f in found if f[0] == EVENT]
+    assert [(f[2], f[4]) for f in events] == [(2, 1), (2, 0)], "an edge is a change"
+    assert sum(f[0] == REPLY for f in found) == 3
+    assert events[0][3] == bench.now_us - 2000
+
+
+def test_debouncing_keeps_the_first_edge_of_a_bounce(bench):
+    config = bench.document(messages.GET_CONFIG)
+    config["debounce_us"] = [500, 0]
+    bench.put(config)
+    times = [0, 100, 499, 900, 1000, 1399, 1500]
+    edges = b"".join(struct.pack(">BBI", line, i & 1, bench.now_us + t) for line in (0, 1) for i, t in enumerate(times))
+    start = bench.now_us
+    found = bench.give(us=5000, edges=edges)
+    kept = [[f[3] - start for f in found if f[0] == EVENT and f[2] == line] for line in (0, 1)]
+    assert kept == [[0, 900, 1500], times]
+
+
+def test_edges_that_nobody_had_room_for_are_counted(bench):
+    """Line 0 rings while the firmware stands still: the board keeps 64, the box 32 of them."""
+    given = 0
+    for _ in range(3):
+        edges = b"".join(struct.pack(">BBI", 0, i & 1, (bench.now_us + i) % 2**32) for i in range(32))
+        bench.give(us=1000, edges=edges, flags=STALL)
+        given += 32
+    found = bench.give(us=1000)
+    kept = sum(f[0] == EVENT for f in found)
+    assert 32 <= kept <= 64
+    assert beat(bench)["dropped"] == given - kept
+
+
+def test_a_minute_without_a_host(chip):
+    """The box keeps time, counts what it drops, shows it on its LED, and resumes: a jump of n0 of both streams, none of seq."""
+    chip.start()
+    found = chip.sample(52, both=True)
+    assert chip.answer.led == LED["streaming"]
+    n_away = int(60e9 / PERIOD_NS / 52)
+    for i in range(n_away):
+        edges = struct.pack(">BBI", 1, i & 1, chip.now_us % 2**32) if i % 100 == 0 else b""
+        chip.sample(52, both=True, tx_room=0, edges=edges)
+    assert chip.now_us > 60_000_000
+    assert chip.answer.led == LED["host gone"]
+    tx = b""
+    for _ in range(8):
+        chip.give(us=10)
+        tx += chip.answer.tx
+    assert chip.answer.led == LED["streaming"]
+    chip.sample(52, both=True)
+    tx += chip.answer.tx
+    found += frames(tx) + chip.give(rx=command(32, 77)) + chip.give(rx=command(51, 78))
+    seqs = [f[1] for f in found]
+    assert seqs == list(range(seqs[0], seqs[0] + len(seqs)))
+    lost = 0
+    for stream, channels in ((0, 4), (1, 1)):
+        mine = blocks(found, stream)
+        ends = [f[3] + len(values(f)) // channels for f in mine]
+        jumps = [b[3] - end for end, b in zip(ends, mine[1:], strict=False) if b[3] != end]
+        assert len(jumps) == 1
+        lost += jumps[0]
+        assert ends[-1] == (n_away + 2) * 52
+        for f in mine:
+            assert f[4] == chip.t_start_us + f[3] * PERIOD_NS // 1000
+    (sync,) = [f for f in found if f[0] == messages.SYNC_REPLY]
+    assert sync[3] == chip.now_us - 1000
+    events = [f for f in found if f[0] == EVENT]
+    after = beat(chip)
+    assert after["overruns"] == lost > 80_000
+    assert after["dropped"] + len(events) == -(-n_away // 100)
+
+
+def test_the_ring_holds_two_seconds_of_both_streams(chip):
+    chip.start()
+    n = int(2e9 / PERIOD_NS / 13)
+    for _ in range(n):
+        chip.sample(13, both=True, tx_room=0)
+    for _ in range(6):
+        chip.give(us=10)
+    assert beat(chip)["overruns"] == 0
+
+
+def test_a_start_that_follows_a_stop_at_once_counts_from_zero(bench):
+    bench.start()
+    starts = bench.answer.starts
+    bench.give(rx=command(51, 3) + command(50, 4))
+    assert bench.answer.starts == starts + 1
+    bench.t_start_us, bench.index = bench.now_us, 0
+    found = bench.sample(52, both=True)
+    assert [f[3] for f in blocks(found, 0)] == [0, 13, 26, 39]
+    assert [f[3] for f in blocks(found, 1)] == [0]
+
+
+def test_the_led_says_what_the_box_does(bench):
+    bench.give()
+    assert bench.answer.led == LED["idle"]
+    bench.start()
+    bench.sample(13, both=True)
+    assert bench.answer.led == LED["streaming"]
+    bench.give(us=1_000_000, tx_room=0)
+    bench.give(us=1_000_000, tx_room=0)
+    assert bench.answer.led == LED["streaming"], "a second is no absence"
+    bench.give(us=2_000_001, tx_room=0)
+    assert bench.answer.led == LED["host gone"]
+    bench.give()
+    assert bench.answer.led == LED["streaming"]
+    box = Bench(real_micropython(), self_test={"rail_5v": 3000})
+    box.give()
+    assert box.answer.led == LED["fault"]
+    box.box.close()
+
+
+def test_the_watchdog_is_fed_by_the_loop_and_not_in_a_stall(bench):
+    bench.give()
+    assert (bench.answer.alive, bench.answer.watchdog_ms) == (True, 2000)
+    bench.give(flags=STALL)
+    assert not bench.answer.alive
+    bench.give()
+    assert bench.answer.alive
+
+
+def test_edges_of_lines_keep_their_order(bench):
+    edges = b"".join(struct.pack(">BBI", i % 3, i & 1, 10 * i) for i in range(12))
+    found = [f for f in bench.give(us=1000, edges=edges) if f[0] == EVENT]
+    assert [(f[2], f[3]) for f in found] == [(i % 3, 10 * i) for i in range(12)]
+    assert all(b[1] == a[1] + 1 for a, b in itertools.pairwise(found))

@@ -1,0 +1,241 @@
+"""A box's configuration as a file: nothing is lost either way, mistakes are named, and the rules are the firmware's own."""
+
+import copy
+import importlib.util
+import random
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from truearm.errors import ConfigError
+from truearm.files.box_config import (
+    channel_names,
+    differences,
+    format_config,
+    with_assignment,
+    with_file,
+)
+from truearm.files.box_rules import check
+
+
+def firmware_rules():
+    """The module by which the box itself judges, of the firmware's sources."""
+    path = Path(__file__).parents[2] / "firmware" / "truearm_box" / "config.py"
+    spec = importlib.util.spec_from_file_location("firmware_config", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+firmware = firmware_rules()
+
+
+def default():
+    return copy.deepcopy(firmware.DEFAULT)
+
+
+def full():
+    """A configuration with everything in it, and with what a later firmware may have added."""
+    config = default()
+    config["channels"][0]["gain"] = 4
+    config["channels"][0]["calibration"] = {
+        "unit": "m",
+        "poly": [[-4213, -7], [378812345678901234, -19], [0, 0], [12, -30]],
+        "serial": 'a "quoted" \\ näme\x7f\n',
+        "date": "2026-11-21",
+        "sigma": [21, -7],
+        "temperature_mdegc": -1250,
+        "operator": "of a later version",
+    }
+    config["colour"] = "blue"
+    config["magnetostrictive"]["mode"] = 3
+    return config
+
+
+@pytest.mark.parametrize("config", [default(), full()])
+def test_a_file_that_is_put_back_changes_nothing(config):
+    back = with_file(config, format_config(config), "box.toml")
+    assert differences(config, back) == []
+    again = with_file(back, format_config(back), "box.toml")
+    assert again == back
+    assert firmware.check(back) is back
+
+
+def test_what_this_truearm_does_not_know_is_kept():
+    config = full()
+    text = format_config(config)
+    assert "# colour: not known" in text
+    assert "# mode: not known" in text
+    back = with_file(config, text.replace("watchdog_ms = 2000", "watchdog_ms = 500"), "box.toml")
+    assert back["colour"] == "blue"
+    assert back["magnetostrictive"]["mode"] == 3
+    assert back["watchdog_ms"] == 500
+    assert config["watchdog_ms"] == 2000  # the one that was given is not touched
+
+
+def test_units_are_those_of_people():
+    text = format_config(full())
+    assert "period_us = 983.04 " in text
+    assert "us_per_inch = 9.05 " in text
+    assert "temperature_degc = -1.25 " in text
+    assert "scale = 1.430511474609375e-7 " in text
+    assert "osr = 4096  # 1017.25 samples a second" in text
+
+
+def test_a_part_of_a_file_changes_that_part():
+    config = full()
+    new = with_file(
+        config, '[[channel]]\nname = "transverse_b"\ngain = 8\n[magnetostrictive]\nblanking_us = 5.008\n', "x"
+    )
+    assert set(differences(config, new)) == {
+        ("magnetostrictive.blanking_us", "10", "5.008"),
+        ("channel.transverse_b.gain", "", "8"),
+    }
+    assert new["magnetostrictive"]["blanking_ns"] == 5008
+
+
+def test_channels_are_renamed_by_their_order():
+    config = default()
+    text = "\n".join(f'[[channel]]\nname = "c{k}"' for k in range(4))
+    assert channel_names(with_file(config, text, "x")) == ["c0", "c1", "c2", "c3"]
+
+
+def test_a_calibration_is_replaced_as_a_whole_or_removed():
+    config = full()
+    head = '[[channel]]\nname = "lvdt"\n'
+    new = with_file(config, head + '[channel.calibration]\nunit = "mm"\npoly = [0, 38]\nserial = ""\ndate = ""\n', "x")
+    assert new["channels"][0]["calibration"] == {"unit": "mm", "poly": [[0, 0], [38, 0]], "serial": "", "date": ""}
+    assert "calibration" not in with_file(config, head + "calibration = {}\n", "x")["channels"][0]
+
+
+@pytest.mark.parametrize(
+    ("change", "key", "wire"),
+    [
+        ("osr=2048", ("osr",), 2048),
+        ("watchdog_ms = 0", ("watchdog_ms",), 0),
+        ("debounce_us=[100, 0]", ("debounce_us",), [100, 0]),
+        ("magnetostrictive.period_us=0", ("magnetostrictive", "period_ns"), 0),
+        ("magnetostrictive.us_per_inch=9.031", ("magnetostrictive", "us_per_inch"), [9031, -3]),
+        ("magnetostrictive.us_per_inch=10", ("magnetostrictive", "us_per_inch"), [10, 0]),
+        ("magnetostrictive.delay_us=-1.2", ("magnetostrictive", "delay_ns"), -1200),
+        ("magnetostrictive.serial=0815", ("magnetostrictive", "serial"), "0815"),
+        ('magnetostrictive.serial="a b"', ("magnetostrictive", "serial"), "a b"),
+        ("channel.lvdt.gain=2", ("channels", 0, "gain"), 2),
+        ("channel.1.name=probe", ("channels", 1, "name"), "probe"),
+        ("channel.lvdt.calibration.date=2026-11-21", ("channels", 0, "calibration", "date"), "2026-11-21"),
+        ("channel.lvdt.scale=1.5e-7", ("channels", 0, "scale"), [15, -8]),
+    ],
+)
+def test_single_values(change, key, wire):
+    found = with_assignment(full(), change)
+    for part in key:
+        found = found[part]
+    assert found == wire
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ("osr", "not KEY=VALUE"),
+        ("oscr=1", "not KEY=VALUE; here the keys are osr"),
+        ("=", "not KEY=VALUE"),
+        ("channel.nothing.gain=2", "no part"),
+        ("osr=fast", "TOML"),
+        ("osr=1\nwatchdog_ms=0", "one value"),
+        ("osr=1.5", "whole number"),
+        ("osr=true", "whole number"),
+        ("osr=1e400", "whole number"),
+        ("magnetostrictive.us_per_inch=nan", "must be a number"),
+        ("magnetostrictive.us_per_inch=inf", "must be a number"),
+        ("magnetostrictive.us_per_inch=1e999999999999999999999", "no number|must be"),
+        ("magnetostrictive.us_per_inch=9.0000000000000000000000001", "too many digits"),
+        ("magnetostrictive.delay_us=0.0001", "three decimals"),
+        ("debounce_us=[1]", "two whole numbers"),
+        ("channel.lvdt.calibration.poly=[]", "1 to 16"),
+        ("magnetostrictive.serial=" + "x" * 300, "200 characters"),
+    ],
+)
+def test_bad_values_are_named(change, says):
+    with pytest.raises(ConfigError, match=says) as info:
+        with_assignment(full(), change)
+    assert "\n" not in str(info.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("osr = ", "not TOML"),
+        ("osr = 4095", "osr must be one of"),
+        ("rate = 1", "rate is no key; there are osr"),
+        ("version = 3", "version is no key"),
+        ("magnetostrictive = 1", r"\[magnetostrictive\]"),
+        ("channel = 1", r"\[\[channel\]\]"),
+        ("[[channel]]\ngain = 2", "channels are lvdt"),
+        ('[[channel]]\nname = "x"', "channels are lvdt"),
+        ('[[channel]]\nname = "lvdt"\n[[channel]]\nname = "lvdt"', "share a name"),
+        ('[[channel]]\nname = "lvdt"\ngain = 3', "gain must be one of"),
+        ('[[channel]]\nname = "lvdt"\ncalibration = 3', "must be a table"),
+        ('[[channel]]\nname = "lvdt"\n[channel.calibration]\nunit = "m"', "needs poly"),
+        ("[magnetostrictive]\nblanking_us = 4", "blanking_us must be 5 to 21"),
+        ("[magnetostrictive]\nperiod_us = 505", "period_us"),
+        ("debounce_us = [-1, 0]", "debounce_us"),
+        ("a = " + "[" * 5000, "nested too deeply|not TOML"),
+    ],
+)
+def test_bad_files_are_named(text, says):
+    with pytest.raises(ConfigError, match=says) as info:
+        with_file(default(), text, "box.toml")
+    assert "\n" not in str(info.value)
+
+
+LEAVES = st.one_of(  # what the wire can carry (SPEC §2): neither null nor booleans nor floats
+    st.integers(-(2**31), 2**31),
+    st.sampled_from([0, 1, 2, 3, 8, 128, 4096, 5000, 10_000, 21_000, 100_000, 500_000, 510_000, 983_040, 10**9]),
+    st.text(max_size=3),
+    st.lists(st.integers(-20, 20), max_size=3),
+    st.just({}),
+)
+
+
+def mutated(config, rng, value):
+    """``config`` with one of its parts, at any depth, replaced or taken away."""
+    new = copy.deepcopy(config)
+    place = new
+    while True:
+        key = rng.choice(list(place) if isinstance(place, dict) else range(len(place)))
+        if isinstance(place[key], dict | list) and place[key] and rng.random() < 0.7:
+            place = place[key]
+            continue
+        if rng.random() < 0.15 and isinstance(place, dict):
+            del place[key]
+        else:
+            place[key] = value
+        return new
+
+
+def exponents(config):
+    pairs = [channel["scale"] for channel in config["channels"]]
+    pairs += [pair for c in config["channels"] for pair in c.get("calibration", {}).get("poly", [])]
+    return [pair[1] for pair in pairs]
+
+
+@settings(max_examples=1500, deadline=None)
+@given(st.integers(0, 2**31), LEAVES)
+def test_the_rules_are_those_of_the_firmware(seed, value):
+    """What truearm takes the box takes, and the other way round, decimals without meaning apart."""
+    config = mutated(full(), random.Random(seed), value)
+    try:
+        firmware.check(copy.deepcopy(config))
+        taken = True
+    except ValueError:
+        taken = False
+    try:
+        check(config)
+        ours = ""
+    except ConfigError as exc:
+        ours = str(exc)
+    if taken and ours:  # a decimal beyond what any host can read (sensors/ident.py), which the box does not look at
+        assert any(abs(e) > 300 for e in exponents(config))
+    assert taken or ours

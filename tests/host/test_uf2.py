@@ -1,0 +1,129 @@
+"""UF2 images: what is taken, and everything else refused with one line."""
+
+import struct
+import zlib
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from truearm.errors import ImageError
+from truearm.files.uf2 import BLOCK, CHIPS, MAX_BYTES, boot_checksum, parse_uf2, read_uf2
+
+RP2040 = 0xE48BFF56
+
+
+def block(number, of, data, *, flags=0x2000, address=None, size=256, family=RP2040, magic=(0x0A324655, 0x9E5D5157)):
+    at = 0x1000_0000 + 256 * number if address is None else address
+    head = struct.pack("<8I", *magic, flags, at, size, number, of, family)
+    return head + data.ljust(476, b"\0") + struct.pack("<I", 0x0AB16F30)
+
+
+def boot_stage(code=b"\x00\xb5\x32\x4b"):
+    stage = code.ljust(252, b"\0")
+    return stage + struct.pack("<I", boot_checksum(stage))
+
+
+def image(pages=4, mark=b"truearm_box"):
+    """A small image whose boot stage is in order."""
+    data = [boot_stage(), *(bytes([k]) * 256 for k in range(1, pages - 1)), mark.ljust(256, b"\xff")]
+    return b"".join(block(k, pages, page) for k, page in enumerate(data))
+
+
+def test_a_good_image():
+    found = parse_uf2(image(), "x.uf2")
+    assert (found.chip, found.blocks, found.size, found.is_box) == (CHIPS[RP2040], 4, 1024, True)
+    assert found.data == image()
+    assert not parse_uf2(image(mark=b"MicroPython"), "x.uf2").is_box
+
+
+def test_the_boot_checksum_is_crc_32_mpeg_2():
+    assert boot_checksum(b"123456789") == 0x0376E6E7  # its check value in every catalogue of CRCs
+
+
+def replaced(data, number, **changes):
+    page = data[BLOCK * number + 32 : BLOCK * number + 288]
+    return data[: BLOCK * number] + block(number, 4, page, **changes) + data[BLOCK * (number + 1) :]
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (b"", "no whole number"),
+        (image()[:-1], "no whole number"),
+        (image()[:-BLOCK], "not whole"),
+        (image() + image(), "block 4 of 8|not whole"),
+        (b"\0" * BLOCK, "no UF2"),
+        (replaced(image(), 0, magic=(0x0A324655, 0)), "no UF2"),
+        (replaced(image(), 2, magic=(0x0A324655, 0)), "block 2 of 4 is damaged"),
+        (replaced(image(), 0, family=0xE48BFF59), "another chip.*0xe48bff59"),
+        (replaced(image(), 0, flags=0), "another chip.*no family"),
+        (replaced(image(), 1, family=0xE48BFF59), "block 1 of 4 is not for"),
+        (replaced(image(), 1, flags=0x2001), "block 1 of 4 is not for"),
+        (replaced(image(), 1, size=476), "476 bytes"),
+        (replaced(image(), 1, address=0x1000_0180), "0x10000180"),
+        (replaced(image(), 3, address=0x2000_0000), "not in the RP2040's flash"),
+        (replaced(image(), 3, address=0x1020_0000), "not in the RP2040's flash"),
+        (replaced(image(), 0, address=0x0FFF_FF00), "not in the RP2040's flash"),
+        (replaced(image(), 2, address=0x1000_0000), "over an earlier"),
+        (replaced(image(), 0, address=0x1000_0000 + 0x1000), "over an earlier|does not begin"),
+        (b"\0" * (MAX_BYTES + BLOCK), "larger than the chip's flash"),
+    ],
+)
+def test_what_is_wrong_is_named(data, says):
+    with pytest.raises(ImageError, match=says):
+        parse_uf2(data, "x.uf2")
+
+
+def test_a_boot_stage_that_would_not_start():
+    data = bytearray(image())
+    data[40] ^= 1
+    with pytest.raises(ImageError, match="checksum"):
+        parse_uf2(bytes(data), "x.uf2")
+
+
+def test_files_that_are_none(tmp_path):
+    with pytest.raises(ImageError, match="no such file"):
+        read_uf2(tmp_path / "gone.uf2")
+    with pytest.raises(ImageError, match="directory"):
+        read_uf2(tmp_path)
+    (tmp_path / "huge.uf2").write_bytes(b"\0" * (MAX_BYTES + 1))
+    with pytest.raises(ImageError, match="larger"):
+        read_uf2(tmp_path / "huge.uf2")
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.binary(max_size=3 * BLOCK))
+def test_random_bytes_are_refused(data):
+    with pytest.raises(ImageError):
+        parse_uf2(data, "x.uf2")
+
+
+@settings(max_examples=400, deadline=None)
+@given(st.data())
+def test_a_damaged_image_is_refused_or_its_pages_alone_differ(data):
+    """UF2 has no checksum over its pages, so what survives is exactly: bytes of pages behind the boot stage, and padding."""
+    good = image()
+    bad = bytearray(good)
+    for _ in range(data.draw(st.integers(1, 3))):
+        bad[data.draw(st.integers(0, len(bad) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        found = parse_uf2(bytes(bad), "x.uf2")
+    except ImageError:
+        return
+    assert found.chip is CHIPS[RP2040]
+    for at in (k for k in range(len(bad)) if bad[k] != good[k]):
+        number, within = divmod(at, BLOCK)
+        head = _harmless(good, bytes(bad), number) if within < 32 else False
+        assert head or 288 <= within < 508 or (number > 0 and 32 <= within < 288)
+
+
+def _harmless(good, bad, number):
+    """Whether the heads of a block differ in flags that mean nothing here, or in an address that is free too."""
+    a, b = (struct.unpack_from("<8I", d, BLOCK * number) for d in (good, bad))
+    return a[:2] == b[:2] and a[4:] == b[4:] and b[2] & 0x2001 == 0x2000 and 0x1000_0000 <= b[3] < 0x1020_0000
+
+
+def test_zlib_is_not_what_the_rom_computes():
+    """The reflected CRC-32 of everything else in this project would be wrong here."""
+    assert boot_checksum(b"123456789") != zlib.crc32(b"123456789")
