@@ -67,7 +67,7 @@ class Parsed(NamedTuple):
     ``seq`` is UNNUMBERED where a line has none, ``q_cmd`` NaN where it has no commanded joints.
     """
 
-    index: NDArray[np.intp]
+    rows: NDArray[np.intp]
     t: Floats
     seq: NDArray[np.int64]
     q: Floats
