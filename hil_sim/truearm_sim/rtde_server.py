@@ -66,13 +66,13 @@ class RtdeServer:
     _packages: rtde.Packages = field(default_factory=rtde.Packages)
     _recipe: rtde.Recipe | None = None
     _every: int = 1
-    _running: bool = False
+    running: bool = False
 
     def connected(self) -> bool:
         before = self.port.client
         there = self.port.connected()
         if self.port.client is not before:
-            self._packages, self._recipe, self._running = rtde.Packages(), None, False
+            self._packages, self._recipe, self.running = rtde.Packages(), None, False
         return there
 
     def report(self, states: States) -> None:
@@ -81,7 +81,7 @@ class RtdeServer:
             self.port.send(self._answer(kind, payload))
         if self._packages.broken:
             self.port.drop()
-        data = self.data(states) if self._running else b""
+        data = self.data(states) if self.running else b""
         # A reader that is slower than the controller misses packages; it never gets a part of one.
         self.port.send(data if len(data) <= self.port.room() else b"")
 
@@ -100,7 +100,7 @@ class RtdeServer:
             return rtde.package(kind, self._set_up(payload))
         if kind in (rtde.START, rtde.PAUSE):
             accepted = self._recipe is not None
-            self._running = accepted and kind == rtde.START
+            self.running = accepted and kind == rtde.START
             return rtde.package(kind, bytes([accepted]))
         return rtde.package(rtde.TEXT, _text(f"package type {kind} is not served"))
 

@@ -214,7 +214,7 @@ def open_lines(url: str, clock: Clock) -> LinesLink:
     """The source behind ``lines+tcp://`` or ``lines+udp://``. Raises InputError, LinkError."""
     address, _, query = url.partition("?")
     try:
-        pairs = parse_qsl(query, strict_parsing=bool(query), max_num_fields=20)
+        pairs = parse_qsl(query, True, bool(query), max_num_fields=20)
     except ValueError as exc:
         raise InputError(f"{url!r}: what stands behind '?' is no list of NAME=VALUE") from exc
     of = dict(pairs)

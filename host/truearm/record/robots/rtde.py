@@ -178,7 +178,7 @@ def _address(url: str) -> tuple[str, int, float | None]:
         host, port, query = (
             parts.hostname,
             parts.port or PORT,
-            dict(parse_qsl(parts.query, strict_parsing=bool(parts.query))),
+            dict(parse_qsl(parts.query, True, bool(parts.query))),
         )
         hz = float(query.pop("hz")) if "hz" in query else None
     except ValueError:
