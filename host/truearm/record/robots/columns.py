@@ -15,7 +15,7 @@ from truearm.files.cells import SCALE
 from truearm.files.columns import shown
 from truearm.sensors.joints import MAX_JOINTS, format_reading
 
-TIME_SCALE = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}  # to divide by: 1e-9 is no exact number
 MAX_COLUMNS = 200
 EXAMPLE = "t_s,seq,q1_rad,q2_rad,... (units: rad, deg, m, mm; commanded joints are q1_cmd_rad, ...)"
 
@@ -32,7 +32,7 @@ class Columns:
     """Where things stand in a row."""
 
     width: int
-    t: Place
+    t: tuple[int, int]  # where it stands, and how many of its unit are a second
     q: tuple[Place, ...]
     q_cmd: tuple[Place, ...]
     qd: tuple[Place, ...]
@@ -44,7 +44,7 @@ class Columns:
         if len(cells) != self.width:
             return None
         try:
-            t = _scaled(cells, self.t)
+            t = _number(cells[self.t[0]]) / self.t[1]
             q, q_cmd, qd = ([_scaled(cells, place) for place in part] or None for part in (self.q, self.q_cmd, self.qd))
             seq, inputs = (None if at is None else _whole(cells[at]) for at in (self.seq, self.inputs))
         except ValueError:
@@ -56,7 +56,7 @@ def read_columns(titles: Sequence[str]) -> Columns:
     """The columns that a header names. Raises InputError."""
     if len(titles) > MAX_COLUMNS:
         raise InputError(f"{len(titles)} columns; the most is {MAX_COLUMNS}")
-    single: dict[str, tuple[int, float]] = {}
+    single: dict[str, Place] = {}
     joints: dict[str, dict[int, Place]] = {"q": {}, "q_cmd": {}, "qd": {}}
     for position, title in enumerate(titles):
         if title == "note" or title.startswith("x_"):
@@ -71,7 +71,8 @@ def read_columns(titles: Sequence[str]) -> Columns:
         raise InputError(f"no column t_s of the controller's time; expected is a header such as {EXAMPLE}")
     q, q_cmd, qd = (_in_order(quantity, joints[quantity], len(joints["q"])) for quantity in joints)
     places = {name: single[name][0] if name in single else None for name in ("seq", "inputs")}
-    return Columns(len(titles), single["t"], q, q_cmd, qd, places["seq"], places["inputs"])
+    t = (single["t"][0], int(single["t"][1]))
+    return Columns(len(titles), t, q, q_cmd, qd, places["seq"], places["inputs"])
 
 
 def _quantity(title: str) -> tuple[str, int, float]:
@@ -79,7 +80,7 @@ def _quantity(title: str) -> tuple[str, int, float]:
     if title in ("seq", "inputs"):
         return title, 0, 1.0
     if found := _TIME.fullmatch(title):
-        return "t", 0, TIME_SCALE[found[1]]
+        return "t", 0, PER_SECOND[found[1]]
     found = _JOINT.fullmatch(title)
     if found is None or (found[1] == "qd") != bool(found[5]) or (found[1] == "qd" and found[3]):
         raise InputError(
@@ -98,11 +99,15 @@ def _in_order(quantity: str, places: dict[int, Place], n: int) -> tuple[Place, .
 
 
 def _scaled(cells: Sequence[str], place: Place) -> float:
-    """A number in SI. float() would take "1_000", "nan" and digits of other scripts. Raises ValueError."""
-    cell = cells[place[0]].strip()
+    return _number(cells[place[0]]) * place[1]
+
+
+def _number(cell: str) -> float:
+    """A finite decimal number. float() would take "1_000", "nan" and digits of other scripts. Raises ValueError."""
+    cell = cell.strip()
     if len(cell) > 40 or not _NUMBER.fullmatch(cell):
         raise ValueError(cell[:40])
-    return float(cell) * place[1]
+    return float(cell)
 
 
 def _whole(cell: str) -> int:

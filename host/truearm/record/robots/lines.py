@@ -29,7 +29,7 @@ from truearm.files.columns import shown
 from truearm.record.frames import Runs
 from truearm.record.links import Arrivals, Clock, Link, TcpLink
 from truearm.record.robot import MAX_LINE
-from truearm.record.robots.columns import TIME_SCALE, Columns, read_columns
+from truearm.record.robots.columns import PER_SECOND, Columns, read_columns
 from truearm.record.robots.udp import UdpLink
 from truearm.sensors.joints import MAX_JOINTS, are_joints, format_reading, parse_reading
 
@@ -42,11 +42,11 @@ Name = str | tuple[str, ...]
 
 @dataclass(frozen=True)
 class Names:
-    """How a robot's JSON calls things, and in what units: factors to SI, one for all joints or one each."""
+    """How a robot's JSON calls things, and in what units: factors to SI, one for all joints or one each; time is divided."""
 
     of: dict[str, Name] = field(default_factory=dict)  # quantity → key, or the keys of its joints
     scale: tuple[float, ...] = (1.0,)
-    t_scale: float = 1.0
+    t_per_second: int = 1
 
     @property
     def ours(self) -> bool:
@@ -69,7 +69,7 @@ class Names:
         more = {name: self._scaled(found[name]) for name in ("q_cmd", "qd")}
         more |= {name: found[name] if are_joints(found[name]) else None for name in ("current", "effort")}
         inputs = found["inputs"] if type(found["inputs"]) is int else None
-        return format_reading(t * self.t_scale, seq, joints, **more, inputs=inputs, line=text)
+        return format_reading(t / self.t_per_second, seq, joints, **more, inputs=inputs, line=text)
 
     def _value(self, row: dict[str, Any], quantity: str) -> Any:
         name = self.of.get(quantity, quantity)
@@ -92,7 +92,7 @@ def read_names(said: dict[str, Any], names: Names | None = None) -> Names:
     names = names or Names()
     of = said.get("names", {})
     if not isinstance(of, dict) or not set(of) <= set(QUANTITIES):
-        raise InputError(f"names are given to {', '.join(QUANTITIES)}, not to {shown(', '.join(map(str, of)))}")
+        raise InputError(f"names are given to {', '.join(QUANTITIES)}, not to {shown(str(of))}")
     units = str(said.get("unit", "")).split(",")
     if said.get("unit") is not None:
         if not set(units) <= set(SCALE) or len(units) > MAX_JOINTS:
@@ -101,9 +101,10 @@ def read_names(said: dict[str, Any], names: Names | None = None) -> Names:
             )
         names = replace(names, scale=tuple(SCALE[unit] for unit in units))
     if said.get("t_unit") is not None:
-        if said["t_unit"] not in TIME_SCALE:
-            raise InputError(f"t_unit {shown(str(said['t_unit']))} is not known; use s, ms, us or ns")
-        names = replace(names, t_scale=TIME_SCALE[said["t_unit"]])
+        unit = str(said["t_unit"])
+        if unit not in PER_SECOND:
+            raise InputError(f"t_unit {shown(unit)} is not known; use s, ms, us or ns")
+        names = replace(names, t_per_second=PER_SECOND[unit])
     return replace(names, of=names.of | {quantity: _name(name) for quantity, name in of.items()})
 
 
@@ -144,7 +145,7 @@ class Dialect:
     def _json(self, text: str, line: bytes) -> bytes:
         if self._names.ours and parse_reading(line) is not None:
             return line
-        if ('"unit"' in text or '"names"' in text) and (said := _declaration(text)) is not None:
+        if ('unit"' in text or '"names"' in text) and (said := _declaration(text)) is not None:
             self._names = read_names(said, self._names)
             return line
         return line if self._names.ours else self._names.line(text) or line
