@@ -103,6 +103,7 @@ def _sqlite_messages(path: Path, topic: str) -> Iterator[bytes]:
         raise InputError(f"{path}: cannot be opened ({exc})") from exc
     try:
         connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_MESSAGE_BYTES)
+        connection.text_factory = lambda data: data.decode(errors="replace")
         connection.execute("PRAGMA trusted_schema = OFF")
         for table in ("topics", "messages"):
             _check_plain(path, connection, table)
@@ -112,7 +113,7 @@ def _sqlite_messages(path: Path, topic: str) -> Iterator[bytes]:
         )
         for (data,) in connection.execute(query, (topic, MESSAGE_TYPE)):
             yield data if isinstance(data, bytes) else b""
-    except (sqlite3.Error, OverflowError) as exc:  # OverflowError: text with a NUL, or of odd encoding
+    except (sqlite3.Error, UnicodeDecodeError) as exc:  # the latter where an error's own text is damaged
         raise SessionError(
             f"{path}: is no bag, or damaged ({exc}); record it again, or mend it with ros2 bag reindex"
         ) from exc
