@@ -5,6 +5,7 @@ changed as well as bits, and pieces are dropped, doubled, swapped and cut at ran
 """
 
 import json
+import math
 import random
 import re
 import struct
@@ -163,8 +164,8 @@ def test_rtde_streams(monkeypatch, n):
         data = b"".join(mutated(rng, stream(rng)))
         lines = play(monkeypatch, [*ANSWERS, *cut(rng, data)], rng.random() < 0.5)
         found = [reading for line in lines if (reading := parse_reading(line)) is not None]
-        known = [row for row in reference(data) if all(abs(x) < 1e300 for x in row) and 0 <= row[0] < 4e9]
-        assert [(reading.t, *reading.q) for reading in found if abs(reading.t) < 1e12] == known
+        known = [row for row in reference(data) if all(map(math.isfinite, row)) and 0 <= row[0] < 4e9]
+        assert [(reading.t, *reading.q) for reading in found] == known
         assert sum(map(len, lines)) <= 8 * len(data) + 200 * (len(lines) + 1)  # 8 bytes of a double are up to 25 digits
         readings += len(found)
     assert readings > n  # most of the stream survives
@@ -300,7 +301,10 @@ def bag(request, tmp_path_factory):
 
 @pytest.mark.parametrize("n", [150, pytest.param(5000, marks=pytest.mark.soak)])  # of each storage
 def test_bags(bag, tmp_path, n):
-    """Bytes, fields of 2, 4 and 8 bytes, and whole stretches: a clear line, or no more than was written. Neither kind has checksums."""
+    """Bytes, fields of 2, 4 and 8 bytes, and whole stretches: a clear line, or readings.
+
+    Neither kind has checksums here: a changed page of a database may show a row twice, but a row takes two bytes of a page at least.
+    """
     whole = bag.read_bytes()
     path = tmp_path / f"odd{bag.suffix}"
     readable = 0
@@ -321,5 +325,5 @@ def test_bags(bag, tmp_path, n):
             is_clear(exc, str(path))
         else:
             readable += 1
-            assert len(found) <= 60
+            assert len(found) <= len(data) // 2
     assert readable < n

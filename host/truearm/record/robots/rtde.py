@@ -15,14 +15,13 @@ readings; the recorder keeps them in ``/robot/console``.
 from __future__ import annotations
 
 import json
-import math
 from contextlib import suppress
 from urllib.parse import parse_qsl, urlsplit
 
 from truearm.errors import InputError, LinkClosed, LinkError
 from truearm.record.links import Arrivals, Clock, TcpLink
 from truearm.record.robots import rtde_packages as rtde
-from truearm.sensors.joints import format_reading
+from truearm.sensors.joints import MAX_T_S, format_reading
 
 PORT = 30004
 ANSWER_NS = 5_000_000_000
@@ -164,10 +163,10 @@ class RtdeLink:
         t, q = values["timestamp"], values["actual_q"]
         if not isinstance(t, float) or not isinstance(q, list):
             return json.dumps({"rtde": "data", "timestamp": t, "actual_q": q}).encode()
-        if self._first_s is None:
-            self._first_s = t
-        since = (t - self._first_s) * self._hz
-        seq = round(since) if math.isfinite(since) else None
+        seq = None
+        if 0.0 <= t < MAX_T_S:  # else it is no reading, and no beginning to count from
+            self._first_s = t if self._first_s is None else self._first_s
+            seq = round((t - self._first_s) * self._hz)
         return format_reading(t, seq, q, **{KEYS[name]: values[name] for name in WANTED if name in values})
 
 
