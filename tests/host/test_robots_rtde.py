@@ -251,6 +251,13 @@ class TestClient:
         lines = readings(script, data(1.0) + data(1.01), 2, "?hz=100")
         assert [json.loads(line)["seq"] for line in lines] == [0, 1]
 
+    @pytest.mark.parametrize(("controller", "hz", "full"), [(CONTROLLER_5_8, 200, 500), (CONTROLLER_3_15, 500, 125)])
+    def test_a_rate_that_does_not_divide_the_full_one(self, controller, hz, full):
+        player = Controller([(VERSION_2, VERSION_ACCEPTED), (CONTROLLER, controller)])
+        with pytest.raises(InputError, match=f"divides the controller's {full} Hz"):
+            RtdeLink(f"{player.url}?hz={hz}", HostClock())
+        player.finish()
+
     def test_everything_else_is_kept_and_is_no_reading(self):
         unknown, short, other = (
             h("00 06 02 aa bb cc"),

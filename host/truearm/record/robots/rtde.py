@@ -43,7 +43,7 @@ class RtdeLink:
     """Connects, agrees on the fields and starts the stream; ``read`` gives lines. See the module.
 
     ``url``: ``rtde://host[:port][?hz=125]``. Without ``hz`` the controller's own rate: 500 Hz, or 125 Hz before software 5.
-    Raises InputError for another url, LinkError where no controller answers or it refuses.
+    Raises InputError for another url or a rate that does not divide the controller's, LinkError where no controller answers or it refuses.
     """
 
     def __init__(self, url: str, clock: Clock) -> None:
@@ -59,7 +59,7 @@ class RtdeLink:
         self._link = TcpLink(f"tcp://[{host}]:{port}" if ":" in host else f"tcp://{host}:{port}", clock, name=url)
         try:
             self._set_up(hz)
-        except LinkError:
+        except (LinkError, InputError):
             self._link.close()
             raise
 
@@ -89,7 +89,10 @@ class RtdeLink:
         version = rtde.controller_version(self._ask(rtde.CONTROLLER, rtde.package(rtde.CONTROLLER)))
         if version is None:
             raise LinkError(f"{self.name}: the controller does not say its version; is this a Universal Robots arm?")
-        self._hz = hz or FULL_RATE_HZ[version[0] >= 5]
+        full_hz = FULL_RATE_HZ[version[0] >= 5]
+        self._hz = hz or full_hz
+        if full_hz % self._hz:  # packages would not be evenly spaced, and seq would count wrong
+            raise InputError(f"{self.name}: give a rate that divides the controller's {full_hz:g} Hz")
         self._recipe = self._agree()
         if self._ask(rtde.START, rtde.package(rtde.START)) != b"\1":
             raise LinkError(f"{self.name}: the controller refuses to start the data packages")
