@@ -94,6 +94,10 @@ def test_a_table_whose_time_is_utc(recorded, tmp_path, out, capsys):
     for name in ("session", "session-end"):
         for key in ("utc_ns", "monotonic_ns"):
             assert new.metadata[name][key] == old.metadata[name][key]
+    assert main(["inspect", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "added afterwards from joints.csv, nobody saw them arrive: their time is utc, its error unknown" in said
+    assert "above the fastest on average" not in said  # what would be said of arrivals
     others = [message for message in new.messages() if message.topic != "/robot/joints"]
     assert others == list(old.messages())
     assert all(json.loads(message.data)["arrival"] is False for message in new.messages({"/robot/joints"}))
