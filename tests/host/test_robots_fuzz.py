@@ -264,7 +264,7 @@ JSON = st.recursive(
 )
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(
     st.dictionaries(
         st.sampled_from(["t", "seq", "q", "q_cmd", "qd", "inputs", "current", "names", "unit", "t_unit", "j1"]), JSON

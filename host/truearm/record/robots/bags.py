@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from truearm.errors import InputError, SessionError
+from truearm.files.columns import shown
 from truearm.record.robots.table import NO_ARRIVAL, Reading
 from truearm.record.session import open_session
 from truearm.sensors.joints import MAX_JOINTS, are_joints, format_reading
@@ -115,7 +116,7 @@ def _sqlite_messages(path: Path, topic: str) -> Iterator[bytes]:
             yield data if isinstance(data, bytes) else b""
     except (sqlite3.Error, UnicodeDecodeError) as exc:  # the latter where an error's own text is damaged
         raise SessionError(
-            f"{path}: is no bag, or damaged ({exc}); record it again, or mend it with ros2 bag reindex"
+            f"{path}: is no bag, or damaged ({shown(str(exc))}); record it again, or mend it with ros2 bag reindex"
         ) from exc
     finally:
         connection.close()

@@ -9,7 +9,7 @@ RTDE numbers nothing. A controller that is short of time leaves packages out, wh
 cycle: ``seq`` is the timestamp since the first one in periods, so what was left out is a gap in ``seq``.
 
 Everything else that comes (text messages, packages of other types or of another length) is handed on as lines that are no
-readings; the recorder keeps them in ``/robot/console``.
+readings; the recorder keeps them in ``/robot/console``. About 30 µs a package of all fields, 500 a second.
 """
 
 from __future__ import annotations
