@@ -1,7 +1,7 @@
 """The controller's side of RTDE: what the World's robot does, on a Universal Robots controller's port.
 
 It speaks protocol version 2 of the public description as far as a reader of outputs goes; ``truearm.record.robots.rtde_packages`` has the
-bytes. Every output field of the description is accepted; those that the World has no value for are zero. Inputs (fields that a
+bytes. The output fields are those that readers of robots ask for; what the World has no value for is zero. Inputs (fields that a
 client would write) are refused. One client at a time, as ``Port`` has it.
 """
 
@@ -18,11 +18,10 @@ from truearm_sim.robot import States
 from .serve import Port
 
 CONTROLLER = (5, 15, 0, 0)  # as an e-Series says it
-JOINTS = 6
 
 _VECTORS = """target_q target_qd target_qdd target_current target_moment actual_q actual_qd actual_current
 actual_current_window joint_control_output actual_TCP_pose actual_TCP_speed actual_TCP_force target_TCP_pose target_TCP_speed
-joint_temperatures actual_joint_voltage ft_raw_wrench tcp_offset payload_inertia actual_current_as_torque"""
+joint_temperatures actual_joint_voltage ft_raw_wrench actual_TCP_acceleration target_TCP_acceleration tcp_offset payload_inertia actual_current_as_torque"""
 _DOUBLES = """timestamp actual_execution_time target_execution_time speed_scaling target_speed_fraction actual_momentum
 actual_main_voltage actual_robot_voltage actual_robot_current standard_analog_input0 standard_analog_input1
 standard_analog_output0 standard_analog_output1 io_current tool_analog_input0 tool_analog_input1 tool_output_current tool_temperature
@@ -110,7 +109,7 @@ class RtdeServer:
         names = [name for name in payload[8:].decode("ascii", "replace").split(",") if name]
         types = [type_of(name) for name in names]
         answer = ",".join(types).encode()
-        found = bool(names) and rtde.NOT_FOUND not in types and frequency > 0.0
+        found = bool(names) and rtde.NOT_FOUND not in types and frequency >= 1.0
         self._recipe = rtde.recipe_of(names, b"\1" + answer) if found else None
         self._every = max(1, round(self.rate_hz / frequency)) if found else 1
         return bytes([found]) + answer

@@ -13,6 +13,8 @@ import time
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from truearm.record.links import HostClock
 from truearm.record.robots import rtde_packages as rtde
@@ -160,6 +162,25 @@ class TestProtocol:
         ((kind, payload),) = ask(RtdeServer(Asked(), 500.0), rtde.package(ord("I"), b"speed_slider_mask"))
         assert kind == rtde.TEXT
         assert rtde.text_message(payload) == ("warning", "truearm_sim", "package type 73 is not served")
+
+    @settings(max_examples=200, deadline=None)
+    @given(
+        st.lists(st.tuples(st.sampled_from(b"VvOSPUMI"), st.binary(max_size=40)), max_size=6), st.binary(max_size=40)
+    )
+    def test_any_requests(self, packages, rest):
+        server = RtdeServer(Asked(), 500.0)
+        requests = [rtde.package(kind, payload) for kind, payload in packages]
+        told = ask(server, *requests, rest, until_ns=100_000_000)
+        assert [kind for kind, _ in told if kind != rtde.DATA][: len(packages)] == [
+            kind if kind in b"VvOSP" else rtde.TEXT for kind, _ in packages
+        ]
+
+    @pytest.mark.parametrize("hz", [float("nan"), float("inf"), -1.0, 0.0, 1e-300, 1e300])
+    def test_impossible_rates(self, hz):
+        """Refused, or as fast as the controller can."""
+        server = RtdeServer(Asked(), 500.0)
+        told = ask(server, rtde.request_outputs(["timestamp"], hz), rtde.package(rtde.START), until_ns=100_000_000)
+        assert len(told) == (2 if not hz >= 1.0 else 52)
 
     def test_rubbish_ends_the_connection(self):
         server = RtdeServer(Asked(), 500.0)
