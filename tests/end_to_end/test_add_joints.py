@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +10,9 @@ from tests.end_to_end.conftest import record_session
 from tests.host.ros_bags import joint_state, write_bag
 
 from truearm.cli import main
+from truearm.commands.add_joints import _joint_names, _readings
 from truearm.commands.session import observations_of_session
+from truearm.errors import InputError
 from truearm.record.robots.afterwards import Anchors
 from truearm.record.session import open_session
 from truearm.record.session_writer import SessionWriter
@@ -165,3 +168,49 @@ class TestWhatIsWrong:
         table.rename(out)
         assert "is also read" in self.fails(capsys, out, recorded.bare, out)
         assert "exists; choose another name" in self.fails(capsys, out, recorded.bare, recorded.bare)
+
+
+PANDA = str(Path(__file__).parents[1] / "data" / "mukca" / "panda.urdf")
+
+
+def test_the_order_of_the_joints_from_a_robot(tmp_path):
+    """The bag has the Panda's joints backward, and its fingers; the URDF has them in order."""
+    arm = [f"panda_joint{i}" for i in range(1, 8)]
+    names = ["finger", *reversed(arm)]
+    bag = write_bag(tmp_path / "bag", "mcap", [(10**18, joint_state(10**18, names, range(8)))])
+    joints = _joint_names(None, PANDA, None, "ball_link")
+    assert joints == arm
+    (reading,) = _readings(bag, "/joint_states", joints, False)
+    assert json.loads(reading.line)["q"] == [7.0, 6.0, 5.0, 4.0, 3.0, 2.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("joints", "robot", "says"),
+    [
+        ("a,b", PANDA, "give one"),
+        ("a,,b", None, "no list of different names"),
+        ("a,b,a", None, "no list of different names"),
+    ],
+)
+def test_names_that_are_none(joints, robot, says):
+    with pytest.raises(InputError, match=says):
+        _joint_names(joints, robot, None, "ball_link")
+
+
+def test_a_table_has_its_order(tmp_path):
+    with pytest.raises(InputError, match="a table's columns are in order"):
+        _readings(tmp_path / "joints.csv", "/joint_states", ["a"], False)
+
+
+def test_what_is_whole_of_a_damaged_session(recorded, tmp_path, out, capsys):
+    """Cut off in the middle: refused, then used as far as it goes, and the new file says so."""
+    damaged = tmp_path / "damaged.mcap"
+    data = recorded.bare.read_bytes()
+    damaged.write_bytes(data[: len(data) // 2])
+    table = csv_of(tmp_path / "joints.csv", "t_ns", recorded.utc_ns, recorded.q)
+    arguments = ["add-joints", str(damaged), str(table), "--out", str(out)]
+    assert main(arguments) == 2
+    assert "--allow-damaged" in capsys.readouterr().err
+    assert main([*arguments, "--allow-damaged"]) == 0
+    assert "damaged" in open_session(out).metadata["joints-added"]
+    assert 4 <= len(observations_of_session(out).table) < 18
