@@ -10,6 +10,7 @@ the way) the robot stops with its last joint turned back by MOUNTING, waits ther
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +27,24 @@ DWELL = 2.0  # s
 MOUNTING = 0.05  # rad; moves a sphere by a few millimetres, yet no one takes the pause for a dwell of the plan
 PAUSE = 4.0  # s, for the operator to put the bar on
 READY = 0.5  # s, of the pause: the bar is on, hands are off
+VELOCITY_S = 1e-3  # over which a velocity is taken
 RING_HZ = 9.0
 RING_DECAY = 0.05  # s
 RING_SHARE = 0.1  # of the deflection that the peak acceleration would cause: the quintic ends softly
 SETTLED = 10.0 * RING_DECAY  # s; what is left then moves the endpoint by at most 30 nm
+
+
+class States(NamedTuple):
+    """k readings of a controller: true time and its own [s], numbers from the start, joints [rad], digital inputs as bits."""
+
+    t: Floats  # (k,)
+    t_robot: Floats  # (k,)
+    number: NDArray[np.int64]  # (k,)
+    q: Floats  # (k, j) measured
+    q_cmd: Floats  # (k, j) commanded
+    qd: Floats  # (k, j) rad/s, measured
+    qd_cmd: Floats  # (k, j) rad/s, commanded
+    inputs: NDArray[np.int64]  # (k,)
 
 
 @dataclass(frozen=True)
@@ -139,6 +154,22 @@ class Controller:
         """Controller times (k,) [s] and joint readings (k, j) [rad] with t0 ≤ true time < t1, any chunks alike."""
         t_robot, _ = self.ticks(t0, t1)
         return t_robot, quantised(self.q_true(self.clock.true(t_robot)))
+
+    def states(self, t0: float, t1: float) -> States:
+        """What the controller says of the readings with t0 ≤ true time < t1, any chunks alike."""
+        t_robot, numbers = self.ticks(t0, t1)
+        t = self.clock.true(t_robot)
+        after, before = t + VELOCITY_S / 2, t - VELOCITY_S / 2
+        return States(
+            t=t,
+            t_robot=t_robot,
+            number=numbers,
+            q=quantised(self.q_true(t)),
+            q_cmd=self.q_commanded(t),
+            qd=(self.q_true(after) - self.q_true(before)) / VELOCITY_S,
+            qd_cmd=(self.q_commanded(after) - self.q_commanded(before)) / VELOCITY_S,
+            inputs=np.zeros(t.size, dtype=np.int64),
+        )
 
     def reading_lines(self, t0: float, t1: float) -> tuple[Floats, list[bytes]]:
         """True times (k,) [s] and JSON lines, each ending with a line feed, as the controller sends them.

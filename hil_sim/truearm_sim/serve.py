@@ -11,11 +11,15 @@ import socket
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from truearm.record.links import HostClock
 
 from .simbox import SimulatedBox
 from .world import World
+
+if TYPE_CHECKING:
+    from .rtde_server import RtdeServer
 
 TICK_S = 0.002
 LINK_BYTES = 16384  # what the link holds when its reader is slow
@@ -141,7 +145,7 @@ def serve(
     world: World,
     box: SimulatedBox,
     box_port: Port | Terminal,
-    robot_port: Port,
+    robot_port: Port | RtdeServer,
     *,
     stop: Callable[[], bool] = lambda: False,
     started: Callable[[], None] = lambda: None,
@@ -169,11 +173,19 @@ def serve(
             t_ns = sent_until_ns + longest_step_ns
         for tx in box.advance(t_ns, box_port.receive(), box_port.room()):
             box_port.send(tx)
-        _, lines = world.robot_lines(sent_until_ns, t_ns)
+        _report(world, robot_port, sent_until_ns, t_ns)
         sent_until_ns = t_ns
-        robot_port.send(b"".join(lines) if robot_there else b"")
         if t_ns > world.robot_end_ns:
             robot_port.drop()
             if not box_port.connected():
                 return
         time.sleep(TICK_S)
+
+
+def _report(world: World, robot_port: Port | RtdeServer, since_ns: int, until_ns: int) -> None:
+    """Tell the robot's client the readings between two true times."""
+    if isinstance(robot_port, Port):
+        _, lines = world.robot_lines(since_ns, until_ns)
+        robot_port.send(b"".join(lines) if robot_port.client else b"")
+    else:
+        robot_port.report(world.robot_states(since_ns, until_ns))

@@ -21,7 +21,7 @@ from truearm.model.robot import builtin_robot
 from truearm.types import BallBar, Floats, Point, Rig
 from truearm_sim import sensors
 from truearm_sim.clocks import Clock, Clocks, draw_clocks
-from truearm_sim.robot import SPEED, Controller
+from truearm_sim.robot import SPEED, Controller, States
 from truearm_sim.shells import plan_shells
 
 ROBOT, DESIGN, TRUTH = "puma560", "design", "optimised"
@@ -220,6 +220,10 @@ class World:
         """True times of sending (m,) [ns] and lines of the robot's socket with t0 ≤ true time < t1; none after its end."""
         t, lines = self.controller.reading_lines(1e-9 * t0_ns, 1e-9 * min(t1_ns, self.robot_end_ns))
         return np.rint(1e9 * t).astype(np.int64), lines
+
+    def robot_states(self, t0_ns: int, t1_ns: int) -> States:
+        """The same readings as numbers."""
+        return self.controller.states(1e-9 * t0_ns, 1e-9 * min(t1_ns, self.robot_end_ns))
 
     @property
     def robot_end_ns(self) -> int:

@@ -16,6 +16,7 @@ from typing import Annotated, cast
 import typer
 
 from truearm import __version__
+from truearm.commands.add_joints import add_joints
 from truearm.commands.box import app as box
 from truearm.commands.demo import demo
 from truearm.commands.identify import identify
@@ -26,7 +27,7 @@ from truearm.commands.simulate import simulate
 from truearm.commands.terminal import one_line
 from truearm.errors import TruearmError
 
-COMMANDS = (demo, simulate, record, inspect, identify, reproduce)
+COMMANDS = (demo, simulate, record, add_joints, inspect, identify, reproduce)
 
 # Options and arguments that typer rejects raise a UsageError. That class lives in click or, in later versions, inside
 # typer, which exports only its subclass BadParameter.
@@ -41,7 +42,7 @@ app = typer.Typer(
     add_completion=False,
 )
 for _command in COMMANDS:
-    app.command(_command.__name__)(_command)
+    app.command(_command.__name__.replace("_", "-"))(_command)
 app.add_typer(box, name="box")
 
 

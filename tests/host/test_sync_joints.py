@@ -201,7 +201,7 @@ def test_lines_are_parsed_alike_together_and_alone(rows):
     together = parse_lines(lines, None)
     alone = parse_lines([*lines, b"nonsense"], None)  # forces the careful way
     for a, b in zip(together, alone, strict=True):
-        assert np.array_equal(a, b)
+        assert np.array_equal(a, b, equal_nan=True)  # q_cmd is NaN
     assert np.array_equal(together[1], [t for t, _, _ in rows])
 
 
@@ -256,3 +256,29 @@ def test_rounding_of_what_is_printed_is_no_step(digits):
     path = 0.7 * (1 - np.cos(np.pi * np.clip(t - 1, 0, 2) / 2)) + 4e-6 * np.sin(40 * t)
     stream = read([message(s, k, [round(step * np.rint(x / step), digits)]) for k, (s, x) in enumerate(zip(t, path))])
     assert stream.step[0] == pytest.approx(step, abs=1.01 * 10.0**-digits)
+
+
+class TestCommandedJoints:
+    @staticmethod
+    def rows(*q_cmd):
+        rows = [{"t": 10.0 + k / 125.0, "seq": k, "q": [0.1, -0.2]} for k in range(len(q_cmd))]
+        lines = [json.dumps(row | ({} if q is None else {"q_cmd": q})) for row, q in zip(rows, q_cmd, strict=True)]
+        return [Message("/robot/joints", 8_000_000 * k, line.encode()) for k, line in enumerate(lines)]
+
+    def test_they_are_kept_apart_from_the_measured(self):
+        """200 readings at 125 Hz; the command leads by 0.01 rad: a mean that mixed the two would be off by half of it."""
+        stream = read(self.rows(*[[0.11, -0.21]] * 200))
+        assert np.allclose(stream.bins.mean, (0.1, -0.2), atol=1e-15)
+        assert np.allclose(stream.bins.commanded, (0.11, -0.21), atol=1e-15)
+        (dwell,) = find_dwells(stream, DwellRules(shortest_s=0.5))
+        assert np.allclose(dwell.q, (0.1, -0.2), atol=1e-15)
+        assert np.allclose(dwell.q_cmd, (0.11, -0.21), atol=1e-15)
+
+    @pytest.mark.parametrize("other", [None, "x", [1.0], [1.0, float("inf")], [1.0, 10**400], [[1.0], [2.0]]])
+    def test_what_is_none_makes_no_reading_malformed(self, other):
+        stream = read(self.rows([0.11, -0.21], other, [0.11, -0.21]))
+        assert (stream.readings, stream.malformed) == (3, 0)
+        assert np.all(np.isnan(stream.bins.commanded))
+        assert np.allclose(stream.bins.mean, (0.1, -0.2), atol=1e-15)
+        alone = read(self.rows(other))
+        assert np.all(np.isnan(alone.bins.commanded))

@@ -42,7 +42,7 @@ def lines(document: Mapping[str, Any]) -> Iterator[str]:
     yield from _losses(document["losses"])
     yield from _console(document)
     yield from _clock(document["clock"])
-    yield from _robot(document["robot"])
+    yield from _robot(document["robot"], document["metadata"]["joints-added"])
     yield from _dwells(document)
 
 
@@ -129,7 +129,7 @@ def _clock(reports: list[Mapping[str, Any]]) -> Iterator[str]:
         )
 
 
-def _robot(robot: Mapping[str, Any]) -> Iterator[str]:
+def _robot(robot: Mapping[str, Any], added: Mapping[str, str]) -> Iterator[str]:
     if not robot["readings"]:
         sent = f"; {robot['console_bytes']} bytes that are none" if robot["console_bytes"] else ""
         yield f"robot: no joint readings{sent}"
@@ -139,6 +139,12 @@ def _robot(robot: Mapping[str, Any]) -> Iterator[str]:
         f"{'unknown' if robot['lost'] is None else robot['lost']} lost, {robot['gaps']} gaps, {robot['late']} late, {robot['duplicated']} doubled, "
         f"{robot['malformed']} malformed, {robot['restarts']} restarts"
     )
+    if added:
+        when = added.get("time", "?")
+        yield "  " + one_line(
+            f"added afterwards from {added.get('source', '?')}, nobody saw them arrive: their time is {when}, its error unknown"
+        )
+        return
     for report in robot["clock"]:
         yield (
             f"  clock: {report['rate_ppm']:+.3f} ppm, spread {_number(report['spread_ns'], '.1f', 1e-3)} µs, arrivals "

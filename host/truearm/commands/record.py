@@ -39,7 +39,12 @@ def record(
     ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="The session file to write (.mcap).")],
     robot: Annotated[
-        str | None, typer.Option(metavar="URL", help="The robot's joint readings: tcp://127.0.0.1:7008 (JSON lines).")
+        str | None,
+        typer.Option(
+            metavar="URL",
+            help="The robot's joint readings: tcp://127.0.0.1:7008 (JSON lines), rtde://192.168.0.2 (Universal Robots), "
+            "lines+tcp:// or lines+udp:// (CSV, or JSON with names and units of its own: docs/robots.md).",
+        ),
     ] = None,
     plan: Annotated[Path | None, typer.Option(metavar="FILE", help="The poses that the robot visits (.csv).")] = None,
     rig: Annotated[Path | None, typer.Option(metavar="FILE", help="Chucks, spheres, bars (.toml).")] = None,
@@ -145,9 +150,9 @@ def _record(
 
 
 def _robot_link(url: str | None, clock: Clock) -> AbstractContextManager[Any]:
-    from truearm.record.links import TcpLink
+    from truearm.record.robots.open import open_source
 
-    return nullcontext() if url is None else closing(TcpLink(url, clock))
+    return nullcontext() if url is None else closing(open_source(url, clock))
 
 
 def nearest_osr(rate: float) -> int:

@@ -14,6 +14,9 @@ from truearm.errors import InputError, LinkError
 CHIP_STEP_NS = 20_000_000  # an emulated chip may be slower than the wall clock
 MARK = ".truearm-simulated"  # in a folder that simulate made and may write again
 
+# what the robot may speak: scheme of its address, usual port, readings a second
+ROBOTS = {"lines": ("tcp", 7008, 50.0), "rtde": ("rtde", 30004, 500.0)}
+
 if TYPE_CHECKING:
     from truearm_sim.hardware import PowerOn
     from truearm_sim.micropython import Interpreter
@@ -25,9 +28,12 @@ def simulate(
         Path, typer.Option("--out", metavar="FOLDER", help="Where plan.csv and rig.toml are written.")
     ] = Path("out/simulated"),
     port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port of the box; 0 takes a free one.")] = 7007,
+    robot: Annotated[
+        str, typer.Option(metavar="KIND", help="What the robot speaks: lines (JSON) or rtde (Universal Robots).")
+    ] = "lines",
     robot_port: Annotated[
-        int, typer.Option(min=0, max=65535, help="TCP port of the robot; 0 takes a free one.")
-    ] = 7008,
+        int | None, typer.Option(min=0, max=65535, help="TCP port of the robot, 7008 or 30004; 0 takes a free one.")
+    ] = None,
     pty: Annotated[bool, typer.Option("--pty", help="The box behind a pseudo-terminal, as a serial device.")] = False,
     poses: Annotated[int, typer.Option(min=9, max=5000, help="Poses with each of the two bars.")] = 72,
     seed: Annotated[int, typer.Option(min=0, help="Of everything that is drawn by chance.")] = 1,
@@ -51,38 +57,43 @@ def simulate(
     from truearm.files.disk import own_folder
     from truearm.files.plan import write_plan
     from truearm.files.rig import write_rig
+    from truearm_sim.rtde_server import RtdeServer
     from truearm_sim.serve import Port, Terminal, serve
     from truearm_sim.simbox import SimulatedBox
     from truearm_sim.world import World, standard_plan
 
+    if robot not in ROBOTS:
+        raise InputError(f"--robot {robot!r} is not known; it is one of {', '.join(ROBOTS)}")
+    scheme, usual_port, rate = ROBOTS[robot]
     faults = [parse_fault(text) for text in fault or []]
     own_folder(folder, MARK)
     power_on = hardware(level)
     plan = standard_plan(poses, seed)
-    world = World(seed, plan)
+    world = World(seed, plan, robot_rate=rate)
     write_plan(folder / "plan.csv", plan)
     write_rig(folder / "rig.toml", world.rig)
     box = SimulatedBox(world, power_on=power_on, faults=faults, seed=seed)
     try:
         box_port = Terminal() if pty else Port.listen("127.0.0.1", port)
-        robot = Port.listen("127.0.0.1", robot_port)
+        listener = Port.listen("127.0.0.1", usual_port if robot_port is None else robot_port)
     except OSError as exc:
         raise LinkError(f"cannot listen: {exc.strerror}; choose other ports with --port and --robot-port") from exc
+    robot_end = RtdeServer(listener, rate) if robot == "rtde" else listener
     device = box_port.path if isinstance(box_port, Terminal) else f"socket://127.0.0.1:{box_port.number}"
     typer.echo(f"{len(plan)} poses, {world.duration / 60:.0f} minutes. Record them with\n")
     typer.echo(
-        f"  truearm record --device {device} --robot tcp://127.0.0.1:{robot.number} "
+        f"  truearm record --device {device} --robot {scheme}://127.0.0.1:{listener.number} "
         f"--plan {shlex.quote(str(folder / 'plan.csv'))} --rig {shlex.quote(str(folder / 'rig.toml'))} "
         f"--out {shlex.quote(str(folder / 'session.mcap'))}\n"
     )
     try:
         slow = CHIP_STEP_NS if level == "chip" else None
-        serve(world, box, box_port, robot, started=lambda: typer.echo("connected: time starts"), longest_step_ns=slow)
+        serve(world, box, box_port, robot_end, started=lambda: typer.echo("connected: time starts"), longest_step_ns=slow)
         typer.echo("the robot's program has ended")
     finally:
         box.close()
         box_port.close()
-        robot.close()
+        robot_end.close()
 
 
 def hardware(level: str) -> PowerOn:

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, NoReturn
 
+import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -106,7 +107,7 @@ def chunk_records(path: Path, file: BinaryIO, at: int, length: int) -> bytes:
     try:
         chunk = Chunk.read(ReadDataStream(io.BytesIO(body)))
         data = _decompress(chunk)
-    except (*UNREADABLE, zstandard.ZstdError):
+    except (*UNREADABLE, zstandard.ZstdError, RuntimeError):  # the last is what lz4 raises
         damaged(path, at)
     if data is None:
         raise SessionError(f"{path}: a chunk at byte {at} is compressed in a way, or to a size, that is not read")
@@ -123,6 +124,9 @@ def _decompress(chunk: Chunk) -> bytes | None:
         if claimed > MAX_CHUNK_BYTES and claimed != zstandard.CONTENTSIZE_UNKNOWN:
             return None
         return zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=MAX_CHUNK_BYTES)
+    if chunk.compression == "lz4":  # ours are not, bags may be
+        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=MAX_CHUNK_BYTES + 1)
+        return data if len(data) <= MAX_CHUNK_BYTES else None
     return chunk.data if chunk.compression == "" else None
 
 

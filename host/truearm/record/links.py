@@ -92,7 +92,7 @@ class HostClock:
         return utc, (before + after) // 2
 
 
-class _Reader:
+class Reader:
     """A thread that calls ``receive`` (b"" when nothing came for a while) and stamps what it returns."""
 
     def __init__(self, receive: Callable[[], bytes], clock: Clock) -> None:
@@ -153,7 +153,7 @@ class SerialLink:
         self.name = device
         self._clock = clock
         self._port: serial.SerialBase | None = None
-        self._reader: _Reader | None = None
+        self._reader: Reader | None = None
         _check_device(device)
         self._open()
 
@@ -205,7 +205,7 @@ class SerialLink:
             raise LinkError(_why_not_open(self.name, exc)) from exc
         self._port = port
         receive = _selecting(port, self.name) if selects else _blocking(port, self.name)
-        self._reader = _Reader(receive, self._clock)
+        self._reader = Reader(receive, self._clock)
 
 
 def _check_device(device: str) -> None:
@@ -266,18 +266,18 @@ def _why_not_open(name: str, exc: Exception) -> str:
 
 
 class TcpLink:
-    """A robot's stream behind ``tcp://host:port``."""
+    """A robot's stream behind ``tcp://host:port``; ``name`` is what errors call it, the url by default."""
 
-    def __init__(self, url: str, clock: Clock) -> None:
-        self.name = url
+    def __init__(self, url: str, clock: Clock, name: str | None = None) -> None:
+        self.name = name or url
         self._clock = clock
         address = host_and_port(url, "tcp")
         try:
             self._socket = socket.create_connection(address, timeout=_CONNECT_TIMEOUT_S)
         except OSError as exc:
-            raise LinkError(_why_not_open(url, exc)) from exc
+            raise LinkError(_why_not_open(self.name, exc)) from exc
         self._socket.settimeout(_WRITE_TIMEOUT_S)
-        self._reader = _Reader(self._receive, clock)
+        self._reader = Reader(self._receive, clock)
 
     def read(self, timeout_s: float) -> Arrivals:
         return self._reader.read(timeout_s)

@@ -39,7 +39,14 @@ _NUMBERS = {"type": "array", "items": {"type": "number"}}
 _TEXTS = {name: {"type": "string"} for name in ("bar", "chuck", "sphere", "shell")}
 _PROPERTIES: dict[str, dict[str, Any]] = {
     "/sync": {name: {"type": ["integer", "null"]} for name in ("id", "t0_ns", "t1_us", "t2_us", "t3_ns")},
-    "/robot/joints": {"t": {"type": "number"}, "seq": {"type": "integer"}, "q": _NUMBERS, "q_cmd": _NUMBERS},
+    "/robot/joints": {
+        "t": {"type": "number"},
+        "seq": {"type": "integer"},
+        **dict.fromkeys(("q", "q_cmd", "qd", "current", "effort"), _NUMBERS),
+        **{name: {"type": "integer"} for name in ("inputs", "robot_mode", "runtime_state")},
+        "line": {"type": "string"},
+        "arrival": {"type": "boolean"},
+    },
     "/events": {"kind": {"type": "string"}, **_TEXTS},
     "/plan": {"pose": {"type": "integer"}, **_TEXTS, "q": _NUMBERS},
 }

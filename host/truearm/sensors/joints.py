@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple, TypeGuard
 
 MAX_T_S = 4e9  # ns of such times still fit 63 bits
 MAX_SEQ = 2**62
@@ -33,9 +34,23 @@ def parse_reading(line: bytes) -> Reading | None:
     t, seq, q = row.get("t"), row.get("seq", 0), row.get("q")
     if not (_finite(t) and 0.0 <= t < MAX_T_S) or type(seq) is not int or abs(seq) >= MAX_SEQ:  # type: ignore[operator]
         return None
-    if not isinstance(q, list) or not 1 <= len(q) <= MAX_JOINTS or not all(map(_finite, q)):
+    if not are_joints(q):
         return None
     return Reading(float(t), seq if "seq" in row else None, [float(value) for value in q])  # type: ignore[arg-type]
+
+
+def are_joints(value: object) -> TypeGuard[list[float]]:
+    """Whether something is a list of 1 to MAX_JOINTS finite numbers."""
+    return isinstance(value, list) and 1 <= len(value) <= MAX_JOINTS and all(map(_finite, value))
+
+
+def format_reading(t: float, seq: int | None, q: Sequence[float], **more: object) -> bytes:
+    """The line of a reading, every number with all its digits; of ``more`` what is None is left out.
+
+    ``more`` may hold what docs/session-format.md names: ``q_cmd``, ``qd``, ``current`` ….
+    """
+    row = {"t": t, "seq": seq, "q": list(q), **more}
+    return json.dumps({key: value for key, value in row.items() if value is not None}, separators=(",", ":")).encode()
 
 
 def _finite(value: object) -> bool:

@@ -81,6 +81,7 @@ class Dwell:
     clock_bound_ns: float = float("nan")
     pose: int | None = None  # of the plan
     mounted: dict[str, str] = field(default_factory=dict)  # bar, chuck, sphere, shell
+    q_cmd: Floats = field(default_factory=lambda: np.empty(0))  # (j,) mean commanded, NaN if not said; nothing uses it
 
 
 def find_dwells(stream: JointStream, rules: DwellRules) -> list[Dwell]:
@@ -140,7 +141,8 @@ def _dwell(bins: Bins, run: slice, rules: DwellRules, threshold: Floats, step: F
         reason = "too short"
     elif np.any(np.max(bins.high[used], axis=0) - np.min(bins.low[used], axis=0) > threshold):
         reason = "still moving"
-    return Dwell(int(bins.segment[run.start]), start, end, q, q_cov, n, reason)
+    q_cmd = np.average(bins.commanded[used], axis=0, weights=bins.n[used])
+    return Dwell(int(bins.segment[run.start]), start, end, q, q_cov, n, reason, q_cmd=q_cmd)
 
 
 def _statistics(bins: Bins, used: slice, step: Floats) -> tuple[Floats, Floats, int]:

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.sensors.joints import MAX_JOINTS, MAX_SEQ, MAX_T_S, parse_reading
+from truearm.sensors.joints import MAX_JOINTS, MAX_SEQ, MAX_T_S, are_joints, parse_reading
 from truearm.sync.holes import Holes
 from truearm.sync.robot_clock import Arrivals, RobotClock, RobotClockReport, fit_robot_clock
 from truearm.types import Floats, Message
@@ -40,6 +40,7 @@ class Bins:
     high: Floats  # (b, j)
     scatter: NDArray[np.float32]  # (b, j, j) sums of products of deviations from the bin's mean
     gap: NDArray[np.bool_]
+    commanded: Floats  # (b, j) mean of the commanded joints, NaN where a reading has none; the rest is of the measured
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,19 @@ class JointStream:
     bins: Bins | None  # None without a reading
     clocks: tuple[RobotClock, ...]
     reports: tuple[RobotClockReport, ...]
+
+
+class Parsed(NamedTuple):
+    """Lines that are readings: their indices (n,), controller time (n,) [s], seq (n,) and joints (n, j) [rad or m].
+
+    ``seq`` is UNNUMBERED where a line has none, ``q_cmd`` NaN where it has no commanded joints.
+    """
+
+    rows: NDArray[np.intp]
+    t: Floats
+    seq: NDArray[np.int64]
+    q: Floats
+    q_cmd: Floats
 
 
 class JointReader:
@@ -112,7 +126,7 @@ class JointReader:
         )
 
     def _flush(self) -> None:
-        rows, t, seq, q = parse_lines(self._lines, self._joints)
+        rows, t, seq, q, q_cmd = parse_lines(self._lines, self._joints)
         arrival = np.array(self._arrival_ns, dtype=np.int64)[rows]
         self.malformed += len(self._lines) - rows.size
         self._lines, self._arrival_ns = [], []
@@ -125,7 +139,7 @@ class JointReader:
         if t[0] < self._latest_s - LATE_S:
             restarts = np.concatenate([[0], restarts])
         for part in np.split(np.arange(t.size), restarts):
-            self._part(t[part], seq[part], q[part], arrival[part])
+            self._part(t[part], seq[part], q[part], q_cmd[part], arrival[part])
 
     def _begin(self, t: Floats, q: Floats) -> None:
         self._joints = q.shape[1]
@@ -134,7 +148,7 @@ class JointReader:
         period = float(np.median(np.abs(np.diff(t)))) if t.size > 1 else 0.0
         self._bin_s, self._gap_s = max(BIN_S, 4.0 * period), max(READING_GAP_S, 5.0 * period)
 
-    def _part(self, t: Floats, seq: NDArray[np.int64], q: Floats, arrival: NDArray[np.int64]) -> None:
+    def _part(self, t: Floats, seq: NDArray[np.int64], q: Floats, q_cmd: Floats, arrival: NDArray[np.int64]) -> None:
         """Readings of one segment."""
         if not t.size:
             return
@@ -155,7 +169,7 @@ class JointReader:
         if kept.size:
             self._last = (self._latest_s, int(kept[-1]))
             self._arrivals[-1].add(t[keep], arrival[keep])
-            self._bin(t[keep], q[keep])
+            self._bin(t[keep], q[keep], q_cmd[keep])
 
     def _account(
         self, seq: NDArray[np.int64], previous: NDArray[np.int64], late: NDArray[np.bool_], keep: NDArray[np.bool_]
@@ -169,27 +183,27 @@ class JointReader:
             else:
                 self._holes.skip(int(before[i]), int(seq[i]))
 
-    def _bin(self, t: Floats, q: Floats) -> None:
+    def _bin(self, t: Floats, q: Floats, q_cmd: Floats) -> None:
         if self._carried is not None:
-            t, q = np.concatenate([self._carried[0], t]), np.concatenate([self._carried[1], q])
+            t, q, q_cmd = (np.concatenate(pair) for pair in zip(self._carried, (t, q, q_cmd), strict=True))
         self._step = np.minimum(self._step, _smallest(np.diff(q, axis=0)))
         self._fast_step = np.minimum(self._fast_step, _smallest(np.diff(q, n=2, axis=0)))
         key = np.floor((t - self._arrivals[-1].t_ref_s) / self._bin_s)
         closed = int(np.searchsorted(key, key[-1]))
-        self._carried = (t[closed:], q[closed:])
+        self._carried = (t[closed:], q[closed:], q_cmd[closed:])
         if closed:
-            self._store(t[:closed], q[:closed], key[:closed])
+            self._store(t[:closed], q[:closed], q_cmd[:closed], key[:closed])
 
     def _close_bin(self) -> None:
         if self._carried is not None:
-            t, q = self._carried
-            self._store(t, q, np.zeros(t.size))
+            t, q, q_cmd = self._carried
+            self._store(t, q, q_cmd, np.zeros(t.size))
         self._carried = None
 
-    def _store(self, t: Floats, q: Floats, key: Floats) -> None:
+    def _store(self, t: Floats, q: Floats, q_cmd: Floats, key: Floats) -> None:
         starts = np.flatnonzero(np.concatenate([[True], np.diff(key) > 0]))
         n = np.diff(np.concatenate([starts, [t.size]]))
-        mean = np.add.reduceat(q, starts, axis=0) / n[:, None]
+        mean, commanded = (np.add.reduceat(joints, starts, axis=0) / n[:, None] for joints in (q, q_cmd))
         deviation = q - np.repeat(mean, n, axis=0)
         scatter = np.add.reduceat(deviation[:, :, None] * deviation[:, None, :], starts, axis=0)
         # A gap may also lie inside a bin where bins are long; it then counts before the bin.
@@ -200,7 +214,8 @@ class JointReader:
         low, high = np.minimum.reduceat(q, starts, axis=0), np.maximum.reduceat(q, starts, axis=0)
         segment = np.full(starts.size, len(self._arrivals) - 1)
         last = np.concatenate([starts[1:], [t.size]]) - 1
-        self._bins.append((segment, t[starts], t[last], n, mean, low, high, scatter.astype(np.float32), gap))
+        bins = (segment, t[starts], t[last], n, mean, low, high, scatter.astype(np.float32), gap, commanded)
+        self._bins.append(bins)
 
 
 def _smallest(change: Floats) -> Floats:
@@ -220,28 +235,35 @@ def _step(slow: Floats, fast: Floats) -> Floats:
     return np.asarray(np.where(np.isfinite(step), step, 0.0))
 
 
-def parse_lines(lines: list[bytes], joints: int | None) -> tuple[NDArray[np.intp], Floats, NDArray[np.int64], Floats]:
-    """Indices of the lines that are readings, and their t (n,) [s], seq (n,) and q (n, j).
+def parse_lines(lines: list[bytes], joints: int | None) -> Parsed:
+    """What the lines say.
 
-    seq is UNNUMBERED where a line has none. A line is malformed if ``parse_reading`` says so, or if it has another number
-    of joints than ``joints`` (None: than the first).
+    A line is malformed if ``parse_reading`` says so, or if it has another number of joints than ``joints`` (None: than the
+    first).
     """
     parsed = _parse_all(lines)
     if parsed is None:
-        rows = [(i, *row) for i, line in enumerate(lines) if (row := parse_reading(line)) is not None]
-        width = joints or (len(rows[0][3]) if rows else 0)
-        rows = [row for row in rows if len(row[3]) == width]
-        index = np.array([row[0] for row in rows], dtype=np.intp)
-        t = np.array([row[1] for row in rows], dtype=np.float64)
-        seq = np.array([UNNUMBERED if row[2] is None else row[2] for row in rows], dtype=np.int64)
-        return index, t, seq, np.array([row[3] for row in rows], dtype=np.float64).reshape(len(rows), width)
-    t, seq, q = parsed
+        return _parse_each(lines, joints)
+    t, seq, q, q_cmd = parsed
     good = np.isfinite(t) & (t >= 0.0) & (t < MAX_T_S) & np.all(np.isfinite(q), axis=1)
     good &= (q.shape[1] == (joints or q.shape[1])) & (seq >= UNNUMBERED) & (seq < MAX_SEQ)
-    return np.flatnonzero(good), t[good], seq[good], q[good]
+    return Parsed(np.flatnonzero(good), t[good], seq[good], q[good], q_cmd[good])
 
 
-def _parse_all(lines: list[bytes]) -> tuple[Floats, NDArray[np.int64], Floats] | None:
+def _parse_each(lines: list[bytes], joints: int | None) -> Parsed:
+    rows = [(i, row, line) for i, line in enumerate(lines) if (row := parse_reading(line)) is not None]
+    width = joints or (len(rows[0][1].q) if rows else 0)
+    rows = [row for row in rows if len(row[1].q) == width]
+    return Parsed(
+        np.array([i for i, _, _ in rows], dtype=np.intp),
+        np.array([row.t for _, row, _ in rows], dtype=np.float64),
+        np.array([UNNUMBERED if row.seq is None else row.seq for _, row, _ in rows], dtype=np.int64),
+        np.array([row.q for _, row, _ in rows], dtype=np.float64).reshape(len(rows), width),
+        _commanded([json.loads(line).get("q_cmd") for _, _, line in rows], len(rows), width),
+    )
+
+
+def _parse_all(lines: list[bytes]) -> tuple[Floats, NDArray[np.int64], Floats, Floats] | None:
     """All lines in one go; None if any of them is not as expected."""
     try:
         rows = json.loads(b"[" + b",".join(lines) + b"]")
@@ -259,4 +281,17 @@ def _parse_all(lines: list[bytes]) -> tuple[Floats, NDArray[np.int64], Floats] |
         or not 1 <= columns[2].shape[1] <= MAX_JOINTS
     ):
         return None
-    return columns[0].astype(np.float64), columns[1].astype(np.int64), columns[2].astype(np.float64)
+    q_cmd = _commanded([row.get("q_cmd") for row in rows], *columns[2].shape)
+    return columns[0].astype(np.float64), columns[1].astype(np.int64), columns[2].astype(np.float64), q_cmd
+
+
+def _commanded(values: list[Any], n: int, width: int) -> Floats:
+    """Commanded joints (n, width), NaN where a reading has none that are numbers, as many as are measured."""
+    try:
+        joints = np.array(values)
+    except ValueError:  # some have them, some have none
+        joints = np.empty(0)
+    if joints.shape == (n, width) and joints.dtype.kind in "if" and np.all(np.isfinite(joints)):
+        return joints.astype(np.float64)
+    rows = [value if are_joints(value) and len(value) == width else [np.nan] * width for value in values]
+    return np.array(rows, dtype=np.float64).reshape(n, width)

@@ -1,0 +1,184 @@
+"""Joint states in ROS 2 bags (MCAP or sqlite3) as lines of a session.
+
+The messages are decoded by the package rosbags. The files around them are not read by it: its readers take from a file how much to
+allocate and to decompress, and keep as many chunks as overlap. MCAP is walked by our own reader of sessions, sqlite3 by Python's
+with limits; neither holds more than a chunk or a message.
+
+``t`` is the stamp in the message's header, which the driver gives on its own clock (UTC as a rule), ``q`` the position, ``qd`` the velocity and
+``effort`` the effort, as far as they are there, in the order of ``joints``: a driver publishes joints in any order (Universal Robots' begins with the
+elbow). What is commanded is not in a joint state.
+"""
+
+from __future__ import annotations
+
+import re
+import sqlite3
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+from truearm.errors import InputError, SessionError
+from truearm.files.columns import shown
+from truearm.record.robots.table import NO_ARRIVAL, Reading
+from truearm.record.session import open_session
+from truearm.sensors.joints import MAX_JOINTS, are_joints, format_reading
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+MESSAGE_TYPE = "sensor_msgs/msg/JointState"
+MAX_MESSAGE_BYTES = 1 << 20
+MAX_FILES = 10_000
+SUFFIXES = (".mcap", ".db3")
+_ZSTD = b"\x28\xb5\x2f\xfd"
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a name is that of a bag: a folder, or one of its files."""
+    return path.is_dir() or path.suffix.lower() in SUFFIXES
+
+
+def readings_of_bag(path: Path, topic: str, joints: Sequence[str], allow_damaged: bool = False) -> Iterator[Reading]:
+    """The joint states on ``topic`` in the order in which the bag has them, of the ``joints`` in this order.
+
+    Raises InputError where there is no such bag, topic or joint, or rosbags is not installed; SessionError where a file is damaged.
+    """
+    found = 0
+    decoder = _decoder()
+    for file in bag_files(path):
+        for data in _messages(file, topic, allow_damaged):
+            found += 1
+            yield _reading(file, found, decoder, data, joints)
+    if not found:
+        raise InputError(f"{path}: has no message on {topic}; name the topic of the joint states with --topic")
+
+
+def bag_files(path: Path) -> list[Path]:
+    """The files of a bag in their order: name_0.mcap, name_1.mcap …. Raises InputError."""
+    if not path.is_dir():
+        if not path.exists():
+            raise InputError(f"{path}: no such file")
+        return [path]
+    try:
+        names = sorted(path.iterdir(), key=_numbered)
+    except OSError as exc:
+        raise InputError(f"{path}: cannot be read: {exc.strerror}") from exc
+    files = [name for name in names if name.suffix.lower() in SUFFIXES]
+    if not files:
+        packed = any(name.suffix == ".zstd" for name in names)
+        why = (
+            "its files are compressed as a whole: unpack them with zstd -d"
+            if packed
+            else "there is no .mcap and no .db3"
+        )
+        raise InputError(f"{path}: is no bag that can be read; {why}")
+    if len({file.suffix.lower() for file in files}) > 1 or len(files) > MAX_FILES:
+        raise InputError(f"{path}: holds files of several bags; name one file")
+    return files
+
+
+def _numbered(path: Path) -> list[str | int]:
+    """A name's text and numbers by turns: name_10 comes after name_9."""
+    parts: list[str | int] = list(re.split(r"(\d{1,18})", path.name))
+    parts[1::2] = [int(part) for part in parts[1::2]]
+    return parts
+
+
+def _messages(path: Path, topic: str, allow_damaged: bool) -> Iterator[bytes]:
+    """The data of the messages on a topic of one file. Raises InputError."""
+    if path.suffix.lower() == ".db3":
+        yield from _sqlite_messages(path, topic)
+        return
+    for message in open_session(path, allow_damaged).messages({topic}):
+        yield message.data
+
+
+def _sqlite_messages(path: Path, topic: str) -> Iterator[bytes]:
+    """As ``_messages``, ordered by when they were received."""
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: is not a regular file; give a bag")
+    try:
+        connection = sqlite3.connect(f"file:{quote(str(path.absolute()))}?mode=ro&immutable=1", uri=True)
+    except sqlite3.Error as exc:
+        raise InputError(f"{path}: cannot be opened ({exc})") from exc
+    try:
+        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_MESSAGE_BYTES)
+        connection.text_factory = lambda data: data.decode(errors="replace")
+        connection.execute("PRAGMA trusted_schema = OFF")
+        for table in ("topics", "messages"):
+            _check_plain(path, connection, table)
+        query = (
+            "SELECT messages.data FROM messages JOIN topics ON messages.topic_id = topics.id "
+            "WHERE topics.name = ? AND topics.type = ? ORDER BY messages.timestamp, messages.id"
+        )
+        for (data,) in connection.execute(query, (topic, MESSAGE_TYPE)):
+            yield data if isinstance(data, bytes) else b""
+    except (sqlite3.Error, UnicodeDecodeError) as exc:  # the latter where an error's own text is damaged
+        raise SessionError(
+            f"{path}: is no bag, or damaged ({shown(str(exc))}); record it again, or mend it with ros2 bag reindex"
+        ) from exc
+    finally:
+        connection.close()
+
+
+def _check_plain(path: Path, connection: sqlite3.Connection, table: str) -> None:
+    """No view and no computed columns: a few bytes of them could stand for any number of rows of any size."""
+    (kinds,) = connection.execute(
+        "SELECT group_concat(type) FROM sqlite_master WHERE name = ?", (table,)
+    ).fetchone() or [None]
+    sql = connection.execute("SELECT sql FROM sqlite_master WHERE name = ? AND type = 'table'", (table,)).fetchone()
+    computed = kinds == "table" and any(row[6] for row in connection.execute(f"PRAGMA table_xinfo({table})"))
+    if kinds != "table" or computed or sql is None or str(sql[0]).lstrip().upper().startswith("CREATE VIRTUAL"):
+        raise SessionError(f"{path}: has no plain table {table!r}; is this a ROS 2 bag?")
+
+
+def _decoder() -> Typestore:
+    """What decodes messages. Raises InputError if rosbags is not installed."""
+    try:
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as exc:
+        raise InputError("bags need the package rosbags: pip install 'truearm[ros]'") from exc
+    return get_typestore(Stores.ROS2_HUMBLE)  # the message is the same in all of them
+
+
+def _reading(path: Path, number: int, decoder: Typestore, data: bytes, joints: Sequence[str]) -> Reading:
+    """The reading of a message. Raises InputError."""
+    from rosbags.serde import SerdeError
+
+    where = f"{path} message {number}"
+    if data.startswith(_ZSTD):
+        raise InputError(f"{where}: is compressed by itself; unpack the bag with ros2 bag convert")
+    try:
+        state: Any = decoder.deserialize_cdr(data, MESSAGE_TYPE)
+    except SerdeError as exc:
+        raise SessionError(f"{where}: is no {MESSAGE_TYPE}, or damaged") from exc
+    names = list(state.name)
+    if not joints:
+        raise InputError(
+            f"{path}: name the joints in their order from the base on, with --joints or --robot; there is {_listed(names)}"
+        )
+    missing = [joint for joint in joints if joint not in names]
+    if missing:
+        raise InputError(f"{where}: has no joint {missing[0]!r}; there is {_listed(names)}")
+    places = [names.index(joint) for joint in joints]
+    q, qd, effort = (_picked(values, len(names), places) for values in (state.position, state.velocity, state.effort))
+    if q is None:
+        raise SessionError(f"{where}: has not a finite position for each of its {len(names)} joints")
+    stamp = state.header.stamp
+    t = stamp.sec + 1e-9 * stamp.nanosec
+    if stamp.sec < 0 or stamp.nanosec >= 10**9:
+        raise SessionError(f"{where}: has the stamp {stamp.sec} s and {stamp.nanosec} ns, which is none")
+    return Reading(t, format_reading(t, None, q, qd=qd, effort=effort, **NO_ARRIVAL))
+
+
+def _picked(values: Any, n: int, places: Sequence[int]) -> list[float] | None:
+    """The values at these places; None if there are not n of them, or they are no numbers."""
+    if len(values) != n:
+        return None
+    picked = [float(values[place]) for place in places]
+    return picked if are_joints(picked) else None
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ",".join(names[:MAX_JOINTS])[:400] or "none"

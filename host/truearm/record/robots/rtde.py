@@ -1,0 +1,190 @@
+"""A Universal Robots controller as a joint source: RTDE on port 30004 (``rtde_packages``), its readings as lines.
+
+The stored line holds each number of a data package with all its digits: ``t`` (timestamp: seconds since the controller
+started), ``q`` (actual_q), and as far as the controller has them ``q_cmd`` (target_q), ``qd`` (actual_qd), ``current``
+(actual_current [A]), ``inputs`` (actual_digital_input_bits), ``robot_mode`` and ``runtime_state``. Measured and commanded joints are kept apart: ``target_q``
+never stands in for ``actual_q``.
+
+RTDE numbers nothing. A controller that is short of time leaves packages out, which shows in their timestamps, multiples of its
+cycle: ``seq`` is the timestamp since the first one in periods, so what was left out is a gap in ``seq``.
+
+Everything else that comes (text messages, packages of other types or of another length) is handed on as lines that are no
+readings; the recorder keeps them in ``/robot/console``. About 30 µs a package of all fields, 500 a second.
+"""
+
+from __future__ import annotations
+
+import json
+from contextlib import suppress
+from urllib.parse import parse_qsl, urlsplit
+
+from truearm.errors import InputError, LinkClosed, LinkError
+from truearm.record.links import Arrivals, Clock, TcpLink
+from truearm.record.robots import rtde_packages as rtde
+from truearm.sensors.joints import MAX_T_S, format_reading
+
+PORT = 30004
+ANSWER_NS = 5_000_000_000
+NEEDED = ("timestamp", "actual_q")
+WANTED = ("target_q", "actual_qd", "actual_current", "actual_digital_input_bits", "robot_mode", "runtime_state")
+KEYS = {
+    "target_q": "q_cmd",
+    "actual_qd": "qd",
+    "actual_current": "current",
+    "actual_digital_input_bits": "inputs",
+    "robot_mode": "robot_mode",
+    "runtime_state": "runtime_state",
+}
+FULL_RATE_HZ = {True: 500.0, False: 125.0}  # whether it is an e-Series or later: controller software from 5 on
+EXAMPLE = "rtde://192.168.0.2, with ?hz=125 for a lower rate"
+
+
+class RtdeLink:
+    """Connects, agrees on the fields and starts the stream; ``read`` gives lines. See the module.
+
+    ``url``: ``rtde://host[:port][?hz=125]``. Without ``hz`` the controller's own rate: 500 Hz, or 125 Hz before software 5.
+    Raises InputError for another url or a rate that does not divide the controller's, LinkError where no controller answers or it refuses.
+    """
+
+    def __init__(self, url: str, clock: Clock) -> None:
+        self.name = url
+        host, port, hz = _address(url)
+        self._clock = clock
+        self._packages = rtde.Packages()
+        self._pending: Arrivals = []  # lines that came while the set-up was under way
+        self._awaited: int | None = None  # the type of the answer that is waited for
+        self._answers: list[bytes] = []
+        self._recipe: rtde.Recipe | None = None
+        self._first_s: float | None = None
+        self._link = TcpLink(f"tcp://[{host}]:{port}" if ":" in host else f"tcp://{host}:{port}", clock, name=url)
+        try:
+            self._set_up(hz)
+        except (LinkError, InputError):
+            self._link.close()
+            raise
+
+    def read(self, timeout_s: float) -> Arrivals:
+        if self._pending:
+            lines, self._pending = self._pending, []
+            return lines
+        if self._packages.broken:
+            raise self._stranger()
+        return [line for t_host_ns, data in self._link.read(timeout_s) for line in self._lines(t_host_ns, data)]
+
+    def write(self, data: bytes) -> int:
+        """As of every link; the protocol asks for nothing once the stream runs."""
+        return self._link.write(data)
+
+    def close(self) -> None:
+        """Pause the stream and close the connection."""
+        with suppress(LinkError):
+            self._link.write(rtde.package(rtde.PAUSE))
+        self._link.close()
+
+    # --- set-up
+
+    def _set_up(self, hz: float | None) -> None:
+        if self._ask(rtde.VERSION, rtde.request_version()) != b"\1":
+            raise LinkError(f"{self.name}: the controller does not speak version 2 of RTDE; update its software")
+        version = rtde.controller_version(self._ask(rtde.CONTROLLER, rtde.package(rtde.CONTROLLER)))
+        if version is None:
+            raise LinkError(f"{self.name}: the controller does not say its version; is this a Universal Robots arm?")
+        full_hz = FULL_RATE_HZ[version[0] >= 5]
+        self._hz = hz or full_hz
+        if full_hz % self._hz:  # packages would not be evenly spaced, and seq would count wrong
+            raise InputError(f"{self.name}: give a rate that divides the controller's {full_hz:g} Hz")
+        self._recipe = self._agree()
+        if self._ask(rtde.START, rtde.package(rtde.START)) != b"\1":
+            raise LinkError(f"{self.name}: the controller refuses to start the data packages")
+
+    def _agree(self) -> rtde.Recipe:
+        """The recipe of what the controller has of the fields that are wanted."""
+        names: tuple[str, ...] = NEEDED + WANTED
+        types = [""]
+        for _ in range(2):  # the second time without what was not found
+            answer = self._ask(rtde.OUTPUTS, rtde.request_outputs(names, self._hz))
+            recipe = rtde.recipe_of(names, answer)
+            if recipe is not None:
+                return recipe
+            types = rtde.types_of(answer)
+            missing = {name for name, type_ in zip(names, types, strict=False) if type_ == rtde.NOT_FOUND}
+            if not missing or missing & set(NEEDED):
+                break
+            names = tuple(name for name in names if name not in missing)
+        raise LinkError(
+            f"{self.name}: the controller refuses the fields {', '.join(names)} ({','.join(types)[:200]!r})"
+        )
+
+    def _ask(self, kind: int, request: bytes) -> bytes:
+        """The payload of the answer to a request. Raises LinkError if there is none."""
+        self._awaited = kind
+        self._answers.clear()
+        self._link.write(request)
+        deadline_ns = self._clock.now_ns() + ANSWER_NS
+        while self._clock.now_ns() < deadline_ns:
+            try:
+                arrivals = self._link.read(0.1)
+            except LinkClosed as exc:
+                raise LinkError(
+                    f"{self.name}: the controller closed the connection; is RTDE enabled in its settings?"
+                ) from exc
+            for t_host_ns, data in arrivals:
+                self._pending += self._lines(t_host_ns, data)
+            if self._answers:
+                return self._answers.pop()
+            if self._packages.broken:
+                raise self._stranger()
+        raise LinkError(
+            f"{self.name}: no answer to RTDE's {chr(kind)!r} in {ANSWER_NS / 1e9:g} s; "
+            f"is this port {PORT} of a Universal Robots controller?"
+        )
+
+    def _stranger(self) -> LinkError:
+        return LinkError(f"{self.name}: sends what is no RTDE; is this port {PORT} of a Universal Robots controller?")
+
+    # --- packages → lines
+
+    def _lines(self, t_host_ns: int, data: bytes) -> Arrivals:
+        lines = [self._line(kind, payload) for kind, payload in self._packages.push(data)]
+        return [(t_host_ns, line + b"\n") for line in lines if line]
+
+    def _line(self, kind: int, payload: bytes) -> bytes:
+        """The line of a package; b"" for the answer that is waited for."""
+        if kind == rtde.DATA and self._recipe is not None:
+            values = self._recipe.values(payload)
+            if values is not None:
+                return self._reading(values)
+        if kind == rtde.TEXT and (said := rtde.text_message(payload)):
+            return json.dumps({"rtde": "text", **dict(zip(("level", "source", "text"), said, strict=True))}).encode()
+        if kind == self._awaited:
+            self._awaited = None
+            self._answers.append(payload)
+            return b""
+        return json.dumps({"rtde": kind, "hex": payload.hex()}).encode()
+
+    def _reading(self, values: dict[str, rtde.Value]) -> bytes:
+        t, q = values["timestamp"], values["actual_q"]
+        if not isinstance(t, float) or not isinstance(q, list):
+            return json.dumps({"rtde": "data", "timestamp": t, "actual_q": q}).encode()
+        seq = None
+        if 0.0 <= t < MAX_T_S:  # else it is no reading, and no beginning to count from
+            self._first_s = t if self._first_s is None else self._first_s
+            seq = round((t - self._first_s) * self._hz)
+        return format_reading(t, seq, q, **{KEYS[name]: values[name] for name in WANTED if name in values})
+
+
+def _address(url: str) -> tuple[str, int, float | None]:
+    """Host, port and rate of an address. Raises InputError."""
+    try:
+        parts = urlsplit(url)
+        host, port, query = (
+            parts.hostname,
+            parts.port or PORT,
+            dict(parse_qsl(parts.query, True, bool(parts.query))),
+        )
+        hz = float(query.pop("hz")) if "hz" in query else None
+    except ValueError:
+        raise InputError(f"{url!r} is no address; write {EXAMPLE}") from None
+    if parts.scheme != "rtde" or not host or parts.path or query or not (hz is None or 1.0 <= hz <= 500.0):
+        raise InputError(f"{url!r} is no address; write {EXAMPLE}")
+    return host, port, hz

@@ -1,0 +1,153 @@
+"""The packages of Universal Robots' Real-Time Data Exchange (RTDE), protocol version 2, as bytes.
+
+After the maker's public description: "Real-Time Data Exchange (RTDE) Guide", docs.universal-robots.com. Everything is
+big-endian. A package is its size [2 bytes, these three included], its type [1 byte, a letter] and a payload::
+
+    letter  client → controller                          controller → client
+    V       version (2 bytes)                            accepted (1 byte)
+    v       –                                            major, minor, bugfix, build (4 bytes each)
+    O       frequency [Hz] (double), names with commas   recipe (1 byte; 0: not accepted), types with commas
+    S, P    –                                            accepted (1 byte)
+    U                                                    recipe (1 byte), the values in the order of the names
+    M                                                    length (1 byte), text, length (1 byte), source, level (1 byte)
+
+S starts the data packages U, P pauses them. A name that the controller does not have gets the type NOT_FOUND. A package is at
+most 65535 bytes by its own size field; the names are at most 2048.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+VERSION, CONTROLLER, OUTPUTS, START, PAUSE, DATA, TEXT = b"VvOSPUM"
+BROKEN = 256  # no type: what stands where a package should begin
+MAX_NAMES_BYTES = 2048
+NOT_FOUND = "NOT_FOUND"
+LEVELS = ("exception", "error", "warning", "info")
+
+# type: struct's letter and how many of it
+TYPES = {
+    "BOOL": ("?", 1),
+    "UINT8": ("B", 1),
+    "UINT32": ("I", 1),
+    "UINT64": ("Q", 1),
+    "INT32": ("i", 1),
+    "DOUBLE": ("d", 1),
+    "VECTOR3D": ("d", 3),
+    "VECTOR6D": ("d", 6),
+    "VECTOR6INT32": ("i", 6),
+    "VECTOR6UINT32": ("I", 6),
+}
+
+_HEAD = struct.Struct(">HB")
+_FREQUENCY = struct.Struct(">d")
+_FOUR = struct.Struct(">4I")
+
+Value = float | list[float]
+
+
+def package(kind: int, payload: bytes = b"") -> bytes:
+    """A package as bytes; the payload must fit (65532 bytes)."""
+    return _HEAD.pack(_HEAD.size + len(payload), kind) + payload
+
+
+def request_version() -> bytes:
+    """Asks for protocol version 2."""
+    return package(VERSION, b"\0\2")
+
+
+def request_outputs(names: Sequence[str], frequency_hz: float) -> bytes:
+    """Asks for data packages of these fields; together with the commas they take at most MAX_NAMES_BYTES."""
+    return package(OUTPUTS, _FREQUENCY.pack(frequency_hz) + ",".join(names).encode())
+
+
+def controller_version(payload: bytes) -> tuple[int, ...] | None:
+    """Major, minor, bugfix and build from the answer to CONTROLLER; None if it is none."""
+    return _FOUR.unpack(payload) if len(payload) == _FOUR.size else None
+
+
+def text_message(payload: bytes) -> tuple[str, str, str] | None:
+    """Level, source and text of a text message; None if it is none."""
+    try:
+        text_end = 1 + payload[0]
+        source_end = text_end + 1 + payload[text_end]
+        level = payload[source_end]
+    except IndexError:
+        return None
+    if len(payload) != source_end + 1:
+        return None
+    said = LEVELS[level] if level < len(LEVELS) else str(level)
+    source, text = payload[text_end + 1 : source_end], payload[1:text_end]
+    return said, source.decode(errors="replace"), text.decode(errors="replace")
+
+
+class Packages:
+    """Bytes in arbitrary pieces → packages ``(type, payload)``; keeps less than 64 kB and a piece.
+
+    A size below 3 cannot be. The bytes from there on come out as BROKEN, and then nothing more: ``broken`` is true.
+    """
+
+    def __init__(self) -> None:
+        self._rest = b""
+        self.broken = False
+
+    def push(self, data: bytes) -> list[tuple[int, bytes]]:
+        """The packages that ``data`` completes."""
+        if self.broken:
+            return []
+        found: list[tuple[int, bytes]] = []
+        data, at = self._rest + data, 0
+        while at + _HEAD.size <= len(data):
+            size, kind = _HEAD.unpack_from(data, at)
+            if size < _HEAD.size:
+                self.broken, self._rest = True, b""
+                return [*found, (BROKEN, data[at:])]
+            if at + size > len(data):
+                break
+            found.append((kind, data[at + _HEAD.size : at + size]))
+            at += size
+        self._rest = data[at:]
+        return found
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What a data package holds: the names, the layout, and each name's place among the unpacked numbers."""
+
+    number: int
+    layout: struct.Struct
+    places: dict[str, slice]
+
+    def values(self, payload: bytes) -> dict[str, Value] | None:
+        """The values of a data package by name, vectors as lists; None if it is none of this recipe."""
+        if len(payload) != self.layout.size or payload[0] != self.number:
+            return None
+        numbers = self.layout.unpack(payload)
+        return {
+            name: numbers[place.start] if place.stop - place.start == 1 else list(numbers[place])
+            for name, place in self.places.items()
+        }
+
+
+def types_of(payload: bytes) -> list[str]:
+    """The types in an answer to OUTPUTS; [] if it is no text."""
+    try:
+        return payload[1:].decode("ascii").split(",")
+    except UnicodeDecodeError:
+        return []
+
+
+def recipe_of(names: Sequence[str], payload: bytes) -> Recipe | None:
+    """The recipe by the answer to OUTPUTS; None if it is refused or does not fit the names."""
+    types = types_of(payload)
+    if len(types) != len(names) or not payload[0] or not all(type_ in TYPES for type_ in types):
+        return None
+    layout, places, end = ">B", {}, 1
+    for name, type_ in zip(names, types, strict=True):
+        letter, count = TYPES[type_]
+        layout += letter * count
+        places[name] = slice(end, end + count)
+        end += count
+    return Recipe(payload[0], struct.Struct(layout), places)

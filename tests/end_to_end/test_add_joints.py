@@ -1,0 +1,216 @@
+"""Joint readings that were taken down elsewhere give the same dwells and lengths as those that the recorder saw arrive."""
+
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.end_to_end.conftest import record_session
+from tests.host.ros_bags import joint_state, write_bag
+
+from truearm.cli import main
+from truearm.commands.add_joints import _joint_names, _readings
+from truearm.commands.session import observations_of_session
+from truearm.errors import InputError
+from truearm.record.robots.afterwards import Anchors
+from truearm.record.session import open_session
+from truearm.record.session_writer import SessionWriter
+
+NAMES = [f"joint{i}" for i in range(6)]
+SCRAMBLED = [2, 1, 0, 5, 3, 4]
+
+
+class Recorded:
+    """A session with the robot's readings, the same without, and the readings as numbers."""
+
+    def __init__(self, folder):
+        self.path, self.bare = folder / "whole.mcap", folder / "bare.mcap"
+        record_session(self.path, 9, osr=16384)
+        session = open_session(self.path)
+        anchors = Anchors(session)
+        (utc, host) = anchors.first
+        with SessionWriter(self.bare, anchors) as writer:
+            for name, data in session.attachments.items():
+                writer.attach(name, "application/toml", data)
+            writer.metadata("box", session.metadata["box"])
+            for message in session.messages():
+                if message.topic != "/robot/joints":
+                    writer.add(message.topic, message.t_host_ns, message.data)
+        rows = [(m.t_host_ns, json.loads(m.data)) for m in session.messages({"/robot/joints"})]
+        self.utc_ns = [t - host + utc for t, _ in rows]
+        self.t = [row["t"] for _, row in rows]
+        self.q = np.array([row["q"] for _, row in rows])
+        self.begin_ns = min(message.t_host_ns for message in open_session(self.bare).messages())
+        self.result = observations_of_session(self.path)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    return Recorded(tmp_path_factory.mktemp("recorded"))
+
+
+@pytest.fixture
+def out(tmp_path):
+    return tmp_path / "out.mcap"
+
+
+def csv_of(path, t_name, t, q):
+    titles = [t_name, *(f"q{i}_deg" for i in range(1, 7))]
+    rows = [",".join(map(repr, [when, *row])) for when, row in zip(t, np.rad2deg(q).tolist(), strict=True)]
+    path.write_text("\n".join([",".join(titles), *rows]) + "\n")
+    return path
+
+
+def check(recorded, out):
+    """The same dwells with the same joints; lengths differ by the noise of a few samples at their ends.
+
+    A dwell of 2 s has 254 Hz · 1.4 s samples; its edges follow the arrival's jitter by a bin of 50 ms on each side, so that at most
+    a fifth of them are others: the means differ by less than twice their standard error.
+    """
+    found = observations_of_session(out)
+    assert len(found.table) == len(recorded.result.table) == 18
+    # quantised readings (1.2e-5 rad), degrees to radians and back (2e-16)
+    assert np.allclose(found.table.q, recorded.result.table.q, atol=2e-6)
+    error = np.sqrt([dwell.value_var for dwell in recorded.result.dwells if not dwell.reason])
+    assert np.all(np.abs(found.table.value - recorded.result.table.value) < 2 * error)
+    assert list(found.table.bar) == list(recorded.result.table.bar)
+
+
+def test_a_table_whose_time_is_utc(recorded, tmp_path, out, capsys):
+    before = hashlib.sha256(recorded.bare.read_bytes()).hexdigest()
+    table = csv_of(tmp_path / "joints.csv", "t_ns", recorded.utc_ns, recorded.q)
+    assert main(["add-joints", str(recorded.bare), str(table), "--out", str(out)]) == 0
+    assert f"{len(recorded.t)} joint readings added; their times are UTC, not arrivals" in capsys.readouterr().out
+    check(recorded, out)
+    assert hashlib.sha256(recorded.bare.read_bytes()).hexdigest() == before
+    old, new = open_session(recorded.bare), open_session(out)
+    assert new.attachments == old.attachments
+    assert new.metadata["box"] == old.metadata["box"]
+    assert new.metadata["joints-added"] == {
+        "source": "joints.csv",
+        "session": "bare.mcap",
+        "session_sha256": before,
+        "time": "utc",
+        "readings": str(len(recorded.t)),
+    }
+    for name in ("session", "session-end"):
+        for key in ("utc_ns", "monotonic_ns"):
+            assert new.metadata[name][key] == old.metadata[name][key]
+    assert main(["inspect", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "added afterwards from joints.csv, nobody saw them arrive: their time is utc, its error unknown" in said
+    assert "above the fastest on average" not in said  # what would be said of arrivals
+    others = [message for message in new.messages() if message.topic != "/robot/joints"]
+    assert others == list(old.messages())
+    assert all(json.loads(message.data)["arrival"] is False for message in new.messages({"/robot/joints"}))
+
+
+def test_a_table_whose_time_began_with_the_controller(recorded, tmp_path, out):
+    table = csv_of(tmp_path / "joints.csv", "t_s", recorded.t, recorded.q)
+    zero_ns = recorded.result.survey.joints.clocks[0].to_host_ns(np.array([0.0]))[0]
+    zero = repr(1e-9 * float(zero_ns - recorded.begin_ns))
+    assert main(["add-joints", str(recorded.bare), str(table), "--zero", zero, "--out", str(out)]) == 0
+    check(recorded, out)
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_bag(recorded, tmp_path, out, storage):
+    names = [NAMES[i] for i in SCRAMBLED]
+    states = ((t, joint_state(t, names, q[SCRAMBLED])) for t, q in zip(recorded.utc_ns, recorded.q, strict=True))
+    bag = write_bag(tmp_path / "bag", storage, states)
+    arguments = [str(recorded.bare), str(bag), "--joints", ",".join(NAMES), "--out", str(out)]
+    assert main(["add-joints", *arguments]) == 0
+    check(recorded, out)
+
+
+class TestWhatIsWrong:
+    """One line, exit 2, and no file."""
+
+    @pytest.fixture
+    def table(self, recorded, tmp_path):
+        return csv_of(tmp_path / "joints.csv", "t_ns", recorded.utc_ns[:100], recorded.q[:100])
+
+    @staticmethod
+    def fails(capsys, out, *arguments):
+        folder = set(out.parent.iterdir())
+        assert main(["add-joints", *map(str, arguments), "--out", str(out)]) == 2
+        complaint = capsys.readouterr().err
+        assert complaint.count("\n") == 1
+        assert set(out.parent.iterdir()) == folder
+        return complaint
+
+    def test_readings_are_there_already(self, recorded, table, out, capsys):
+        assert "give --replace" in self.fails(capsys, out, recorded.path, table)
+        assert main(["add-joints", str(recorded.path), str(table), "--replace", "--out", str(out)]) == 0
+        assert len(list(open_session(out).messages({"/robot/joints"}))) == 100
+
+    def test_a_time_that_is_no_utc(self, recorded, tmp_path, out, capsys):
+        table = csv_of(tmp_path / "other.csv", "t_s", recorded.t, recorded.q)
+        assert "else say with --zero" in self.fails(capsys, out, recorded.bare, table)
+        assert "is --zero right?" in self.fails(capsys, out, recorded.bare, table, "--zero", "1e8")
+
+    def test_a_row_in_the_middle(self, recorded, table, out, capsys):
+        table.write_text(table.read_text() + "1,2,3\n")
+        assert "joints.csv row 102: is no reading" in self.fails(capsys, out, recorded.bare, table)
+
+    def test_a_bag_that_is_cut_off(self, recorded, tmp_path, out, capsys):
+        states = ((t, joint_state(t, NAMES, q)) for t, q in zip(recorded.utc_ns, recorded.q, strict=True))
+        bag = write_bag(tmp_path / "bag", "mcap", states)
+        (path,) = bag.glob("*.mcap")
+        path.write_bytes(path.read_bytes()[:-1000])
+        assert "bag.mcap: " in self.fails(capsys, out, recorded.bare, bag, "--joints", ",".join(NAMES))
+
+    def test_a_session_that_is_none(self, table, out, capsys):
+        assert "is no MCAP file" in self.fails(capsys, out, table, table)
+
+    def test_no_output_over_an_input(self, recorded, table, out, capsys):
+        table.rename(out)
+        assert "is also read" in self.fails(capsys, out, recorded.bare, out)
+        assert "exists; choose another name" in self.fails(capsys, out, recorded.bare, recorded.bare)
+
+
+PANDA = str(Path(__file__).parents[1] / "data" / "mukca" / "panda.urdf")
+
+
+def test_the_order_of_the_joints_from_a_robot(tmp_path):
+    """The bag has the Panda's joints backward, and its fingers; the URDF has them in order."""
+    arm = [f"panda_joint{i}" for i in range(1, 8)]
+    names = ["finger", *reversed(arm)]
+    bag = write_bag(tmp_path / "bag", "mcap", [(10**18, joint_state(10**18, names, range(8)))])
+    joints = _joint_names(None, PANDA, None, "ball_link")
+    assert joints == arm
+    (reading,) = _readings(bag, "/joint_states", joints, False)
+    assert json.loads(reading.line)["q"] == [7.0, 6.0, 5.0, 4.0, 3.0, 2.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("joints", "robot", "says"),
+    [
+        ("a,b", PANDA, "give one"),
+        ("a,,b", None, "no list of different names"),
+        ("a,b,a", None, "no list of different names"),
+    ],
+)
+def test_names_that_are_none(joints, robot, says):
+    with pytest.raises(InputError, match=says):
+        _joint_names(joints, robot, None, "ball_link")
+
+
+def test_a_table_has_its_order(tmp_path):
+    with pytest.raises(InputError, match="a table's columns are in order"):
+        _readings(tmp_path / "joints.csv", "/joint_states", ["a"], False)
+
+
+def test_what_is_whole_of_a_damaged_session(recorded, tmp_path, out, capsys):
+    """Cut off in the middle: refused, then used as far as it goes, and the new file says so."""
+    damaged = tmp_path / "damaged.mcap"
+    data = recorded.bare.read_bytes()
+    damaged.write_bytes(data[: len(data) // 2])
+    table = csv_of(tmp_path / "joints.csv", "t_ns", recorded.utc_ns, recorded.q)
+    arguments = ["add-joints", str(damaged), str(table), "--out", str(out)]
+    assert main(arguments) == 2
+    assert "--allow-damaged" in capsys.readouterr().err
+    assert main([*arguments, "--allow-damaged"]) == 0
+    assert "damaged" in open_session(out).metadata["joints-added"]
+    assert 4 <= len(observations_of_session(out).table) < 18

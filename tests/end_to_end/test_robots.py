@@ -1,0 +1,44 @@
+"""``truearm simulate --robot rtde`` and ``truearm record --robot rtde://``: a Universal Robots arm without one."""
+
+import json
+
+import numpy as np
+from tests.end_to_end.conftest import truearm
+from tests.end_to_end.test_real_time import Simulator
+
+from truearm.cli import main
+from truearm.record.session import open_session
+from truearm_sim.world import World, standard_plan
+
+
+def test_rtde_from_the_simulator_to_the_dwell(tmp_path):
+    """Four seconds at 500 Hz: every reading is in the session, bit for bit the World's, measured and commanded apart."""
+    simulator = Simulator(tmp_path, "--robot", "rtde", "--poses", "9")
+    try:
+        assert any(word.startswith("rtde://127.0.0.1:") for word in simulator.record)
+        done = truearm(*simulator.record, "--duration", 4, timeout_s=60)
+    finally:
+        simulator.stop()
+    assert done.returncode == 0, done.stderr
+    session = tmp_path / "session.mcap"
+    rows = [json.loads(message.data) for message in open_session(session).messages({"/robot/joints"})]
+    assert len(rows) >= 3.5 * 500
+    # The Port drops what a slow reader does not take; seq and t tell of it alike.
+    seq, t = np.array([row["seq"] for row in rows]), np.array([row["t"] for row in rows])
+    assert np.array_equal(seq, np.rint((t - t[0]) * 500.0))
+    states = World(1, standard_plan(9, 1), robot_rate=500.0).robot_states(0, 20 * 10**9)
+    first = int(np.searchsorted(states.t_robot, rows[0]["t"] - 1e-6))
+    for key in ("q", "q_cmd", "qd"):
+        told = getattr(states, key)[first + seq]
+        assert np.array_equal([row[key] for row in rows], told), key
+    assert not list(open_session(session).messages({"/robot/console"}))
+    report = truearm("inspect", session, "--json")
+    robot = json.loads(report.stdout)["robot"]
+    assert robot["readings"] == len(rows)
+    assert robot["lost"] == seq[-1] + 1 - len(rows)
+
+
+def test_another_kind_of_robot_is_refused(tmp_path, capsys):
+    assert main(["simulate", "--robot", "kuka", "--out", str(tmp_path / "x")]) == 2
+    assert "--robot 'kuka' is not known; it is one of lines, rtde" in capsys.readouterr().err
+    assert not (tmp_path / "x").exists()

@@ -1,0 +1,209 @@
+"""ROS 2 bags: what rosbags' own writer wrote is read in order and exactly; what is hostile gives one clear line."""
+
+import json
+import math
+import sqlite3
+import sys
+import tracemalloc
+
+import pytest
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+from ros_bags import STORAGES, joint_state, write_bag
+
+from truearm.errors import InputError
+from truearm.record.robots.bags import bag_files, is_bag, readings_of_bag
+from truearm.sensors.joints import parse_reading
+
+TOPIC = "/joint_states"
+# As Universal Robots' driver publishes them: the elbow first.
+NAMES = ["elbow", "lift", "pan", "wrist1", "wrist2", "wrist3"]
+JOINTS = ["pan", "lift", "elbow", "wrist1", "wrist2", "wrist3"]
+T0 = 1_764_000_000_123_456_789
+storages = pytest.mark.parametrize("storage", STORAGES)
+
+
+def states(n, names=NAMES):
+    """Position k + i/7 of joint i, velocity its negative, effort twice."""
+    for k in range(n):
+        q = [k + i / 7 for i in range(len(names))]
+        state = joint_state(T0 + 2_000_000 * k, names, q, [-x for x in q], [2 * x for x in q])
+        yield T0 + 2_000_000 * k + 300_000, state
+
+
+def read(path, joints=JOINTS, **more):
+    return list(readings_of_bag(path, TOPIC, joints, **more))
+
+
+@pytest.mark.parametrize(("storage", "compress"), [("mcap", None), ("mcap", "STORAGE"), ("sqlite3", None)])
+def test_exactly_and_in_the_order_of_the_joints(tmp_path, storage, compress):
+    bag = write_bag(tmp_path / "bag", storage, states(50), compress)
+    for path in (bag, *bag_files(bag)):
+        found = read(path)
+        assert len(found) == 50
+        for k, (t, line) in enumerate(found):
+            # a double has 52 bits: 2.4e-7 s at this time of the world
+            assert t == pytest.approx(1e-9 * (T0 + 2_000_000 * k), abs=2.4e-7)
+            reading = parse_reading(line)
+            assert reading.t == t
+            assert reading.q == [k + i / 7 for i in (2, 1, 0, 3, 4, 5)]
+    row = json.loads(line)
+    assert row["qd"] == [-x for x in row["q"]]
+    assert row["effort"] == [2 * x for x in row["q"]]
+    assert row["arrival"] is False
+    assert "seq" not in row
+
+
+def test_chunks_of_lz4(tmp_path):
+    path = tmp_path / "bag.mcap"
+    with path.open("wb") as file:
+        writer = McapWriter(file, compression=CompressionType.LZ4, chunk_size=4096)
+        writer.start(profile="ros2")
+        channel = writer.register_channel(
+            TOPIC, "cdr", writer.register_schema("sensor_msgs/msg/JointState", "ros2msg", b"")
+        )
+        for received_ns, data in states(100):
+            writer.add_message(channel, received_ns, data, received_ns)
+        writer.finish()
+    assert [parse_reading(reading.line).q[2] for reading in read(path)] == list(range(100))
+
+
+def test_a_bag_in_pieces(tmp_path):
+    messages = list(states(12))
+    for k in range(12):
+        part = write_bag(tmp_path / f"part{k}", "mcap", messages[k : k + 1])
+        (tmp_path / "bag").mkdir(exist_ok=True)
+        next(part.glob("*.mcap")).rename(tmp_path / "bag" / f"bag_{k}.mcap")
+    assert [parse_reading(reading.line).q[2] for reading in read(tmp_path / "bag")] == list(range(12))  # 9 before 10
+
+
+@storages
+def test_memory_is_that_of_a_chunk(tmp_path, storage):
+    """5 MB of messages; a chunk of this writer is 1 MiB, and of it there is a compressed and a whole copy at a time."""
+    names = ["long" * 50 + str(i) for i in range(32)]
+    bag = write_bag(tmp_path / "bag", storage, states(700, names))
+    size = sum(file.stat().st_size for file in bag_files(bag))
+    next(readings_of_bag(bag, TOPIC, names))  # the types are made once
+    tracemalloc.start()
+    count = sum(1 for _ in readings_of_bag(bag, TOPIC, names))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert count == 700
+    assert size > 5e6
+    assert peak < 4e6
+
+
+WRONG = {
+    "no joints": (
+        [],
+        "name the joints in their order from the base on, with --joints or --robot; there is elbow,lift,pan",
+    ),
+    "an unknown joint": (["pan", "lid"], "has no joint 'lid'; there is elbow,lift"),
+}
+
+
+@storages
+@pytest.mark.parametrize(("joints", "says"), WRONG.values(), ids=WRONG)
+def test_joints_that_are_not_there(tmp_path, storage, joints, says):
+    bag = write_bag(tmp_path / "bag", storage, states(2))
+    with pytest.raises(InputError, match=says):
+        read(bag, joints)
+
+
+@storages
+def test_a_topic_that_is_not_there(tmp_path, storage):
+    bag = write_bag(tmp_path / "bag", storage, states(2), topic="/other")
+    with pytest.raises(InputError, match="no message on /joint_states; name the topic"):
+        read(bag)
+
+
+STATES = {
+    "cut off": (joint_state(T0, NAMES, [0.0] * 6)[:-3], "is no sensor_msgs/msg/JointState"),
+    "empty": (b"", "is no sensor_msgs/msg/JointState"),
+    "text": (b"hello there, this is no state", "is no sensor_msgs/msg/JointState"),
+    "endless": (b"\0\1\0\0" + bytes(8) + b"\1\0\0\0\0\0\0\0" + b"\xff\xff\xff\x7f", "is no sensor_msgs/msg/JointState"),
+    "no positions": (joint_state(T0, NAMES, []), "has not a finite position"),
+    "not a number": (joint_state(T0, NAMES, [0.0] * 5 + [math.nan]), "has not a finite position"),
+    "before 1970": (joint_state(-(10**18), NAMES, [0.0] * 6), "which is none"),
+    "compressed": (b"\x28\xb5\x2f\xfd" + bytes(40), "is compressed by itself"),
+}
+
+
+@storages
+@pytest.mark.parametrize(("data", "says"), STATES.values(), ids=STATES)
+def test_messages_that_are_none(tmp_path, storage, data, says):
+    bag = write_bag(tmp_path / "bag", storage, [*states(1), (T0 + 10**9, data)])
+    with pytest.raises(InputError, match="message 2: " + ".*" * bool(says) + says):
+        read(bag)
+
+
+@storages
+@pytest.mark.parametrize("share", range(0, 100, 9))
+def test_a_bag_that_is_cut_off_anywhere(tmp_path, storage, share):
+    (path,) = bag_files(write_bag(tmp_path / "bag", storage, states(200)))
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) * share // 100])
+    with pytest.raises(InputError) as failure:
+        read(path)
+    assert str(failure.value).startswith(str(path))
+    assert "\n" not in str(failure.value)
+
+
+def test_what_is_whole_of_a_damaged_bag(tmp_path):
+    messages = list(states(8_000))
+    (path,) = bag_files(write_bag(tmp_path / "bag", "mcap", messages))
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    found = read(path, allow_damaged=True)
+    assert 1000 < len(found) < 5000
+    assert [parse_reading(reading.line).q[2] for reading in found] == list(range(len(found)))
+
+
+HOSTILE = {
+    "a view": "CREATE VIEW messages AS WITH RECURSIVE n(id) AS (SELECT 1 UNION ALL SELECT id+1 FROM n) "
+    "SELECT id, 1 AS topic_id, id AS timestamp, x'00' AS data FROM n",
+    "a computed column": "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, "
+    "data BLOB AS (zeroblob(900000000)))",
+    "no table": "CREATE TABLE other(id INTEGER)",
+}
+
+
+@pytest.mark.parametrize("sql", HOSTILE.values(), ids=HOSTILE)
+def test_a_database_that_is_more_than_it_seems(tmp_path, sql):
+    path = tmp_path / "bag.db3"
+    with sqlite3.connect(path) as connection:
+        connection.execute(
+            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)"
+        )
+        connection.execute("INSERT INTO topics VALUES(1, '/joint_states', 'sensor_msgs/msg/JointState', 'cdr')")
+        connection.execute(sql)
+    with pytest.raises(InputError, match="has no plain table 'messages'"):
+        read(path)
+
+
+def test_a_message_of_a_gigabyte_is_not_read(tmp_path):
+    (path,) = bag_files(write_bag(tmp_path / "bag", "sqlite3", states(1)))
+    with sqlite3.connect(path) as connection:
+        connection.execute("UPDATE messages SET data = zeroblob(2000000)")
+    with pytest.raises(InputError, match="too big"):
+        read(path)
+
+
+def test_what_is_no_bag(tmp_path):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match=r"there is no \.mcap and no \.db3"):
+        read(tmp_path / "empty")
+    bag = write_bag(tmp_path / "packed", "sqlite3", states(3), "FILE")
+    with pytest.raises(InputError, match="unpack them with zstd -d"):
+        read(bag)
+    with pytest.raises(InputError, match="no such file"):
+        read(tmp_path / "nothing.db3")
+    assert is_bag(bag)
+    assert not is_bag(tmp_path / "table.csv")
+
+
+def test_without_rosbags(tmp_path, monkeypatch):
+    bag = write_bag(tmp_path / "bag", "mcap", states(1))
+    monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
+    with pytest.raises(InputError, match=r"pip install 'truearm\[ros\]'"):
+        read(bag)

@@ -1,0 +1,357 @@
+"""Lines of CSV and JSON over TCP and UDP, and tables of joint readings: names, units, and what is no reading."""
+
+import json
+import math
+import socket
+import threading
+
+import pytest
+
+from truearm.errors import InputError, LinkClosed, LinkError, TableError
+from truearm.record.links import HostClock
+from truearm.record.robot import MAX_LINE
+from truearm.record.robots.columns import read_columns
+from truearm.record.robots.lines import Dialect, LinesLink, open_lines
+from truearm.record.robots.open import open_source
+from truearm.record.robots.table import readings_of_table
+from truearm.sensors.joints import parse_reading
+
+PATIENCE_S = 5.0  # only a broken link waits so long
+DEG = math.pi / 180.0
+
+
+def rows(dialect, *lines):
+    return [json.loads(found) if found != line else line for line in lines for found in [dialect.line(line)]]
+
+
+class TestJson:
+    @pytest.mark.parametrize(
+        "line",
+        [
+            b'{"t": 1.5, "seq": 3, "q": [0.1, -2.0]}',
+            b'{"q":[1],"t":0,"q_cmd":[1],"more":{"x":1}}\r',
+            b'{"t": 1, "q": []}',
+            b"{",
+        ],
+    )
+    def test_what_needs_no_change_stays_as_it_is(self, line):
+        assert Dialect({}).line(line) == line
+
+    def test_names_and_units_of_the_address(self):
+        dialect = Dialect({"unit": "deg", "t_unit": "ms", "t": "stamp", "q": "pos", "q_cmd": "cmd", "qd": "vel"})
+        line = b'{"stamp": 2500, "pos": [90, 180.0], "cmd": [91, 181], "vel": [1, 2], "seq": 4, "inputs": 3}'
+        (row,) = rows(dialect, line)
+        assert row == {
+            "t": 2.5,
+            "seq": 4,
+            "q": [90 * DEG, 180.0 * DEG],
+            "q_cmd": [91 * DEG, 181 * DEG],
+            "qd": [DEG, 2 * DEG],
+            "inputs": 3,
+            "line": line.decode(),
+        }
+
+    def test_a_key_for_each_joint_and_a_unit_too(self):
+        (row,) = rows(Dialect({"q": "j1,j2,j3", "unit": "deg,rad,mm"}), b'{"t": 1, "j2": 0.5, "j1": 90, "j3": 250}')
+        assert row["q"] == [90 * DEG, 0.5, 0.25]
+
+    def test_a_declaration_among_the_lines(self):
+        declaration = b'{"names": {"q": ["a", "b"], "t": "time"}, "unit": "deg", "t_unit": "ns"}'
+        same, row, rest = rows(
+            Dialect({}), declaration, b'{"time": 1764000000123456789, "a": 90, "b": 0}', b'{"t": 1, "q": [1]}'
+        )
+        assert same == declaration
+        assert row["q"] == [90 * DEG, 0.0]
+        assert row["t"] == 1764000000123456789 / 10**9
+        assert rest == b'{"t": 1, "q": [1]}'  # not what was declared: handed on
+
+    @pytest.mark.parametrize(
+        "line",
+        [
+            b'{"t": 1, "q": [90, "x"]}',
+            b'{"t": 1, "q": [90, NaN]}',
+            b'{"t": 1, "q": [90, 1e999]}',
+            b'{"t": "1", "q": [90]}',
+            b'{"t": NaN, "q": [90]}',
+            b'{"t": 1e999, "q": [90]}',
+            b'{"t": ' + b"9" * 400 + b', "q": [90]}',
+            b'{"t": true, "q": [90]}',
+            b'{"q": [90]}',
+            b'{"t": 1, "q": [1, 2, 3]}',  # units for two
+            b"{" + b'"a":{' * 3000,
+            b'{"t": 1, "q": [1, 2], "x": "' + "é".encode() * 3000 + b'"}',  # with itself inside it would be too long
+        ],
+    )
+    def test_what_is_no_reading_goes_on_as_it_is(self, line):
+        assert Dialect({"unit": "deg,deg"}).line(line) == line
+
+    def test_values_that_are_odd_do_not_spoil_the_reading(self):
+        (row,) = rows(
+            Dialect({"unit": "deg"}),
+            b'{"t": 1, "q": [90], "q_cmd": "x", "qd": [1, 2], "inputs": "y", "current": [NaN]}',
+        )
+        assert set(row) == {"t", "q", "qd", "line"}
+
+    @pytest.mark.parametrize(
+        "line",
+        [
+            b'{"unit": "grad"}',
+            b'{"t_unit": "h"}',
+            b'{"names": {"x": "y"}}',
+            b'{"names": {"q": 3}}',
+            b'{"names": 3}',
+            b'{"unit": []}',
+            b'{"t_unit": []}',
+        ],
+    )
+    def test_a_declaration_that_is_not_understood(self, line):
+        with pytest.raises(InputError):
+            Dialect({}).line(line)
+
+
+class TestCsv:
+    def test_a_header_and_rows(self):
+        dialect = Dialect({})
+        header = b"t_ms,seq,q1_deg,q2_mm,q1_cmd_deg,q2_cmd_mm,qd1_deg_s,qd2_mm_s,inputs,note\r"
+        early, head, row, again, last = rows(
+            dialect, b"0,1,2", header, b"1500,7,90,100,91,110,1,20,5,hello\r", header, b"1502,8,90,100,91,110,1,20,5,"
+        )
+        assert early == b"0,1,2"
+        assert head == again == header
+        assert row == {
+            "t": 1.5,
+            "seq": 7,
+            "q": [90 * DEG, 0.1],
+            "q_cmd": [91 * DEG, 0.11],
+            "qd": [DEG, 0.02],
+            "inputs": 5,
+            "line": "1500,7,90,100,91,110,1,20,5,hello",
+        }
+        assert last["t"] == 1.502
+
+    def test_columns_of_the_address(self):
+        (row,) = rows(Dialect({"columns": "t_s,q2_rad,q1_rad"}), b"1,2,3")
+        assert row == {"t": 1.0, "q": [3.0, 2.0], "line": "1,2,3"}
+
+    @pytest.mark.parametrize(
+        "line",
+        [b"1,2", b"1,2,3,4", b"1,x,3", b"1,,3", b"1,nan,3", b"1,1_0,3", b"1,inf,3", b"1,2,\xff", "1,2,٣".encode(), b""],
+    )
+    def test_what_is_no_row_goes_on_as_it_is(self, line):
+        assert Dialect({"columns": "t_s,q1_rad,q2_rad"}).line(line) == line
+
+    @pytest.mark.parametrize(
+        ("header", "says"),
+        [
+            ("seq,q1_rad", "no column t_s"),
+            ("t_s", "columns of q are needed"),
+            ("t_s,q2_rad", "columns of q are needed"),
+            ("t_s,q1_rad,q2_rad,q1_cmd_rad", "columns of q_cmd are needed"),
+            ("t_s,q1_rad,q1_deg", "given twice"),
+            ("t_s,t_ms,q1_rad", "given twice"),
+            ("t_s,q1_grad", "'q1_grad' is not known"),
+            ("t_s,q1", "'q1' is not known"),
+            ("t_s,q1_rad,qd1_rad", "'qd1_rad' is not known"),
+            ("t_s,q1_rad,q1_rad_s", "'q1_rad_s' is not known"),
+            ("t_s,q0_rad", "'q0_rad' is not known"),
+            ("t_s," + ",".join(f"q{i}_rad" for i in range(1, 34)), "columns of q are needed"),
+            ("t_s," + ",".join(f"x_{i}" for i in range(300)), "301 columns"),
+        ],
+    )
+    def test_headers_that_are_not_understood(self, header, says):
+        with pytest.raises(InputError, match=says) as failure:
+            read_columns(header.split(","))
+        assert len(str(failure.value)) < 300
+
+
+class Peer:
+    """One end of a TCP connection, the other is the robot's address."""
+
+    def __init__(self, data):
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
+        self._data = data
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self):
+        peer, _ = self._listener.accept()
+        with peer:
+            peer.sendall(self._data)
+        self._listener.close()
+
+
+def all_of(link):
+    """What comes until the end, and the end."""
+    got, deadline = b"", HostClock().now_ns() + PATIENCE_S * 1e9
+    while HostClock().now_ns() < deadline:
+        try:
+            got += b"".join(data for _, data in link.read(0.1))
+        except LinkError as exc:
+            link.close()
+            return got, exc
+    raise AssertionError("no end came")
+
+
+class TestTcp:
+    def test_lines_then_the_end(self):
+        peer = Peer(b"t_s,q1_deg\n1,90\n2,180\nhello\n3,2")
+        got, end = all_of(open_source(f"lines+tcp://{peer.address}", HostClock()))
+        *lines, rest = got.split(b"\n")
+        assert [parse_reading(line) and parse_reading(line).q for line in lines] == [
+            None,
+            [90 * DEG],
+            [180 * DEG],
+            None,
+        ]
+        assert rest == b"3,2"  # half a line is no reading
+        assert isinstance(end, LinkClosed)
+
+    def test_plain_lines_are_untouched(self):
+        sent = b'{"t": 1.50, "q": [0.10]}\nhello\r\n\xff\xfe\n{"t":2,"q":[1]}\n'
+        assert all_of(open_source(f"lines+tcp://{Peer(sent).address}", HostClock()))[0] == sent
+        assert all_of(open_source(f"tcp://{Peer(sent).address}", HostClock()))[0] == sent
+
+    def test_no_piece_of_an_overlong_line_passes_for_a_reading(self):
+        reading = b'{"t":1,"q":[1]}'
+        peer = Peer(b"x" * MAX_LINE + reading + b"\n" + reading + b"\n")
+        got, _ = all_of(open_source(f"lines+tcp://{peer.address}", HostClock()))
+        assert [parse_reading(line) is not None for line in got.splitlines()] == [False, False, True]
+        assert got.replace(b"of a line that is too long: ", b"").replace(b"\n", b"") == b"x" * MAX_LINE + reading * 2
+
+    def test_a_header_that_is_not_understood_ends_it(self):
+        peer = Peer(b"t_s,q1_degrees\n1,90\n")
+        got, end = all_of(open_source(f"lines+tcp://{peer.address}", HostClock()))
+        assert got.startswith(b"t_s,q1_degrees\n")
+        assert "'q1_degrees' is not known" in str(end)
+
+
+class TestUdp:
+    @pytest.fixture
+    def free(self):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind(("127.0.0.1", 0))
+            return probe.getsockname()[1]
+
+    def test_datagrams(self, free):
+        clock = HostClock()
+        link = open_source(f"lines+udp://127.0.0.1:{free}?columns=t_s,q1_rad", clock)
+        with (
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot,
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
+        ):
+            before = clock.now_ns()
+            robot.sendto(b"1,0.5", ("127.0.0.1", free))
+            arrivals = []
+            while not arrivals:
+                arrivals = link.read(0.1)
+            other.sendto(b"1,0.6", ("127.0.0.1", free))
+            robot.sendto(b"2,0.7\n3,0.8\n", ("127.0.0.1", free))
+            robot.sendto(b"4," + b"9" * 9000, ("127.0.0.1", free))
+            robot.sendto(b"5,0.9", ("127.0.0.1", free))
+            while b'"t":5.0' not in arrivals[-1][1]:
+                arrivals += link.read(0.1)
+        link.close()
+        found = [parse_reading(line) for _, data in arrivals for line in data.splitlines()]
+        assert [reading.q[0] for reading in found if reading] == [0.5, 0.7, 0.8, 0.9]
+        stamps = [t for t, _ in arrivals]
+        assert before <= stamps[0]
+        assert stamps == sorted(stamps)
+
+    def test_a_port_that_is_taken(self, free):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot:
+            robot.bind(("127.0.0.1", free))
+            with pytest.raises(LinkError, match="cannot listen there"):
+                open_source(f"lines+udp://127.0.0.1:{free}", HostClock())
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "x://127.0.0.1:1",
+        "127.0.0.1:1",
+        "lines+tcp://127.0.0.1",
+        "lines+udp://",
+        "lines+tcp://127.0.0.1:1?unit",
+        "lines+tcp://127.0.0.1:1?unit=grad",
+        "lines+tcp://127.0.0.1:1?columns=a,b",
+        "lines+tcp://127.0.0.1:1?nonsense=1",
+        "lines+tcp://127.0.0.1:1?" + "&".join(["t=x"] * 30),
+    ],
+)
+def test_addresses_that_are_none(url):
+    with pytest.raises(InputError):
+        open_source(url, HostClock())
+
+
+class Played:
+    """A link in memory."""
+
+    name = "played"
+
+    def __init__(self, *pieces):
+        self.pieces = list(pieces)
+
+    def read(self, timeout_s):
+        if not self.pieces:
+            raise LinkClosed("played: the end")
+        return [(len(self.pieces), self.pieces.pop(0))]
+
+
+@pytest.mark.parametrize("size", [1, 3, 7, 1000])
+def test_how_the_stream_is_cut_does_not_matter(size):
+    sent = b"t_s,q1_deg\n1,90\n" + b'{"names":{"q":"p"}}\n{"t":1,"p":[2]}\n' + b"y" * 9000 + b"\n2,180\n"
+    pieces = [sent[i : i + size] for i in range(0, len(sent), size)]
+    link = LinesLink(Played(*pieces), HostClock(), {})
+    got = b"".join(data for _ in range(len(pieces)) for _, data in link.read(0.0))
+    assert [parse_reading(line).q for line in got.splitlines() if parse_reading(line)] == [[90 * DEG], [2.0], [math.pi]]
+
+
+class TestTable:
+    @staticmethod
+    def table(tmp_path, text, encoding="utf-8"):
+        path = tmp_path / "joints.csv"
+        path.write_bytes(text.encode(encoding))
+        return path
+
+    def test_rows(self, tmp_path):
+        path = self.table(
+            tmp_path, '\ufefft_s,seq,q1_deg,q1_cmd_deg,x_mode\r\n1.5,1,90,91,idle\r\n\r\n1.52,2,45,46,"a, b"\r\n'
+        )
+        found = [(reading.t, json.loads(reading.line)) for reading in readings_of_table(path)]
+        assert [t for t, _ in found] == [1.5, 1.52]
+        assert found[1][1] == {"t": 1.52, "seq": 2, "q": [45 * DEG], "q_cmd": [46 * DEG], "arrival": False}
+
+    @pytest.mark.parametrize(
+        ("text", "says"),
+        [
+            ("", "no column t_s"),
+            ("a,b\n1,2\n", "column 'a' is not known"),
+            ("t_s,q1_rad\n1,2,3\n", "row 2: is no reading: 2 cells"),
+            ("t_s,q1_rad\n1,2\n\n2,x\n", "row 4: is no reading"),
+            ("t_s,q1_rad\n-1,2\n", "row 2: is no reading"),
+            ("t_s,q1_rad\n2,2\n1,2\n", "row 3: time goes back from 2 s to 1 s"),
+            ('t_s,q1_rad\n1,"2\n', "is not CSV"),
+            ("t_s,q1_rad\n1,\x00\n", "row 2: is no"),
+            ("t_s,q1_rad\n" + "1" * 9000 + ",2\n", "has a line of more than"),
+        ],
+    )
+    def test_what_is_wrong_is_said_with_its_row(self, tmp_path, text, says):
+        path = self.table(tmp_path, text)
+        with pytest.raises(TableError, match=says) as failure:
+            list(readings_of_table(path))
+        assert str(failure.value).startswith(str(path))
+        assert "\n" not in str(failure.value)
+
+    def test_other_files(self, tmp_path):
+        with pytest.raises(TableError, match="not UTF-8"):
+            list(readings_of_table(self.table(tmp_path, "t_s,q1_rad,x_é\n", "latin-1")))
+        with pytest.raises(TableError, match="No such file"):
+            list(readings_of_table(tmp_path / "none.csv"))
+        with pytest.raises(TableError, match="is not a regular file"):
+            list(readings_of_table(tmp_path))
+
+
+def test_opening_lines_checks_before_it_connects():
+    with pytest.raises(InputError, match="unit 'grad' is not known"):
+        open_lines("lines+tcp://127.0.0.1:1?unit=grad", HostClock())

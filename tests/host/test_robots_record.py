@@ -1,0 +1,83 @@
+"""``truearm record`` with robots that speak a language of their own: what is in the session, and what is made of it."""
+
+import json
+import math
+import time
+
+import numpy as np
+import pytest
+from test_record_command import box_on_a_socket
+from test_record_failures import server
+
+from truearm.cli import main
+from truearm.record.session import open_session
+
+
+def rows_of(path):
+    return [json.loads(message.data) for message in open_session(path).messages({"/robot/joints"})]
+
+
+def recorded(tmp_path, capsys, talk, address):
+    """The session of a robot that talks and then closes its stream, and what inspect says of the robot."""
+    out = tmp_path / "s.mcap"
+    with box_on_a_socket() as (_, device), server(talk) as peer:
+        assert main(["record", "--device", device, "--robot", address.format(peer), "--out", str(out)]) == 0
+    capsys.readouterr()
+    assert main(["inspect", str(out), "--json"]) == 0
+    return out, json.loads(capsys.readouterr().out)["robot"]
+
+
+def test_csv_in_degrees(tmp_path, capsys):
+    """A robot that was running before us: half a line, then rows; its columns stand in the address."""
+
+    def robot(peer):
+        peer.sendall(b".5,20\n")
+        for k in range(150):
+            peer.sendall(b"%d,%d,%.3f,20.0,10.5,20.5\n" % (8 * k, k, 10.0 + 0.01 * k))
+            time.sleep(0.008)
+
+    columns = "t_ms,seq,q1_deg,q2_deg,q1_cmd_deg,q2_cmd_deg"
+    out, said = recorded(tmp_path, capsys, robot, "lines+tcp://{}?columns=" + columns)
+    rows = rows_of(out)
+    assert np.allclose(np.rad2deg([row["q"] for row in rows])[:, 0], 10.0 + 0.01 * np.arange(150), atol=1e-12)
+    assert np.allclose([row["q_cmd"] for row in rows], np.deg2rad([10.5, 20.5]), atol=1e-15)
+    assert [row["t"] for row in rows] == [8 * k / 1000 for k in range(150)]
+    assert rows[7]["line"] == "56,7,10.070,20.0,10.5,20.5"
+    assert [message.data for message in open_session(out).messages({"/robot/console"})] == [b".5,20"]
+    assert (said["readings"], said["lost"], said["malformed"], said["joints"]) == (150, 0, 0, 2)
+    assert said["rate_hz"] == pytest.approx(125.0, abs=1e-6)
+
+
+def test_json_that_says_its_names(tmp_path, capsys):
+    def robot(peer):
+        peer.sendall(b'{"names": {"q": ["a", "b"], "t": "stamp"}, "unit": "deg,mm"}\n')
+        for k in range(60):
+            peer.sendall(json.dumps({"stamp": k / 50, "b": 250, "a": 180}).encode() + b"\n")
+            time.sleep(0.02)
+
+    out, said = recorded(tmp_path, capsys, robot, "lines+tcp://{}")
+    assert {tuple(row["q"]) for row in rows_of(out)} == {(math.pi, 0.25)}
+    assert (said["readings"], said["lost"]) == (60, None)  # it does not number them
+
+
+def test_a_header_that_is_not_understood_is_said(tmp_path, capsys):
+    def robot(peer):
+        peer.sendall(b"t_s,q1_grad\n")
+        time.sleep(1.0)
+
+    out = tmp_path / "s.mcap"
+    with box_on_a_socket() as (_, device), server(robot) as peer:
+        arguments = ["--device", device, "--robot", f"lines+tcp://{peer}", "--out", str(out), "--duration", "3"]
+        assert main(["record", *arguments]) == 1
+    complaint = capsys.readouterr().err
+    assert "column 'q1_grad' is not known" in complaint
+    assert complaint.count("\n") == 1
+
+
+@pytest.mark.parametrize("address", ["kuka://x", "rtde://", "lines+tcp://127.0.0.1:1?unit=grad"])
+def test_an_address_that_is_none(tmp_path, capsys, address):
+    out = tmp_path / "s.mcap"
+    with box_on_a_socket() as (_, device):
+        assert main(["record", "--device", device, "--robot", address, "--out", str(out)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not out.exists()
