@@ -14,13 +14,26 @@ ROOMS = {
     "model": set(),
     "observe": {"model"},
     "estimate": {"observe", "model"},
+    "plan": {"estimate", "observe", "model"},
     "sensors": set(),
     "sync": {"sensors"},
     "record": {"files", "sensors"},
     "files": {"model"},
     "report": set(),
     "reproduce": {"estimate", "observe", "model", "report"},
-    "commands": {"model", "observe", "estimate", "sensors", "sync", "record", "files", "report", "reproduce", "cli"},
+    "commands": {
+        "model",
+        "observe",
+        "estimate",
+        "sensors",
+        "sync",
+        "record",
+        "files",
+        "report",
+        "reproduce",
+        "plan",
+        "cli",
+    },
     "cli": {"commands"},
     "__main__": {"cli"},
     "types": set(),
@@ -28,7 +41,7 @@ ROOMS = {
 }
 WIRE_ALLOWED = {"record", "sync", "sensors"}
 SIMULATOR_ALLOWED = {"commands"}  # simulate, demo and reproduce alone
-PURE = ("model", "observe", "estimate")  # compute; touch neither files nor the network
+PURE = ("model", "observe", "estimate", "plan")  # compute; touch neither files nor the network
 IO_MODULES = {"socket", "serial", "urllib", "http", "subprocess", "shutil", "tempfile", "os", "mcap", "pathlib", "io"}
 DEVICE_MODULES = {"machine", "rp2"}
 # what the firmware may use of MicroPython's library

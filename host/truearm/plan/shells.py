@@ -12,14 +12,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from truearm.errors import PlanError
-from truearm.files.plan import Plan
 from truearm.model.chain import Chain, point_forward
-from truearm.types import BallBar, Floats, Point, Rig
-from truearm_sim.inverse import PUMA_ELBOW_UP, Arm, Box, inverse, make_arm
+from truearm.plan.inverse import PUMA_ELBOW_UP, Arm, Branch, inverse, make_arm
+from truearm.plan.tour import short_tour, untangled, without_dearest
+from truearm.types import BallBar, Floats, Plan, Point, Rig
 
 # Between the tool's axis and the direction to the chuck. It is what tells the radius of a shell from the robot's size:
 # with 35° the fit on 46 cm predicts 61 cm to 0.0890 mm (expected RMS, of 0.084 mm noise), in one of a hundred
@@ -40,7 +39,7 @@ def plan_shells(
     bar: str,
     n_poses: int = 800,
     seed: int = 0,
-    box: Box = PUMA_ELBOW_UP,
+    branch: Branch = PUMA_ELBOW_UP,
     speed: Floats | None = None,
 ) -> Plan:
     """``n_poses`` poses with one bar, spread evenly over all pairings of a chuck and a sphere, in order of their visits.
@@ -53,11 +52,11 @@ def plan_shells(
     if n_poses < len(pairings):
         raise PlanError(f"{n_poses} poses are too few for {len(pairings)} pairings")
     rng = np.random.default_rng(seed)
-    arm = make_arm(chain, params, box, rng)
+    arm = make_arm(chain, params, branch, rng)
     counts = np.diff(np.linspace(0, n_poses, len(pairings) + 1).astype(int))
     reached = _reachable(arm, rig.bars[bar], pairings, int(counts.max() * SURPLUS) + 1, rng)
     weights = np.ones(len(chain.joints)) if speed is None else 1.0 / np.asarray(speed)
-    here = 0.5 * (box.lower + box.upper)
+    here = 0.5 * (branch.lower + branch.upper)
     parts = []
     for (chuck, sphere), count, q in zip(pairings, counts, reached, strict=True):
         cost = _move_costs(arm, q, weights, rig.bars[bar], chuck, sphere)
@@ -138,43 +137,3 @@ def _move_costs(arm: Arm, q: Floats, weights: Floats, bar: BallBar, chuck: Point
     strain[first, second] = np.abs(np.linalg.norm(p_halfway - chuck.xyz, axis=-1) - bar.zero)
     strain += strain.T
     return np.asarray(duration**2 + (np.maximum(strain - FREE_TRAVEL, 0.0) / STRAIN_PER_SECOND) ** 2)
-
-
-def short_tour(from_start: Floats, cost: Floats) -> NDArray[np.int64]:
-    """Order of n points that keeps the sum of ``cost`` (n, n) of the moves small; ``from_start`` (n,) picks the first."""
-    order = [int(np.argmin(from_start))]
-    left = np.ones(len(cost), dtype=bool)
-    for _ in range(len(cost) - 1):
-        left[order[-1]] = False
-        order.append(int(np.argmin(np.where(left, cost[order[-1]], np.inf))))
-    return untangled(np.array(order), cost)
-
-
-def untangled(order: NDArray[np.int64], cost: Floats) -> NDArray[np.int64]:
-    """The tour after reversing stretches of it as long as that makes it cheaper (2-opt).
-
-    Going always to the nearest point left ends with long moves back to what was passed over; this mends them.
-    """
-    order = order.copy()
-    improved = True
-    while improved:
-        improved = False
-        for i in range(len(order) - 2):
-            # Reverse order[i+1 .. k]: the moves i→i+1 and k→k+1 become i→k and i+1→k+1; the last k has no k+1.
-            here, after, k = order[i], order[i + 1], order[i + 2 :]
-            gain = cost[here, after] - cost[here, k]
-            gain[:-1] += cost[k[:-1], k[1:]] - cost[after, k[1:]]
-            if gain.max() > 1e-12:
-                end = i + 3 + int(np.argmax(gain))
-                order[i + 1 : end] = order[i + 1 : end][::-1]
-                improved = True
-    return order
-
-
-def without_dearest(order: NDArray[np.int64], cost: Floats, count: int) -> NDArray[np.int64]:
-    """The tour without those points whose visit costs most, one by one, until ``count`` are left."""
-    while len(order) > count:
-        moves = np.concatenate([[0.0], cost[order[:-1], order[1:]], [0.0]])
-        shortcuts = np.concatenate([[0.0], cost[order[:-2], order[2:]], [0.0]])
-        order = np.delete(order, int(np.argmax(moves[:-1] + moves[1:] - shortcuts)))
-    return order
