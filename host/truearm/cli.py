@@ -16,6 +16,7 @@ from typing import Annotated, cast
 import typer
 
 from truearm import __version__
+from truearm.commands.correct import correct
 from truearm.commands.demo import demo
 from truearm.commands.identify import identify
 from truearm.commands.inspect import inspect
@@ -25,7 +26,7 @@ from truearm.commands.simulate import simulate
 from truearm.commands.terminal import one_line
 from truearm.errors import TruearmError
 
-COMMANDS = (demo, simulate, record, inspect, identify, reproduce)
+COMMANDS = (demo, simulate, record, inspect, identify, correct, reproduce)
 
 # Options and arguments that typer rejects raise a UsageError. That class lives in click or, in later versions, inside
 # typer, which exports only its subclass BadParameter.
