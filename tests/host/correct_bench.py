@@ -38,7 +38,17 @@ def good_poses(n: int, seed: int = 2) -> np.ndarray:
     q = q[((q > LOWER) & (q < UPPER)).all(axis=1)]
     q = q[(singular_value(CHAIN, DESIGN, q) > 0.08) & (singular_value(CHAIN, TRUTH, q) > 0.08)]
     assert len(q) >= n
-    return q[rng.permutation(len(q))[:n]]
+    return visited(q)[:n]
+
+
+def visited(q: np.ndarray) -> np.ndarray:
+    """In an order in which each is near the one before: a program goes so, and a controller takes the nearest solution."""
+    order = [0]
+    while len(order) < len(q):
+        far = np.abs(q - q[order[-1]]).max(axis=1)
+        far[order] = np.inf
+        order.append(int(far.argmin()))
+    return q[order]
 
 
 def nominal_poses(q: np.ndarray) -> np.ndarray:

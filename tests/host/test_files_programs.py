@@ -1,13 +1,13 @@
 """Robot programs: the targets are found, only their numbers change, and nothing hostile does harm."""
 
-import re
+import contextlib
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from truearm.errors import ProgramError, TruearmError
+from truearm.errors import ProgramError
 from truearm.files.programs import MAX_DEPTH, parse_program, poses_of, quadrants_of, read_program, with_poses
 from truearm.model.poses import apart, pose_of
 
@@ -96,11 +96,11 @@ def test_unchanged_poses_keep_their_sense_of_turning():
         ("[" * (MAX_DEPTH + 1) + "]" * (MAX_DEPTH + 1), "rapid", "nested too deeply"),
         ("\n[[x+1,2,3],[1,0,0,0],[0,0,0,0],[1,1,1,1,1,1]]", "rapid", "line 2: a robtarget with expressions"),
         ("[[1,2,3],[1,1,0,0],[0,0,0,0],[1,1,1,1,1,1]]", "rapid", "line 1: the orientation is no unit quaternion"),
-        ("[[1e9,2,3],[1,0,0,0],[0,0,0,0],[1,1,1,1,1,1]]", "rapid", "no place that a robot reaches"),
-        ("[[1e9999,2,3],[1,0,0,0],[0,0,0,0],[1,1,1,1,1,1]]", "rapid", "no place that a robot reaches"),
+        ("[[1e9,2,3],[1,0,0,0],[0,0,0,0],[1,1,1,1,1,1]]", "rapid", "not a place that a robot reaches"),
+        ("[[1e9999,2,3],[1,0,0,0],[0,0,0,0],[1,1,1,1,1,1]]", "rapid", "not a place that a robot reaches"),
         ("movel(p[1,2,3,4,5])", "urscript", "line 1: a target p.* must be six plain numbers"),
         ("movel(p[x,2,3,4,5,6])", "urscript", "must be six plain numbers"),
-        ("movel(p[1,2,3000,4,5,6])", "urscript", "no place that a robot reaches"),
+        ("movel(p[1,2,3000,4,5,6])", "urscript", "not a place that a robot reaches"),
         ("movel(p[nan,2,3,4,5,6])", "urscript", "must be six plain numbers"),
         ("a\0b", "rapid", "NUL"),
     ],
@@ -127,11 +127,8 @@ def test_a_large_program_is_read_in_reasonable_work():
 
 @settings(max_examples=300, deadline=None)
 @given(st.text(alphabet="[]()p,;:=.0123456789eE+-\"'!# \nmovelx", max_size=80), st.sampled_from(["rapid", "urscript"]))
-def test_any_text_is_read_or_refused_in_one_line(text, kind):
-    try:
+def test_any_text_is_read_or_refused(text, kind):
+    with contextlib.suppress(ProgramError):
         program = parse_program(text, kind)
-    except TruearmError as error:
-        assert "\n" not in str(error)
-    else:
-        assert re.sub(r"\s", "", text)
+        assert program.targets
         assert with_poses(program, poses_of(program))

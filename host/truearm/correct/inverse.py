@@ -31,7 +31,8 @@ GOOD = 1e-10  # of ‖e‖, 0.05 nm: what counts as reached
 LARGEST_STEP = 0.5  # rad, m
 DAMPING_START, DAMPING_LEAST, DAMPING_MOST = 1e-3, 1e-9, 1e3
 N_SAMPLES = 20_000  # random joint vectors to start a search from
-N_STARTS = 12  # of them, for each target
+N_NEAR = 150  # of them that are looked at for each target, and
+N_STARTS = 24  # started from: those most unlike each other, since an arm of six joints has up to 16 configurations
 CHUNK = 20_000  # targets solved at once: Jacobians of 10 MB
 
 
@@ -109,7 +110,7 @@ def search(
     home: Floats | None = None,
     quadrants: Floats | None = None,
 ) -> Inverse:
-    """Solutions within the joint limits for targets (n, 4, 4), each from the N_STARTS nearest of N_SAMPLES joint vectors.
+    """Solutions within the joint limits for targets (n, 4, 4), each from N_STARTS of the N_NEAR best of N_SAMPLES joint vectors.
 
     Of an arm's configurations that is taken which is nearest to the solution before, of the first target nearest to
     ``home`` (j,) (default: the middle of the limits). ``quadrants`` (n, j), NaN where it does not matter, is stronger:
@@ -118,7 +119,7 @@ def search(
     lower, upper = _sampled_range(chain)
     q_seeds = np.random.default_rng(0).uniform(lower, upper, (N_SAMPLES, len(lower)))
     tree = KDTree(_features(forward(chain, params, q_seeds), oriented))
-    starts = q_seeds[tree.query(_features(targets, oriented), k=N_STARTS)[1]]
+    starts = _unlike(q_seeds[tree.query(_features(targets, oriented), k=N_NEAR)[1]])
     n, k, j = starts.shape
     found = inverse(chain, params, np.repeat(targets, k, axis=0), starts.reshape(n * k, j), oriented)
     q = wrapped(chain, found.q).reshape(n, k, j)
@@ -156,6 +157,18 @@ def _sampled_range(chain: Chain) -> tuple[Floats, Floats]:
     middle = [0.5 * (j.lower + j.upper) if np.isfinite(j.lower + j.upper) else 0.0 for j in chain.joints]
     half = [min(0.5 * (j.upper - j.lower), np.pi) for j in chain.joints]
     return np.array(middle) - half, np.array(middle) + half
+
+
+def _unlike(q: Floats) -> Floats:
+    """(n, N_STARTS, j) of q (n, k, j): the first, then always the one farthest from all that were taken."""
+    each = np.arange(len(q))
+    taken = [np.zeros(len(q), dtype=int)]
+    apart_from = np.full(q.shape[:2], np.inf)
+    for _ in range(N_STARTS - 1):
+        last = q[each, taken[-1]][:, None]
+        apart_from = np.minimum(apart_from, np.abs(q - last).max(axis=-1))
+        taken.append(apart_from.argmax(axis=1))
+    return np.stack([q[each, which] for which in taken], axis=1)
 
 
 def _misplaced(q: Floats, quadrants: Floats) -> Floats:
