@@ -18,15 +18,17 @@ import typer
 from truearm import __version__
 from truearm.commands.correct import correct
 from truearm.commands.demo import demo
+from truearm.commands.export import export
 from truearm.commands.identify import identify
 from truearm.commands.inspect import inspect
+from truearm.commands.plan import app as plan
 from truearm.commands.record import record
 from truearm.commands.reproduce import reproduce
 from truearm.commands.simulate import simulate
 from truearm.commands.terminal import one_line
 from truearm.errors import TruearmError
 
-COMMANDS = (demo, simulate, record, inspect, identify, correct, reproduce)
+COMMANDS = (demo, simulate, record, inspect, identify, correct, export, reproduce)
 
 # Options and arguments that typer rejects raise a UsageError. That class lives in click or, in later versions, inside
 # typer, which exports only its subclass BadParameter.
@@ -42,6 +44,7 @@ app = typer.Typer(
 )
 for _command in COMMANDS:
     app.command(_command.__name__)(_command)
+app.add_typer(plan)
 
 
 def _print_version(wanted: bool) -> None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from truearm.model.chain import forward, joint_jacobian, point_forward
 from truearm.plan.inverse import LEVER, Arm
 from truearm.plan.shapes import Mounted, Shapes, clear
-from truearm.types import BallBar, Floats, Rig
+from truearm.types import BallBar, Floats, Plan, Rig
 
 RESERVE = 0.022  # m, of travel on either side
 
@@ -29,7 +29,7 @@ class Limits:
     singular_value: float = 0.04  # of the end's Jacobian, metres in LEVERs
     reserve: float = RESERVE
     chuck_angle: float = np.deg2rad(80.0)  # of the bar from the vertical
-    sphere_angle: float = np.deg2rad(72.0)  # of the bar from the end's z axis
+    sphere_angle: float = np.deg2rad(75.0)  # of the bar from the end's z axis
 
     def tightened(self) -> Limits:
         """For samples STEP apart: between two of them the bar's length bulges by less than 0.6 mm."""
@@ -66,6 +66,16 @@ class Pairing:
     def of(self, rig: Rig) -> tuple[BallBar, Mounted]:
         chuck, sphere = rig.chucks[self.chuck], rig.spheres[self.sphere]
         return rig.bars[self.bar], Mounted(np.array(chuck.xyz), np.array(sphere.xyz))
+
+
+def pairing_at(plan: Plan, i: int) -> Pairing:
+    """What is connected at pose i."""
+    return Pairing(str(plan.bar[i]), str(plan.chuck[i]), str(plan.sphere[i]))
+
+
+def of_pairing(plan: Plan, pairing: Pairing) -> NDArray[np.bool_]:
+    """(n,) the poses of a pairing."""
+    return np.asarray((plan.bar == pairing.bar) & (plan.chuck == pairing.chuck) & (plan.sphere == pairing.sphere))
 
 
 def allowed(site: Site, q: Floats, pairing: Pairing | None, limits: Limits | None = None) -> NDArray[np.bool_]:
