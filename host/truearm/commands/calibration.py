@@ -71,10 +71,9 @@ def six_text(pose: Floats) -> str:
     return f"x, y, z {1e3 * x:.3f}, {1e3 * y:.3f}, {1e3 * z:.3f} mm; Rz, Ry, Rx {turns} deg"
 
 
-def mounting_lines(calibration: Calibration) -> list[str]:
+def mounting_lines(chain: Chain, nominal: Floats, identified: Floats) -> list[str]:
     """The mountings by the names of the frames that they lie between."""
-    found = mountings(calibration.chain, calibration.nominal, calibration.identified)
-    chain = calibration.chain
+    found = mountings(chain, nominal, identified)
     return [
         f"robot's base in {chain.base_frame}: {six_text(found.base)}",
         f"{chain.end_frame} beyond the nominal one, in its axes: {six_text(found.tool)}",

@@ -166,7 +166,10 @@ def _summary(found: _Corrected, calibration: Calibration, own_frames: bool, out:
         frames = (
             f"Targets are of {chain.end_frame} in {chain.base_frame}; how robot and tool were mounted is corrected too:"
         )
-    lines = [one_line(frames), *(f"  {one_line(line)}" for line in mounting_lines(calibration))]
+    lines = [
+        one_line(frames),
+        *(f"  {one_line(line)}" for line in mounting_lines(chain, calibration.nominal, calibration.identified)),
+    ]
     lines.append(f"{'target':<10}{'before [mm]':>14}{'after [mm]':>14}{'before [deg]':>14}{'after [deg]':>14}")
     rows = list(zip(found.places, done.before, done.after, strict=True))
     lines += [f"{place:<10}{_cells(before, after)}" for place, before, after in rows[:SHOWN]]

@@ -98,12 +98,12 @@ def _corrected(
         return found.q, ~found.reached
     step = false_target if method == "false-target" else joint_space
     q, grew = q_nominal, np.zeros(len(q_nominal), dtype=bool)
-    size = _size(_error(pair, targets, q, oriented))
+    size: Floats = _size(_error(pair, targets, q, oriented))
     for _ in range(steps):
         q_next = step(pair, targets, q, oriented)
-        lost = np.isnan(q_next).any(axis=-1)
+        lost: NDArray[np.bool_] = np.asarray(np.isnan(q_next).any(axis=-1))
         size_next = _size(_error(pair, targets, np.where(lost[:, None], q, q_next), oriented))
-        worse = lost | (size_next > np.maximum(size, ROUNDING))
+        worse: NDArray[np.bool_] = lost | (size_next > np.maximum(size, ROUNDING))
         grew |= worse
         q, size = np.where(worse[:, None], q, q_next), np.where(worse, size, size_next)
     return q, grew
