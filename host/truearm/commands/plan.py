@@ -13,9 +13,9 @@ from truearm.errors import InputError
 
 if TYPE_CHECKING:
     from truearm.model.robot import Robot
-    from truearm.plan.ballbar import BallBarPlan
     from truearm.plan.forecast import Forecast, Known
     from truearm.plan.region import Region
+    from truearm.plan.route import Stop
 
 app = typer.Typer(
     name="plan",
@@ -148,7 +148,7 @@ def ballbar(
     )
     if out is not None:
         write_plan(out, planned.route.plan)
-    _write_programs(planned, program or [], Signals(output_line, input_line))
+    _write_programs(planned.route.stops, dwell_s, program or [], Signals(output_line, input_line))
     document = _document(planned.forecast) | {
         "poses": len(planned.route.plan),
         "via_points": int(np.sum(planned.route.pose < 0)),
@@ -159,6 +159,88 @@ def ballbar(
         typer.echo(json.dumps(document, indent=1))
     else:
         _show(document, out, program or [])
+
+
+@app.command("line")
+def line(
+    robot: RobotOption,
+    rig: RigOption,
+    lines: Annotated[int, typer.Option(min=1, max=100, metavar="N", help="How many lines.")] = 6,
+    points: Annotated[int, typer.Option(min=3, max=500, metavar="N", help="Stops along each.")] = 12,
+    length_mm: Annotated[float, typer.Option(min=10.0, max=5000.0, metavar="MM", help="The device's reach.")] = 500.0,
+    transverse_mm: Annotated[
+        float, typer.Option(min=1.0, max=500.0, metavar="MM", help="Full range of the transverse sensors.")
+    ] = 15.0,
+    target: Annotated[
+        str | None, typer.Option(metavar="NAME", help="The rig's target that is measured; default: its only one.")
+    ] = None,
+    criterion: CriterionOption = Criterion.I,
+    region: RegionOption = None,
+    candidates: Annotated[int, typer.Option(min=1, max=5000, metavar="N", help="Lines to choose from.")] = 120,
+    result: ResultOption = None,
+    measured: MeasuredOption = None,
+    branch: BranchOption = None,
+    dwell_s: Annotated[float, typer.Option(min=0.5, metavar="S", help="Rest at a point.")] = 2.0,
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Of everything that is drawn by chance.")] = 0,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write where the lines lie and their points (CSV).")
+    ] = None,
+    program: ProgramOption = None,
+    output_line: OutputOption = 0,
+    input_line: InputOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Plan lines for a line device inside the workspace, preferring where the a-priori error is large.
+
+    Prints where each line lies, what stays unseen, the sigma of every parameter, the error to be expected, and minutes.
+
+    \b
+    Example:
+      truearm plan line --robot ur5e --rig rig.toml --lines 6 --out lines.csv --program lines.script
+    """
+    from truearm.files.disk import write_atomic
+    from truearm.plan.ballbar import make_site
+    from truearm.plan.branches import branch_of
+    from truearm.plan.lines import LinesWanted, lines_csv, plan_lines
+    from truearm.plan.programs import Signals
+    from truearm.plan.route import Pace
+    from truearm.plan.shapes import Sizes
+    from truearm.plan.site import Limits
+
+    _check_outputs([robot, rig, *(measured or []), result], [out, *(program or [])])
+    known = _known(robot, rig, result, measured or [])
+    site = make_site(known, branch_of(known.chain, branch), Limits(), Sizes(), seed)
+    wanted = LinesWanted(
+        lines, points, 1e-3 * length_mm, 1e-3 * transverse_mm, max(candidates, lines), criterion.value, seed
+    )
+    planned = plan_lines(site, known, wanted, Pace(dwell=dwell_s), _region(region), _target(known, target))
+    if out is not None:
+        write_atomic(out, lines_csv(planned))
+    _write_programs(planned.stops, dwell_s, program or [], Signals(output_line, input_line))
+    places = [
+        {
+            "line": f"plan{i + 1}",
+            "from_mm": (1e3 * p[0]).tolist(),
+            "to_mm": (1e3 * p[-1]).tolist(),
+            "a_priori_mm": 1e3 * e,
+        }
+        for i, (p, e) in enumerate(zip(planned.p_base, planned.error.tolist(), strict=True))
+    ]
+    document = _document(planned.forecast) | {"lines": places, "minutes": planned.minutes}
+    if as_json:
+        typer.echo(json.dumps(document, indent=1))
+    else:
+        _show(document, out, program or [])
+
+
+def _target(known: Known, name: str | None) -> str:
+    """The target's name; "" for the end's origin where the rig has none."""
+    have = list(known.rig.targets)
+    if name is None and len(have) <= 1:
+        return have[0] if have else ""
+    if name not in have:
+        raise InputError(f"--target {name or 'is missing'}: the rig has {', '.join(have) or 'none'}")
+    return name
 
 
 def _say(text: str) -> None:
@@ -226,12 +308,12 @@ def _check_travel(known: Known, reserve: float, spread_mm: float) -> None:
             )
 
 
-def _write_programs(planned: BallBarPlan, paths: list[Path], signals: Any) -> None:
+def _write_programs(stops: list[Stop], dwell: float, paths: list[Path], signals: Any) -> None:
     from truearm.files.disk import write_atomic
     from truearm.plan.programs import program
 
     for path in paths:
-        write_atomic(path, program(planned.route, path.suffix.lower(), path.stem, signals))
+        write_atomic(path, program(stops, dwell, path.suffix.lower(), path.stem, signals))
 
 
 def _document(told: Forecast) -> dict[str, Any]:
@@ -260,7 +342,12 @@ def _document(told: Forecast) -> dict[str, Any]:
 
 def _show(document: dict[str, Any], out: Path | None, programs: list[Path]) -> None:
     say = typer.echo
-    if "minutes" in document:
+    for place in document.get("lines", ()):
+        ends = " to ".join(", ".join(f"{v:.0f}" for v in place[end]) for end in ("from_mm", "to_mm"))
+        say(f"{place['line']:<8} {ends} mm; error before about {place['a_priori_mm']:.1f} mm")
+    if "lines" in document:
+        say(f"{len(document['lines'])} lines: {document['minutes']:.0f} minutes")
+    else:
         say(
             f"{document['poses']} poses, {document['via_points']} via points, {document['mounts']} mounts of the bar: "
             f"{document['minutes']:.0f} minutes"

@@ -3,22 +3,19 @@
 Every move but the first, which starts anywhere and is slow, is straight in joint space and takes the seconds of the route, so that neither a joint nor the bar goes faster than
 planned. At a pose the program says "at rest" on an output, waits for the dwell, and takes the word back before it moves on;
 with an ``input`` it also waits until the box has answered, at most TIMEOUT, and until the answer is gone. Before a new pairing
-it stops and says what to mount. Names come from the rig and are put into texts as ASCII letters, digits, "-" and "_" only.
+it stops and says what to mount.
 """
 
 from __future__ import annotations
 
-import csv
-import io
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from truearm.errors import PlanError
-from truearm.plan.route import Route
-from truearm.types import Floats
+from truearm.plan.route import Stop, csv_of
 
 TIMEOUT = 5.0  # s that the box has to answer
 SETTLE = 0.3  # s between arriving and saying so
@@ -34,61 +31,45 @@ class Signals(NamedTuple):
     input: int | None = None
 
 
-class Stop(NamedTuple):
-    """One stop of a program: joints [rad], seconds of the move there, what to mount first ("" nothing), pose or −1."""
-
-    q: Floats
-    seconds: float
-    mount: str
-    pose: int
-
-
-def stops(way: Route) -> Iterator[Stop]:
-    """All stops of a route in order."""
-    plan = way.plan
-    for q, seconds, mount, pose in zip(way.q, way.seconds, way.mount, way.pose, strict=True):
-        i = int(pose)
-        what = f"{plan.bar[i]}: {plan.chuck[i]} to {plan.sphere[i]}" if mount else ""
-        yield Stop(q, float(seconds), re.sub(r"[^\w: -]", "_", what, flags=re.ASCII), i)
-
-
-def program(way: Route, suffix: str, name: str, signals: Signals | None = None) -> str:
+def program(stops: Sequence[Stop], dwell: float, suffix: str, name: str, signals: Signals | None = None) -> str:
     """The text for a file's suffix, one of DIALECTS. Raises PlanError for another one, and for an arm of other than six joints."""
-    makers: dict[str, Callable[[Route, str, Signals], str]] = {".csv": csv_text, ".script": urscript, ".mod": rapid}
+    makers: dict[str, Callable[[Sequence[Stop], float, str, Signals], str]] = {
+        ".csv": csv_text,
+        ".script": urscript,
+        ".mod": rapid,
+    }
     if suffix not in makers:
         known = ", ".join(f"{end} ({what})" for end, what in DIALECTS.items())
         raise PlanError(f"no program is written as {suffix or 'a file without suffix'!r}; use {known}")
-    if suffix != ".csv" and way.q.shape[1] != N_AXES:
-        raise PlanError(f"{DIALECTS[suffix]} programs have six joints, the robot has {way.q.shape[1]}; use .csv")
-    return makers[suffix](way, name, signals or Signals())
+    if suffix != ".csv" and len(stops[0].q) != N_AXES:
+        raise PlanError(f"{DIALECTS[suffix]} programs have six joints, the robot has {len(stops[0].q)}; use .csv")
+    return makers[suffix](stops, dwell, name, signals or Signals())
 
 
-def csv_text(way: Route, name: str, signals: Signals) -> str:
+def csv_text(stops: Sequence[Stop], dwell: float, name: str, signals: Signals) -> str:
     """Every stop a row: its pose in the plan (empty: a via point), what to mount, seconds of move and dwell, joints [rad]."""
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["stop", "pose", "mount", "move_s", "dwell_s", *(f"q{i + 1}_rad" for i in range(way.q.shape[1]))])
-    for number, stop in enumerate(stops(way)):
-        pose, dwell = ("", 0.0) if stop.pose < 0 else (stop.pose, way.pace.dwell)
-        writer.writerow([number, pose, stop.mount, f"{stop.seconds:.3f}", dwell, *map(repr, stop.q.tolist())])
-    return text.getvalue()
+    rows = [["stop", "pose", "mount", "move_s", "dwell_s", *(f"q{i + 1}_rad" for i in range(len(stops[0].q)))]]
+    for number, stop in enumerate(stops):
+        pose, rest = ("", 0.0) if stop.pose < 0 else (str(stop.pose), dwell)
+        rows.append([str(number), pose, stop.mount, f"{stop.seconds:.3f}", f"{rest:g}", *map(repr, stop.q.tolist())])
+    return csv_of(rows)
 
 
-def urscript(way: Route, name: str, signals: Signals) -> str:
+def urscript(stops: Sequence[Stop], dwell: float, name: str, signals: Signals) -> str:
     """A URScript function; joints in rad, lines by standard digital numbers."""
     out = signals.output
     lines = [f"def {_identifier(name)}():", f"  set_standard_digital_out({out}, False)"]
-    for stop in stops(way):
+    for stop in stops:
         if stop.mount:
-            lines.append(f'  popup("Take the bar off. Next: {stop.mount}", title="truearm", blocking=True)')
+            lines.append(f'  popup("Next: {stop.mount}", title="truearm", blocking=True)')
         pace = f"t={stop.seconds:.3f}" if stop.seconds > 0.0 else f"a={SLOW}, v={SLOW}"
         lines.append(f"  movej([{', '.join(f'{v:.6f}' for v in stop.q)}], {pace})")
         if stop.mount:
-            lines.append(f'  popup("Mount {stop.mount}", title="truearm", blocking=True)')
+            lines.append(f'  popup("Here: {stop.mount}", title="truearm", blocking=True)')
         if stop.pose >= 0:
             lines += [f"  # pose {stop.pose}", f"  sleep({SETTLE})", f"  set_standard_digital_out({out}, True)"]
             lines += _ur_wait(signals.input, True)
-            lines += [f"  sleep({way.pace.dwell:.3f})", f"  set_standard_digital_out({out}, False)"]
+            lines += [f"  sleep({dwell:.3f})", f"  set_standard_digital_out({out}, False)"]
             lines += _ur_wait(signals.input, False)
     return "\n".join([*lines, "end", f"{_identifier(name)}()", ""])
 
@@ -105,22 +86,22 @@ def _ur_wait(line: int | None, level: bool) -> list[str]:
     ]
 
 
-def rapid(way: Route, name: str, signals: Signals) -> str:
+def rapid(stops: Sequence[Stop], dwell: float, name: str, signals: Signals) -> str:
     """A RAPID module; joints in degrees, signals ``doTruearm`` and ``diTruearm`` of the controller's configuration."""
     lines = [f"MODULE {_identifier(name)[:32]}", "  PROC main()", "    ConfJ \\Off;", "    SetDO doTruearm, 0;"]
-    for stop in stops(way):
+    for stop in stops:
         if stop.mount:
-            lines += [f'    TPWrite "Take the bar off. Next: {stop.mount}";', "    Stop;"]
+            lines += [f'    TPWrite "Next: {stop.mount}";', "    Stop;"]
         joints = ",".join(f"{v:.5f}" for v in np.rad2deg(stop.q))
         target = f"[[{joints}],[9E9,9E9,9E9,9E9,9E9,9E9]]"
         pace = f"v1000 \\T:={stop.seconds:.3f}" if stop.seconds > 0.0 else "v50"
         lines.append(f"    MoveAbsJ {target} \\NoEOffs, {pace}, fine, tool0;")
         if stop.mount:
-            lines += [f'    TPWrite "Mount {stop.mount}";', "    Stop;"]
+            lines += [f'    TPWrite "Here: {stop.mount}";', "    Stop;"]
         if stop.pose >= 0:
             lines += [f"    ! pose {stop.pose}", f"    WaitTime \\InPos, {SETTLE};", "    SetDO doTruearm, 1;"]
             lines += _rapid_wait(signals.input, 1)
-            lines += [f"    WaitTime {way.pace.dwell:.3f};", "    SetDO doTruearm, 0;", *_rapid_wait(signals.input, 0)]
+            lines += [f"    WaitTime {dwell:.3f};", "    SetDO doTruearm, 0;", *_rapid_wait(signals.input, 0)]
     flag = ["  VAR bool late;"] if signals.input is not None else []
     return "\n".join([lines[0], *flag, *lines[1:], "  ENDPROC", "ENDMODULE", ""])
 

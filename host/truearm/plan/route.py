@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -32,6 +33,16 @@ class Pace:
     mount: float = 30.0
 
 
+class Stop(NamedTuple):
+    """One stop of a program: joints (j,), seconds of the move there (0 for the first), what the operator has to do before
+    and at it ("" nothing; ASCII letters, digits and ": _-." only), and the number of its observation, −1 for none."""
+
+    q: Floats
+    seconds: float
+    mount: str
+    pose: int
+
+
 class Route(NamedTuple):
     """Stops in order: poses of a plan and via points between them. All bars are off on the way to a ``mount``."""
 
@@ -51,6 +62,26 @@ class Route(NamedTuple):
         """Of an operator who stands by."""
         rest = len(self.plan) * self.pace.dwell + self.n_mounts * self.pace.mount
         return float(self.seconds.sum() + rest) / 60.0
+
+    @property
+    def stops(self) -> list[Stop]:
+        """For a program."""
+        out = []
+        for q, seconds, mount, pose in zip(self.q, self.seconds, self.mount, self.pose, strict=True):
+            at = pairing_at(self.plan, int(pose))
+            what = plain(f"bar {at.bar} from {at.chuck} to {at.sphere}") if mount else ""
+            out.append(Stop(q, float(seconds), what, int(pose)))
+        return out
+
+
+def plain(text: str) -> str:
+    """A text that no controller's language takes for anything else."""
+    return re.sub(r"[^\w: .-]", "_", text, flags=re.ASCII)
+
+
+def csv_of(rows: Iterable[Iterable[str]]) -> str:
+    """Cells without commas, quotes or line feeds, as all here are, as CSV."""
+    return "".join(",".join(cells) + "\n" for cells in rows)
 
 
 def route(site: Site, plan: Plan, pace: Pace, graphs: Mapping[Pairing, Roadmap] | None = None) -> Route:
