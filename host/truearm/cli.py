@@ -26,9 +26,10 @@ from truearm.commands.record import record
 from truearm.commands.reproduce import reproduce
 from truearm.commands.simulate import simulate
 from truearm.commands.terminal import one_line
+from truearm.commands.validate import validate
 from truearm.errors import TruearmError
 
-COMMANDS = (demo, simulate, record, inspect, identify, correct, export, reproduce)
+COMMANDS = (demo, simulate, record, inspect, identify, validate, correct, export, reproduce)
 
 # Options and arguments that typer rejects raise a UsageError. That class lives in click or, in later versions, inside
 # typer, which exports only its subclass BadParameter.
