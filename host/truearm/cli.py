@@ -21,6 +21,7 @@ from truearm.commands.demo import demo
 from truearm.commands.export import export
 from truearm.commands.identify import identify
 from truearm.commands.inspect import inspect
+from truearm.commands.map import map_
 from truearm.commands.plan import app as plan
 from truearm.commands.record import record
 from truearm.commands.reproduce import reproduce
@@ -29,7 +30,7 @@ from truearm.commands.terminal import one_line
 from truearm.commands.validate import validate
 from truearm.errors import TruearmError
 
-COMMANDS = (demo, simulate, record, inspect, identify, validate, correct, export, reproduce)
+COMMANDS = (demo, simulate, record, inspect, identify, validate, map_, correct, export, reproduce)
 
 # Options and arguments that typer rejects raise a UsageError. That class lives in click or, in later versions, inside
 # typer, which exports only its subclass BadParameter.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import NamedTuple
 
@@ -78,3 +79,22 @@ def mounting_lines(chain: Chain, nominal: Floats, identified: Floats) -> list[st
         f"robot's base in {chain.base_frame}: {six_text(found.base)}",
         f"{chain.end_frame} beyond the nominal one, in its axes: {six_text(found.tool)}",
     ]
+
+
+def joints_of(option: str, text: str | None, units: tuple[str, ...]) -> Floats | None:
+    """Joint readings (j,) of an option in deg and mm; None where it was not given. Raises InputError."""
+    if text is None:
+        return None
+    scale = np.array([math.radians(1.0) if unit == "rad" else 1e-3 for unit in units])
+    return scale * numbers_of(option, text, len(units))
+
+
+def numbers_of(option: str, text: str, count: int) -> Floats:
+    """The numbers between the commas of an option. Raises InputError."""
+    try:
+        values = np.array([float(word) for word in text.split(",")])
+    except ValueError:
+        values = np.zeros(0)
+    if values.size != count or not np.isfinite(values).all():
+        raise InputError(f"{option} {text[:60]}: needs {count} numbers between commas")
+    return values

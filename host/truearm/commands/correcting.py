@@ -10,7 +10,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from truearm.commands.calibration import Calibration, chosen_mountings, mounting_lines, read_calibration
+from truearm.commands.calibration import (
+    Calibration,
+    chosen_mountings,
+    joints_of,
+    mounting_lines,
+    numbers_of,
+    read_calibration,
+)
 from truearm.commands.terminal import one_line
 from truearm.correct.correction import Correction, correct
 from truearm.correct.pair import Pair
@@ -87,7 +94,7 @@ def _request(calibration: Calibration, choice: Choice) -> _Request:
         steps=choice.steps,
         work=_frame("--work", choice.work),
         tool=_frame("--tool", choice.tool),
-        home=_home(choice.home, calibration.joint_units),
+        home=joints_of("--home", choice.home, calibration.joint_units),
         margin=choice.margin,
     )
 
@@ -188,24 +195,7 @@ def _cells(before: Floats, after: Floats) -> str:
 
 def _frame(option: str, text: str | None) -> Floats:
     """A pose (4, 4) of six numbers in mm and deg, the last three a rotation vector."""
-    numbers = np.zeros(6) if text is None else _numbers(option, text, 6)
+    numbers = np.zeros(6) if text is None else numbers_of(option, text, 6)
     if np.abs(numbers[:3]).max() > 1e5 or np.abs(numbers[3:]).max() > 720.0:
         raise InputError(f"{option} {text}: needs x, y, z in mm and a rotation vector in deg")
     return np.asarray(pose_of(1e-3 * numbers[None, :3], np.radians(numbers[None, 3:]))[0])
-
-
-def _home(text: str | None, units: tuple[str, ...]) -> Floats | None:
-    if text is None:
-        return None
-    scale = np.array([math.radians(1.0) if unit == "rad" else 1e-3 for unit in units])
-    return scale * _numbers("--home", text, len(units))
-
-
-def _numbers(option: str, text: str, count: int) -> Floats:
-    try:
-        values = np.array([float(word) for word in text.split(",")])
-    except ValueError:
-        values = np.zeros(0)
-    if values.size != count or not np.isfinite(values).all():
-        raise InputError(f"{option} {text[:60]}: needs {count} numbers between commas")
-    return values
