@@ -177,8 +177,7 @@ def missing_files(text: str) -> set[str]:
 def test_the_code_flow_page_names_what_exists():
     text, known = CODE_FLOW.read_text(encoding="utf-8"), defined_names()
     assert not missing_names(text, known)
-    # correct/ and export/ are said to be still to come
-    assert missing_files(text) <= {"correct/", "export/"}
+    assert not missing_files(text)
 
 
 def test_the_check_of_the_page_finds_what_is_gone():
