@@ -124,11 +124,11 @@ def ballbar(
     from truearm.plan.ballbar import Wanted, all_pairings, make_site, plan_ballbar
     from truearm.plan.branches import branch_of
     from truearm.plan.programs import Signals
-    from truearm.plan.route import Pace
     from truearm.plan.shapes import Sizes
     from truearm.plan.site import Limits
+    from truearm.plan.way import Pace
 
-    _check_outputs([robot, rig, *(measured or []), result], [out, *(program or [])])
+    _check_outputs([robot, rig, *(measured or []), result], out, program or [])
     if (poses is None) == (minutes is None):
         raise InputError("give a budget: --poses N or --minutes M")
     known = _known(robot, rig, result, measured or [])
@@ -203,11 +203,11 @@ def line(
     from truearm.plan.branches import branch_of
     from truearm.plan.lines import LinesWanted, lines_csv, plan_lines
     from truearm.plan.programs import Signals
-    from truearm.plan.route import Pace
     from truearm.plan.shapes import Sizes
     from truearm.plan.site import Limits
+    from truearm.plan.way import Pace
 
-    _check_outputs([robot, rig, *(measured or []), result], [out, *(program or [])])
+    _check_outputs([robot, rig, *(measured or []), result], out, program or [])
     known = _known(robot, rig, result, measured or [])
     site = make_site(known, branch_of(known.chain, branch), Limits(), Sizes(), seed)
     wanted = LinesWanted(
@@ -253,11 +253,14 @@ def _region(text: str | None) -> Region | None:
     return None if text is None else parse_region(text)
 
 
-def _check_outputs(read: list[Any], written: list[Path | None]) -> None:
+def _check_outputs(read: list[Any], out: Path | None, programs: list[Path]) -> None:
     from truearm.files.disk import check_writable
+    from truearm.plan.programs import check_suffix
 
+    for path in programs:
+        check_suffix(path.suffix.lower())
     inputs = [Path(path) for path in read if path is not None and Path(path).exists()]
-    outputs = [path for path in written if path is not None]
+    outputs = [*([out] if out else []), *programs]
     for i, path in enumerate(outputs):
         check_writable(path, inputs=[*inputs, *outputs[:i]])
 

@@ -15,10 +15,11 @@ from truearm.plan.forecast import Aim, Forecast, Known, bar_table, candidate_row
 from truearm.plan.inverse import Branch, make_arm
 from truearm.plan.region import Region, around, poses_in
 from truearm.plan.roadmap import Roadmap, roadmaps
-from truearm.plan.route import Pace, Route, route
+from truearm.plan.route import Route, route
 from truearm.plan.shapes import Sizes, make_shapes
 from truearm.plan.shells import candidates
 from truearm.plan.site import Limits, Pairing, Site
+from truearm.plan.way import Pace
 from truearm.types import Floats, Plan, Rig
 
 TRIALS = 6  # numbers of poses tried to meet a budget in minutes

@@ -27,9 +27,9 @@ from truearm.model.chain import point_forward, point_jacobians
 from truearm.plan.choose import as_blocks, choose, condensed
 from truearm.plan.forecast import Aim, Forecast, Known, compiled, forecast, planned_table, prior_unit, region_root
 from truearm.plan.region import Region, around, poses_in
-from truearm.plan.route import PEAK, SHORTEST, Pace, Stop, csv_of, plain
+from truearm.plan.route import Stop, csv_of, plain
 from truearm.plan.site import Site, allowed, smallest_singular_value
-from truearm.plan.way import samples, sphere_path, way_without_bar
+from truearm.plan.way import Pace, move_seconds, samples, way_without_bar
 from truearm.types import Device, Floats, ObservationTable
 
 STEPS = 8  # of Newton's method from one point to the next
@@ -101,6 +101,8 @@ def candidate_lines(site: Site, wanted: LinesWanted, point: Floats, region: Regi
         if region is not None:
             there = ((p_middle >= region.lower) & (p_middle <= region.upper)).all(axis=1)
             middle, along, p_middle = middle[there], along[there], p_middle[there]
+        if not len(middle):
+            continue
         shares = np.linspace(-0.5, 0.5, wanted.n_points) * wanted.length
         lines = driven_lines(site, middle, p_middle, along, shares, point)
         kept += [q for q, a, p in zip(lines, along, p_middle, strict=True) if _fits(site, q, p, a, wanted, point)]
@@ -245,16 +247,11 @@ def _stops(site: Site, q: Floats, pace: Pace, point: Floats) -> list[Stop]:
                     raise PlanError(f"no way to line {number + 1} is free; try --seed")
                 via = list(found)
             for q_via in via:
-                stops.append(Stop(q_via, _seconds(site, stops[-1].q, q_via, pace, point), "", -1))
-            seconds = _seconds(site, stops[-1].q, here, pace, point) if stops else 0.0
+                stops.append(Stop(q_via, move_seconds(site, stops[-1].q, q_via, point, pace), "", -1))
+            seconds = move_seconds(site, stops[-1].q, here, point, pace) if stops else 0.0
             what = plain(f"line device along line plan{number + 1}") if k == 0 else ""
             stops.append(Stop(here, seconds, what, number * q.shape[1] + k))
     return stops
-
-
-def _seconds(site: Site, start: Floats, end: Floats, pace: Pace, point: Floats) -> float:
-    by_joints = float(np.abs(end - start).max()) / pace.joint_speed
-    return max(PEAK * max(by_joints, sphere_path(site, start, end, point) / pace.bar_speed), SHORTEST)
 
 
 def lines_csv(planned: LinePlan) -> str:

@@ -38,12 +38,17 @@ def program(stops: Sequence[Stop], dwell: float, suffix: str, name: str, signals
         ".script": urscript,
         ".mod": rapid,
     }
-    if suffix not in makers:
-        known = ", ".join(f"{end} ({what})" for end, what in DIALECTS.items())
-        raise PlanError(f"no program is written as {suffix or 'a file without suffix'!r}; use {known}")
+    check_suffix(suffix)
     if suffix != ".csv" and len(stops[0].q) != N_AXES:
         raise PlanError(f"{DIALECTS[suffix]} programs have six joints, the robot has {len(stops[0].q)}; use .csv")
     return makers[suffix](stops, dwell, name, signals or Signals())
+
+
+def check_suffix(suffix: str) -> None:
+    """Raise PlanError for a suffix that is none of DIALECTS."""
+    if suffix not in DIALECTS:
+        known = ", ".join(f"{end} ({what})" for end, what in DIALECTS.items())
+        raise PlanError(f"no program is written as {suffix or 'a file without suffix'!r}; use {known}")
 
 
 def csv_text(stops: Sequence[Stop], dwell: float, name: str, signals: Signals) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -15,22 +14,10 @@ from truearm.plan.roadmap import Roadmap, make_roadmap, passable
 from truearm.plan.shells import move_costs
 from truearm.plan.site import Pairing, Site, of_pairing, pairing_at
 from truearm.plan.tour import short_tour
-from truearm.plan.way import sphere_path, way_without_bar
+from truearm.plan.way import Pace, move_seconds, way_without_bar
 from truearm.types import Floats, Plan
 
-PEAK = 15.0 / 8.0  # of a quintic's speed over its mean
-SHORTEST = 0.2  # s of a move
 NEAR = 12  # poses to which the way is looked at before the order is chosen
-
-
-@dataclass(frozen=True)
-class Pace:
-    """How fast it goes: joints [rad/s] and the end of the bar [m/s] at most, rest at a pose and work at the bar [s]."""
-
-    joint_speed: float = 0.8
-    bar_speed: float = 0.25
-    dwell: float = 2.0
-    mount: float = 30.0
 
 
 class Stop(NamedTuple):
@@ -173,9 +160,8 @@ def _durations(site: Site, plan: Plan, q: Floats, pose: NDArray[np.intp], pace: 
     out = np.zeros(len(q))
     to = plan.sphere[_next_pose(pose)]
     for i in range(1, len(q)):
-        by_joints = np.abs(q[i] - q[i - 1]).max() / pace.joint_speed
-        path = sphere_path(site, q[i - 1], q[i], np.array(site.rig.spheres[str(to[i])].xyz))
-        out[i] = max(PEAK * max(by_joints, path / pace.bar_speed), SHORTEST)
+        sphere = np.array(site.rig.spheres[str(to[i])].xyz)
+        out[i] = move_seconds(site, q[i - 1], q[i], sphere, pace)
     return out
 
 

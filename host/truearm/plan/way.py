@@ -8,6 +8,8 @@ finds nothing the bar has to be taken off for the move. Moves without a bar may 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from truearm.model.chain import along, point_forward, trace_point
@@ -16,7 +18,20 @@ from truearm.types import Floats
 
 DEEPEST = 4  # halvings: at most 15 via points
 STEPS = 5  # of Newton's method; the third is exact to rounding for half a shell's bulge
+PEAK = 15.0 / 8.0  # of a quintic's speed over its mean
+SHORTEST = 0.2  # s of a move
+BETWEEN = 1.005  # a speed may peak between two samples: by (6 joints · STEP/2)²/6 at most, 0.24 %, and as much again
 DETOURS = 60  # poses of the branch that a move without a bar may go over
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How fast it goes: joints [rad/s] and the end of the bar [m/s] at most, rest at a pose and work at the bar [s]."""
+
+    joint_speed: float = 0.8
+    bar_speed: float = 0.25
+    dwell: float = 2.0
+    mount: float = 30.0
 
 
 def samples(start: Floats, end: Floats) -> Floats:
@@ -69,7 +84,16 @@ def way_without_bar(site: Site, start: Floats, end: Floats, seed: int = 0) -> Fl
     return None
 
 
-def sphere_path(site: Site, start: Floats, end: Floats, p_end_point: Floats) -> float:
-    """Length of the way of a point (3,) of the end along a straight joint move [m]."""
-    p = point_forward(site.arm.chain, site.arm.params, samples(start, end), p_end_point)
-    return float(np.linalg.norm(np.diff(p, axis=0), axis=1).sum())
+def fastest(site: Site, start: Floats, end: Floats, p_end_point: Floats) -> float:
+    """Largest |∂p/∂s| [m] of a point (3,) of the end over a straight joint move whose share s goes from 0 to 1."""
+    n = max(3, len(samples(start, end)))
+    q = start + np.linspace(0.0, 1.0, n)[:, None] * (end - start)
+    p = point_forward(site.arm.chain, site.arm.params, q, p_end_point)
+    rate = np.gradient(p, 1.0 / (n - 1), axis=0, edge_order=2)
+    return float(np.linalg.norm(rate, axis=1).max()) * BETWEEN
+
+
+def move_seconds(site: Site, start: Floats, end: Floats, p_end_point: Floats, pace: Pace) -> float:
+    """Duration of a quintic move so that neither a joint nor the point goes faster than the pace at any time."""
+    by_joints = float(np.abs(end - start).max()) / pace.joint_speed
+    return max(PEAK * max(by_joints, fastest(site, start, end, p_end_point) / pace.bar_speed), SHORTEST)
