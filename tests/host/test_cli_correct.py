@@ -255,3 +255,25 @@ def test_nothing_is_overwritten(bench, capsys):
         assert code == 2
         assert says in err
     assert program.read_bytes() == before
+
+
+BAD_PROGRAMS = {
+    "a.mod": (b"\xff\xfe\x00binary", "NUL"),
+    "b.mod": (b"MODULE m\nMoveL [[x,0,0],[1,0,0,0],[0,0,0,0],[1,1,1,1,1,1]];", "line 2: a robtarget with expressions"),
+    "c.mod": (b"MODULE m\n\nMoveL [[9000,0,0],[1,0,0,0],[0,0,0,0],[1,1,1,1,1,1]];", "line 3: the robot as described"),
+    "d.script": (b"movel(p[nan,0,0,0,0,0])", "six plain numbers"),
+    "e.script": (b"[" * 100_000, "nested too deeply"),
+    "f.mod": (b" " * (4 * 2**20 + 1), "larger than 4 MiB"),
+    "g.script": (b"", "nothing to correct"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_PROGRAMS)
+def test_bad_programs_are_one_line(bench, tmp_path, capsys, name):
+    text, says = BAD_PROGRAMS[name]
+    (tmp_path / name).write_bytes(text)
+    out = tmp_path / f"out-{name}"
+    code, said, err = run(capsys, "correct", bench.folder / "result.json", tmp_path / name, "--out", out)
+    assert (code, said, err.count("\n")) == (2, "", 1)
+    assert says in err
+    assert not out.exists()

@@ -3,6 +3,7 @@
 import io
 import re
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -175,6 +176,7 @@ AXIS = '<axis xyz="1 2 -2"/><limit lower="-2" upper="2"/>'
     "origins",
     [
         ("", "", ""),
+        ("<origin note=\" xyz='1 2 3'\" xyz='&#49; 0 0'/>", "<origin rpy='0 0 1' />", "<origin\txyz='1 2 3' rpy='1 2 3'/>"),
         ("<origin/>", "<origin  xyz = '0 0 .1'\n/>", '<origin rpy="0.1 0 0"></origin>'),
         ('<!-- <origin xyz="9 9 9"/> -->', '<origin rpy="0 1.5707963267948966 0" xyz="1 0 0"/>', "<note a='>'><origin/></note>"),
     ],
@@ -290,3 +292,18 @@ def test_kinematics_files_are_of_universal_robots_alone():
     described = own(panda, panda.params_nominal, panda.params_nominal)
     with pytest.raises(RobotError, match="of six turning joints"):
         ur_yaml(described, described)
+
+
+def test_names_that_would_be_taken_twice():
+    """Joints called as the fixed ones of a new URDF, frames called as its links."""
+    chain = builtin_robot("ulb").chain
+    names = ("flange", "base_mounting", "tool_mounting", "a", "b", "c")
+    joints = tuple(replace(joint, name=name) for joint, name in zip(chain.joints, names, strict=True))
+    odd = replace(chain, joints=joints, base_frame="link1", end_frame="link1", name='<&"\u00e9\U0001f600')
+    robot = own(odd, odd.params_nominal, odd.params_nominal)
+    again = chain_from_urdf(new_urdf(robot))
+    q = some_poses(chain)
+    np.testing.assert_allclose(
+        forward(again, again.params_nominal, q), forward(chain, chain.params_nominal, q), atol=ROUNDING
+    )
+    assert parse_robot(sheth_uicker_table(robot)).chain.name == odd.name

@@ -76,9 +76,9 @@ def _uncertainty(calibration: Calibration) -> tuple[Floats, Floats]:
     rows = [i for i, name in enumerate(stored.covariance_names) if name in at]
     to = [at[stored.covariance_names[i]] for i in rows]
     covariance[np.ix_(to, to)] = np.nan_to_num(stored.covariance[np.ix_(rows, rows)])
-    directions = stored.document.get("null_space", [])
-    unseen = np.zeros((len(names), len(directions)))
     try:
+        directions = list(stored.document["null_space"])
+        unseen = np.zeros((len(names), len(directions)))
         for k, direction in enumerate(directions):
             for name, weight in zip(direction["names"], direction["weights"], strict=True):
                 if name in at:

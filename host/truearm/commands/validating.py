@@ -39,7 +39,12 @@ def validation_document(
             f"{inputs[0]}: no row can judge: each fits unknowns of the rig whatever it says; measure more there"
         )
     errors = before.error, after.error
-    seen = {entry["sha256"] for entry in calibration.stored.document.get("inputs", [])}
+    inputs_then = calibration.stored.document.get("inputs")
+    seen = {
+        str(entry.get("sha256"))
+        for entry in (inputs_then if isinstance(inputs_then, list) else [])
+        if isinstance(entry, dict)
+    }
     hashes = [entry for entry in hashed_inputs(inputs, calibration.robot) if entry.role == "observations"]
     document: dict[str, Any] = {
         "rows": int(judging.sum()),

@@ -119,7 +119,9 @@ def search(
     lower, upper = _sampled_range(chain)
     q_seeds = np.random.default_rng(0).uniform(lower, upper, (N_SAMPLES, len(lower)))
     tree = KDTree(_features(forward(chain, params, q_seeds), oriented))
-    starts = _unlike(q_seeds[tree.query(_features(targets, oriented), k=N_NEAR)[1]])
+    parts = [targets[at : at + CHUNK // N_STARTS] for at in range(0, max(len(targets), 1), CHUNK // N_STARTS)]
+    near_by = (q_seeds[tree.query(_features(part, oriented), k=N_NEAR)[1]] for part in parts)
+    starts = np.concatenate([_unlike(q) for q in near_by])
     n, k, j = starts.shape
     found = inverse(chain, params, np.repeat(targets, k, axis=0), starts.reshape(n * k, j), oriented)
     q = wrapped(chain, found.q).reshape(n, k, j)

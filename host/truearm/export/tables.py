@@ -83,7 +83,7 @@ def _head(robot: Own, convention: str, comment: str) -> list[str]:
 
 def _text(text: str) -> str:
     """A TOML basic string; JSON's escapes are TOML's."""
-    return json.dumps(text)
+    return json.dumps(text, ensure_ascii=False)
 
 
 def _six(pose: Floats) -> list[str]:

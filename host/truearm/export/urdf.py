@@ -27,7 +27,7 @@ from truearm.model.poses import inverted, six_of
 from truearm.model.transforms import elementary
 from truearm.types import Floats
 
-_ATTRIBUTE = r"(\s{}\s*=\s*)(\"[^\"]*\"|'[^']*')"
+_ATTRIBUTE = re.compile(r"""\s+([^\s=]+)\s*=\s*("[^"]*"|'[^']*')""")
 
 
 class _PathJoint(NamedTuple):
@@ -170,8 +170,8 @@ def _with_origin(tag: str, origin: Floats) -> str:
     if not tag:
         return f"<origin{''.join(f' {key}={_numbers(three)}' for key, three in values.items())}/>"
     for key, three in values.items():
-        match = re.search(_ATTRIBUTE.format(key), tag)
-        old = np.array([float(word) for word in match[2][1:-1].split()]) if match else np.zeros(3)
+        match = next((found for found in _ATTRIBUTE.finditer(tag) if found[1] == key), None)
+        old = _read(match[2][1:-1]) if match else np.zeros(3)
         if key == "xyz" and np.abs(old - three).max() <= 1e-15:
             continue
         if key == "rpy" and np.abs(_turn(old) - origin[:3, :3]).max() <= 1e-15:
@@ -181,6 +181,15 @@ def _with_origin(tag: str, origin: Floats) -> str:
         else:
             tag = tag[: len("<origin")] + f" {key}={_numbers(three)}" + tag[len("<origin") :]
     return tag
+
+
+def _read(text: str) -> Floats:
+    """Three numbers, NaN where they are written as character references, which are then written plainly."""
+    words = text.split()
+    try:
+        return np.array([float(word) for word in words]) if len(words) == 3 else np.full(3, np.nan)
+    except ValueError:
+        return np.full(3, np.nan)
 
 
 def _turn(rpy: Floats) -> Floats:
@@ -202,7 +211,9 @@ def new_urdf(robot: Own, comment: str = "") -> str:
     if comment:
         lines.append(f"  <!-- {comment.replace('--', '- -')} -->")
     lines += [f"  <link name={quoteattr(name)}/>" for name in names]
-    lines += _joint("base_mounting", "fixed", names[0], names[1], robot.base)
+    taken = {joint.name for joint in robot.joints}
+    ends = [_other_than(taken, name) for name in ("base_mounting", "flange", "tool_mounting")]
+    lines += _joint(ends[0], "fixed", names[0], names[1], robot.base)
     for i, (joint, origin) in enumerate(zip(robot.joints, origins, strict=True)):
         kind, limit = joint.kind, ""
         if np.isfinite([joint.lower, joint.upper]).all():
@@ -214,18 +225,22 @@ def new_urdf(robot: Own, comment: str = "") -> str:
         moving = f'    <axis xyz="0 0 1"/>\n{limit}'
         at = origin @ joint_motion(joint, float(robot.offsets[i]))
         lines += _joint(joint.name, kind, names[i + 1], names[i + 2], at, moving)
-    lines += _joint("flange", "fixed", names[-3], names[-2], robot.links[-1])
-    lines += _joint("tool_mounting", "fixed", names[-2], names[-1], robot.tool)
+    lines += _joint(ends[1], "fixed", names[-3], names[-2], robot.links[-1])
+    lines += _joint(ends[2], "fixed", names[-2], names[-1], robot.tool)
     return "\n".join([*lines, "</robot>", ""])
 
 
 def _link_names(robot: Own) -> list[str]:
     """Base frame, robot base, a link behind each joint, flange, end frame; all different."""
     inner = ["robot_base", *(f"link{i + 1}" for i in range(len(robot.joints))), "robot_flange"]
-    ends = [f"{end}_frame" if end in inner else end for end in (robot.base_frame, robot.end_frame)]
-    if ends[0] == ends[1]:
-        ends[1] += "_end"
-    return [ends[0], *inner, ends[1]]
+    first = _other_than(set(inner), robot.base_frame)
+    return [first, *inner, _other_than({first, *inner}, robot.end_frame)]
+
+
+def _other_than(taken: set[str], name: str) -> str:
+    while name in taken:
+        name += "_"
+    return name
 
 
 def _joint(name: str, kind: str, parent: str, child: str, origin: Floats, more: str = "") -> list[str]:
