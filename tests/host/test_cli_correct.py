@@ -13,12 +13,15 @@ from scipy.spatial.transform import Rotation
 
 from truearm import cli
 from truearm.files.programs import poses_of, read_program
+from truearm.files.robot import load_robot
+from truearm.files.table import read_table
 from truearm.files.targets import parse_targets
 from truearm.model.chain import forward, joint_jacobian
 from truearm.types import Plan
 from truearm_sim.world import World, standard_rig
 
 N = 40
+MUKCA = Path(__file__).parents[1] / "data" / "mukca"
 
 
 class Bench(NamedTuple):
@@ -277,3 +280,22 @@ def test_bad_programs_are_one_line(bench, tmp_path, capsys, name):
     assert (code, said, err.count("\n")) == (2, "", 1)
     assert says in err
     assert not out.exists()
+
+
+def test_what_was_not_seen_is_said(tmp_path, capsys):
+    """Balls in sockets of unknown place do not say where the base stands; a calibration by them is said to be so."""
+    urdf, rows, rig = (MUKCA / name for name in ("panda.urdf", "panda_3.csv", "rig.toml"))
+    given = (rows, "--robot", urdf, "--tip", "ball_link", "--rig", rig, "--out", tmp_path / "r.json")
+    assert run(capsys, "identify", *given)[0] == 0
+    chain = load_robot(str(urdf), None, "ball_link").chain
+    q = read_table(rows, ("rad",) * 7).q[:5]
+    place = 1e3 * forward(chain, chain.params_nominal, q)[:, :3, 3]
+    titles = ",".join(["x_mm", "y_mm", "z_mm", *(f"q{i}_rad" for i in range(1, 8))])
+    lines = [",".join(map(repr, row)) for row in np.concatenate([place, q], axis=1).tolist()]
+    (tmp_path / "t.csv").write_text("\n".join([titles, *lines]))
+    out = tmp_path / "o.csv"
+    code, said, err = run(capsys, "correct", tmp_path / "r.json", tmp_path / "t.csv", "--robot", urdf, "--out", out)
+    assert code == 0, err
+    assert "did not see move the end" in said
+    assert "searched for" not in said
+    assert max(float(row["after_mm"]) for row in csv.DictReader(out.open())) < 1e-5

@@ -98,3 +98,23 @@ def numbers_of(option: str, text: str, count: int) -> Floats:
     if values.size != count or not np.isfinite(values).all():
         raise InputError(f"{option} {text[:60]}: needs {count} numbers between commas")
     return values
+
+
+def uncertainty_of(calibration: Calibration) -> tuple[Floats, Floats]:
+    """The robot's covariance (p, p) and the directions (p, d) that were not seen. Raises InputError."""
+    names, stored = calibration.chain.parameter_names, calibration.stored
+    at = {name: i for i, name in enumerate(names)}
+    covariance = np.zeros((len(names), len(names)))
+    rows = [i for i, name in enumerate(stored.covariance_names) if name in at]
+    to = [at[stored.covariance_names[i]] for i in rows]
+    covariance[np.ix_(to, to)] = np.nan_to_num(stored.covariance[np.ix_(rows, rows)])
+    try:
+        directions = list(stored.document["null_space"])
+        unseen = np.zeros((len(names), len(directions)))
+        for k, direction in enumerate(directions):
+            for name, weight in zip(direction["names"], direction["weights"], strict=True):
+                if name in at:
+                    unseen[at[name], k] = float(weight)
+    except (TypeError, ValueError, KeyError) as exc:
+        raise InputError(f"the result's null_space has the wrong form: {exc}") from exc
+    return covariance, unseen

@@ -17,6 +17,7 @@ from truearm.commands.calibration import (
     mounting_lines,
     numbers_of,
     read_calibration,
+    uncertainty_of,
 )
 from truearm.commands.terminal import one_line
 from truearm.correct.correction import Correction, correct
@@ -26,10 +27,16 @@ from truearm.files.disk import check_writable, write_atomic
 from truearm.files.programs import is_program, poses_of, quadrants_of, read_program, with_poses
 from truearm.files.robot import robot_file
 from truearm.files.targets import format_corrected, looks_like_targets, read_targets
+from truearm.model.chain import point_jacobians
 from truearm.model.poses import inverted, pose_of
 from truearm.types import Floats
 
 SHOWN = 12  # targets printed one by one
+MOVES = 1e-6  # m by a direction that was not seen, whose largest weight is 1
+SEARCHED = (
+    "The arm's configuration was searched for, each nearest to the one before. Give --home, or q1_deg … in a table, where the "
+    "controller takes another."
+)
 
 
 class Choice(NamedTuple):
@@ -116,7 +123,8 @@ def _correct_table(path: Path, out: Path, request: _Request) -> _Corrected:
     _refuse(done, targets.source, TargetError)
     told = inverted(request.work) @ done.told @ request.tool
     write_atomic(out, format_corrected(targets, told, done.q, done.before, done.after, request.units))
-    return _Corrected(done, tuple(source.rpartition(" ")[2] for source in targets.source), ())
+    rows = tuple(source.rpartition(" ")[2] for source in targets.source)
+    return _Corrected(done, rows, (SEARCHED,) if targets.q_start is None else ())
 
 
 def _correct_program(path: Path, out: Path, request: _Request) -> _Corrected:
@@ -134,7 +142,8 @@ def _correct_program(path: Path, out: Path, request: _Request) -> _Corrected:
     _refuse(done, [f"{path} line {target.line}" for target in program.targets], ProgramError)
     write_atomic(out, with_poses(program, inverted(request.work) @ done.told @ request.tool))
     lines = tuple(str(target.line) for target in program.targets)
-    return _Corrected(done, lines, (*_left(program.left), *_other_quadrant(done, quadrants, lines)))
+    searched = [SEARCHED] if quadrants is None else _other_quadrant(done, quadrants, lines)
+    return _Corrected(done, lines, (*_left(program.left), *searched))
 
 
 def _refuse(done: Correction, sources: Sequence[str], error: type[InputError]) -> None:
@@ -149,10 +158,8 @@ def _left(lines: Sequence[int]) -> list[str]:
     return [f"Left as they are: {len(lines)} p[…] that no move goes to (lines {_listed(lines)})."] if lines else []
 
 
-def _other_quadrant(done: Correction, quadrants: Floats | None, lines: Sequence[str]) -> list[str]:
+def _other_quadrant(done: Correction, quadrants: Floats, lines: Sequence[str]) -> list[str]:
     """Targets whose configuration data the corrected joints contradict."""
-    if quadrants is None:
-        return []
     wrong = ((np.floor(done.q / (0.5 * np.pi)) != quadrants) & ~np.isnan(quadrants)).any(axis=1)
     where = [line for line, is_wrong in zip(lines, wrong, strict=True) if is_wrong]
     return [
@@ -184,7 +191,24 @@ def _summary(found: _Corrected, calibration: Calibration, own_frames: bool, out:
     before, after = (np.sqrt(np.mean(np.square(error), axis=0)) for error in (done.before, done.after))
     lines.append(f"{'RMS':<10}{_cells(before, after)}")
     lines.append("These errors are what the identified robot says; its own uncertainty comes on top.")
+    lines += _doubts(calibration, done.q[:SHOWN], own_frames)
     return [*lines, *found.notes, f"Written: {one_line(str(out))}"]
+
+
+def _doubts(calibration: Calibration, q: Floats, own_frames: bool) -> list[str]:
+    """What a reader of the errors should know of the calibration."""
+    doubts = []
+    if calibration.stored.status != "converged":
+        doubts.append(f"The fit had stopped early ({one_line(calibration.stored.status)[:40]}).")
+    _, unseen = uncertainty_of(calibration)
+    _, jac, _ = point_jacobians(calibration.chain, calibration.identified, q, np.zeros(3))
+    if np.abs(jac @ unseen).max(initial=0.0) > MOVES:
+        remedy = "" if own_frames else " With --own-frames base and tool stay out of the correction."
+        doubts.append(
+            "Combinations of parameters that the observations did not see move the end, how base or tool are mounted perhaps: "
+            f"these are as described, not as measured.{remedy}"
+        )
+    return doubts
 
 
 def _cells(before: Floats, after: Floats) -> str:

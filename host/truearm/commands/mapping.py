@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from truearm.commands.calibration import Calibration, chosen_mountings, joints_of, read_calibration
+from truearm.commands.calibration import Calibration, chosen_mountings, joints_of, read_calibration, uncertainty_of
 from truearm.commands.terminal import one_line
 from truearm.correct.error_map import ErrorMap, Region, best_region, error_map
 from truearm.correct.pair import Pair
@@ -62,30 +62,10 @@ def _mapped(calibration: Calibration, choice: Choice) -> tuple[ErrorMap, Region 
     chain = calibration.chain
     pair = Pair(chain, calibration.nominal, calibration.identified, chosen_mountings(calibration, choice.own_frames))
     q = joints_of("--at", choice.at, calibration.joint_units)
-    covariance, unseen = _uncertainty(calibration)
+    covariance, unseen = uncertainty_of(calibration)
     q = np.zeros(len(chain.joints)) if q is None else q
     found = error_map(pair, q, _pair_of(choice.vary, q.size), choice.cell, covariance, unseen, choice.elbow_up)
     return found, best_region(found, *_size_of(choice.task)) if choice.task else None
-
-
-def _uncertainty(calibration: Calibration) -> tuple[Floats, Floats]:
-    """The robot's covariance (p, p) and the null directions (p, d)."""
-    names, stored = calibration.chain.parameter_names, calibration.stored
-    at = {name: i for i, name in enumerate(names)}
-    covariance = np.zeros((len(names), len(names)))
-    rows = [i for i, name in enumerate(stored.covariance_names) if name in at]
-    to = [at[stored.covariance_names[i]] for i in rows]
-    covariance[np.ix_(to, to)] = np.nan_to_num(stored.covariance[np.ix_(rows, rows)])
-    try:
-        directions = list(stored.document["null_space"])
-        unseen = np.zeros((len(names), len(directions)))
-        for k, direction in enumerate(directions):
-            for name, weight in zip(direction["names"], direction["weights"], strict=True):
-                if name in at:
-                    unseen[at[name], k] = float(weight)
-    except (TypeError, ValueError, KeyError) as exc:
-        raise InputError(f"the result's null_space has the wrong form: {exc}") from exc
-    return covariance, unseen
 
 
 def _pair_of(text: str, n_joints: int) -> tuple[int, int]:
