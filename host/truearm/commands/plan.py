@@ -219,12 +219,13 @@ def line(
     _write_programs(planned.stops, dwell_s, program or [], Signals(output_line, input_line))
     places = [
         {
-            "line": f"plan{i + 1}",
+            "line": device.name,
             "from_mm": (1e3 * p[0]).tolist(),
             "to_mm": (1e3 * p[-1]).tolist(),
-            "a_priori_mm": 1e3 * e,
+            "rotation_rad": list(device.rotation),
+            "a_priori_mm": 1e3 * error,
         }
-        for i, (p, e) in enumerate(zip(planned.p_base, planned.error.tolist(), strict=True))
+        for device, p, error in zip(planned.devices.values(), planned.p_base, planned.error.tolist(), strict=True)
     ]
     document = _document(planned.forecast) | {"lines": places, "minutes": planned.minutes}
     if as_json:
@@ -347,7 +348,8 @@ def _show(document: dict[str, Any], out: Path | None, programs: list[Path]) -> N
     say = typer.echo
     for place in document.get("lines", ()):
         ends = " to ".join(", ".join(f"{v:.0f}" for v in place[end]) for end in ("from_mm", "to_mm"))
-        say(f"{place['line']:<8} {ends} mm; error before about {place['a_priori_mm']:.1f} mm")
+        turn = ", ".join(f"{v:.4f}" for v in place["rotation_rad"])
+        say(f"{place['line']:<8} {ends} mm, rotation_rad = [{turn}]; error before about {place['a_priori_mm']:.1f} mm")
     if "lines" in document:
         say(f"{len(document['lines'])} lines: {document['minutes']:.0f} minutes")
     else:

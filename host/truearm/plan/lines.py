@@ -6,6 +6,9 @@ sensors' range, the bulge of joint moves between two points and twice the a-prio
 15 mm). By what is known of the robot's tolerances (II-D) the error at each line is computed, and the half with the larger one
 stays: where the error is large, measurement errors weigh less (III-G, 4). Of these the lines are chosen like poses of a
 ball-bar, each a block of rows with the six unknowns of its own device fitted away.
+
+A device is taken to be set up by hand as planned, to BY_HAND about each axis. Without that its roll would be told by no more than
+the tenths of a millimetre by which the true arm leaves the line, and what the lines tell of the arm would depend on them.
 """
 
 from __future__ import annotations
@@ -24,6 +27,7 @@ from truearm.estimate.problem import settled
 from truearm.estimate.rows import whitened_blocks
 from truearm.estimate.uncertainty import tolerance_error
 from truearm.model.chain import point_forward, point_jacobians
+from truearm.observe.rotation import rotation_vector
 from truearm.plan.choose import as_blocks, choose, condensed
 from truearm.plan.forecast import Aim, Forecast, Known, compiled, forecast, planned_table, prior_unit, region_root
 from truearm.plan.region import Region, around, poses_in
@@ -36,6 +40,7 @@ STEPS = 8  # of Newton's method from one point to the next
 ON_LINE = 1e-8  # m
 ROUNDS = 40  # of draws
 SETUP = 180.0  # s to place the device
+BY_HAND = 0.052  # rad about each axis to which a device is set up as planned (Renders III-C)
 
 
 class LinesWanted(NamedTuple):
@@ -56,6 +61,7 @@ class LinePlan(NamedTuple):
     q: Floats
     p_base: Floats
     error: Floats
+    devices: dict[str, Device]  # as they are to be set up, by line
     stops: list[Stop]
     forecast: Forecast
     minutes: float
@@ -86,7 +92,7 @@ def plan_lines(
     table, devices = line_rows(known, q, target, point)
     told = forecast(_with_lines(known, devices), table, aim)
     minutes = (sum(stop.seconds for stop in stops) + rest) / 60.0
-    return LinePlan(q, places, error, stops, told, minutes, len(far))
+    return LinePlan(q, places, error, devices, stops, told, minutes, len(far))
 
 
 def candidate_lines(site: Site, wanted: LinesWanted, point: Floats, region: Region | None) -> Floats:
@@ -174,7 +180,11 @@ def line_rows(known: Known, q: Floats, target: str, point: Floats) -> tuple[Obse
     xyz = np.concatenate([(line - line.mean(axis=0)) @ _axes(line) for line in p])
     flat = q.reshape(-1, q.shape[2])
     labels = {"line": np.repeat(names, q.shape[1]), "target": np.full(len(flat), target)}
-    return planned_table(flat, "line", xyz=xyz, **labels), {name: Device(name, cov) for name in names}
+    devices = {}
+    for name, line in zip(names, p, strict=True):
+        rx, ry, rz = rotation_vector(_axes(line)).tolist()
+        devices[name] = Device(name, cov, None, (rx, ry, rz), None, BY_HAND)
+    return planned_table(flat, "line", xyz=xyz, **labels), devices
 
 
 def _axes(line: Floats) -> Floats:
