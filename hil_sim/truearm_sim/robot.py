@@ -15,8 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.files.plan import Plan
-from truearm.types import Floats
+from truearm.types import Floats, Plan
 from truearm_sim.clocks import Clock
 
 SPEED = np.deg2rad([82.0, 54.0, 122.0, 228.0, 241.0, 228.0])  # rad/s, a PUMA 560's

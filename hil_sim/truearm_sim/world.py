@@ -15,14 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.files import plan as plan_file
-from truearm.files.plan import Plan
 from truearm.model.chain import Chain, point_forward
 from truearm.model.robot import builtin_robot
-from truearm.types import BallBar, Floats, Point, Rig
+from truearm.plan.shells import plan_shells
+from truearm.types import BallBar, Floats, Plan, Point, Rig
 from truearm_sim import sensors
 from truearm_sim.clocks import Clock, Clocks, draw_clocks
 from truearm_sim.robot import SPEED, Controller, States
-from truearm_sim.shells import plan_shells
 
 ROBOT, DESIGN, TRUTH = "puma560", "design", "optimised"
 REPEATABILITY = 84e-6  # m

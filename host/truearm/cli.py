@@ -18,16 +18,21 @@ import typer
 from truearm import __version__
 from truearm.commands.add_joints import add_joints
 from truearm.commands.box import app as box
+from truearm.commands.correct import correct
 from truearm.commands.demo import demo
+from truearm.commands.export import export
 from truearm.commands.identify import identify
 from truearm.commands.inspect import inspect
+from truearm.commands.map import map_
+from truearm.commands.plan import app as plan
 from truearm.commands.record import record
 from truearm.commands.reproduce import reproduce
 from truearm.commands.simulate import simulate
 from truearm.commands.terminal import one_line
+from truearm.commands.validate import validate
 from truearm.errors import TruearmError
 
-COMMANDS = (demo, simulate, record, add_joints, inspect, identify, reproduce)
+COMMANDS = (demo, simulate, record, add_joints, inspect, identify, validate, map_, correct, export, reproduce)
 
 # Options and arguments that typer rejects raise a UsageError. That class lives in click or, in later versions, inside
 # typer, which exports only its subclass BadParameter.
@@ -42,8 +47,9 @@ app = typer.Typer(
     add_completion=False,
 )
 for _command in COMMANDS:
-    app.command(_command.__name__.replace("_", "-"))(_command)
+    app.command(_command.__name__.strip("_").replace("_", "-"))(_command)
 app.add_typer(box, name="box")
+app.add_typer(plan)
 
 
 def _print_version(wanted: bool) -> None:

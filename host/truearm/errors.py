@@ -8,6 +8,8 @@
     │   ├── RigError          a rig file (TOML)
     │   ├── RobotError        a robot file (TOML or URDF)
     │   ├── PlanError         a plan of poses (CSV)
+    │   ├── TargetError       a table of targets (CSV), or a target that cannot be corrected
+    │   ├── ProgramError      a robot's program (RAPID or URScript)
     │   ├── SessionError      a session file (MCAP)
     │   ├── ConfigError       a box's configuration (TOML)
     │   └── ImageError        an image for the box's chip (UF2)
@@ -47,6 +49,14 @@ class RobotError(InputError):
 
 class PlanError(InputError):
     """A plan of poses is wrong."""
+
+
+class TargetError(InputError):
+    """A table of targets is wrong, or a target cannot be corrected; the text names file and row."""
+
+
+class ProgramError(InputError):
+    """A robot's program cannot be read, or a target of it cannot be corrected; the text names file and line."""
 
 
 class SessionError(InputError):

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from truearm.errors import PlanError
 
 Floats = NDArray[np.float64]
 Strings = NDArray[np.str_]
@@ -190,6 +192,34 @@ class ObservationTable:
     def select(self, rows: NDArray[Any]) -> ObservationTable:
         """The rows of a boolean mask or an index array."""
         return ObservationTable(**{name: getattr(self, name)[rows] for name in self.__dataclass_fields__})
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Poses in the order of their visits: joint vectors and what the ball-bar connects at each.
+
+    Raises PlanError where the shapes disagree.
+    """
+
+    IDS: ClassVar[tuple[str, ...]] = ("shell", "bar", "chuck", "sphere")
+
+    q: Floats  # (n, j) rad
+    shell: Strings  # (n,)
+    bar: Strings  # (n,)
+    chuck: Strings  # (n,)
+    sphere: Strings  # (n,)
+
+    def __post_init__(self) -> None:
+        shapes = {getattr(self, name).shape for name in self.IDS}
+        if self.q.ndim != 2 or shapes != {self.q.shape[:1]}:
+            raise PlanError(f"a plan needs q (n, j) and ids (n,), got {self.q.shape} and {sorted(shapes)}")
+
+    def __len__(self) -> int:
+        return int(self.q.shape[0])
+
+    def select(self, rows: NDArray[Any]) -> Plan:
+        """The poses of a boolean mask or an index array."""
+        return Plan(self.q[rows], *(getattr(self, name)[rows] for name in self.IDS))
 
 
 @dataclass(frozen=True)

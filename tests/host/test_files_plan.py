@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from truearm.errors import PlanError
-from truearm.files.plan import Plan, check_against_rig, concatenate, format_plan, parse_plan, read_plan, write_plan
-from truearm.types import Rig
+from truearm.files.plan import check_against_rig, concatenate, format_plan, parse_plan, read_plan, write_plan
+from truearm.types import Plan, Rig
 
 GOOD = """\
 pose,shell,bar,chuck,sphere,q1_rad,q2_rad

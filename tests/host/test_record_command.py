@@ -18,10 +18,11 @@ from record_box import Box, Lab
 from truearm.cli import main
 from truearm.commands.record import MODULATOR_HZ, describe, nearest_osr, parse_mounted, plan_rows
 from truearm.errors import InputError
-from truearm.files.plan import Plan, write_plan
+from truearm.files.plan import write_plan
 from truearm.record.links import HostClock
 from truearm.record.session import open_session
 from truearm.record.status import Counters, Status
+from truearm.types import Plan
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals or a pseudo-terminal")
 PATIENCE_S = 20.0  # only a broken recorder takes so long

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from truearm.files.plan import Plan
+from truearm.types import Plan
 from truearm_sim import robot
 from truearm_sim.clocks import Clock, draw_clocks
 from truearm_sim.robot import Controller, move_durations, quintic

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from truearm.errors import PlanError
-from truearm.files.plan import Plan
 from truearm.model.chain import point_forward
+from truearm.types import Plan
 from truearm_sim import sensors
 from truearm_sim.clocks import Clock
 from truearm_sim.world import World, standard_plan, standard_rig

@@ -6,9 +6,9 @@ import pytest
 from truearm.errors import PlanError
 from truearm.model.chain import along, forward, joint_jacobian, trace_point
 from truearm.model.robot import builtin_robot
+from truearm.plan import shells, tour
+from truearm.plan.inverse import PUMA_ELBOW_UP, inverse, make_arm
 from truearm.types import Point, Rig
-from truearm_sim import shells
-from truearm_sim.inverse import PUMA_ELBOW_UP, inverse, make_arm
 from truearm_sim.world import World, standard_plan, standard_rig
 
 ROBOT = builtin_robot("puma560")
@@ -189,18 +189,18 @@ def test_what_cannot_be_planned_is_said():
 def test_a_tour_along_a_line_is_walked_from_its_end():
     rng = np.random.default_rng(4)
     x = rng.permutation(np.arange(40.0))
-    order = shells.short_tour(np.abs(x + 1.0), np.abs(x[:, None] - x) ** 2)
+    order = tour.short_tour(np.abs(x + 1.0), np.abs(x[:, None] - x) ** 2)
     assert x[order].tolist() == list(range(40))
 
 
 def test_reversing_mends_what_the_nearest_neighbour_left_behind():
     x = np.array([0.0, 1.0, -1.2, 3.0, 7.0])  # the nearest first: 0, 1, 3, 7 and then all the way back to -1.2
     cost = np.abs(x[:, None] - x) ** 2
-    order = shells.short_tour(np.abs(x), cost)
+    order = tour.short_tour(np.abs(x), cost)
     assert np.sum(np.diff(x[order]) ** 2) < np.sum(np.diff([0.0, 1.0, 3.0, 7.0, -1.2]) ** 2) / 2
 
 
 def test_the_dearest_visit_is_left_out():
     x = np.array([0.0, 1.0, 50.0, 2.0, 3.0])
-    order = shells.without_dearest(np.arange(5), np.abs(x[:, None] - x) ** 2, 4)
+    order = tour.without_dearest(np.arange(5), np.abs(x[:, None] - x) ** 2, 4)
     assert x[order].tolist() == [0.0, 1.0, 2.0, 3.0]

@@ -20,11 +20,10 @@ from truearm.errors import LinkError
 
 if TYPE_CHECKING:
     from truearm.commands.page import Judged
-    from truearm.files.plan import Plan
     from truearm.model.robot import Robot
     from truearm.record.status import Status
     from truearm.sync.pipeline import SyncResult
-    from truearm.types import Estimate, Floats, ObservationTable, Rig
+    from truearm.types import Estimate, Floats, ObservationTable, Plan, Rig
     from truearm_sim.simbox import SimulatedBox
     from truearm_sim.world import World
 

@@ -18,10 +18,9 @@ from truearm.errors import InputError, LinkError, TruearmError
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
-    from truearm.files.plan import Plan
     from truearm.record.links import Clock
     from truearm.record.status import RecordSummary, Status
-    from truearm.types import Rig
+    from truearm.types import Plan, Rig
 
 # The converter's modulator runs at 125 MHz / 15 / 2; a sample is osr of its periods.
 MODULATOR_HZ = 125e6 / 15 / 2

@@ -15,10 +15,11 @@ from truearm.estimate import map as map_
 from truearm.estimate.additions import additions
 from truearm.estimate.fit import fit
 from truearm.estimate.identifiability import hardly_seen, identifiability, observability, suggested_free, told_apart
-from truearm.estimate.information import RANK_TOLERANCE, Information, half, observe, spectrum, with_prior
+from truearm.estimate.information import Information, half, observe, spectrum, with_prior
+from truearm.estimate.judging import has_freedom
 from truearm.estimate.lm import DAMPING_START
 from truearm.estimate.prior import WEAK_SIGMA
-from truearm.estimate.problem import Problem, Rigs, build_problem, evaluate, settled
+from truearm.estimate.problem import Problem, Rigs, build_problem, settled
 from truearm.estimate.relabel import relabellings
 from truearm.estimate.robust import LOSSES
 from truearm.estimate.rows import only, standardised
@@ -37,7 +38,6 @@ SOLVERS: Mapping[str, Solver] = {
 }
 WITH_LOSS = ("lm", "map")
 DAMPINGS = ("scaled", "plain")
-LEAST_FREEDOM = 1e-6  # share of a row's residuals that must be left to judge by; rounding leaves 1e-12
 Progress = Callable[[int, float], None]  # iteration, RMS of the residuals [m]
 
 
@@ -200,33 +200,12 @@ def _judge(
     x = np.array([known.get(name, value) for name, value in zip(problem.names, problem.start, strict=True)])
     solution = fit(problem, columns, x, Options(), DAMPING_START)
     error, x = solution.information.residual, solution.x
-    judging = _has_freedom(problem, columns, x)
+    judging = has_freedom(problem, columns, x)
     if not judging.any():
         return None, error
     size = np.abs(error[judging])
     settled_here, left_out = int(columns.sum()), int((~judging).sum())
     return HeldOut(_rms(size), float(size.mean()), float(size.max()), size.size, settled_here, left_out), error
-
-
-def _has_freedom(problem: Problem, columns: NDArray[np.bool_], x: Floats) -> NDArray[np.bool_]:
-    """Rows (n,) that the unknowns x[columns], settled on them, could not make to fit whatever they say.
-
-    The trace of a row's block of the hat matrix J (JᵀJ)⁺ Jᵀ is its number of residuals where they fit by construction:
-    the only seat in a socket, say.
-    """
-    free = np.ones(problem.n_rows, dtype=bool)
-    if not columns.any():
-        return free
-    groups = [group for group in problem.groups if not isinstance(group, SocketDistanceRows)]
-    whole = [(group.row, evaluate(problem, group, x).jac_params[:, columns]) for group in groups]
-    basis, weight, _ = np.linalg.svd(np.concatenate([jac for _, jac in whole]), full_matrices=False)
-    hat = np.sum(basis[:, weight > RANK_TOLERANCE * weight.max(initial=0.0)] ** 2, axis=1)
-    at = 0
-    for row, jac in whole:
-        share = hat[at : at + len(jac)].reshape(row.size, -1).mean(axis=1)
-        free[row[share > 1.0 - LEAST_FREEDOM]] = False
-        at += len(jac)
-    return free
 
 
 def _mask(name: str, mask: NDArray[np.bool_] | None, size: int, default: bool) -> NDArray[np.bool_]:

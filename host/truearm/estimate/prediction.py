@@ -39,7 +39,7 @@ def predicted_point_error(
     unseen = flat @ _null_directions(estimate)
     relative = bool(np.abs(unseen).max(initial=0.0) > MOVES)
     if relative:
-        body, _ = np.linalg.qr(_body_motion(points))
+        body, _ = np.linalg.qr(body_motion(points))
         if np.abs(unseen - body @ (body.T @ unseen)).max() > MOVES:
             return None
         flat = flat - body @ (body.T @ flat)
@@ -86,7 +86,7 @@ def _null_directions(estimate: Estimate) -> Floats:
     return out
 
 
-def _body_motion(points: Floats) -> Floats:
+def body_motion(points: Floats) -> Floats:
     """(3n, 6) how points (n, 3) move by a twist (v; w) of the base: v + w × p."""
     turned = np.cross(np.eye(3), points[:, None, :]).swapaxes(1, 2)
     return np.concatenate([np.broadcast_to(np.eye(3), turned.shape), turned], axis=2).reshape(-1, 6)

@@ -60,8 +60,8 @@ def parse_toml(
         raise error(f"{name}: is not TOML that can be used: {exc}") from exc
 
 
-def write_atomic(path: Path, text: str) -> None:
-    """Write UTF-8 text beside ``path`` and rename it over ``path``; a symbolic link stays and its target is replaced.
+def write_atomic(path: Path, text: str | bytes) -> None:
+    """Write bytes, or text as UTF-8, beside ``path`` and rename them over it; a symbolic link stays, its target is replaced.
 
     Raises InputError when the folder is missing or cannot be written, or ``path`` is no regular file.
     """
@@ -72,8 +72,8 @@ def write_atomic(path: Path, text: str) -> None:
     except OSError as exc:
         raise InputError(f"{path}: cannot be written: {exc.strerror}") from exc
     try:
-        with os.fdopen(descriptor, "w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(text.encode() if isinstance(text, str) else text)
             file.flush()
             os.fsync(file.fileno())
         os.chmod(temporary, 0o666 & ~_umask())  # mkstemp makes files that only the owner reads

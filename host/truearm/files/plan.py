@@ -11,49 +11,21 @@ import csv
 import io
 import math
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truearm.errors import PlanError
 from truearm.files.disk import read_text, write_atomic
-from truearm.types import Floats, Rig, Strings
+from truearm.types import Plan, Rig
 
 MAX_BYTES = 16 * 2**20
 MAX_JOINTS = 64
-IDS = ("shell", "bar", "chuck", "sphere")
+IDS = Plan.IDS
 LARGEST = 20.0 * math.pi  # rad; an angle beyond ten turns was written in degrees
 
 _ID = re.compile(r"[\w-]{1,64}")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Poses in the order of their visits: joint vectors and what the ball-bar connects at each.
-
-    Raises PlanError where the shapes disagree.
-    """
-
-    q: Floats  # (n, j) rad
-    shell: Strings  # (n,)
-    bar: Strings  # (n,)
-    chuck: Strings  # (n,)
-    sphere: Strings  # (n,)
-
-    def __post_init__(self) -> None:
-        shapes = {getattr(self, name).shape for name in IDS}
-        if self.q.ndim != 2 or shapes != {self.q.shape[:1]}:
-            raise PlanError(f"a plan needs q (n, j) and ids (n,), got {self.q.shape} and {sorted(shapes)}")
-
-    def __len__(self) -> int:
-        return int(self.q.shape[0])
-
-    def select(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Plan:
-        """The poses of a boolean mask or an index array."""
-        return Plan(self.q[rows], *(getattr(self, name)[rows] for name in IDS))
 
 
 def concatenate(*plans: Plan) -> Plan:

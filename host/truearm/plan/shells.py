@@ -12,14 +12,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from truearm.errors import PlanError
-from truearm.files.plan import Plan
 from truearm.model.chain import Chain, point_forward
-from truearm.types import BallBar, Floats, Point, Rig
-from truearm_sim.inverse import PUMA_ELBOW_UP, Arm, Box, inverse, make_arm
+from truearm.plan.inverse import PUMA_ELBOW_UP, Arm, Branch, inverse, make_arm
+from truearm.plan.site import Pairing, Site, allowed
+from truearm.plan.tour import short_tour, untangled, without_dearest
+from truearm.types import BallBar, Floats, Plan, Point, Rig
 
 # Between the tool's axis and the direction to the chuck. It is what tells the radius of a shell from the robot's size:
 # with 35° the fit on 46 cm predicts 61 cm to 0.0890 mm (expected RMS, of 0.084 mm noise), in one of a hundred
@@ -27,6 +27,7 @@ from truearm_sim.inverse import PUMA_ELBOW_UP, Arm, Box, inverse, make_arm
 MAX_TILT = np.deg2rad(60.0)
 # Below, the bar would touch the table; above, longitudes crowd at the pole.
 LOWEST, HIGHEST = np.deg2rad(12.0), np.deg2rad(84.0)
+CUP_MARGIN = np.deg2rad(4.0)  # left to the way between poses
 SURPLUS = 1.25  # poses sought for one visited: the dearest to visit are left out
 TRIES = 3  # orientations tried at a place before it counts as out of reach
 FREE_TRAVEL = 0.015  # m
@@ -40,7 +41,7 @@ def plan_shells(
     bar: str,
     n_poses: int = 800,
     seed: int = 0,
-    box: Box = PUMA_ELBOW_UP,
+    branch: Branch = PUMA_ELBOW_UP,
     speed: Floats | None = None,
 ) -> Plan:
     """``n_poses`` poses with one bar, spread evenly over all pairings of a chuck and a sphere, in order of their visits.
@@ -53,14 +54,14 @@ def plan_shells(
     if n_poses < len(pairings):
         raise PlanError(f"{n_poses} poses are too few for {len(pairings)} pairings")
     rng = np.random.default_rng(seed)
-    arm = make_arm(chain, params, box, rng)
+    arm = make_arm(chain, params, branch, rng)
     counts = np.diff(np.linspace(0, n_poses, len(pairings) + 1).astype(int))
     reached = _reachable(arm, rig.bars[bar], pairings, int(counts.max() * SURPLUS) + 1, rng)
     weights = np.ones(len(chain.joints)) if speed is None else 1.0 / np.asarray(speed)
-    here = 0.5 * (box.lower + box.upper)
+    here = 0.5 * (branch.lower + branch.upper)
     parts = []
     for (chuck, sphere), count, q in zip(pairings, counts, reached, strict=True):
-        cost = _move_costs(arm, q, weights, rig.bars[bar], chuck, sphere)
+        cost = move_costs(arm, q, weights, rig.bars[bar], chuck, sphere)
         order = short_tour(np.abs((q - here) * weights).max(axis=-1), cost)
         parts.append(q[untangled(without_dearest(order, cost, int(count)), cost)])
         here = parts[-1][-1]
@@ -70,14 +71,58 @@ def plan_shells(
     return Plan(np.concatenate(parts), *names.T)
 
 
-def grid_directions(n: int) -> Floats:
+def candidates(site: Site, pairings: Sequence[Pairing], n: int, seed: int = 0, spread: float = 0.0) -> Plan:
+    """``n`` poses or a few more, spread over the pairings and places of their shells, that keep to the site's limits.
+
+    A pairing whose shell the arm hardly reaches gives fewer. ``spread`` [m]: how far the bar's length is drawn from
+    mid-travel, either way, which tells a bar's gain from its zero. Raises PlanError where a pairing gives none.
+    """
+    rng = np.random.default_rng(seed)
+    count = -(-n // len(pairings))
+    parts = [_of_pairing(site, pairing, count, spread, rng) for pairing in pairings]
+    sizes = [len(q) for q in parts]
+    if min(sizes) == 0:
+        none = pairings[sizes.index(0)]
+        raise PlanError(
+            f"the arm reaches no place of bar {none.bar} between chuck {none.chuck} and sphere {none.sphere}; "
+            "move the chucks"
+        )
+    names = [(f"{p.bar}-{p.chuck}", p.bar, p.chuck, p.sphere) for p in pairings]
+    return Plan(np.concatenate(parts), *np.repeat(names, sizes, axis=0).T)
+
+
+def _of_pairing(site: Site, pairing: Pairing, count: int, spread: float, rng: np.random.Generator) -> Floats:
+    """At most ``count`` joint vectors of one pairing; the grid is made finer until there are enough, to a limit."""
+    bar, mounted = pairing.of(site.rig)
+    tilt = site.limits.sphere_angle - CUP_MARGIN
+    n_places, q = 2 * count, np.zeros((0, len(site.arm.chain.joints)))
+    for _ in range(4):
+        directions = grid_directions(n_places, max(LOWEST, 0.5 * np.pi - site.limits.chuck_angle + 0.02))
+        q = np.full((len(directions), len(site.arm.chain.joints)), np.nan)
+        for _ in range(TRIES):
+            left = np.flatnonzero(np.isnan(q[:, 0]))
+            length = bar.zero + spread * rng.uniform(-1.0, 1.0, (len(left), 1))
+            found = inverse(
+                site.arm, _tool_poses(directions[left], length, mounted.p_chuck, mounted.p_sphere, rng, tilt)
+            )
+            good = ~np.isnan(found[:, 0])
+            good[good] = allowed(site, found[good], pairing, site.limits.tightened())
+            q[left[good]] = found[good]
+        q = q[~np.isnan(q[:, 0])]
+        if len(q) >= count:
+            return np.asarray(q[np.linspace(0, len(q) - 1, count).round().astype(int)])
+        n_places *= 2
+    return q
+
+
+def grid_directions(n: int, lowest: float = LOWEST) -> Floats:
     """About n unit vectors (m, 3), m ≥ n, from a chuck to the crossings of a latitude/longitude grid.
 
     Rings of latitude are walked to and fro, so that neighbours in the list are neighbours on the shell.
     """
     n_latitudes = max(3, int(np.ceil(np.sqrt(n / 4.0))))
     n_longitudes = int(np.ceil(n / n_latitudes))
-    latitudes = np.linspace(LOWEST, HIGHEST, n_latitudes)
+    latitudes = np.linspace(lowest, HIGHEST, n_latitudes)
     longitudes = 2.0 * np.pi * np.arange(n_longitudes) / n_longitudes
     rings = [longitudes if i % 2 == 0 else longitudes[::-1] for i in range(n_latitudes)]
     lat, lon = np.repeat(latitudes, n_longitudes), np.concatenate(rings)
@@ -110,11 +155,16 @@ def _reachable(
 
 
 def _tool_poses(
-    directions: Floats, length: float, p_chuck: Floats, p_sphere: Floats, rng: np.random.Generator
+    directions: Floats,
+    length: float | Floats,
+    p_chuck: Floats,
+    p_sphere: Floats,
+    rng: np.random.Generator,
+    most: float = MAX_TILT,
 ) -> Floats:
     """End poses (m, 4, 4) with the spheres on the shells and the tool's z axis towards the chuck, tilted and turned."""
     m = len(directions)
-    tilt, azimuth, turn = MAX_TILT * np.sqrt(rng.random(m)), *(2.0 * np.pi * rng.random((2, m)))
+    tilt, azimuth, turn = most * np.sqrt(rng.random(m)), *(2.0 * np.pi * rng.random((2, m)))
     lat, lon = np.arcsin(directions[:, 2]), np.arctan2(directions[:, 1], directions[:, 0])
     facing = Rotation.from_euler("ZY", np.stack([lon, -0.5 * np.pi - lat], axis=-1))  # z axis along −direction
     varied = Rotation.from_euler("ZYZ", np.stack([azimuth, tilt, turn - azimuth], axis=-1))
@@ -125,7 +175,7 @@ def _tool_poses(
     return poses
 
 
-def _move_costs(arm: Arm, q: Floats, weights: Floats, bar: BallBar, chuck: Point, sphere: Point) -> Floats:
+def move_costs(arm: Arm, q: Floats, weights: Floats, bar: BallBar, chuck: Point, sphere: Point) -> Floats:
     """Cost (m, m) of a move between any two poses: its duration squared, and more where it strains the bar.
 
     Halfway between two poses of a shell the bar is shorter or longer than on it. The true robot strays by up to 22 mm
@@ -138,43 +188,3 @@ def _move_costs(arm: Arm, q: Floats, weights: Floats, bar: BallBar, chuck: Point
     strain[first, second] = np.abs(np.linalg.norm(p_halfway - chuck.xyz, axis=-1) - bar.zero)
     strain += strain.T
     return np.asarray(duration**2 + (np.maximum(strain - FREE_TRAVEL, 0.0) / STRAIN_PER_SECOND) ** 2)
-
-
-def short_tour(from_start: Floats, cost: Floats) -> NDArray[np.int64]:
-    """Order of n points that keeps the sum of ``cost`` (n, n) of the moves small; ``from_start`` (n,) picks the first."""
-    order = [int(np.argmin(from_start))]
-    left = np.ones(len(cost), dtype=bool)
-    for _ in range(len(cost) - 1):
-        left[order[-1]] = False
-        order.append(int(np.argmin(np.where(left, cost[order[-1]], np.inf))))
-    return untangled(np.array(order), cost)
-
-
-def untangled(order: NDArray[np.int64], cost: Floats) -> NDArray[np.int64]:
-    """The tour after reversing stretches of it as long as that makes it cheaper (2-opt).
-
-    Going always to the nearest point left ends with long moves back to what was passed over; this mends them.
-    """
-    order = order.copy()
-    improved = True
-    while improved:
-        improved = False
-        for i in range(len(order) - 2):
-            # Reverse order[i+1 .. k]: the moves i→i+1 and k→k+1 become i→k and i+1→k+1; the last k has no k+1.
-            here, after, k = order[i], order[i + 1], order[i + 2 :]
-            gain = cost[here, after] - cost[here, k]
-            gain[:-1] += cost[k[:-1], k[1:]] - cost[after, k[1:]]
-            if gain.max() > 1e-12:
-                end = i + 3 + int(np.argmax(gain))
-                order[i + 1 : end] = order[i + 1 : end][::-1]
-                improved = True
-    return order
-
-
-def without_dearest(order: NDArray[np.int64], cost: Floats, count: int) -> NDArray[np.int64]:
-    """The tour without those points whose visit costs most, one by one, until ``count`` are left."""
-    while len(order) > count:
-        moves = np.concatenate([[0.0], cost[order[:-1], order[1:]], [0.0]])
-        shortcuts = np.concatenate([[0.0], cost[order[:-2], order[2:]], [0.0]])
-        order = np.delete(order, int(np.argmax(moves[:-1] + moves[1:] - shortcuts)))
-    return order

@@ -27,7 +27,7 @@ TOLERANCE = 1e-7  # LEVERs, and rad
 
 
 @dataclass(frozen=True)
-class Box:
+class Branch:
     """One configuration branch as joint bounds (j,) [rad], and how near the end may come to the base's z axis and to
     the table, z = 0 [m]."""
 
@@ -39,7 +39,7 @@ class Box:
 
 # A PUMA 560 with its elbow above the line from shoulder to wrist, wrist not flipped; 5° or more inside the joint limits,
 # 10° or more away from the stretched elbow (q3 = 87°) and the aligned wrist (q5 = 0).
-PUMA_ELBOW_UP = Box(
+PUMA_ELBOW_UP = Branch(
     np.deg2rad([-155.0, -170.0, 100.0, -105.0, 12.0, -180.0]), np.deg2rad([155.0, 35.0, 215.0, 165.0, 95.0, 180.0])
 )
 
@@ -49,15 +49,15 @@ class Arm(NamedTuple):
 
     chain: Chain
     params: Floats
-    box: Box
+    branch: Branch
     seeds: KDTree
     q_seeds: Floats
 
 
-def make_arm(chain: Chain, params: Floats, box: Box, rng: np.random.Generator) -> Arm:
+def make_arm(chain: Chain, params: Floats, branch: Branch, rng: np.random.Generator) -> Arm:
     """An arm with N_SEEDS random poses of its branch, to be looked up by what they reach."""
-    q = rng.uniform(box.lower, box.upper, (N_SEEDS, len(box.lower)))
-    return Arm(chain, params, box, KDTree(_features(forward(chain, params, q))), q)
+    q = rng.uniform(branch.lower, branch.upper, (N_SEEDS, len(branch.lower)))
+    return Arm(chain, params, branch, KDTree(_features(forward(chain, params, q))), q)
 
 
 def inverse(arm: Arm, poses: Floats) -> Floats:
@@ -69,9 +69,9 @@ def inverse(arm: Arm, poses: Floats) -> Floats:
         step = (jacobian.swapaxes(-1, -2) @ np.linalg.solve(normal, error[..., None]))[..., 0]
         q = q + np.clip(step, -0.4, 0.4)
     error, jacobian = _pose_error(arm, poses, q)
-    good = np.all((q > arm.box.lower) & (q < arm.box.upper), axis=-1) & (np.abs(error).max(axis=-1) < TOLERANCE)
+    good = np.all((q > arm.branch.lower) & (q < arm.branch.upper), axis=-1) & (np.abs(error).max(axis=-1) < TOLERANCE)
     good &= np.linalg.svd(jacobian, compute_uv=False)[:, -1] > MIN_SINGULAR_VALUE
-    good &= (np.hypot(poses[:, 0, 3], poses[:, 1, 3]) > arm.box.clearance) & (poses[:, 2, 3] > arm.box.height)
+    good &= (np.hypot(poses[:, 0, 3], poses[:, 1, 3]) > arm.branch.clearance) & (poses[:, 2, 3] > arm.branch.height)
     return np.where(good[:, None], q, np.nan)
 
 

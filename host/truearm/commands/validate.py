@@ -1,0 +1,50 @@
+"""``truearm validate``: does a calibration hold on other measurements?"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def validate(
+    result: Annotated[Path, typer.Argument(metavar="RESULT", help="What truearm identify --out wrote (.json).")],
+    inputs: Annotated[
+        list[Path], typer.Argument(metavar="INPUT", help="Sessions (.mcap) and tables (.csv) to judge by.")
+    ],
+    robot: Annotated[
+        str | None,
+        typer.Option(metavar="ROBOT", help="The robot that was identified; default: the built-in one of that name."),
+    ] = None,
+    base: Annotated[str | None, typer.Option(metavar="LINK", help="Of a URDF; default: as identified.")] = None,
+    tip: Annotated[str | None, typer.Option(metavar="LINK", help="Of a URDF; default: as identified.")] = None,
+    rig: Annotated[
+        list[str] | None,
+        typer.Option(metavar="[NAME=]FILE", help="As of truearm identify; default: each session's own."),
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print numbers and verdict as JSON and nothing else.")
+    ] = False,
+    allow_damaged: Annotated[
+        bool, typer.Option("--allow-damaged", help="Use what is whole of a session that is damaged.")
+    ] = False,
+) -> None:
+    """Judge a calibration by other measurements: errors with and without it, by region, and a verdict.
+
+    The robot stays as identified. What the rig does not know is settled on the rows that judge, for both alike.
+
+    \b
+    Example:
+      truearm validate result.json friday.csv --rig rig.toml
+    """
+    from truearm.commands.validating import validation_document, validation_lines
+    from truearm.files.result import format_document
+
+    document = validation_document(result, inputs, (robot, base, tip), rig or [], allow_damaged)
+    if as_json:
+        sys.stdout.write(format_document(document) + "\n")
+        return
+    for line in validation_lines(document):
+        typer.echo(line)

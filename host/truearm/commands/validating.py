@@ -1,0 +1,151 @@
+"""The work of ``truearm validate``: errors of the robot as described and as identified, by region, and a verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.commands.calibration import Calibration, read_calibration
+from truearm.commands.inputs import check_files, hashed_inputs, observed
+from truearm.commands.rigs import rig_files
+from truearm.commands.terminal import one_line
+from truearm.errors import InputError
+from truearm.estimate.judging import judge
+from truearm.model.chain import forward
+from truearm.types import Floats, ObservationTable
+
+GROUPS = ("rig", "place", "shell", "line", "bar", "tracker", "plane")
+LEAST_ROWS = 5  # of a region: fewer say little
+AS_GOOD = 1.5  # times the error that the calibration had on its own data
+HELPS = 0.9  # of the error without it
+
+
+def validation_document(
+    result: Path, inputs: list[Path], robot: tuple[str | None, str | None, str | None], rig: list[str], damaged: bool
+) -> dict[str, Any]:
+    """Numbers and verdict. Raises InputError in one line."""
+    rigs = rig_files(rig)
+    calibration = read_calibration(result, *robot)
+    check_files(inputs, calibration.robot, rigs, None, None)
+    of, table = observed(inputs, rigs, calibration.joint_units, damaged)
+    before, after = (judge(calibration.chain, of, table, p) for p in (calibration.nominal, calibration.identified))
+    judging = before.judging & after.judging
+    if not judging.any():
+        raise InputError(
+            f"{inputs[0]}: no row can judge: each fits unknowns of the rig whatever it says; measure more there"
+        )
+    errors = before.error, after.error
+    inputs_then = calibration.stored.document.get("inputs")
+    seen = {
+        str(entry.get("sha256"))
+        for entry in (inputs_then if isinstance(inputs_then, list) else [])
+        if isinstance(entry, dict)
+    }
+    hashes = [entry for entry in hashed_inputs(inputs, calibration.robot) if entry.role == "observations"]
+    document: dict[str, Any] = {
+        "rows": int(judging.sum()),
+        "left_out": int((~judging).sum()),
+        "settled": after.n_settled,
+        "identified_from": [entry.name for entry in hashes if entry.sha256 in seen],
+        "reference_mm": _reference(calibration.stored.document),
+        **_errors(errors, judging),
+        "regions": _regions(calibration, table, errors, judging),
+    }
+    return document | {"verdict": verdict(document)}
+
+
+def _errors(errors: tuple[Floats, Floats], rows: NDArray[np.bool_]) -> dict[str, float]:
+    out: dict[str, float] = {}
+    for name, error in zip(("before", "after"), errors, strict=True):
+        mine = 1e3 * error[rows]
+        out |= {
+            f"rms_{name}_mm": float(np.sqrt(np.mean(mine**2))),
+            f"mean_{name}_mm": float(mine.mean()),
+            f"max_{name}_mm": float(mine.max()),
+        }
+    return out
+
+
+def _reference(document: Mapping[str, Any]) -> float | None:
+    """RMS that the calibration had on rows that it was not fitted to, or else on those that it was [mm]."""
+    held_out = document.get("held_out")
+    value = held_out.get("rms_mm") if isinstance(held_out, dict) else document.get("rms_after_mm")
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+
+
+def _regions(
+    calibration: Calibration, table: ObservationTable, errors: tuple[Floats, Floats], judging: NDArray[np.bool_]
+) -> list[dict[str, Any]]:
+    """Groups that the rows name, and four parts of the space where the end was."""
+    regions = []
+    for column in GROUPS:
+        names = [str(name) for name in np.unique(getattr(table, column)) if name]
+        if len(names) > 1:
+            regions += [(f"{column}={name}", getattr(table, column) == name) for name in names]
+    regions += _parts(calibration, table)
+    return [
+        {"region": name, "rows": int((mine & judging).sum()), **_errors(errors, mine & judging)}
+        for name, mine in regions
+        if (mine & judging).sum() >= LEAST_ROWS
+    ]
+
+
+def _parts(calibration: Calibration, table: ObservationTable) -> list[tuple[str, NDArray[np.bool_]]]:
+    """Near and far, low and high: halves by the distance of the end from the base frame's z axis, and by its height."""
+    p = forward(calibration.chain, calibration.identified, table.q)[:, :3, 3]
+    reach = np.hypot(p[:, 0], p[:, 1])
+    far, high = reach > np.median(reach), p[:, 2] > np.median(p[:, 2])
+    split = f"{1e3 * np.median(reach):.0f} mm out", f"{1e3 * np.median(p[:, 2]):.0f} mm up"
+    return [
+        (
+            f"{'beyond' if is_far else 'within'} {split[0]}, {'above' if is_high else 'below'} {split[1]}",
+            (far == is_far) & (high == is_high),
+        )
+        for is_far in (False, True)
+        for is_high in (False, True)
+    ]
+
+
+def verdict(document: Mapping[str, Any]) -> str:
+    """What the numbers mean, in words."""
+    before, after, reference = (document[key] for key in ("rms_before_mm", "rms_after_mm", "reference_mm"))
+    if after >= HELPS * before:
+        words = "The calibration does not help here: identify again, from measurements of this place and tool."
+    elif reference is not None and after > AS_GOOD * reference:
+        words = (
+            f"The calibration helps, but leaves {after / reference:.1f} times the error that it had when it was identified "
+            f"({reference:.3f} mm): the arm, its tool or its load has changed, or this region was not measured then."
+        )
+    else:
+        words = "The calibration holds: its error here is what it was when it was identified." * (reference is not None)
+        words = words or "The calibration helps."
+    worse = [region["region"] for region in document["regions"] if region["rms_after_mm"] >= region["rms_before_mm"]]
+    if worse and after < HELPS * before:
+        words += f" Worse than without it: {'; '.join(worse)}."
+    if document["identified_from"]:
+        words += " But these rows are among those that it was identified from, so they prove little."
+    return words
+
+
+def validation_lines(document: Mapping[str, Any]) -> list[str]:
+    """The document as a person reads it."""
+    width = max([len(region["region"]) for region in document["regions"]] + [len("all, RMS")])
+    lines = [f"{'error [mm]':<{width}}{'without':>12}{'with':>12}{'rows':>8}"]
+    for key, title in (("rms", "all, RMS"), ("mean", "all, mean"), ("max", "all, largest")):
+        lines.append(_line(title, width, document, key, document["rows"]))
+    for region in document["regions"]:
+        lines.append(_line(one_line(region["region"]), width, region, "rms", region["rows"]))
+    if document["settled"]:
+        lines.append(f"{document['settled']} unknowns of the rig were settled on these rows, without and with alike.")
+    if document["left_out"]:
+        lines.append(f"{document['left_out']} rows are not judged: they fit such unknowns whatever they say.")
+    return [*lines, one_line(document["verdict"])]
+
+
+def _line(title: str, width: int, numbers: Mapping[str, Any], key: str, rows: int) -> str:
+    before, after = numbers[f"{key}_before_mm"], numbers[f"{key}_after_mm"]
+    return f"{title:<{width}}{before:>12.4f}{after:>12.4f}{rows:>8}"

@@ -1,0 +1,120 @@
+"""Targets corrected: what to tell the controller, what error that leaves, and which targets must be refused.
+
+``newton`` is the full inverse of the identified model; ``false-target`` (32), ``joints`` (34) and ``offsets`` (35) are
+the paper's. Each ends with joint readings q. A controller that takes poses is told f_n(q), which it turns back into q.
+
+Refused is, never guessed at: a target that the nominal or the identified robot does not reach within the joint limits, one
+nearer to a singularity than ``margin``, and one where an iteration makes the error larger instead of smaller.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.correct.false_target import false_target
+from truearm.correct.inverse import Inverse, inverse, search, singular_value, within
+from truearm.correct.joint_space import joint_space
+from truearm.correct.offsets import offsets
+from truearm.correct.pair import Pair, in_rig, reached, told
+from truearm.model.poses import apart
+from truearm.types import Floats
+
+METHODS = ("newton", "false-target", "joints", "offsets")
+MARGIN = 0.05  # smallest singular value: an error of 20 mm then asks for at most 0.8 rad
+ROUNDING = 1e-9  # m, rad: below, an iteration only stirs the last digits
+MOST_TURN = 0.5  # rad, m: a correction that moves a joint by more leads to another configuration
+
+
+class Correction(NamedTuple):
+    """n targets corrected; a row with a ``problem`` is not to be used."""
+
+    q_nominal: Floats  # (n, j) what the controller would have done
+    q: Floats  # (n, j) what it shall do
+    told: Floats  # (n, 4, 4) the pose to tell it
+    before: Floats  # (n, 2) m, rad: how far the end would have been off
+    after: Floats  # (n, 2)
+    problem: tuple[str, ...]  # n, "" where there is none
+
+
+def correct(
+    pair: Pair,
+    targets: Floats,
+    method: str = "newton",
+    steps: int = 1,
+    *,
+    oriented: bool = True,
+    q_start: Floats | None = None,
+    home: Floats | None = None,
+    quadrants: Floats | None = None,
+    margin: float = MARGIN,
+) -> Correction:
+    """Correct targets (n, 4, 4), x_d.
+
+    method : one of METHODS. steps : how often (32) and (34) are applied. oriented : False where only positions matter.
+    q_start : (n, j) near the joints that the controller will take; without, the configuration is searched for
+    (``inverse.search``, with ``home`` and ``quadrants``).
+    """
+    told_nominal = _nominal(pair, targets, oriented, q_start, home, quadrants)
+    q_nominal = told_nominal.q
+    before = _error(pair, targets, q_nominal, oriented)
+    q, grew = _corrected(pair, targets, q_nominal, method, steps, oriented)
+    after = _error(pair, targets, q, oriented)
+    singular: Floats = np.minimum(told_nominal.singular_value, singular_value(pair.chain, pair.identified, q, oriented))
+    problem = [""] * len(q)
+
+    def refuse(where: Any, words: str) -> None:
+        for i in np.flatnonzero(where):
+            problem[i] = problem[i] or words.format(singular[i])
+
+    refuse(~told_nominal.reached, "the robot as described does not reach it within its joint limits")
+    refuse(singular < margin, f"too near a singularity (smallest singular value {{:.3f}}, the margin is {margin:g})")
+    refuse(grew, "the correction does not converge")
+    refuse(np.abs(q - q_nominal).max(axis=-1) > MOST_TURN, "the correction leads to another configuration of the arm")
+    refuse(~within(pair.chain, q), "the corrected joints are outside the joint limits")
+    return Correction(q_nominal, q, told(pair, q), before, after, tuple(problem))
+
+
+def _nominal(
+    pair: Pair, targets: Floats, oriented: bool, q_start: Floats | None, home: Floats | None, quadrants: Floats | None
+) -> Inverse:
+    """f_n⁻¹(x_d)"""
+    if q_start is None:
+        return search(pair.chain, pair.nominal, targets, oriented, home, quadrants)
+    found = inverse(pair.chain, pair.nominal, targets, q_start, oriented)
+    return found._replace(reached=found.reached & within(pair.chain, found.q))
+
+
+def _corrected(
+    pair: Pair, targets: Floats, q_nominal: Floats, method: str, steps: int, oriented: bool
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """q (n, j), and where no correction was found that makes the error smaller."""
+    if method == "offsets":
+        return offsets(pair, q_nominal), np.zeros(len(q_nominal), dtype=bool)
+    if method == "newton":
+        found = inverse(pair.chain, pair.identified, in_rig(pair, targets), q_nominal, oriented)
+        return found.q, ~found.reached
+    step = false_target if method == "false-target" else joint_space
+    q, grew = q_nominal, np.zeros(len(q_nominal), dtype=bool)
+    size: Floats = _size(_error(pair, targets, q, oriented))
+    for _ in range(steps):
+        q_next = step(pair, targets, q, oriented)
+        lost: NDArray[np.bool_] = np.asarray(np.isnan(q_next).any(axis=-1))
+        size_next = _size(_error(pair, targets, np.where(lost[:, None], q, q_next), oriented))
+        worse: NDArray[np.bool_] = lost | (size_next > np.maximum(size, ROUNDING))
+        grew |= worse
+        q, size = np.where(worse[:, None], q, q_next), np.where(worse, size, size_next)
+    return q, grew
+
+
+def _error(pair: Pair, targets: Floats, q: Floats, oriented: bool) -> Floats:
+    """(n, 2) distance [m] and angle [rad] between targets and where the end is; no angle where none matters."""
+    error = apart(targets, reached(pair, q))
+    angle = np.linalg.norm(error[:, 3:], axis=-1) if oriented else np.full(len(q), np.nan)
+    return np.stack([np.linalg.norm(error[:, :3], axis=-1), angle], axis=-1)
+
+
+def _size(error: Floats) -> Floats:
+    return np.asarray(np.nansum(error, axis=-1))

@@ -1,0 +1,81 @@
+"""The robot as formats want it: every joint about or along the z axis of its own frame, mountings apart.
+
+    T(q) = B · S_0 · Z_1(θ_1) · S_1 · … · Z_j(θ_j) · S_j · E ,    θ = offset + gain·q
+
+B and E are the mountings (``model.mountings``), S_i rigid constants, Z_i a turn about z or a motion along it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from truearm.errors import RobotError
+from truearm.model.chain import Chain, Joint
+from truearm.model.mountings import gain_of, mountings, own_links
+from truearm.model.transforms import elementary
+from truearm.types import Floats
+
+# what turns z into the axis of a motion
+_TO_AXIS = {"x": elementary("ry", 0.5 * np.pi), "y": elementary("rx", -0.5 * np.pi), "z": np.eye(4)}
+
+
+class Own(NamedTuple):
+    """A robot of j joints."""
+
+    name: str
+    joints: tuple[Joint, ...]
+    links: Floats  # (j + 1, 4, 4) S
+    offsets: Floats  # (j,) rad or m
+    gains: Floats  # (j,)
+    base: Floats  # (4, 4) B
+    tool: Floats  # (4, 4) E
+    base_frame: str
+    end_frame: str
+
+    @property
+    def first(self) -> Floats:
+        """What precedes the first joint, mounting included."""
+        return np.asarray(self.base @ self.links[0])
+
+    @property
+    def last(self) -> Floats:
+        """What follows the last joint, mounting included."""
+        return np.asarray(self.links[-1] @ self.tool)
+
+
+def own(chain: Chain, nominal: Floats, calibrated: Floats, with_mountings: bool = True) -> Own:
+    """The robot with calibrated parameters (p,); its mountings are those that the nominal ones (p,) do not have.
+
+    ``with_mountings`` False leaves them out: B and E are then identities.
+    """
+    links, offsets = own_links(chain, nominal, calibrated)
+    axes = [_TO_AXIS[mover.motion[1]] for mover in chain.movers]
+    before = [np.eye(4), *axes]
+    after = [*axes, np.eye(4)]
+    turned = np.stack([a.T @ link @ b for a, link, b in zip(before, links, after, strict=True)])
+    found = mountings(chain, nominal, calibrated)
+    return Own(
+        name=chain.name,
+        joints=chain.joints,
+        links=turned,
+        offsets=offsets,
+        gains=np.array([gain_of(mover, calibrated) for mover in chain.movers]),
+        base=found.base if with_mountings else np.eye(4),
+        tool=found.tool if with_mountings else np.eye(4),
+        base_frame=chain.base_frame,
+        end_frame=chain.end_frame,
+    )
+
+
+def joint_motion(joint: Joint, amount: float) -> Floats:
+    """Z (4, 4)"""
+    return elementary("tz" if joint.kind == "prismatic" else "rz", amount)
+
+
+def check_gains(robot: Own, what: str) -> None:
+    """Raise RobotError for a gain that is not 1: ``what`` has no place for it."""
+    for joint, gain in zip(robot.joints, robot.gains, strict=True):
+        if gain != 1.0:
+            raise RobotError(f"joint {joint.name} has gain {gain:g}, but {what} has no gains; refit with gain 1")

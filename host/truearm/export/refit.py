@@ -1,0 +1,57 @@
+"""A calibrated robot in a format that cannot hold all of it: the adjustable parameters are fitted to the whole.
+
+Renders (1991, III-F) identifies only what the controller lets its user adjust. Here the robot that was identified is the
+data: of all values of the adjustable parameters those are taken that bring the end nearest to where the identified robot
+has it, over given poses. Where parameters stand for each other the smallest change is taken. Least squares over four marks
+on the end, LEVER apart, so that turns of the end count as well; parameters count in units of a drawing's tolerances.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.model.chain import Chain, forward, point_forward, point_jacobians
+from truearm.types import Floats
+
+LEVER = 0.1  # m
+MARKS = LEVER * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+UNIT = {"m": 1e-3, "rad": 5e-3, "1": 1e-3}
+SINGULAR = 1e-7  # of the largest singular value: below it a direction moves the end less than the arithmetic
+MAX_STEPS = 30
+STEP_END = 1e-9  # of the units above: a pm, 5 prad
+
+
+class Refit(NamedTuple):
+    """What was fitted and what it leaves."""
+
+    params: Floats  # (p,)
+    dropped: Floats  # (n,) m, position error if what does not fit were simply left out
+    left: Floats  # (n,) m, position error after the fit
+
+
+def refit(chain: Chain, identified: Floats, start: Floats, adjustable: NDArray[np.bool_], q: Floats) -> Refit:
+    """Fit the adjustable (p,) parameters, from ``start`` (p,), to the identified robot over poses q (n, j)."""
+    params = np.array(start, dtype=float)
+    unit = np.array([UNIT[p.unit] for p in chain.parameters])[adjustable]
+    wanted = _marks(chain, identified, q)
+    for _ in range(MAX_STEPS):
+        error = (wanted - _marks(chain, params, q)).ravel()
+        columns = [point_jacobians(chain, params, q, mark)[1][..., adjustable] for mark in MARKS]
+        jac = np.stack(columns, axis=1).reshape(error.size, -1) * unit
+        step = np.linalg.lstsq(jac, error, rcond=SINGULAR)[0]
+        params[adjustable] += unit * step
+        if np.abs(step).max(initial=0.0) < STEP_END:
+            break
+    return Refit(params, _distance(chain, start, identified, q), _distance(chain, params, identified, q))
+
+
+def _marks(chain: Chain, params: Floats, q: Floats) -> Floats:
+    return np.stack([point_forward(chain, params, q, mark) for mark in MARKS], axis=1)
+
+
+def _distance(chain: Chain, a: Floats, b: Floats, q: Floats) -> Floats:
+    apart = forward(chain, a, q)[:, :3, 3] - forward(chain, b, q)[:, :3, 3]
+    return np.asarray(np.linalg.norm(apart, axis=1))

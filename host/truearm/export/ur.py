@@ -1,0 +1,53 @@
+"""Universal Robots' kinematics file (YAML), as ``ur_description`` and ``ur_calibration`` have it.
+
+    T(q) = Π U_i · Rz(q_i) ,    U_i = Trans(x, y, z)·Rz(yaw)·Ry(pitch)·Rx(roll)
+
+for shoulder, upper_arm, forearm, wrist_1, wrist_2, wrist_3. The frame behind a joint lies on its axis where the way to the
+next axis begins (for the design values: where the published file has it). The format begins at the controller's base and
+ends at its flange: mountings have no place in it and are not written.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from truearm.errors import RobotError
+from truearm.export.own import Own, check_gains
+from truearm.model.poses import inverted, six_of
+from truearm.model.transforms import elementary
+from truearm.types import Floats
+
+SEGMENTS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
+ROLLS = (0.0, 0.5 * np.pi, 0.0, 0.0, 0.5 * np.pi, -0.5 * np.pi)  # of the published files
+KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
+
+
+def ur_segments(robot: Own) -> tuple[Floats, Floats]:
+    """U (6, 4, 4), and (4, 4) what is left between the last of them and the robot's flange."""
+    check_gains(robot, "a kinematics file")
+    if len(robot.joints) != len(SEGMENTS) or any(joint.kind != "revolute" for joint in robot.joints):
+        raise RobotError(f"robot {robot.name}: a kinematics file of Universal Robots is of six turning joints")
+    shifts = [elementary("tz", float(link[2, 3])) for link in robot.links[1:]]
+    out = []
+    before = np.eye(4)
+    for link, offset, shift in zip(robot.links, robot.offsets, shifts, strict=False):
+        out.append(before @ link @ elementary("rz", float(offset)) @ shift)
+        before = inverted(shift)
+    return np.stack(out), before @ robot.links[-1]
+
+
+def ur_yaml(robot: Own, nominal: Own, comment: str = "") -> str:
+    """The text of a kinematics file. Raises RobotError for a robot whose nominal geometry is none of Universal Robots'."""
+    described, rest = ur_segments(nominal)
+    turns = np.stack([elementary("rx", roll) for roll in ROLLS])
+    if np.abs(described[:, :3, :3] - turns[:, :3, :3]).max() > 1e-6 or np.abs(rest - np.eye(4)).max() > 1e-6:
+        raise RobotError(
+            f"robot {robot.name}: its axes do not lie as those of Universal Robots' arms; use another format"
+        )
+    segments, _ = ur_segments(robot)
+    lines = [f"# {line}" for line in comment.splitlines()] + ["kinematics:"]
+    for name, segment in zip(SEGMENTS, segments, strict=True):
+        x, y, z, yaw, pitch, roll = six_of(segment)
+        lines.append(f"  {name}:")
+        lines += [f"    {key}: {value + 0.0!r}" for key, value in zip(KEYS, (x, y, z, roll, pitch, yaw), strict=True)]
+    return "\n".join([*lines, "  hash: truearm", ""])

@@ -1,0 +1,255 @@
+"""A calibrated robot as URDF: a text whose joint origins are changed and nothing else, or a new one of any chain.
+
+*In place.* The robot was identified from a URDF, and that text is changed: ``xyz`` and ``rpy`` of the origins on the path
+from base to tip; every other character stays, comments and spaces too. A URDF has no joint offsets: an offset is a motion
+along the joint's own axis, and goes into the joint's origin. The mountings go to the ends: the base's into the first
+joint of the path, the tool's into the last one if that is fixed; between the ends only the robot itself has changed.
+
+*New.* Of any other chain a URDF of links without shape: base frame, mounting, joints, flange, mounting, end frame.
+
+The text was parsed by ``model.urdf``, which refuses document types, before it comes here.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import NamedTuple
+from xml.parsers import expat
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from truearm.errors import RobotError
+from truearm.export.own import Own, check_gains, joint_motion
+from truearm.model.chain import Chain, Element
+from truearm.model.poses import inverted, six_of
+from truearm.model.transforms import elementary
+from truearm.types import Floats
+
+_ATTRIBUTE = re.compile(r"""\s+([^\s=]+)\s*=\s*("[^"]*"|'[^']*')""")
+
+
+class _PathJoint(NamedTuple):
+    """A joint of the path and its elements: six of the origin, then alignments and the motion."""
+
+    name: str
+    origin: tuple[Element, ...]
+    motion: tuple[Element, ...]  # empty for a fixed joint
+
+
+def joint_origins(chain: Chain, nominal: Floats, calibrated: Floats, with_mountings: bool = True) -> dict[str, Floats]:
+    """Origin (4, 4) of every joint on the path of a chain from ``chain_from_urdf``, gains being 1.
+
+    ``with_mountings`` False leaves both ends as they were.
+    """
+    path = _path(chain)
+    moving = [i for i, joint in enumerate(path) if joint.motion]
+    origins_n = [_product(joint.origin, nominal) for joint in path]
+    origins_i = [_product(joint.origin, calibrated) for joint in path]
+    offsets = [_product(joint.motion, calibrated) @ inverted(_product(joint.motion, nominal)) for joint in path]
+    first, last = moving[0], moving[-1]
+    has_tail = last + 1 < len(path)
+    out = [a @ b for a, b in zip(origins_i, offsets, strict=True)]
+    if has_tail:  # a turn of the last joint cannot be told from one of the tool
+        out[last] = origins_i[last] if last != first else out[last]
+        tail_i = (offsets[last] if last != first else np.eye(4)) @ _chained(origins_i[last + 1 :])
+        tool = inverted(_chained(origins_n[last + 1 :])) @ tail_i
+        out[last + 1 :] = origins_n[last + 1 :]
+        out[-1] = out[-1] @ tool if with_mountings else out[-1]
+    base = _chained(out[: first + 1]) @ inverted(_chained(origins_n[: first + 1]))
+    out[: first + 1] = origins_n[: first + 1]
+    out[0] = base @ out[0] if with_mountings else out[0]
+    return {joint.name: origin for joint, origin in zip(path, out, strict=True)}
+
+
+def _path(chain: Chain) -> list[_PathJoint]:
+    """The joints of the path by the names of their parameters, ``<joint>.x`` and so on."""
+    path: list[_PathJoint] = []
+    at, elements = 0, chain.elements
+    while at < len(elements):
+        origin = elements[at : at + 6]
+        names = [chain.parameter_names[e.parameter].rpartition(".") for e in origin if e.parameter is not None]
+        if [name[2] for name in names] != ["x", "y", "z", "yaw", "pitch", "roll"]:
+            raise RobotError(f"robot {chain.name} is not from a URDF; a new one can be written of it")
+        at += 6
+        end = at
+        while end < len(elements) and (elements[end].parameter is None or elements[end].joint is not None):
+            end += 1
+        path.append(_PathJoint(names[0][0], origin, elements[at:end]))
+        at = end
+    return path
+
+
+def _product(elements: tuple[Element, ...], params: Floats) -> Floats:
+    """The elements' product at reading 0."""
+    amounts = [e.value if e.parameter is None else params[e.parameter] for e in elements]
+    return _chained([elementary(e.motion, amount) for e, amount in zip(elements, amounts, strict=True)])
+
+
+def _chained(motions: list[Floats]) -> Floats:
+    out = np.eye(4)
+    for motion in motions:
+        out = out @ motion
+    return out
+
+
+def edited(text: str, origins: Mapping[str, Floats]) -> str:
+    """The URDF text with other origins of the named joints. Raises RobotError for a joint that it does not have.
+
+    An origin whose six numbers stay the same to 1e-15 is left as it is written.
+    """
+    data = text.encode()
+    places = _origin_places(data)
+    missing = sorted(set(origins) - set(places))
+    if missing:
+        raise RobotError(f"URDF has no joint {missing[0]!r}")
+    pieces, at = [], 0
+    for name, place in sorted(places.items(), key=lambda item: item[1].start):
+        if name in origins:
+            pieces += [
+                data[at : place.start],
+                _with_origin(data[place.start : place.end].decode(), origins[name]).encode(),
+            ]
+            at = place.end
+    return b"".join([*pieces, data[at:]]).decode()
+
+
+class _Place(NamedTuple):
+    """Where a joint's <origin …> tag stands, or, with start = end, where one can be put [bytes]."""
+
+    start: int
+    end: int
+
+
+def _origin_places(data: bytes) -> dict[str, _Place]:
+    """Of all joints that are direct children of the robot."""
+    parser = expat.ParserCreate("utf-8")
+    stack: list[str] = []
+    places: dict[str, _Place] = {}
+    joint = ""
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal joint
+        stack.append(tag)
+        here = parser.CurrentByteIndex
+        if stack == ["robot", "joint"]:
+            joint = attributes.get("name", "")
+            end = _tag_end(data, here)
+            places[joint] = _Place(end, end)
+        elif stack == ["robot", "joint", "origin"] and places[joint].start == places[joint].end:
+            places[joint] = _Place(here, _tag_end(data, here))
+
+    def end(tag: str) -> None:
+        stack.pop()
+
+    def doctype(*_: object) -> None:
+        raise RobotError("URDF must not contain a document type or entities")
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.StartDoctypeDeclHandler = doctype
+    try:
+        parser.Parse(data, True)
+    except expat.ExpatError as error:
+        raise RobotError(f"URDF is not valid XML: {error}") from error
+    return places
+
+
+def _tag_end(data: bytes, start: int) -> int:
+    """Behind the > of the tag that begins at start; > may stand in quotes."""
+    match = re.compile(rb"<(?:[^\"'>]|\"[^\"]*\"|'[^']*')*>").match(data, start)
+    if match is None:
+        raise RobotError("URDF: a tag does not end")
+    return match.end()
+
+
+def _with_origin(tag: str, origin: Floats) -> str:
+    """An <origin …> tag with other numbers; "" becomes a new tag."""
+    x, y, z, yaw, pitch, roll = six_of(origin)
+    values = {"xyz": (x, y, z), "rpy": (roll, pitch, yaw)}
+    if not tag:
+        return f"<origin{''.join(f' {key}={_numbers(three)}' for key, three in values.items())}/>"
+    for key, three in values.items():
+        match = next((found for found in _ATTRIBUTE.finditer(tag) if found[1] == key), None)
+        old = _read(match[2][1:-1]) if match else np.zeros(3)
+        if key == "xyz" and np.abs(old - three).max() <= 1e-15:
+            continue
+        if key == "rpy" and np.abs(_turn(old) - origin[:3, :3]).max() <= 1e-15:
+            continue
+        if match:
+            tag = tag[: match.start(2)] + _numbers(three) + tag[match.end(2) :]
+        else:
+            tag = tag[: len("<origin")] + f" {key}={_numbers(three)}" + tag[len("<origin") :]
+    return tag
+
+
+def _read(text: str) -> Floats:
+    """Three numbers, NaN where they are written as character references, which are then written plainly."""
+    words = text.split()
+    try:
+        return np.array([float(word) for word in words]) if len(words) == 3 else np.full(3, np.nan)
+    except ValueError:
+        return np.full(3, np.nan)
+
+
+def _turn(rpy: Floats) -> Floats:
+    roll, pitch, yaw = rpy
+    return np.asarray((elementary("rz", yaw) @ elementary("ry", pitch) @ elementary("rx", roll))[:3, :3])
+
+
+def _numbers(values: tuple[float, ...]) -> str:
+    """Three numbers in quotes, each as short as it comes back exactly."""
+    return '"' + " ".join(repr(float(value) + 0.0) for value in values) + '"'
+
+
+def new_urdf(robot: Own, comment: str = "") -> str:
+    """A URDF of a chain of any convention. Raises RobotError for gains, which a URDF cannot hold."""
+    check_gains(robot, "a URDF")
+    names = _link_names(robot)
+    origins = [robot.links[0], *robot.links[1:-1]]
+    lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(robot.name)}>"]
+    if comment:
+        lines.append(f"  <!-- {comment.replace('--', '- -')} -->")
+    lines += [f"  <link name={quoteattr(name)}/>" for name in names]
+    taken = {joint.name for joint in robot.joints}
+    ends = [_other_than(taken, name) for name in ("base_mounting", "flange", "tool_mounting")]
+    lines += _joint(ends[0], "fixed", names[0], names[1], robot.base)
+    for i, (joint, origin) in enumerate(zip(robot.joints, origins, strict=True)):
+        kind, limit = joint.kind, ""
+        if np.isfinite([joint.lower, joint.upper]).all():
+            limit = f'    <limit lower="{joint.lower!r}" upper="{joint.upper!r}" effort="0" velocity="0"/>\n'
+        elif joint.kind == "revolute":
+            kind = "continuous"
+        else:
+            raise RobotError(f"joint {joint.name} slides without limits, which a URDF cannot say")
+        moving = f'    <axis xyz="0 0 1"/>\n{limit}'
+        at = origin @ joint_motion(joint, float(robot.offsets[i]))
+        lines += _joint(joint.name, kind, names[i + 1], names[i + 2], at, moving)
+    lines += _joint(ends[1], "fixed", names[-3], names[-2], robot.links[-1])
+    lines += _joint(ends[2], "fixed", names[-2], names[-1], robot.tool)
+    return "\n".join([*lines, "</robot>", ""])
+
+
+def _link_names(robot: Own) -> list[str]:
+    """Base frame, robot base, a link behind each joint, flange, end frame; all different."""
+    inner = ["robot_base", *(f"link{i + 1}" for i in range(len(robot.joints))), "robot_flange"]
+    first = _other_than(set(inner), robot.base_frame)
+    return [first, *inner, _other_than({first, *inner}, robot.end_frame)]
+
+
+def _other_than(taken: set[str], name: str) -> str:
+    while name in taken:
+        name += "_"
+    return name
+
+
+def _joint(name: str, kind: str, parent: str, child: str, origin: Floats, more: str = "") -> list[str]:
+    x, y, z, yaw, pitch, roll = six_of(origin)
+    return [
+        f"  <joint name={quoteattr(name)} type={quoteattr(kind)}>",
+        f"    <origin xyz={_numbers((x, y, z))} rpy={_numbers((roll, pitch, yaw))}/>",
+        f"    <parent link={quoteattr(parent)}/>",
+        f"    <child link={quoteattr(child)}/>",
+        *([more.rstrip("\n")] if more else []),
+        "  </joint>",
+    ]

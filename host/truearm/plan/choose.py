@@ -1,0 +1,150 @@
+"""Which candidates to measure: greedy optimal choice with exchange refinement.
+
+With whitened rows J_i (w, k) of a candidate and M the information of what is known and chosen, in units of what was
+believed of each parameter beforehand (so that the prior alone is M = I and metres compare with radians), P = M⁻¹ and
+S = I + J_i P J_iᵀ, one more candidate changes
+
+- log det M by log det S: what D-optimality takes most of (the volume of the confidence ellipsoid);
+- tr(LᵀPL) by −‖S^(−1/2) J_i P L‖²: A-optimality with L = I (the mean variance of the parameters), I-optimality with
+  L Lᵀ = the mean of J_rᵀJ_r over the user's region (the mean variance of a point's position there), and E-optimality with
+  L the eigenvector of the largest eigenvalue of P (the worst direction), taken anew at each step.
+
+Each step takes the best candidate and adds its block J_iᵀJ_i to M. The order is nested: the first n of it are the
+choice of n, so a budget in minutes is a matter of where to stop. The exchange (Fedorov 1972) then takes every chosen
+candidate out and puts the best one in its place, as long as that helps.
+
+Measured, one core: 400 of 5000 candidates of one row and 36 parameters in 2 s, an exchange pass as long.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.errors import PlanError
+from truearm.types import Floats
+
+CRITERIA = ("D", "A", "E", "I")
+GAIN = 1e-9  # of the criterion, relative: a swap that brings less is rounding
+Step = Callable[[int], None]  # called with the number chosen so far
+
+
+def choose(
+    rows: Floats,
+    known: Floats,
+    n: int,
+    criterion: str = "D",
+    region: Floats | None = None,
+    passes: int = 1,
+    on_step: Step | None = None,
+) -> NDArray[np.intp]:
+    """The best ``n`` of N candidates in the order of their choice.
+
+    rows (N, w, k): whitened rows, columns in units of the prior; known (k, k): information of the prior and of what was
+    measured already, in the same units. ``region`` (r, k): L of I-optimality, transposed. ``passes``: exchanges at most.
+    Raises PlanError for an unknown criterion, I without a region, and more candidates wanted than there are.
+    """
+    _check(rows, n, criterion, region)
+    information, chosen = known.copy(), list[int]()
+    left = np.ones(len(rows), dtype=bool)
+    for _ in range(n):
+        best = _best(rows, information, left, criterion, region)
+        information += rows[best].T @ rows[best]
+        chosen.append(best)
+        left[best] = False
+        if on_step is not None:
+            on_step(len(chosen))
+    for _ in range(passes):
+        if not _exchange(rows, information, chosen, left, criterion, region):
+            break
+    return np.array(chosen, dtype=np.intp)
+
+
+def value(information: Floats, criterion: str, region: Floats | None = None) -> float:
+    """What the criterion makes smaller: −log det M, tr P, the largest eigenvalue of P, or tr(LᵀPL)."""
+    if criterion == "D":
+        return -float(np.linalg.slogdet(information)[1])
+    covariance = _inverse(information)
+    if criterion == "E":
+        return float(np.linalg.eigvalsh(covariance)[-1])
+    weighed = covariance if region is None or criterion == "A" else region @ covariance @ region.T
+    return float(np.trace(weighed))
+
+
+def _exchange(
+    rows: Floats,
+    information: Floats,
+    chosen: list[int],
+    left: NDArray[np.bool_],
+    criterion: str,
+    region: Floats | None,
+) -> bool:
+    """One pass over all chosen; whether any was exchanged. ``information``, ``chosen`` and ``left`` follow."""
+    changed = False
+    now = value(information, criterion, region)
+    for place, old in enumerate(chosen):
+        without = information - rows[old].T @ rows[old]
+        left[old] = True
+        best = _best(rows, without, left, criterion, region)
+        after = without + rows[best].T @ rows[best]
+        then = value(after, criterion, region) if best != old else now
+        if then < now - GAIN * abs(now):
+            information[:], now, chosen[place], changed = after, then, best, True
+        left[chosen[place]] = False
+    return changed
+
+
+def _best(rows: Floats, information: Floats, left: NDArray[np.bool_], criterion: str, region: Floats | None) -> int:
+    """The candidate that is ``left`` and brings most."""
+    covariance = _inverse(information)
+    through = rows @ covariance  # (N, w, k)
+    total = np.einsum("nwk,nvk->nwv", through, rows) + np.eye(rows.shape[1])
+    if criterion == "D":
+        gain = np.log(total[:, 0, 0]) if rows.shape[1] == 1 else np.linalg.slogdet(total)[1]
+    else:
+        toward = through @ _directions(covariance, criterion, region)
+        gain = np.sum(toward * np.linalg.solve(total, toward), axis=(1, 2))
+    return int(np.argmax(np.where(left, gain, -np.inf)))
+
+
+def _directions(covariance: Floats, criterion: str, region: Floats | None) -> Floats:
+    """L (k, ·)."""
+    if criterion == "I" and region is not None:
+        return np.asarray(region.T)
+    if criterion == "E":
+        return np.asarray(np.linalg.eigh(covariance)[1][:, -1:])
+    return np.eye(len(covariance))
+
+
+def _inverse(information: Floats) -> Floats:
+    inverse = np.linalg.inv(information)
+    return np.asarray(0.5 * (inverse + inverse.T))
+
+
+def _check(rows: Floats, n: int, criterion: str, region: Floats | None) -> None:
+    if criterion not in CRITERIA:
+        raise PlanError(f"criterion {criterion!r} is not known; use {', '.join(CRITERIA)}")
+    if criterion == "I" and region is None:
+        raise PlanError("I-optimal choice needs a region in which the error is to be small")
+    if not 1 <= n <= len(rows):
+        raise PlanError(f"{n} of {len(rows)} candidates cannot be chosen; ask for fewer poses or more candidates")
+
+
+def condensed(jacobian: Floats, own: Floats | None = None) -> Floats:
+    """Rows (at most k, k) with the information of jacobian (m, k), after unknowns of their ``own`` (m, u) are fitted."""
+    if own is not None:
+        basis, singular, _ = np.linalg.svd(own, full_matrices=False)
+        basis = basis[:, singular > 1e-10 * singular.max(initial=0.0)]
+        jacobian = jacobian - basis @ (basis.T @ jacobian)
+    return np.asarray(np.linalg.qr(jacobian, mode="r")) if len(jacobian) > jacobian.shape[1] else jacobian
+
+
+def as_blocks(parts: Sequence[Floats]) -> Floats:
+    """(N, w, k) of parts with different numbers of rows, filled up with zeros, which say nothing."""
+    width = max(len(part) for part in parts)
+    out = np.zeros((len(parts), width, parts[0].shape[1]))
+    for i, part in enumerate(parts):
+        out[i, : len(part)] = part
+    return out

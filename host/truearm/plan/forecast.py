@@ -1,0 +1,255 @@
+"""What a plan will tell, before anything is measured: the same linear algebra as the identification's, on planned rows.
+
+Information does not depend on what is read, only on where (to first order). So planned poses become a table with the
+lengths that the model predicts, behind the rows that were measured already, and ``observe`` folds them as it would the
+real ones. Sigmas are those that ``identify`` will report, as far as the model is near the truth: 10 mm and 50 mrad
+move them by a few per cent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.estimate.identifiability import hardly_seen, identifiability
+from truearm.estimate.information import covariance, observe, seen, spectrum, with_prior
+from truearm.estimate.prediction import MOVES, body_motion
+from truearm.estimate.prior import WEAK_SIGMA, WIDE_SIGMA, wide_prior
+from truearm.estimate.problem import Problem, build_problem, settled
+from truearm.estimate.rows import whitened_blocks
+from truearm.model.chain import Chain, point_forward, point_jacobians
+from truearm.types import Floats, NullDirection, ObservationTable, Plan, Point, Rig
+
+
+@dataclass(frozen=True)
+class Aim:
+    """Where accuracy is wanted: joints (n, j) of poses, and the points of the end that count, spheres or targets by name.
+
+    Three points count for orientation too; one alone says nothing of it. Without any it is the end's own origin.
+    """
+
+    q: Floats
+    points: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What an identification would report of all rows, measured and planned.
+
+    ``sigma`` is NaN where nothing is seen of a parameter or it is held. ``cartesian`` (n,) [m]: expected error of
+    the aim's points at its poses, None where no honest figure exists; ``relative`` as in PredictedError.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    free: NDArray[np.bool_]
+    sigma: Floats
+    rank: int
+    null_space: tuple[NullDirection, ...]
+    hardly_seen: tuple[NullDirection, ...]
+    cartesian: Floats | None
+    relative: bool
+    n_rows: int
+
+    @property
+    def cartesian_rms(self) -> float:
+        """Over the region [m]; NaN where there is none."""
+        return float("nan") if self.cartesian is None else float(np.sqrt(np.mean(self.cartesian**2)))
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known before a plan: chain, rig, the parameters the model has now (p,), what is free, and rows measured.
+
+    ``rig_values``: estimates of the rig's unknowns by name, of an earlier result.
+    """
+
+    chain: Chain
+    rig: Rig
+    params: Floats
+    free: NDArray[np.bool_]  # (p,)
+    measured: ObservationTable | None = None
+    rig_values: Mapping[str, float] | None = None
+
+
+def forecast(known: Known, planned: ObservationTable, aim: Aim | None = None) -> Forecast:
+    """Rank, null space, sigmas and Cartesian error if ``planned`` is measured as it says."""
+    problem, x, columns = compiled(known, planned)
+    n_robot = int(known.free.sum())
+    prior = problem.prior_sigma[columns]
+    prior[:n_robot] = np.inf
+    root = with_prior(observe(settled(problem, x), x, columns), np.zeros(prior.size), prior).root
+    parts = spectrum(root)
+    names = [name for name, is_free in zip(problem.names, columns, strict=True) if is_free]
+    sight = identifiability(root, n_robot, names)
+    matrix = covariance(parts)
+    sigma = np.full(len(columns), np.nan)
+    sigma[columns] = np.sqrt(np.where(sight.identifiable, np.diag(matrix), np.nan))
+    unit = np.array([WEAK_SIGMA[p.unit] for p in known.chain.parameters])[known.free]
+    cartesian, relative = None, False
+    if aim is not None:
+        null = parts.vt[~seen(parts)].T / parts.scale[:, None]
+        cartesian, relative = _cartesian(known, problem, x, columns, aim, matrix, null)
+    return Forecast(
+        names=problem.names,
+        units=problem.units,
+        free=columns,
+        sigma=sigma,
+        rank=sight.rank,
+        null_space=sight.null_space,
+        hardly_seen=hardly_seen(root, n_robot, unit, names),
+        cartesian=cartesian,
+        relative=relative,
+        n_rows=len(planned) + (0 if known.measured is None else len(known.measured)),
+    )
+
+
+def candidate_rows(known: Known, planned: ObservationTable) -> tuple[list[Floats], Floats, Floats]:
+    """What ``choose`` needs: rows (w, k) of every planned one, the information (k, k) known, and the columns' unit (k,).
+
+    All in units of the prior: the robot's parameters by ``wide_prior``, the rig's by what the rig says of them; what it
+    does not know at all counts as known to a metre or radian. The prior is part of what is known.
+    """
+    problem, x, columns = compiled(known, planned)
+    unit = prior_unit(known, problem, columns)
+    rows: list[Floats] = [np.zeros((0, unit.size))] * len(planned)
+    information = np.eye(unit.size)
+    n_measured = 0 if known.measured is None else len(known.measured)
+    for block in whitened_blocks(settled(problem, x), x, columns):
+        jac = block.jac * unit
+        if block.row is None:
+            information += np.einsum("nwk,nwl->kl", jac, jac)
+            continue
+        old = block.row < n_measured
+        information += np.einsum("nwk,nwl->kl", jac[old], jac[old])
+        for row, part in zip(block.row[~old], jac[~old], strict=True):
+            rows[row - n_measured] = part
+    return rows, information, unit
+
+
+def region_root(known: Known, planned: ObservationTable, aim: Aim) -> Floats:
+    """(k, k) or less: Lᵀ of I-optimality in units of the prior, L Lᵀ the mean of J_rᵀJ_r over the aim's poses."""
+    problem, x, columns = compiled(known, planned)
+    jac = _aim_jacobian(known, problem, x, aim)[1][:, columns] * prior_unit(known, problem, columns)
+    return np.asarray(np.linalg.qr(jac / np.sqrt(len(jac) // 3), mode="r"))
+
+
+def compiled(known: Known, planned: ObservationTable) -> tuple[Problem, Floats, NDArray[np.bool_]]:
+    """Problem of all rows, the point x (P,) it is linearised at, and what is free (P,)."""
+    table = planned if known.measured is None else _joined(known.measured, planned)
+    problem = build_problem(known.chain, known.rig, table)
+    x = problem.start.copy()
+    x[: problem.n_robot] = known.params
+    for i, name in enumerate(problem.names[problem.n_robot :], problem.n_robot):
+        x[i] = (known.rig_values or {}).get(name, x[i])
+    columns = np.ones(x.size, dtype=bool)
+    columns[: problem.n_robot] = known.free
+    return problem, x, columns
+
+
+def prior_unit(known: Known, problem: Problem, columns: NDArray[np.bool_]) -> Floats:
+    """(k,) standard deviations of the free columns."""
+    rig = problem.prior_sigma[problem.n_robot :]
+    units = problem.units[problem.n_robot :]
+    far = np.array([WIDE_SIGMA["1"] if unit == "1" else 1.0 for unit in units])
+    return np.concatenate([wide_prior(known.chain), np.where(np.isfinite(rig), rig, far)])[columns]
+
+
+def bar_table(known: Known, plan: Plan) -> ObservationTable:
+    """The plan as rows that would be read if the model were true."""
+    p_sphere = np.array([known.rig.spheres[name].xyz for name in plan.sphere])
+    p_chuck = np.array([known.rig.chucks[name].xyz for name in plan.chuck])
+    ends = point_forward(known.chain, known.params, plan.q, p_sphere)
+    return planned_table(
+        plan.q,
+        "ball_bar",
+        value=np.linalg.norm(ends - p_chuck, axis=1),
+        bar=plan.bar,
+        chuck=plan.chuck,
+        sphere=plan.sphere,
+        shell=plan.shell,
+    )
+
+
+def planned_table(q: Floats, kind: str, **columns: Any) -> ObservationTable:
+    """A table of one kind with the given columns."""
+    n = len(q)
+    names = ("bar", "chuck", "sphere", "socket", "place", "shell")
+    blank: dict[str, Any] = {name: np.full(n, "") for name in names}
+    blank["source"] = np.array([f"planned pose {i}" for i in range(n)])
+    filled = blank | {"value": np.full(n, np.nan), "sigma": np.full(n, np.nan)} | columns
+    return ObservationTable(q=q, kind=np.full(n, kind), **filled)
+
+
+def _joined(first: ObservationTable, second: ObservationTable) -> ObservationTable:
+    fields = ObservationTable.__dataclass_fields__
+    return ObservationTable(**{name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in fields})
+
+
+def _cartesian(
+    known: Known,
+    problem: Problem,
+    x: Floats,
+    columns: NDArray[np.bool_],
+    aim: Aim,
+    matrix: Floats,
+    null: Floats,
+) -> tuple[Floats | None, bool]:
+    """Expected error (n,) [m] at the aim's poses; what moves them all as one body and is unseen is left out."""
+    points, jac = _aim_jacobian(known, problem, x, aim)
+    jac = jac[:, columns]
+    unseen = jac @ (null / np.abs(null).max(axis=0, initial=1e-300))
+    relative = bool(np.abs(unseen).max(initial=0.0) > MOVES)
+    if relative:
+        body, _ = np.linalg.qr(body_motion(points))
+        if np.abs(unseen - body @ (body.T @ unseen)).max() > MOVES:
+            return None, True
+        jac = jac - body @ (body.T @ jac)
+    variance = np.maximum(np.einsum("np,np->n", jac @ matrix, jac), 0.0).reshape(-1, 3).sum(axis=1)
+    return np.sqrt(variance), relative
+
+
+def _aim_jacobian(known: Known, problem: Problem, x: Floats, aim: Aim) -> tuple[Floats, Floats]:
+    """Places (n, 3) of all points at all poses and their derivatives (3n, P)."""
+    parts = [_point_jacobian(known, problem, x, aim.q, name) for name in aim.points or ("",)]
+    return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
+
+
+def _point_jacobian(known: Known, problem: Problem, x: Floats, q: Floats, name: str) -> tuple[Floats, Floats]:
+    """Those of one point; by its own coordinates too where they are unknowns. "": the end's origin."""
+    point, at = np.zeros(3), [-1, -1, -1]
+    for what, some in (("sphere", known.rig.spheres), ("target", known.rig.targets)):
+        if name in some:
+            names = [f"{what}.{name}.{k}" for k in "xyz"]
+            at = [problem.names.index(own) if own in problem.names else -1 for own in names]
+            point = np.array([x[i] if i >= 0 else v for i, v in zip(at, some[name].xyz, strict=True)])
+    p_base, jac, _ = point_jacobians(known.chain, x[: problem.n_robot], q, point)
+    out = np.zeros((jac.shape[0], 3, x.size))
+    out[:, :, : problem.n_robot] = jac
+    if at[0] >= 0:
+        # ∂p/∂point is the end's rotation: differences along its axes are exact.
+        shifted = [point_forward(known.chain, x[: problem.n_robot], q, point + e) for e in np.eye(3)]
+        out[:, :, at] = np.stack(shifted, axis=2) - p_base[:, :, None]
+    return p_base, out.reshape(-1, x.size)
+
+
+def with_rig_values(rig: Rig, values: Mapping[str, float]) -> Rig:
+    """The rig with chucks, spheres and targets where an earlier result found them; their sigmas stay."""
+
+    def moved(what: str, points: Mapping[str, Point]) -> dict[str, Point]:
+        out = {}
+        for name, point in points.items():
+            x, y, z = (values.get(f"{what}.{name}.{k}", v) for k, v in zip("xyz", point.xyz, strict=True))
+            out[name] = replace(point, xyz=(x, y, z))
+        return out
+
+    return replace(
+        rig,
+        chucks=moved("chuck", rig.chucks),
+        spheres=moved("sphere", rig.spheres),
+        targets=moved("target", rig.targets),
+    )

@@ -1,0 +1,113 @@
+"""Detours with the bar on: over candidates of the same pairing, along a graph of neighbours (a probabilistic roadmap).
+
+Straight ways fail where the tool would tip too far or touch something. The candidates fill what may be reached with the bar
+on, so a chain of them leads around. Edges are looked at in three points when the graph is made; the ways along the chain
+found are then checked at every sample, and an edge that fails is taken out of the graph.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.spatial import KDTree
+
+from truearm.plan.site import Pairing, Site, allowed, of_pairing, pairing_at
+from truearm.plan.way import way_with_bar
+from truearm.types import Floats, Plan
+
+NEIGHBOURS = 8
+TRIES = 6  # chains
+SHARES = (0.25, 0.5, 0.75)  # of a way, where an edge is looked at
+
+
+@dataclass(frozen=True)
+class Roadmap:
+    """The graph of one pairing: candidates (n, j), and lengths (n, n) [rad] of what seems passable, 0 for nothing."""
+
+    site: Site
+    pairing: Pairing
+    stock: Floats
+    edges: Floats
+
+    def way(self, start: Floats, end: Floats) -> Floats | None:
+        """Via points (v, j) of a way with the bar on, straight or over candidates; None where none is found."""
+        straight = way_with_bar(self.site, start, end, self.pairing)
+        return straight if straight is not None else _around(self, start, end)
+
+    @property
+    def main(self) -> NDArray[np.bool_]:
+        """(n,) the largest set of candidates between which there seem to be ways."""
+        _, label = connected_components(csr_array(self.edges), directed=False)
+        return np.asarray(label == np.argmax(np.bincount(label)))
+
+
+def make_roadmap(site: Site, pairing: Pairing, stock: Floats) -> Roadmap:
+    return Roadmap(site, pairing, stock, _edges(site, pairing, stock))
+
+
+def roadmaps(site: Site, found: Plan) -> tuple[Plan, dict[Pairing, Roadmap]]:
+    """The candidates that can be reached from most others of their pairing with the bar on, and the graphs of them."""
+    kept, graphs = [], {}
+    for pairing in dict.fromkeys(pairing_at(found, i) for i in range(len(found))):
+        rows = np.flatnonzero(of_pairing(found, pairing))
+        graph = make_roadmap(site, pairing, found.q[rows])
+        main = graph.main
+        kept.append(rows[main])
+        graphs[pairing] = Roadmap(site, pairing, graph.stock[main], graph.edges[np.ix_(main, main)])
+    return found.select(np.concatenate(kept)), graphs
+
+
+def _around(roadmap: Roadmap, start: Floats, end: Floats) -> Floats | None:
+    q = np.concatenate([roadmap.stock, [start, end]])
+    n = len(q)
+    graph = np.zeros((n, n))
+    graph[:-2, :-2] = roadmap.edges
+    for new in (n - 2, n - 1):
+        near = np.argsort(np.abs(q[: n - 2] - q[new]).max(axis=1), kind="stable")[:NEIGHBOURS]
+        good = passable(roadmap.site, q[near], np.broadcast_to(q[new], (len(near), q.shape[1])), roadmap.pairing)
+        graph[near[good], new] = np.maximum(np.abs(q[near[good]] - q[new]).max(axis=1), 1e-9)
+    for _ in range(TRIES):
+        length, before = dijkstra(csr_array(graph), directed=False, indices=n - 2, return_predecessors=True)
+        if not np.isfinite(length[n - 1]):
+            return None
+        chain = [n - 1]
+        while chain[-1] != n - 2:
+            chain.append(int(before[chain[-1]]))
+        chain.reverse()
+        parts: list[Floats] = []
+        for a, b in pairwise(chain):
+            leg = way_with_bar(roadmap.site, q[a], q[b], roadmap.pairing)
+            if leg is None:
+                graph[a, b] = graph[b, a] = 0.0
+                break
+            parts += [leg, q[b : b + 1]]
+        else:
+            return np.concatenate(parts)[:-1]
+    return None
+
+
+def _edges(site: Site, pairing: Pairing, q: Floats) -> Floats:
+    """(n, n) lengths of what seems passable between near neighbours, 0 elsewhere."""
+    edges = np.zeros((len(q), len(q)))
+    if len(q) < 2:
+        return edges
+    _, near = KDTree(q).query(q, min(NEIGHBOURS + 1, len(q)), p=np.inf)
+    first, second = np.repeat(np.arange(len(q)), near.shape[1] - 1), near[:, 1:].ravel()
+    first, second = np.unique(np.sort(np.stack([first, second]), axis=0), axis=1)
+    good = passable(site, q[first], q[second], pairing)
+    first, second = first[good], second[good]
+    edges[first, second] = edges[second, first] = np.abs(q[first] - q[second]).max(axis=1)
+    return edges
+
+
+def passable(site: Site, start: Floats, end: Floats, pairing: Pairing) -> NDArray[np.bool_]:
+    """(n,) whether straight moves seem free, but for the bar's length, which via points mend."""
+    shares = np.array(SHARES)[:, None, None]
+    between = (start + shares * (end - start)).reshape(-1, start.shape[1])
+    any_length = replace(site.limits.tightened(), reserve=-np.inf)
+    return np.asarray(allowed(site, between, pairing, any_length).reshape(len(SHARES), -1).all(axis=0))

@@ -1,0 +1,171 @@
+"""From chosen poses to a route: pairings together, short ways within them, via points, and how long it all takes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.errors import PlanError
+from truearm.plan.roadmap import Roadmap, make_roadmap, passable
+from truearm.plan.shells import move_costs
+from truearm.plan.site import Pairing, Site, of_pairing, pairing_at
+from truearm.plan.tour import short_tour
+from truearm.plan.way import Pace, move_seconds, way_without_bar
+from truearm.types import Floats, Plan
+
+NEAR = 12  # poses to which the way is looked at before the order is chosen
+
+
+class Stop(NamedTuple):
+    """One stop of a program: joints (j,), seconds of the move there (0 for the first), what the operator has to do before
+    and at it ("" nothing; ASCII letters, digits and ": _-." only), and the number of its observation, −1 for none."""
+
+    q: Floats
+    seconds: float
+    mount: str
+    pose: int
+
+
+class Route(NamedTuple):
+    """Stops in order: poses of a plan and via points between them. All bars are off on the way to a ``mount``."""
+
+    plan: Plan  # in the order of the visits
+    q: Floats  # (m, j) of every stop
+    pose: NDArray[np.intp]  # (m,) of the plan, −1 for a via point
+    mount: NDArray[np.bool_]  # (m,) the bar is put on at this stop
+    seconds: Floats  # (m,) of the move to the stop
+    pace: Pace
+
+    @property
+    def n_mounts(self) -> int:
+        return int(self.mount.sum())
+
+    @property
+    def minutes(self) -> float:
+        """Of an operator who stands by."""
+        rest = len(self.plan) * self.pace.dwell + self.n_mounts * self.pace.mount
+        return float(self.seconds.sum() + rest) / 60.0
+
+    @property
+    def stops(self) -> list[Stop]:
+        """For a program."""
+        out = []
+        for q, seconds, mount, pose in zip(self.q, self.seconds, self.mount, self.pose, strict=True):
+            at = pairing_at(self.plan, int(pose))
+            what = plain(f"bar {at.bar} from {at.chuck} to {at.sphere}") if mount else ""
+            out.append(Stop(q, float(seconds), what, int(pose)))
+        return out
+
+
+def plain(text: str) -> str:
+    """A text that no controller's language takes for anything else."""
+    return re.sub(r"[^\w: .-]", "_", text, flags=re.ASCII)
+
+
+def csv_of(rows: Iterable[Iterable[str]]) -> str:
+    """Cells without commas, quotes or line feeds, as all here are, as CSV."""
+    return "".join(",".join(cells) + "\n" for cells in rows)
+
+
+def route(site: Site, plan: Plan, pace: Pace, graphs: Mapping[Pairing, Roadmap] | None = None) -> Route:
+    """Visit all poses of a plan, in an order of its own.
+
+    Where a straight way fails it may go over candidates by the ``graphs`` of ``roadmaps``; default: over the plan's own.
+    Raises PlanError where no way to a pose is free.
+    """
+    plan = ordered(site, plan, pace)
+    graphs = dict(graphs or {})
+    stops: list[tuple[Floats, int, bool]] = []
+    for i in range(len(plan)):
+        if i == 0:
+            stops.append((plan.q[0], 0, True))
+            continue
+        pairing = pairing_at(plan, i)
+        if pairing not in graphs:
+            graphs[pairing] = make_roadmap(site, pairing, plan.q[of_pairing(plan, pairing)])
+        via, mount = _way(site, plan, i, graphs[pairing])
+        stops += [(q, -1, False) for q in via]
+        stops.append((plan.q[i], i, mount))
+    q = np.array([stop[0] for stop in stops])
+    pose, mounts = np.array([stop[1] for stop in stops]), np.array([stop[2] for stop in stops])
+    return Route(plan, q, pose, mounts, _durations(site, plan, q, pose, pace), pace)
+
+
+def ordered(site: Site, plan: Plan, pace: Pace) -> Plan:
+    """The poses in the order of their visits: pairings together, neighbours in it sharing a chuck or a sphere."""
+    here = 0.5 * (site.arm.branch.lower + site.arm.branch.upper)
+    parts = []
+    for pairing in _pairings_in_order(site, plan):
+        rows = np.flatnonzero(of_pairing(plan, pairing))
+        q = plan.q[rows]
+        weights = np.full(q.shape[1], 1.0 / pace.joint_speed)
+        rig = site.rig
+        cost = move_costs(
+            site.arm, q, weights, rig.bars[pairing.bar], rig.chucks[pairing.chuck], rig.spheres[pairing.sphere]
+        )
+        cost = cost + pace.mount**2 * ~_passable(site, q, cost, pairing)
+        order = short_tour(np.abs((q - here) * weights).max(axis=1), cost)
+        parts.append(rows[order])
+        here = q[order[-1]]
+    return plan.select(np.concatenate(parts))
+
+
+def _passable(site: Site, q: Floats, cost: Floats, pairing: Pairing) -> NDArray[np.bool_]:
+    """(n, n) whether a move between two near poses seems free, but for the bar's length, which via points mend.
+
+    Looked at to each pose's NEAR nearest; others count as not free.
+    """
+    near = np.zeros(cost.shape, dtype=bool)
+    nearest = np.argsort(cost, axis=1, kind="stable")[:, : NEAR + 1]
+    np.put_along_axis(near, nearest, True, axis=1)
+    first, second = np.nonzero(np.triu(near | near.T, 1))
+    good = passable(site, q[first], q[second], pairing)
+    out = np.eye(len(q), dtype=bool)
+    out[first, second] = out[second, first] = good
+    return out
+
+
+def _pairings_in_order(site: Site, plan: Plan) -> list[Pairing]:
+    """Bars one after the other, chucks within them, spheres to and fro: one end of the bar stays where it was."""
+    there = {pairing_at(plan, i) for i in range(len(plan))}
+    out, forth = [], True
+    for bar in site.rig.bars:
+        for chuck in site.rig.chucks:
+            spheres = list(site.rig.spheres)
+            row = [Pairing(bar, chuck, sphere) for sphere in (spheres if forth else spheres[::-1])]
+            out += [pairing for pairing in row if pairing in there]
+            forth = not forth
+    return out
+
+
+def _way(site: Site, plan: Plan, i: int, roadmap: Roadmap) -> tuple[Floats, bool]:
+    """Via points to pose i from the one before, and whether the bar has to come off."""
+    pairing, start, end = pairing_at(plan, i), plan.q[i - 1], plan.q[i]
+    if pairing == pairing_at(plan, i - 1):
+        via = roadmap.way(start, end)
+        if via is not None:
+            return via, False
+    via = way_without_bar(site, start, end, seed=i)
+    if via is None:
+        raise PlanError(f"no way to pose {i} ({pairing.bar}, {pairing.chuck}, {pairing.sphere}) is free; try --seed")
+    return via, True
+
+
+def _durations(site: Site, plan: Plan, q: Floats, pose: NDArray[np.intp], pace: Pace) -> Floats:
+    """(m,) [s] so that neither a joint nor the sphere that the bar holds goes faster than the pace; 0 for the first."""
+    out = np.zeros(len(q))
+    to = plan.sphere[_next_pose(pose)]
+    for i in range(1, len(q)):
+        sphere = np.array(site.rig.spheres[str(to[i])].xyz)
+        out[i] = move_seconds(site, q[i - 1], q[i], sphere, pace)
+    return out
+
+
+def _next_pose(pose: NDArray[np.intp]) -> NDArray[np.intp]:
+    """(m,) the pose that each stop leads to; the last stop is one."""
+    where = np.flatnonzero(pose >= 0)
+    return np.asarray(pose[where[np.searchsorted(where, np.arange(len(pose)))]])

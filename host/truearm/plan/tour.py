@@ -1,0 +1,48 @@
+"""The order of visits: an open tour through points that keeps the sum of its moves' costs small."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.types import Floats
+
+
+def short_tour(from_start: Floats, cost: Floats) -> NDArray[np.int64]:
+    """Order of n points that keeps the sum of ``cost`` (n, n) of the moves small; ``from_start`` (n,) picks the first."""
+    order = [int(np.argmin(from_start))]
+    left = np.ones(len(cost), dtype=bool)
+    for _ in range(len(cost) - 1):
+        left[order[-1]] = False
+        order.append(int(np.argmin(np.where(left, cost[order[-1]], np.inf))))
+    return untangled(np.array(order), cost)
+
+
+def untangled(order: NDArray[np.int64], cost: Floats) -> NDArray[np.int64]:
+    """The tour after reversing stretches of it as long as that makes it cheaper (2-opt).
+
+    Going always to the nearest point left ends with long moves back to what was passed over; this mends them.
+    """
+    order = order.copy()
+    improved = True
+    while improved:
+        improved = False
+        for i in range(len(order) - 2):
+            # Reverse order[i+1 .. k]: the moves i→i+1 and k→k+1 become i→k and i+1→k+1; the last k has no k+1.
+            here, after, k = order[i], order[i + 1], order[i + 2 :]
+            gain = cost[here, after] - cost[here, k]
+            gain[:-1] += cost[k[:-1], k[1:]] - cost[after, k[1:]]
+            if gain.max() > 1e-12:
+                end = i + 3 + int(np.argmax(gain))
+                order[i + 1 : end] = order[i + 1 : end][::-1]
+                improved = True
+    return order
+
+
+def without_dearest(order: NDArray[np.int64], cost: Floats, count: int) -> NDArray[np.int64]:
+    """The tour without those points whose visit costs most, one by one, until ``count`` are left."""
+    while len(order) > count:
+        moves = np.concatenate([[0.0], cost[order[:-1], order[1:]], [0.0]])
+        shortcuts = np.concatenate([[0.0], cost[order[:-2], order[2:]], [0.0]])
+        order = np.delete(order, int(np.argmax(moves[:-1] + moves[1:] - shortcuts)))
+    return order

@@ -1,0 +1,110 @@
+"""Robots with rigs of their own for tests of planning, and an independent look at whole routes."""
+
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+
+from truearm.model.chain import forward, joint_frames, joint_jacobian
+from truearm.model.robot import builtin_robot
+from truearm.plan.ballbar import Wanted, all_pairings, make_site, plan_ballbar
+from truearm.plan.branches import branch_of
+from truearm.plan.forecast import Known
+from truearm.plan.shapes import Sizes
+from truearm.plan.site import Limits
+from truearm.plan.way import Pace
+from truearm.types import BallBar, Point, Rig
+from truearm_sim.world import standard_rig
+
+SIGMA = 84e-6  # m
+
+
+def triangle(prefix, centre, radius):
+    turns = 0.2 + 2.0 * np.pi * np.arange(3) / 3.0
+    corners = [(centre[0] + radius * np.cos(a), centre[1] + radius * np.sin(a), centre[2]) for a in turns]
+    return {f"{prefix}{i + 1}": Point(f"{prefix}{i + 1}", tuple(map(float, c))) for i, c in enumerate(corners)}
+
+
+def bars(**zeros):
+    return {name: BallBar(name, zero, 1.0, 0.075, SIGMA) for name, zero in zeros.items()}
+
+
+RIGS = {
+    "puma560": standard_rig(),
+    "ur5e": Rig(
+        triangle("c", (0.45, 0.05, 0.06), 0.14), triangle("s", (0.0, 0.0, 0.05), 0.08), bars(bar35=0.35, bar45=0.45)
+    ),
+    "irb120": Rig(
+        triangle("c", (0.38, 0.0, 0.06), 0.10), triangle("s", (0.0, 0.0, 0.04), 0.06), bars(bar25=0.25, bar32=0.32)
+    ),
+}
+ROBOTS = tuple(RIGS)
+LIMITS, SIZES = Limits(), Sizes()
+
+
+@cache
+def known(name):
+    robot = builtin_robot(name)
+    return Known(robot.chain, RIGS[name], robot.chain.params_nominal, robot.free)
+
+
+@cache
+def site(name):
+    return make_site(known(name), branch_of(known(name).chain), LIMITS, SIZES)
+
+
+@cache
+def planned(name, n=60, n_candidates=270):
+    rig = RIGS[name]
+    return plan_ballbar(
+        site(name), known(name), all_pairings(rig), Wanted(n_poses=n, n_candidates=n_candidates), Pace()
+    )
+
+
+def legs(route, step=0.015):
+    """For each stop after the first: (number, joints (n, j) on the way there, closer together than the planner looks)."""
+    for i in range(1, len(route.q)):
+        n = 2 + int(np.abs(route.q[i] - route.q[i - 1]).max() / step)
+        yield i, route.q[i - 1] + np.linspace(0.0, 1.0, n)[:, None] * (route.q[i] - route.q[i - 1])
+
+
+def connected(route, i):
+    """Chuck, sphere and bar on the way to stop i, None while the bar is off."""
+    ahead = next(k for k in range(i, len(route.q)) if route.pose[k] >= 0)
+    if any(route.mount[k] for k in range(i, ahead + 1)):
+        return None
+    pose = route.pose[ahead]
+    return str(route.plan.chuck[pose]), str(route.plan.sphere[pose]), str(route.plan.bar[pose])
+
+
+def bar_of(name, q, mounted):
+    """Bar vectors (n, 3) from chuck to sphere and the end's z axes (n, 3)."""
+    chuck, sphere, _ = mounted
+    rig = RIGS[name]
+    pose = forward(known(name).chain, known(name).params, q)
+    ends = pose @ np.array([*rig.spheres[sphere].xyz, 1.0])
+    return ends[:, :3] - rig.chucks[chuck].xyz, pose[:, :3, 2]
+
+
+def condition(name, q):
+    jacobian = joint_jacobian(known(name).chain, known(name).params, q)
+    return np.linalg.svd(jacobian / np.array([0.45] * 3 + [1.0] * 3)[:, None], compute_uv=False)[:, -1]
+
+
+def along(a, b, n=12):
+    """(..., n, 3) points on segments."""
+    return a[..., None, :] + np.linspace(0.0, 1.0, n)[:, None] * (b - a)[..., None, :]
+
+
+def nearest(a, b):
+    """(m,) shortest distance of point sets (m, k, 3) and (m, l, 3) or (l, 3)."""
+    b = np.broadcast_to(b, (len(a), *b.shape[-2:]))
+    return np.linalg.norm(a[:, :, None] - b[:, None], axis=-1).min(axis=(1, 2))
+
+
+def arm_points(name, q):
+    """Forearm's end to flange as points (n, k, 3): what must not touch the table, the posts or the column."""
+    frames = joint_frames(known(name).chain, known(name).params, q)[:, :, :3, 3]
+    end = forward(known(name).chain, known(name).params, q)[:, :3, 3]
+    nodes = [*frames[:, 2:].swapaxes(0, 1), end]
+    return np.concatenate([along(a, b) for a, b in pairwise(nodes)], axis=1)

@@ -1,0 +1,186 @@
+"""``truearm export``: through an exported file the true robot lands where it should; real data; bad input."""
+
+from pathlib import Path
+
+import correct_bench
+import numpy as np
+import pytest
+from puma_bench import CHAIN, DESIGN, TRUTH
+
+from truearm import cli
+from truearm.correct.inverse import inverse
+from truearm.estimate.identify import identify
+from truearm.files.result import read_result
+from truearm.files.rig import read_rig
+from truearm.files.robot import joint_units, load_robot
+from truearm.files.table import read_table, write_table
+from truearm.model.chain import forward
+from truearm.types import ObservationTable
+
+MUKCA = Path(__file__).parents[1] / "data" / "mukca"
+
+
+@pytest.fixture
+def run(capsys):
+    def call(*arguments):
+        code = cli.main([str(a) for a in arguments])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    return correct_bench.write(tmp_path_factory.mktemp("export") / "result.json", correct_bench.identified())
+
+
+def seats(q):
+    """A table that has the poses and nothing else of interest."""
+    n, empty = len(q), np.full(len(q), "")
+    nothing = dict.fromkeys(("bar", "chuck", "sphere", "shell", "source"), empty)
+    return ObservationTable(
+        q=q,
+        kind=np.full(n, "seat"),
+        value=np.full(n, np.nan),
+        sigma=np.full(n, np.nan),
+        socket=np.full(n, "0"),
+        place=np.full(n, "a"),
+        **nothing,
+    )
+
+
+def test_through_an_exported_urdf_the_true_robot_lands_within_half_a_millimetre(result, tmp_path, run):
+    """A controller that takes a URDF has no encoder gains: the rest was refitted with k = 1 over the region of the task."""
+    q = correct_bench.good_poses(200)
+    fitted, judged = q[::2], q[1::2]
+    write_table(tmp_path / "region.csv", seats(fitted), ("rad",) * 6)
+    out = tmp_path / "puma.urdf"
+    code, said, err = run("export", result, "--format", "urdf", "--out", out, "--over", tmp_path / "region.csv")
+    assert code == 0, err
+    assert "Refitted over 100 poses" in said
+    chain = load_robot(str(out)).chain
+    targets = forward(CHAIN, DESIGN, judged)
+    found = inverse(chain, chain.params_nominal, targets, judged)
+    assert found.reached.all()
+    missed = np.linalg.norm((forward(CHAIN, TRUTH, found.q) - targets)[:, :3, 3], axis=1)
+    before = np.linalg.norm((forward(CHAIN, TRUTH, judged) - targets)[:, :3, 3], axis=1)
+    assert np.sqrt(np.mean(before**2)) > 15e-3
+    assert np.sqrt(np.mean(missed**2)) < 0.5e-3
+
+
+def test_only_what_the_user_may_adjust_changes(result, tmp_path, run):
+    """Renders' III-F: a controller that takes offsets and lengths alone."""
+    out = tmp_path / "adjusted.toml"
+    patterns = ("--adjust", "joint*.offset", "--adjust", "*.x,*.y,*.z")
+    code, said, _ = run("export", result, "--format", "sheth-uicker", "--out", out, *patterns)
+    assert code == 0
+    left = [float(line.split("costs ")[-1].split(" mm")[0]) for line in said.splitlines() if "costs" in line]
+    assert left[0] > 1.0
+    chain = load_robot(str(out)).chain
+    gains = [value for name, value in zip(chain.parameter_names, chain.params_nominal, strict=True) if "gain" in name]
+    np.testing.assert_array_equal(gains, 1.0)
+    q = correct_bench.good_poses(100)
+    stored = read_result(result)
+    identified = forward(CHAIN, stored.value[stored.of_robot], q)
+    error = (forward(chain, chain.params_nominal, q) - identified)[:, :3, 3]
+    before = (forward(CHAIN, DESIGN, q) - identified)[:, :3, 3]
+    assert np.sqrt(np.mean(error**2)) < 0.5 * np.sqrt(np.mean(before**2))
+
+
+@pytest.mark.parametrize("form", ["dh-hayati", "sheth-uicker"])
+def test_tables_hold_everything(result, tmp_path, run, form):
+    out = tmp_path / "table.toml"
+    code, said, _ = run("export", result, "--format", form, "--out", out)
+    assert code == 0
+    assert "holds all that was identified" in said
+    chain = load_robot(str(out)).chain
+    stored = read_result(result)
+    q = correct_bench.good_poses(20)
+    expected = forward(CHAIN, stored.value[stored.of_robot], q)
+    np.testing.assert_allclose(forward(chain, chain.params_nominal, q), expected, atol=1e-12)
+    code, _, err = run("export", result, "--format", form, "--out", out)
+    assert code == 0, "what export wrote it may replace: " + err
+
+
+def test_panda_exported_and_reloaded_has_the_same_held_out_error(tmp_path, run):
+    """The arm of tests/data/mukca: three places identify it; the exported URDF, as it stands, predicts the other three as well."""
+    held = [a for place in ("frontcenter", "frontleft", "frontright") for a in ("--hold-out", f"place={place}")]
+    urdf, table, rig = MUKCA / "panda.urdf", MUKCA / "panda_3.csv", MUKCA / "rig.toml"
+    result, out = tmp_path / "r.json", tmp_path / "calibrated.urdf"
+    code, _, err = run("identify", table, "--robot", urdf, "--tip", "ball_link", "--rig", rig, "--out", result, *held)
+    assert code == 0, err
+    code, said, err = run("export", result, "--format", "urdf", "--robot", urdf, "--out", out)
+    assert code == 0, err
+    assert "holds all" in said
+    stored = read_result(result)
+    chain = load_robot(str(out), None, "ball_link").chain
+    observations = read_table(table, joint_units(chain))
+    judged = np.isin(observations.place, ["frontcenter", "frontleft", "frontright"])
+    # nothing of the robot is fitted: only the rig's own unknowns, the ball's place among them
+    none = np.zeros(len(chain.parameters), dtype=bool)
+    again = identify(chain, read_rig(rig), observations, free=none, hold_out=judged)
+    document = stored.document["held_out"]
+    assert document["mean_mm"] < 0.25
+    # the ball's place is estimated again without the robot's prior, which moves the error by micrometres
+    assert 1e3 * again.held_out.mean == pytest.approx(document["mean_mm"], abs=5e-3)
+    q = observations.q
+    before = load_robot(str(urdf), None, "ball_link").chain
+    np.testing.assert_allclose(
+        forward(chain, chain.params_nominal, q), forward(before, stored.value[stored.of_robot], q), atol=1e-12
+    )
+
+
+def test_ill_conditioned_tables_are_refused(result, tmp_path, run):
+    for form in ("dh", "mdh"):
+        code, _, err = run("export", result, "--format", form, "--out", tmp_path / "t.toml")
+        assert code == 2
+        assert "from parallel: d would be" in err
+        assert err.count("\n") == 1
+        assert not (tmp_path / "t.toml").exists()
+
+
+BOMB = '<!DOCTYPE r [<!ENTITY a "1"><!ENTITY b "&a;&a;">]><robot name="&b;"/>'
+HOSTILE = {
+    "bomb": (BOMB, "document type"),
+    "loop": (
+        '<robot name="puma560"><link name="chuck_fixture"/><link name="sphere_fixture"/>'
+        '<joint name="a" type="fixed"><parent link="chuck_fixture"/><child link="sphere_fixture"/></joint>'
+        '<joint name="b" type="fixed"><parent link="sphere_fixture"/><child link="chuck_fixture"/></joint></robot>',
+        "no joint moves",
+    ),
+    "other": ('<robot name="x"><link name="a"/></robot>', "no link 'chuck_fixture'"),
+    "huge": (" " * 8_000_001, "larger than"),
+    "text": ("hello", "not valid XML"),
+}
+
+
+@pytest.mark.parametrize("what", HOSTILE)
+def test_hostile_urdfs_are_one_line(result, tmp_path, run, what):
+    text, says = HOSTILE[what]
+    (tmp_path / "r.urdf").write_text(text)
+    given = ("export", result, "--format", "urdf", "--robot", tmp_path / "r.urdf", "--out", tmp_path / "o.urdf")
+    code, said, err = run(*given)
+    assert (code, said, err.count("\n")) == (2, "", 1)
+    assert says in err
+    assert not (tmp_path / "o.urdf").exists()
+
+
+def test_bad_requests_are_one_line(result, tmp_path, run):
+    (tmp_path / "short.csv").write_text("kind,q1_rad,place,socket\nseat,0,a,0\n")
+    (tmp_path / "mine.toml").write_text("precious")
+    good = ("export", result, "--format", "urdf", "--out", tmp_path / "o.urdf")
+    cases = [
+        ((*good, "--adjust", "nothing*"), "matches no parameter"),
+        ((*good, "--adjust", "*.gain"), "leaves nothing that --format urdf can hold"),
+        ((*good, "--over", tmp_path / "short.csv"), "1 joint columns"),
+        ((*good, "--over", tmp_path / "none.csv"), "no such file"),
+        (("export", result, "--format", "ur", "--out", tmp_path / "o.yaml"), "Universal Robots"),
+        (("export", result, "--format", "dh-hayati", "--out", tmp_path / "mine.toml"), "exists and is nothing"),
+        (("export", tmp_path / "short.csv", "--format", "urdf", "--out", tmp_path / "o.urdf"), "not strict JSON"),
+    ]
+    for arguments, says in cases:
+        code, _, err = run(*arguments)
+        assert (code, err.count("\n")) == (2, 1), err
+        assert says in err
+    assert (tmp_path / "mine.toml").read_text() == "precious"

@@ -1,0 +1,160 @@
+"""``truearm map``: the section, its numbers against a direct computation, its uncertainty, the best region; bad input."""
+
+import csv
+import json
+import xml.etree.ElementTree as ElementTree
+
+import correct_bench
+import numpy as np
+import pytest
+from puma_bench import CHAIN, DESIGN, TRUTH
+
+from truearm import cli
+from truearm.correct.error_map import ErrorMap, best_region, error_map
+from truearm.correct.pair import Pair
+from truearm.errors import RobotError
+from truearm.files.result import read_result
+from truearm.model.chain import forward, joint_frames
+from truearm.model.robot import builtin_robot
+
+P = len(CHAIN.parameters)
+NONE = np.zeros((P, 0))
+
+
+@pytest.fixture(scope="module")
+def estimate():
+    return correct_bench.identified()
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory, estimate):
+    return correct_bench.write(tmp_path_factory.mktemp("map") / "result.json", estimate)
+
+
+@pytest.fixture
+def run(capsys):
+    def call(*arguments):
+        code = cli.main([str(a) for a in arguments])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return call
+
+
+def test_cells_hold_what_the_formula_says(result, tmp_path, run):
+    """(31) at the joints of every row, the end in its cell, in the plane, elbow up."""
+    out, picture = tmp_path / "map.csv", tmp_path / "map.svg"
+    code, said, err = run("map", result, "--out", out, "--picture", picture, "--cell", 40, "--task", "300x200")
+    assert code == 0, err
+    rows = list(csv.DictReader(out.open()))
+    assert len(rows) > 300
+    q = np.radians([[float(row[f"q{i}_deg"]) for i in range(1, 7)] for row in rows])
+    stored = read_result(result)
+    nominal, identified = (forward(CHAIN, p, q)[:, :3, 3] for p in (DESIGN, stored.value[stored.of_robot]))
+    error = 1e3 * np.linalg.norm(identified - nominal, axis=1)
+    # written to 1e-5 deg of a joint: 0.2 µm of the end, of which the error's own derivative is some percent
+    np.testing.assert_allclose([float(row["error_mm"]) for row in rows], error, atol=1e-4)
+    place = np.array([[float(row[k]) for k in ("x_mm", "y_mm", "z_mm")] for row in rows])
+    np.testing.assert_allclose(place, 1e3 * nominal, atol=2e-3)
+    np.testing.assert_allclose(place[:, 1], place[0, 1], atol=1e-3)
+    cell = np.array([[float(row[k]) for k in ("u_mm", "v_mm")] for row in rows])
+    assert np.abs(cell - place[:, [0, 2]]).max() <= 20.0 + 1e-2
+    assert len({tuple(row) for row in cell}) == len(rows)
+    root = ElementTree.fromstring(picture.read_text())
+    squares = [e for e in root.iter("{http://www.w3.org/2000/svg}rect") if e.get("style")]
+    assert len(squares) == len(rows) + 60  # and the scale
+    assert "Best place for a task of 300x200 mm: x " in said
+
+
+def test_the_elbow_is_where_it_was_asked_for():
+    pair = Pair(CHAIN, DESIGN, TRUTH)
+    up, down = (error_map(pair, np.zeros(6), (1, 2), 0.05, np.zeros((P, P)), NONE, way) for way in (True, False))
+    heights = []
+    for found in (up, down):
+        reached = ~np.isnan(found.error)
+        frames = joint_frames(CHAIN, DESIGN, found.q[reached])
+        middle = 0.5 * (frames[:, 1, 2, 3] + found.point[reached][:, 2])
+        heights.append(float((frames[:, 2, 2, 3] - middle).mean()))
+    assert heights[0] > heights[1]
+
+
+def test_the_uncertainty_is_that_of_the_covariance(estimate):
+    """σ of a cell against the spread of the end over robots drawn from the covariance (200 draws: 5 %, in 3D 3 %)."""
+    params, covariance = estimate.value[:P], estimate.covariance[:P, :P]
+    pair = Pair(CHAIN, DESIGN, params)
+    found = error_map(pair, np.zeros(6), (1, 2), 0.2, covariance, NONE)
+    reached = ~np.isnan(found.error)
+    q = found.q[reached]
+    rng = np.random.default_rng(4)
+    drawn = rng.multivariate_normal(params, covariance, 200, method="svd")
+    spread = np.stack([forward(CHAIN, one, q)[:, :3, 3] for one in drawn]) - forward(CHAIN, params, q)[:, :3, 3]
+    sigma = np.sqrt(np.mean(np.sum(spread**2, axis=2), axis=0))
+    np.testing.assert_allclose(found.sigma[reached], sigma, rtol=0.25)
+    assert np.mean(found.sigma[reached] / sigma) == pytest.approx(1.0, abs=0.06)
+
+
+def test_unseen_directions_leave_no_uncertainty_to_tell():
+    pair = Pair(CHAIN, DESIGN, TRUTH)
+    moving = np.array([[float(name == "link4.x")] for name in CHAIN.parameter_names])
+    found = error_map(pair, np.zeros(6), (1, 2), 0.2, np.eye(P), moving)
+    assert np.isnan(found.sigma).all()
+    assert np.isfinite(found.error).any()
+
+
+def test_the_best_region_is_found_by_hand_too():
+    error = np.array([[1.0, 5.0, 2.0, 2.0], [3.0, np.nan, 2.0, 1.0], [1.0, 1.0, 9.0, 2.0]])
+    shape = (*error.shape, 1)
+    grid = ErrorMap(
+        np.arange(4) + 0.5, np.arange(3) + 0.5, np.eye(3)[:2], np.zeros(shape), np.zeros(shape), error, error
+    )
+    found = best_region(grid, 2.0, 2.0)
+    assert found[:3] == ((2.0, 4.0), (0.0, 2.0), 2.0)
+    assert found.rms == pytest.approx(np.sqrt(13 / 4))
+    assert best_region(grid, 2.0, 0.5).largest == 1.0
+    assert best_region(grid, 4.0, 3.0) is None  # a cell is out of reach
+    assert best_region(grid, 5.0, 1.0) is None
+
+
+@pytest.mark.parametrize("joints", [(0, 1), (2, 1), (1, 4)])
+def test_joints_that_span_no_section_are_refused(joints):
+    pair = Pair(CHAIN, DESIGN, TRUTH)
+    q = np.radians([0.0, 0.0, 90.0, 40.0, 30.0, 0.0])
+    with pytest.raises(RobotError, match="do not turn about parallel axes"):
+        error_map(pair, q, joints, 0.1, np.zeros((P, P)), NONE)
+
+
+def test_a_robot_without_errors_has_an_empty_map():
+    chain = builtin_robot("ur5e").chain
+    n = len(chain.parameters)
+    found = error_map(
+        Pair(chain, chain.params_nominal, chain.params_nominal),
+        np.zeros(6),
+        (1, 2),
+        0.1,
+        np.zeros((n, n)),
+        np.zeros((n, 0)),
+    )
+    np.testing.assert_allclose(np.abs(found.axes), [[1, 0, 0], [0, 0, 1]], atol=1e-12)
+    assert np.nanmax(found.error) == 0.0
+
+
+def test_bad_requests_are_one_line(result, tmp_path, run):
+    document = json.loads(result.read_text())
+    document["null_space"] = [{"names": ["link1.x"], "weights": ["much"]}]
+    (tmp_path / "bad.json").write_text(json.dumps(document))
+    (tmp_path / "mine.svg").write_text("<svg>precious</svg>")
+    cases = [
+        (("map", result, "--vary", "2"), "needs two joints between 1 and 6"),
+        (("map", result, "--vary", "2,9"), "needs two joints between 1 and 6"),
+        (("map", result, "--vary", "1,2"), "do not turn about parallel axes"),
+        (("map", result, "--at", "1,2"), "needs 6 numbers"),
+        (("map", result, "--task", "0x10"), "needs width and height"),
+        (("map", result, "--task", "ax10"), "needs width and height"),
+        (("map", result, "--cell", "0.1"), "--cell"),
+        (("map", tmp_path / "bad.json"), "null_space has the wrong form"),
+        (("map", result, "--picture", tmp_path / "mine.svg"), "exists and is nothing"),
+    ]
+    for arguments, says in cases:
+        code, said, err = run(*arguments)
+        assert (code, said, err.count("\n")) == (2, "", 1), err
+        assert says in err

@@ -1,0 +1,99 @@
+"""``truearm plan`` from the command line: what is written, and that what is wrong is said in one line."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.host import plan_bench as bench
+
+from truearm.cli import main
+from truearm.estimate.identify import identify
+from truearm.files.plan import read_plan
+from truearm.files.result import RobotFrames, document_of, write_result
+from truearm.files.rig import write_rig
+from truearm.files.table import write_table
+from truearm.plan.forecast import bar_table
+
+COMMON = ("--robot", "irb120", "--bar", "bar25", "--poses", "36", "--candidates", "60")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    out = tmp_path_factory.mktemp("plan")
+    write_rig(out / "rig.toml", bench.RIGS["irb120"])
+    return out
+
+
+def test_plan_measure_identify_plan_again(folder, capsys):
+    """The documented path: 36 poses on the design, identified; the second plan on the better model counts them."""
+    rig = str(folder / "rig.toml")
+    plan, script = folder / "plan.csv", folder / "plan.script"
+    assert main(["plan", "ballbar", *COMMON, "--rig", rig, "--out", str(plan), "--program", str(script)]) == 0
+    said = capsys.readouterr().out
+    assert "36 poses" in said
+    assert "rank 30" in said
+    assert f"written: {script}" in said
+    visits = read_plan(plan)
+    assert len(visits) == 36
+    assert script.read_text().count("# pose ") == 36
+
+    known = bench.known("irb120")
+    rng = np.random.default_rng(0)
+    truth = known.params + 1e-3 * known.free * rng.standard_normal(known.params.size)
+    table = bar_table(replace(known, params=truth), visits)
+    table = replace(table, value=table.value + bench.SIGMA * rng.standard_normal(36))
+    write_table(folder / "measured.csv", table, ("rad",) * 6)
+    found = identify(known.chain, known.rig, table, free=known.free)
+    frames = RobotFrames("irb120", "base", "flange", ("rad",) * 6)
+    write_result(folder / "result.json", document_of(found, table, frames, [], [], "none"))
+
+    more = ("--result", str(folder / "result.json"), "--measured", str(folder / "measured.csv"), "--json")
+    assert main(["plan", "ballbar", *COMMON, "--rig", rig, *more]) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert again["rows"] == 72
+    assert again["rank"] == 30
+    first = dict(zip(found.parameter_names, found.sigma, strict=True))
+    assert all(p["sigma"] < first[p["name"]] for p in again["parameters"])
+
+
+def test_lines_are_planned(folder, capsys):
+    out = folder / "lines.csv"
+    arguments = ["--robot", "irb120", "--rig", str(folder / "rig.toml"), "--lines", "2", "--candidates", "6"]
+    assert main(["plan", "line", *arguments, "--length-mm", "200", "--out", str(out), "--seed", "3"]) == 0
+    said = capsys.readouterr().out
+    assert "plan2" in said
+    assert "base.x                  not seen" in said
+    assert len(out.read_text().splitlines()) == 1 + 2 * 12
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (["--minutes", "5"], "give a budget"),
+        (["--region", "1:2"], "--region '1:2'"),
+        (["--region", "5000:5001,0:1,0:1"], "reaches no place of the region"),
+        (["--bar", "nope"], "bar 'nope' is not in the rig"),
+        (["--branch", "1:2"], "--branch needs LOW:HIGH"),
+        (["--reserve-mm", "37"], "lower --reserve-mm or --spread-mm"),
+        (["--result", "missing.json"], "missing.json"),
+        (["--measured", "missing.csv"], "missing.csv"),
+        (["--program", "x.txt"], "no program is written as '.txt'"),
+        (["--poses", "5000"], "5000 of"),
+        (["--criterion", "Q"], "'Q'"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(folder, capsys, monkeypatch, change, message):
+    monkeypatch.chdir(folder)
+    assert main(["plan", "ballbar", *COMMON, "--rig", "rig.toml", *change]) == 2
+    said = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("planning: ")]
+    assert len(said) == 1
+    assert message in said[0]
+
+
+def test_an_output_over_an_input_is_refused(folder, capsys):
+    rig = folder / "rig.toml"
+    before = rig.read_bytes()
+    assert main(["plan", "ballbar", *COMMON, "--rig", str(rig), "--out", str(rig)]) == 2
+    assert rig.read_bytes() == before
+    assert "rig.toml" in capsys.readouterr().err

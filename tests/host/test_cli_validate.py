@@ -1,0 +1,113 @@
+"""``truearm validate``: verdicts on robots that are known to hold, to have changed, and to be others."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import correct_bench
+import numpy as np
+import pytest
+from puma_bench import CHAIN, DESIGN, PAIRS, RIG, SIGMA, TRUTH, lengths, table
+
+from truearm import cli
+from truearm.files.rig import write_rig
+from truearm.files.table import write_table
+
+MUKCA = Path(__file__).parents[1] / "data" / "mukca"
+UNITS = ("rad",) * 6
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("validate")
+    correct_bench.write(folder / "result.json", correct_bench.identified())
+    write_rig(folder / "rig.toml", RIG)
+    return folder
+
+
+@pytest.fixture
+def run(capsys):
+    def call(*arguments):
+        code = cli.main([str(a) for a in arguments])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return call
+
+
+def measured(path, truth, n=180, seed=9):
+    """Noisy lengths of a robot, half of them at each of two shells' names."""
+    rng = np.random.default_rng(seed)
+    q = correct_bench.good_poses(n)
+    pairs = [PAIRS[i % 9] for i in range(n)]
+    rows = table(q, lengths(truth, q, pairs) + SIGMA * rng.normal(size=n), pairs)
+    write_table(path, replace(rows, shell=np.where(np.arange(n) < n // 2, "one", "two")), UNITS)
+    return path
+
+
+def judged(run, folder, path):
+    code, said, err = run("validate", folder / "result.json", path, "--rig", folder / "rig.toml", "--json")
+    assert code == 0, err
+    return json.loads(said)
+
+
+def test_a_robot_that_did_not_change_passes(folder, run):
+    """Errors are the noise and what the covariance leaves, some 0.09 mm; without the calibration some 12 mm."""
+    path = measured(folder / "same.csv", TRUTH)
+    found = judged(run, folder, path)
+    assert found["rows"] == 180
+    assert found["rms_before_mm"] > 5.0
+    # 0.084 mm of noise, 180 rows: σ of its RMS is 5 %; the parameters' own error adds about as much
+    assert 0.07 < found["rms_after_mm"] < 0.12
+    assert found["verdict"].startswith("The calibration holds")
+    regions = {region["region"]: region for region in found["regions"]}
+    assert regions["shell=one"]["rows"] == regions["shell=two"]["rows"] == 90
+    parts = [region for name, region in regions.items() if "mm out" in name]
+    assert sum(region["rows"] for region in parts) == 180
+    total = sum(region["rows"] * region["rms_after_mm"] ** 2 for region in parts) / 180
+    assert total == pytest.approx(found["rms_after_mm"] ** 2)
+    code, said, _ = run("validate", folder / "result.json", path, "--rig", folder / "rig.toml")
+    assert code == 0
+    assert found["verdict"] in said
+    assert "shell=one" in said
+
+
+def test_a_robot_that_changed_since_is_found_out(folder, run):
+    """A joint's zero has moved by 2 mrad, as after a collision."""
+    changed = TRUTH + 2e-3 * np.array([name == "joint3.offset" for name in CHAIN.parameter_names])
+    found = judged(run, folder, measured(folder / "changed.csv", changed))
+    assert found["rms_after_mm"] > 3 * found["reference_mm"]
+    assert "has changed" in found["verdict"]
+
+
+def test_another_robot_is_not_helped(folder, run):
+    found = judged(run, folder, measured(folder / "other.csv", DESIGN))
+    assert found["rms_after_mm"] > found["rms_before_mm"]
+    assert "does not help" in found["verdict"]
+
+
+def test_rows_that_it_was_fitted_to_prove_little(tmp_path, run):
+    urdf, rows, rig = MUKCA / "panda.urdf", MUKCA / "panda_3.csv", MUKCA / "rig.toml"
+    held = [a for place in ("frontcenter", "frontleft", "frontright") for a in ("--hold-out", f"place={place}")]
+    given = (rows, "--robot", urdf, "--tip", "ball_link", "--rig", rig, "--out", tmp_path / "r.json", *held)
+    assert run("identify", *given)[0] == 0
+    code, said, err = run("validate", tmp_path / "r.json", rows, "--robot", urdf, "--rig", rig)
+    assert code == 0, err
+    assert "prove little" in said
+    assert "unknowns of the rig were settled" in said
+
+
+def test_bad_input_is_one_line(folder, tmp_path, run):
+    (tmp_path / "one.csv").write_text(
+        "kind," + ",".join(f"q{i}_rad" for i in range(1, 7)) + ",place,socket\nseat,0,0,0,0,0,0,a,0\n"
+    )
+    cases = [
+        ((tmp_path / "none.csv",), "no such file"),
+        ((tmp_path / "one.csv",), "no row can judge"),
+        ((tmp_path / "one.csv", tmp_path / "one.csv"), "is given twice"),
+        ((folder / "result.json",), "row 2: has 2 cells"),
+    ]
+    for inputs, says in cases:
+        code, said, err = run("validate", folder / "result.json", *inputs)
+        assert (code, said, err.count("\n")) == (2, "", 1), err
+        assert says in err

@@ -1,0 +1,190 @@
+"""Corrections of a robot that is known: order of convergence, exactness, refusals."""
+
+import numpy as np
+import pytest
+from correct_bench import good_poses, nominal_poses
+from puma_bench import CHAIN, DESIGN, TRUTH
+from scipy.spatial.transform import Rotation
+
+from truearm.correct.correction import METHODS, correct
+from truearm.correct.inverse import inverse, search, singular_value, within, wrapped
+from truearm.correct.pair import Pair
+from truearm.model.chain import forward
+from truearm.model.mountings import mountings
+from truearm.model.poses import apart, inverted, moved, pose_of, six_of
+from truearm.model.robot import builtin_names, builtin_robot
+from truearm.model.transforms import elementary
+
+
+@pytest.fixture(scope="module")
+def q():
+    return good_poses(60)
+
+
+def pair(share=1.0, names=""):
+    """The nominal robot, and one that has a share of the true one's errors, in the parameters whose names end so."""
+    mine = np.array([name.endswith(names) for name in CHAIN.parameter_names])
+    return Pair(CHAIN, DESIGN, DESIGN + share * mine * (TRUTH - DESIGN))
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(values**2)))
+
+
+@pytest.mark.parametrize("method", ["false-target", "joints"])
+@pytest.mark.parametrize("share", [0.5, 0.25])
+def test_halving_the_errors_quarters_what_one_step_leaves(q, method, share):
+    """(32) and (34) are right to first order: the residual is of second order, but for terms of the third (ratio 3.3–5)."""
+    whole, half = (correct(pair(s), nominal_poses(q), method, q_start=q) for s in (share, 0.5 * share))
+    assert not any(whole.problem + half.problem)
+    for column in (0, 1):
+        assert 3.3 <= rms(whole.after[:, column]) / rms(half.after[:, column]) <= 5.0
+    assert rms(whole.after[:, 0]) < 0.1 * rms(whole.before[:, 0])
+
+
+@pytest.mark.parametrize("method", ["false-target", "joints"])
+def test_iterated_they_end_where_newton_does(q, method):
+    exact = correct(pair(), nominal_poses(q), "newton", q_start=q)
+    iterated = correct(pair(), nominal_poses(q), method, 30, q_start=q)
+    assert not any(iterated.problem)
+    # ROUNDING, 1e-9 m and rad, ends an iteration; the margin on singular values enlarges it at most twentyfold.
+    np.testing.assert_allclose(iterated.q, exact.q, atol=2e-8)
+    assert iterated.after.max() < 1e-8
+
+
+def test_newton_reaches_the_target_to_a_nanometre(q):
+    done = correct(pair(), nominal_poses(q), "newton", q_start=q)
+    assert not any(done.problem)
+    assert rms(done.before[:, 0]) > 10e-3
+    assert done.after[:, 0].max() <= 1e-9
+    there = forward(CHAIN, TRUTH, done.q)
+    np.testing.assert_allclose(there[:, :3, 3], nominal_poses(q)[:, :3, 3], atol=1e-9)
+    # what is told is what the controller, with its nominal model, turns into those joints
+    np.testing.assert_allclose(forward(CHAIN, DESIGN, done.q), done.told, atol=1e-15)
+
+
+def test_offsets_are_exact_for_offsets_and_nothing_else(q):
+    offset = np.array([0.02 * name.endswith("offset") for name in CHAIN.parameter_names])
+    done = correct(Pair(CHAIN, DESIGN, DESIGN + offset), nominal_poses(q), "offsets", q_start=q)
+    assert done.before[:, 0].min() > 1e-3
+    assert done.after[:, 0].max() <= 1e-12
+    lengths = correct(pair(names=".x"), nominal_poses(q), "offsets", q_start=q)
+    np.testing.assert_allclose(lengths.after, lengths.before, atol=1e-12)
+
+
+def test_orientations_compose_as_rotation_vectors(q):
+    """Of a robot that is only turned about its base by 0.2 rad, the mirror image of that turn about the same axis is exact;
+    angles about fixed axes, subtracted, would be off by 0.2²/2."""
+    turned = DESIGN + 0.2 * np.array([name == "link1.alpha" for name in CHAIN.parameter_names])
+    done = correct(Pair(CHAIN, DESIGN, turned), nominal_poses(q), "false-target", 1, q_start=q)
+    fine = np.array([not problem for problem in done.problem])
+    assert fine.sum() > 5
+    np.testing.assert_allclose(done.after[fine, 1], 0.0, atol=1e-9)
+
+
+def test_positions_alone_move_the_joints_least(q):
+    targets = nominal_poses(q)
+    full = correct(pair(), targets, q_start=q)
+    position = correct(pair(), targets, oriented=False, q_start=q)
+    assert not any(position.problem)
+    assert position.after[:, 0].max() <= 1e-9
+    assert np.isnan(position.after[:, 1]).all()
+    moved_by = [np.linalg.norm(d.q - d.q_nominal, axis=1) for d in (position, full)]
+    assert (moved_by[0] < moved_by[1]).all()
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_singular_target_is_refused_and_never_a_wild_number(method):
+    q = good_poses(5)
+    q[:, 4] = np.radians([0.0, 0.01, 0.5, -1.0, 2.0])  # the wrist's axes nearly aligned
+    done = correct(pair(), nominal_poses(q), method, 20, q_start=q)
+    assert all("singular" in p or "converge" in p or "configuration" in p for p in done.problem)
+    assert np.isfinite(done.q).all()
+
+
+def test_unreachable_targets_are_refused():
+    q = good_poses(3)
+    targets = nominal_poses(q)
+    targets[0, :3, 3] *= 3.0
+    done = correct(pair(), targets)
+    assert "does not reach" in done.problem[0]
+    assert done.problem[1:] == ("", "")
+    lower = np.array([joint.lower for joint in CHAIN.joints])
+    at_limit = q[:1].copy()
+    at_limit[0, 0] = lower[0] + 1e-6
+    done = correct(pair(), nominal_poses(at_limit), q_start=at_limit)
+    assert within(CHAIN, done.q).all() or "limits" in done.problem[0]
+
+
+@pytest.mark.parametrize("name", builtin_names())
+def test_any_robot_finds_its_own_poses(name):
+    """Poses made from joints are found again, within the limits, by search as by inverse."""
+    chain = builtin_robot(name).chain
+    rng = np.random.default_rng(3)
+    lower = [max(joint.lower, -np.pi) for joint in chain.joints]
+    upper = [min(joint.upper, np.pi) for joint in chain.joints]
+    q = rng.uniform(lower, upper, (40, len(lower)))
+    q = q[singular_value(chain, chain.params_nominal, q) > 0.08]
+    targets = forward(chain, chain.params_nominal, q)
+    found = inverse(chain, chain.params_nominal, targets, q + 0.02 * rng.normal(size=q.shape))
+    assert found.reached.all()
+    np.testing.assert_allclose(forward(chain, chain.params_nominal, found.q), targets, atol=1e-9)
+    searched = search(chain, chain.params_nominal, targets)
+    assert searched.reached.mean() > 0.9
+    assert within(chain, searched.q[searched.reached]).all()
+    np.testing.assert_allclose(
+        forward(chain, chain.params_nominal, searched.q[searched.reached]), targets[searched.reached], atol=1e-9
+    )
+
+
+def test_quadrants_choose_the_configuration(q):
+    quadrants = np.full(q.shape, np.nan)
+    quadrants[:, [0, 3, 5]] = np.floor(q[:, [0, 3, 5]] / (0.5 * np.pi))
+    found = search(CHAIN, DESIGN, nominal_poses(q), quadrants=quadrants)
+    same = np.floor(found.q[:, [0, 3, 5]] / (0.5 * np.pi)) == quadrants[:, [0, 3, 5]]
+    # among twelve starts a target may not have one of its configuration; most have
+    assert same.all(axis=1).mean() > 0.9
+    flipped = quadrants.copy()
+    flipped[:, 3] += np.where(quadrants[:, 3] < 0, 2, -2)  # the other way to turn the wrist
+    flipped[:, 5] = np.nan
+    other = search(CHAIN, DESIGN, nominal_poses(q), quadrants=flipped)
+    assert (np.abs(other.q[:, 4] - q[:, 4]) > 0.3).mean() > 0.2
+
+
+def test_whole_turns_lead_back_into_the_limits(q):
+    turned = q.copy()
+    turned[:, 5] += 2.0 * np.pi
+    np.testing.assert_allclose(wrapped(CHAIN, turned), q, atol=1e-14)
+
+
+def test_mountings_are_exactly_what_first_and_last_link_hold(q):
+    found = mountings(CHAIN, DESIGN, TRUTH)
+    target = Pair(CHAIN, DESIGN, TRUTH, found)
+    # R(q) between nominal base and flange: B⁻¹·T_i·E⁻¹ does not depend on what the fixtures do
+    moved_fixtures = TRUTH.copy()
+    mine = np.array([name.startswith(("link1.", "link7.")) for name in CHAIN.parameter_names])
+    moved_fixtures[mine] += np.random.default_rng(0).normal(0.0, 0.01, mine.sum())
+    other = Pair(CHAIN, DESIGN, moved_fixtures, mountings(CHAIN, DESIGN, moved_fixtures))
+    done = [correct(p, nominal_poses(q), q_start=q) for p in (target, other)]
+    np.testing.assert_allclose(done[0].q, done[1].q, atol=1e-9)
+    np.testing.assert_allclose(done[0].before, done[1].before, atol=1e-12)
+    assert rms(done[0].before[:, 0]) < rms(correct(pair(), nominal_poses(q), q_start=q).before[:, 0])
+
+
+def test_poses_and_differences():
+    rng = np.random.default_rng(1)
+    a, b = (pose_of(rng.normal(size=(20, 3)), rng.normal(size=(20, 3))) for _ in range(2))
+    np.testing.assert_allclose(moved(a, apart(b, a)), b, atol=1e-14)
+    np.testing.assert_allclose(a @ inverted(a), np.tile(np.eye(4), (20, 1, 1)), atol=1e-15)
+    for pose in [*a, *pose_of(np.zeros((2, 3)), np.array([[0.0, np.pi / 2, 0.0], [0.0, -np.pi / 2, 0.0]]))]:
+        x, y, z, alpha, beta, gamma = six_of(pose)
+        again = elementary("rz", alpha) @ elementary("ry", beta) @ elementary("rx", gamma)
+        np.testing.assert_allclose(again[:3, :3], pose[:3, :3], atol=1e-9)
+        np.testing.assert_array_equal(pose[:3, 3], (x, y, z))
+
+
+def test_rotation_vectors_are_in_base_axes():
+    start = pose_of(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]))
+    there = moved(start, np.array([[0.0, 0.0, 0.0, 0.3, 0.0, 0.0]]))
+    expected = Rotation.from_rotvec([0.3, 0.0, 0.0]) * Rotation.from_rotvec([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(there[0, :3, :3], expected.as_matrix(), atol=1e-15)

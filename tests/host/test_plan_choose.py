@@ -1,0 +1,121 @@
+"""Optimal choice: against brute force where that can be done, and the demo's rig against its grid of 800 poses."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from tests.host import plan_bench as bench
+
+from truearm.errors import PlanError
+from truearm.model.chain import point_forward
+from truearm.plan.choose import CRITERIA, as_blocks, choose, condensed, value
+from truearm.plan.forecast import Aim, bar_table, candidate_rows, region_root
+from truearm.plan.region import around, poses_in
+from truearm.plan.shells import candidates, plan_shells
+from truearm.plan.site import Pairing
+
+
+def problem(n=12, width=1, k=3, seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=(n, width, k)) * [3.0, 1.0, 0.5], rng.normal(size=(2, k))
+
+
+def information(rows, chosen):
+    return np.eye(rows.shape[2]) + sum(rows[i].T @ rows[i] for i in chosen)
+
+
+@pytest.mark.parametrize("criterion", ["D", "A", "I"])
+@pytest.mark.parametrize("width", [1, 2])
+def test_the_first_choice_is_the_best_single_one(criterion, width):
+    rows, region = problem(width=width)
+    (first,) = choose(rows, np.eye(3), 1, criterion, region, passes=0)
+    values = [value(information(rows, [i]), criterion, region) for i in range(len(rows))]
+    assert first == np.argmin(values)
+
+
+def test_e_looks_at_the_worst_direction_alone():
+    rows = np.diag([1.0, 50.0, 50.0])[:, None]
+    assert choose(rows, np.diag([0.1, 1.0, 2.0]), 1, "E", passes=0).tolist() == [0]
+    assert choose(rows, np.diag([9.0, 1.0, 2.0]), 1, "E", passes=0).tolist() == [1]
+
+
+@pytest.mark.parametrize("criterion", ["D", "A", "I"])
+def test_after_the_exchange_no_single_swap_helps(criterion):
+    for seed in range(5):
+        rows, region = problem(seed=seed)
+        chosen = choose(rows, np.eye(3), 4, criterion, region, passes=20).tolist()
+        best = value(information(rows, chosen), criterion, region)
+        for old, new in product(chosen, set(range(len(rows))) - set(chosen)):
+            swapped = [new if i == old else i for i in chosen]
+            assert value(information(rows, swapped), criterion, region) >= best - 1e-8 * abs(best)
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_exchange_never_makes_it_worse_and_nothing_is_taken_twice(criterion):
+    rows, region = problem(n=60)
+    greedy = choose(rows, np.eye(3), 20, criterion, region, passes=0)
+    better = choose(rows, np.eye(3), 20, criterion, region, passes=3)
+    assert len(set(better.tolist())) == 20
+    assert value(information(rows, better), criterion, region) <= value(information(rows, greedy), criterion, region)
+
+
+def test_greedy_choices_are_nested():
+    rows, _ = problem(n=40)
+    assert choose(rows, np.eye(3), 20, "D", passes=0)[:7].tolist() == choose(rows, np.eye(3), 7, "D", passes=0).tolist()
+
+
+def test_what_is_known_is_not_measured_again():
+    rows = np.array([[[10.0, 0.0]], [[0.0, 1.0]]])
+    assert choose(rows, np.eye(2), 1)[0] == 0
+    assert choose(rows, np.diag([1e6, 1.0]), 1)[0] == 1
+
+
+def test_rows_with_unknowns_of_their_own_say_what_is_left():
+    """The information on k with u unknowns fitted away is the Schur complement."""
+    rng = np.random.default_rng(1)
+    jac, own = rng.normal(size=(20, 4)), rng.normal(size=(20, 3))
+    left = condensed(jac, own)
+    assert left.shape == (4, 4)
+    schur = jac.T @ jac - jac.T @ own @ np.linalg.inv(own.T @ own) @ own.T @ jac
+    np.testing.assert_allclose(left.T @ left, schur, atol=1e-12)
+    blocks = as_blocks([left, left[:2]])
+    np.testing.assert_allclose(blocks[1].T @ blocks[1], left[:2].T @ left[:2])
+
+
+def test_what_cannot_be_chosen_is_said():
+    rows, _ = problem()
+    for arguments, message in (
+        ((3, "X"), "criterion 'X'"),
+        ((3, "I"), "needs a region"),
+        ((13, "D"), "13 of 12 candidates"),
+        ((0, "D"), "0 of 12"),
+    ):
+        with pytest.raises(PlanError, match=message):
+            choose(rows, np.eye(3), *arguments)
+
+
+@pytest.fixture(scope="module")
+def demo():
+    """5000 candidates on the demo's shells of 46 cm, its grid of 800 there, and its region: where the grid's spheres are."""
+    site, known = bench.site("puma560"), bench.known("puma560")
+    rig = known.rig
+    pairings = [Pairing("bar46", c, s) for c in rig.chucks for s in rig.spheres]
+    found = candidates(site, pairings, 5000, seed=1)
+    grid = plan_shells(known.chain, known.params, rig, "bar46", 800)
+    spheres = np.array([rig.spheres[name].xyz for name in grid.sphere])
+    region = around(point_forward(known.chain, known.params, grid.q, spheres))
+    middle = np.array([0.0, 0.0, 0.04])  # of the three spheres
+    aim = Aim(poses_in(site, region, middle), tuple(rig.spheres))
+    rows, nothing, _ = candidate_rows(known, bar_table(known, found))
+    old, _, _ = candidate_rows(known, bar_table(known, grid))
+    grid_information = nothing + sum(row.T @ row for row in old)
+    return as_blocks(rows), nothing, grid_information, region_root(known, bar_table(known, found), aim)
+
+
+@pytest.mark.parametrize(("criterion", "share"), [("D", 0.60), ("I", 0.40)])
+def test_greedy_choice_does_with_fewer_poses_than_the_grid(demo, criterion, share):
+    rows, nothing, grid, region = demo
+    assert len(rows) >= 5000
+    chosen = choose(rows, nothing, round(share * 800), criterion, region, passes=0)
+    after = nothing + np.einsum("nwk,nwl->kl", rows[chosen], rows[chosen])
+    assert value(after, criterion, region) <= value(grid, criterion, region)
