@@ -88,7 +88,9 @@ def simulate(
     )
     try:
         slow = CHIP_STEP_NS if level == "chip" else None
-        serve(world, box, box_port, robot_end, started=lambda: typer.echo("connected: time starts"), longest_step_ns=slow)
+        serve(
+            world, box, box_port, robot_end, started=lambda: typer.echo("connected: time starts"), longest_step_ns=slow
+        )
         typer.echo("the robot's program has ended")
     finally:
         box.close()
