@@ -128,7 +128,6 @@ class Board:
 
     # -- the link
 
-    @micropython.native
     def receive(self, buf):
         n = 0
         while n < len(buf):
@@ -141,13 +140,11 @@ class Board:
             n += 1
         return n
 
-    @micropython.native
     def send(self, buf, at, n):
         if not self._link_rests():
             return 0
         return self._stdout.write(buf, at, min(n, TX_MAX)) or 0
 
-    @micropython.native
     def _link_rests(self):
         """Whether all that was handed over has been fetched by the host.
 
@@ -207,7 +204,6 @@ class Board:
 
     # -- watchdog, and the ways out
 
-    @micropython.native
     def alive(self):
         if self._watchdog:
             self._watchdog.feed()

@@ -419,14 +419,12 @@ class Adc:
         """How often the converter was set up anew while sampling, since boot. Wraps at 2^30."""
         return self._resets
 
-    @micropython.native
     def _look(self, n):
         found = survey(self._survey, self._ring, self._stamps, self._timer, TABLE, n)
         if self._survey[LOST_CONVERTER] and self.running:
             self._recover()
         return found
 
-    @micropython.native
     def _give_up(self, n):
         """Drop samples before a gap that nobody asks for; the index jumps over them."""
         s = self._survey

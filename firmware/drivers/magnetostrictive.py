@@ -331,7 +331,6 @@ class Magnetostrictive:
         self._pacer.active(0)
         self._pacer.exec(_NOP)  # its side set takes the pin down
 
-    @micropython.native
     def waiting(self):
         n = whole(self._state, self._bases[3], self._counts[1])
         if n <= SHOTS - SPARE:

@@ -38,16 +38,16 @@ A source samples by itself, in hardware, into a buffer of its own:
 
 None of them may allocate but configure, self_test, output, console, reset, to_repl and boot_loader.
 
-What runs at every step is native code (`micropython.native`), for two reasons. It is a little faster; and MicroPython takes the frame of
-a bytecode function from the heap if locals and operands are more than 11 words: it gives it back, so nothing grows, but looking for room
-took 2 to 3 ms a block. A native function's frame is on the stack. tests/chip/test_speed.py holds it; docs/benchmarks.md has the figures.
+Functions of the way of samples that need many words are native code (`micropython.native`): MicroPython takes the frame of a bytecode
+function from the heap if locals and operands are more than 11 words. It gives it back, so nothing grows, but looking for room took 2 to 3
+ms a block; a native function's frame is on the stack. tests/chip/test_speed.py holds it; docs/benchmarks.md has the figures. Not all is
+native: as files on a stock MicroPython the code is in the heap, and native code is twice as long.
 """
 
 import gc
 import io
 import sys
 
-from truearm_wire.fast import micropython
 from truearm_wire.frame import Splitter
 from truearm_wire.messages import BOOT_LOADER, EVENT, RESET
 
@@ -84,7 +84,6 @@ class Box:
         self.ended = False  # the host asked for MicroPython's prompt
         self.commands.identify(0)  # the ident that every boot sends
 
-    @micropython.native
     def step(self):
         """One pass: samples into the ring, at most one frame onto the link. Returns whether there was anything to do."""
         start = self._board.ticks()
@@ -107,7 +106,6 @@ class Box:
         self.health.loop(self._board.ticks_diff(self._board.ticks(), start))
         return busy
 
-    @micropython.native
     def _next_frame(self):
         """Begin the most urgent frame. Answers first: they carry times; blocks can wait in the ring."""
         if self.commands.pending():
@@ -132,7 +130,6 @@ class Box:
             return True
         return self.commands.send_deferred()
 
-    @micropython.native
     def _receive(self):
         """Read what came until a frame is whole, and handle it."""
         while True:
@@ -148,7 +145,6 @@ class Box:
                 return False
             self._board.now(self._t1)
 
-    @micropython.native
     def _keep_edges(self):
         """Edges get their full time at once: later their stamps could have wrapped. Returns whether more may wait."""
         for _ in range(EDGES_A_STEP):

@@ -65,7 +65,6 @@ class Commands:
         self.mode = 0  # of a reset
         self.bad = 0  # frames that were whole but no command
 
-    @micropython.native
     def pending(self):
         """Whether pages of an answer wait."""
         return self._page < len(self._pages)

@@ -7,7 +7,7 @@ board's buffers and the ring bridge them. On a link that is never idle `make_roo
 
 import gc
 
-from truearm_wire.fast import add, copy, less, micropython
+from truearm_wire.fast import add, copy, less
 from truearm_wire.messages import HEARTBEAT
 
 COMMANDS = (
@@ -36,12 +36,10 @@ class Health:
         self.gc_max_us = 0
         self._commands = 1  # that were handled since the last collection
 
-    @micropython.native
     def loop(self, us):
         if us > self.loop_max_us:
             self.loop_max_us = us
 
-    @micropython.native
     def due(self):
         """Whether a heartbeat is due; the next one is then due a second later."""
         self._board.now(self._now)
@@ -51,7 +49,6 @@ class Health:
             add(self._due, 0, 8, 1000000)
         return True
 
-    @micropython.native
     def show(self, running, troubled, held):
         """Set the LED; `held`: the link has not taken a frame whole yet."""
         if troubled:
@@ -64,7 +61,6 @@ class Health:
             self._board.led(code)
             self._shown = code
 
-    @micropython.native
     def _host_gone(self, held):
         if held:
             self._board.now(self._time)

@@ -5,7 +5,7 @@ for the ring's data frames); until the link has taken all of it no other can be 
 """
 
 from truearm_wire.cbor import put_head, put_int
-from truearm_wire.fast import add, copy, micropython
+from truearm_wire.fast import add, copy
 from truearm_wire.frame import FRAME_MAX, HEAD, close
 
 from .ring import COUNTER
@@ -24,12 +24,10 @@ class Link:
         self.sent = 0
         self.short_writes = 0
 
-    @micropython.native
     def free(self):
         """Whether a frame can be begun."""
         return self._at == self._stop
 
-    @micropython.native
     def pump(self):
         """Give the link what it takes of the frame being sent. Returns whether it took anything."""
         left = self._stop - self._at
@@ -45,7 +43,6 @@ class Link:
             self.short_writes = (self.short_writes + 1) & COUNTER
         return taken > 0
 
-    @micropython.native
     def put_seq(self, buf, at):
         """Write the next sequence number as a u32 into a payload; return the offset behind it."""
         buf[at] = 0x1A
@@ -84,7 +81,6 @@ class Link:
         """Send the frame that was begun."""
         self.send_built(self._own, 0, self._end)
 
-    @micropython.native
     def send_built(self, buf, at, end):
         """Send the payload buf[at + HEAD:end], framed in place."""
         self._buf = buf

@@ -8,41 +8,46 @@ from array import array
 from truearm_wire.fast import add, copy, extend, less, micropython
 
 COUNTER = (1 << 30) - 1  # counters wrap there (SPEC §4): beyond, an integer would be allocated at every step
+SLOTS_LEAST = 64  # 0.6 s of both streams at 1 kHz
 SLOT = 252  # the longest data frame (13 samples of 4 x 32 bit) has 251 bytes
 
 
 class Ring:
     def __init__(self, slots):
-        """`slots` frames fit; one slot more takes what is thrown away while the ring is full."""
-        self.buf = bytearray((slots + 1) * SLOT)
+        """`slots` frames fit, or fewer if memory is short; one slot more takes what is thrown away while the ring is full."""
+        while True:
+            try:
+                self.buf = bytearray((slots + 1) * SLOT)
+                break
+            except (
+                MemoryError
+            ):  # as files on a stock MicroPython the code is in the heap too, and leaves no such piece free
+                if slots < SLOTS_LEAST:
+                    raise
+                slots = slots * 3 // 4
         self._ends = array("H", bytearray(2 * (slots + 1)))  # end of the payload in each slot, relative to it
         self._slots = slots
         self._head = 0  # slot that is filled next
         self.used = 0
         self.overruns = 0  # samples that were lost in the box
 
-    @micropython.native
     def full(self):
         return self.used == self._slots
 
-    @micropython.native
     def claim(self):
         """Offset of the slot to fill next; the spare one while the ring is full."""
         return (self._slots if self.used == self._slots else self._head) * SLOT
 
-    @micropython.native
     def commit(self, end):
         """The claimed slot holds a payload that ends at offset `end` of the buffer. Only when the ring was not full."""
         self._ends[self._head] = end - self._head * SLOT
         self._head = (self._head + 1) % self._slots
         self.used += 1
 
-    @micropython.native
     def oldest(self):
         """Offset of the oldest slot."""
         return ((self._head - self.used) % self._slots) * SLOT
 
-    @micropython.native
     def oldest_end(self):
         """Offset behind the oldest slot's payload."""
         slot = (self._head - self.used) % self._slots

@@ -46,7 +46,6 @@ class Streams:
         self.mag.flush()
         self.running = False
 
-    @micropython.native
     def pull(self):
         """Move at most one block of each source into the ring. Returns whether there was one."""
         adc = self.adc.pull()
@@ -108,7 +107,6 @@ class Stream:
             self._pull_block(rest)
         self._on = False
 
-    @micropython.native
     def pull(self):
         if not self._on:
             return False

@@ -82,8 +82,8 @@ export class Pico {
   }
 
   /**
-   * Let the firmware raise a RuntimeError at the next bytecode: as if the interpreter itself had called mp_raise_msg. `symbols`: of
-   * the image, {name: [address, size]}.
+   * Let the firmware raise a RuntimeError where it looks up a method next: as if mp_load_method had called mp_raise_msg, which it does
+   * when there is none, so whatever called it is ready for that. `symbols`: of the image, {name: [address, size]}.
    */
   raiseInFirmware(symbols) {
     this.injected = symbols;
@@ -91,8 +91,7 @@ export class Pico {
 
   #raise() {
     const { core } = this.chip;
-    const [from, size] = this.injected.mp_execute_bytecode;
-    if (core.PC < from || core.PC >= from + size || core.IPSR || core.PM) return;
+    if (core.PC !== (this.injected.mp_load_method[0] & ~1) || core.IPSR || core.PM) return;
     core.registers[0] = this.injected.mp_type_RuntimeError[0];
     core.registers[1] = TEXT;
     core.PC = this.injected.mp_raise_msg[0] & ~1;
@@ -114,7 +113,7 @@ export class Pico {
       if (core.interruptsUpdated && core.checkForInterrupts()) core.waiting = false;
       if (core.waiting) this.#passTo(Math.min(clock.dueNs, pio.nextNs, untilNs));
       else {
-        cpu.run(untilNs);
+        cpu.run(this.injected ? clock.nanosCounter + 1 : untilNs); // while one waits, instruction by instruction
         const after = clock.nanosCounter;
         clock.nanosCounter = Math.min(after, clock.dueNs, pio.nextNs); // what falls into the last instruction has its own time
         this.#passTo(after);
