@@ -23,8 +23,9 @@ from truearm.errors import RobotError
 from truearm.model.chain import joint_frames, joint_jacobian, point_jacobians
 from truearm.types import Floats
 
-SAMPLES = 400  # of each of the two joints
-FLAT = 1e-6  # m: by how much the nominal end may leave the plane
+COARSE = 40  # samples of each of the two joints, to see how far the arm reaches
+FINEST = 400  # 160,000 joint vectors, some 150 MB on the way
+A_CELL = 2.0  # samples at least, along the arc of the arm's reach
 MOVES = 1e-6  # m by a null direction whose largest weight is 1
 STRETCHED = 1e-3  # m²/rad²: below, elbow up and down are hardly told apart
 
@@ -66,7 +67,7 @@ def error_map(
     Raises RobotError where the two joints do not turn about parallel axes across which the end lies.
     """
     axes = _plane(pair, q, joints)
-    samples = _samples(pair, q, joints)
+    samples = _samples(pair, q, joints, _fine_enough(pair, q, joints, cell))
     points = told(pair, samples)[:, :3, 3]
     kept = _elbow(pair, samples, joints, axes, elbow_up)
     samples, points = samples[kept], points[kept]
@@ -107,13 +108,22 @@ def _plane(pair: Pair, q: Floats, joints: tuple[int, int]) -> Floats:
     return np.stack([u if u[np.abs(u).argmax()] > 0.0 else -u, v])
 
 
-def _samples(pair: Pair, q: Floats, joints: tuple[int, int]) -> Floats:
+def _fine_enough(pair: Pair, q: Floats, joints: tuple[int, int], cell: float) -> int:
+    """How many samples of each joint leave no cell between them empty."""
+    coarse = _samples(pair, q, joints, COARSE)
+    shoulder = joint_frames(pair.chain, pair.nominal, coarse)[:, joints[0], :3, 3]
+    reach = float(np.linalg.norm(told(pair, coarse)[:, :3, 3] - shoulder, axis=1).max())
+    widest = float(np.ptp(coarse[:, list(joints)], axis=0).max())
+    return int(np.clip(A_CELL * widest * reach / cell, COARSE, FINEST))
+
+
+def _samples(pair: Pair, q: Floats, joints: tuple[int, int], count: int) -> Floats:
     ranges = []
     for i in joints:
         joint = pair.chain.joints[i]
         first = joint.lower if np.isfinite(joint.lower) else -np.pi
-        ranges.append(np.linspace(first, min(joint.upper, first + 2.0 * np.pi), SAMPLES))
-    samples = np.tile(q, (SAMPLES * SAMPLES, 1))
+        ranges.append(np.linspace(first, min(joint.upper, first + 2.0 * np.pi), count))
+    samples = np.tile(q, (count * count, 1))
     samples[:, joints[0]], samples[:, joints[1]] = (axis.ravel() for axis in np.meshgrid(*ranges))
     return samples
 
