@@ -116,8 +116,13 @@ def test_corrected_targets_land_where_they_should(bench, capsys):
 @pytest.mark.parametrize("name", ["program.mod", "program.script"])
 def test_a_corrected_program_lands_where_it_should(bench, capsys, name):
     given, out = bench.folder / name, bench.folder / f"corrected-{name}"
-    code, _, _ = run(capsys, "correct", bench.folder / "result.json", given, "--out", out, "--home", home(bench))
-    assert code == 0
+    residuals = bench.folder / "residuals.csv"
+    more = ("--home", home(bench), "--residuals", residuals)
+    code, _, err = run(capsys, "correct", bench.folder / "result.json", given, "--out", out, *more)
+    assert code == 0, err
+    rows = list(csv.DictReader(residuals.open()))
+    assert [int(row["line"]) for row in rows] == [target.line for target in read_program(given).targets]
+    assert all(float(row["before_mm"]) > 5.0 and float(row["after_mm"]) < 1e-5 for row in rows)
     before, after = read_program(given), read_program(out)
     assert miss(lands(controller(poses_of(after), bench.q)), poses_of(before)) < 0.35e-3
     marks = "\r", "[9E9", "Caf\xe9", ";", "movel", "a=1.2"
