@@ -304,3 +304,18 @@ def test_what_was_not_seen_is_said(tmp_path, capsys):
     assert "did not see move the end" in said
     assert "searched for" not in said
     assert max(float(row["after_mm"]) for row in csv.DictReader(out.open())) < 1e-5
+
+
+def test_positions_without_joints_are_found_where_there_is_room(bench, capsys):
+    """How the tool is turned is free: no target is lost to a limit or a singularity that another turn avoids."""
+    rows = "\n".join(",".join(map(repr, row)) for row in (1e3 * bench.targets[:, :3, 3]).tolist())
+    (bench.folder / "positions.csv").write_text("x_mm,y_mm,z_mm\n" + rows)
+    out = bench.folder / "positions-out.csv"
+    given = ("correct", bench.folder / "result.json", bench.folder / "positions.csv", "--out")
+    code, said, err = run(capsys, *given, out)
+    assert code == 0, err
+    assert "searched for" in said
+    assert miss(lands(parse_targets(out.read_text(), "t", ("rad",) * 6).q_start), bench.targets) < 0.35e-3
+    code, _, err = run(capsys, *given, "-")
+    assert code == 2
+    assert "no file name" in err

@@ -12,6 +12,7 @@ import numpy as np
 
 from truearm.commands.calibration import (
     Calibration,
+    check_names,
     chosen_mountings,
     joints_of,
     mounting_lines,
@@ -82,6 +83,7 @@ def correct_file(result: Path, targets: Path, out: Path, choice: Choice) -> list
 
     Raises InputError in one line, and then writes nothing.
     """
+    check_names(result, targets, out, choice.residuals)
     program = is_program(targets)
     read = [result, targets, *filter(None, [robot_file(choice.robot) if choice.robot else None])]
     check_writable(out, inputs=read, ours=None if program else looks_like_targets)
