@@ -81,6 +81,7 @@ def test_lines_are_planned(folder, capsys):
         (["--reserve-mm", "37"], "lower --reserve-mm or --spread-mm"),
         (["--result", "missing.json"], "missing.json"),
         (["--measured", "missing.csv"], "missing.csv"),
+        (["--out", "-"], "-: is no file name"),
         (["--program", "x.txt"], "no program is written as '.txt'"),
         (["--poses", "5000"], "5000 of"),
         (["--criterion", "Q"], "'Q'"),

@@ -261,6 +261,8 @@ def _check_outputs(read: list[Any], out: Path | None, programs: list[Path]) -> N
     from truearm.files.disk import check_writable
     from truearm.plan.programs import check_suffix
 
+    if out == Path("-"):
+        raise InputError("-: is no file name; --json prints the forecast to standard output")
     for path in programs:
         check_suffix(path.suffix.lower())
     inputs = [Path(path) for path in read if path is not None and Path(path).exists()]
