@@ -31,7 +31,7 @@ def write(path: Path, estimate: Estimate) -> Path:
 
 
 def good_poses(n: int, seed: int = 2) -> np.ndarray:
-    """(n, 6) joint vectors on the calibrated shells, 10 mm and more from any limit or singularity."""
+    """(n, 6) joint vectors on the calibrated shells, well away from limits and singularities, in order of a visit."""
     rng = np.random.default_rng(seed)
     parts = [
         shell_poses(CHUCKS[f"c{i}"], SPHERES[f"s{i}"], 0.46 + 0.15 * (i % 2), max(400, 10 * n), rng) for i in range(3)

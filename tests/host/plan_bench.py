@@ -17,6 +17,7 @@ from truearm.types import BallBar, Point, Rig
 from truearm_sim.world import standard_rig
 
 SIGMA = 84e-6  # m
+N_POSES = 54
 
 
 def triangle(prefix, centre, radius):
@@ -54,7 +55,7 @@ def site(name):
 
 
 @cache
-def planned(name, n=60, n_candidates=270):
+def planned(name, n=N_POSES, n_candidates=200):
     rig = RIGS[name]
     return plan_ballbar(
         site(name), known(name), all_pairings(rig), Wanted(n_poses=n, n_candidates=n_candidates), Pace()

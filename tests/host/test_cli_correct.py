@@ -116,8 +116,13 @@ def test_corrected_targets_land_where_they_should(bench, capsys):
 @pytest.mark.parametrize("name", ["program.mod", "program.script"])
 def test_a_corrected_program_lands_where_it_should(bench, capsys, name):
     given, out = bench.folder / name, bench.folder / f"corrected-{name}"
-    code, _, _ = run(capsys, "correct", bench.folder / "result.json", given, "--out", out, "--home", home(bench))
-    assert code == 0
+    residuals = bench.folder / "residuals.csv"
+    more = ("--home", home(bench), "--residuals", residuals)
+    code, _, err = run(capsys, "correct", bench.folder / "result.json", given, "--out", out, *more)
+    assert code == 0, err
+    rows = list(csv.DictReader(residuals.open()))
+    assert [int(row["line"]) for row in rows] == [target.line for target in read_program(given).targets]
+    assert all(float(row["before_mm"]) > 5.0 and float(row["after_mm"]) < 1e-5 for row in rows)
     before, after = read_program(given), read_program(out)
     assert miss(lands(controller(poses_of(after), bench.q)), poses_of(before)) < 0.35e-3
     marks = "\r", "[9E9", "Caf\xe9", ";", "movel", "a=1.2"
@@ -299,3 +304,18 @@ def test_what_was_not_seen_is_said(tmp_path, capsys):
     assert "did not see move the end" in said
     assert "searched for" not in said
     assert max(float(row["after_mm"]) for row in csv.DictReader(out.open())) < 1e-5
+
+
+def test_positions_without_joints_are_found_where_there_is_room(bench, capsys):
+    """How the tool is turned is free: no target is lost to a limit or a singularity that another turn avoids."""
+    rows = "\n".join(",".join(map(repr, row)) for row in (1e3 * bench.targets[:, :3, 3]).tolist())
+    (bench.folder / "positions.csv").write_text("x_mm,y_mm,z_mm\n" + rows)
+    out = bench.folder / "positions-out.csv"
+    given = ("correct", bench.folder / "result.json", bench.folder / "positions.csv", "--out")
+    code, said, err = run(capsys, *given, out)
+    assert code == 0, err
+    assert "searched for" in said
+    assert miss(lands(parse_targets(out.read_text(), "t", ("rad",) * 6).q_start), bench.targets) < 0.35e-3
+    code, _, err = run(capsys, *given, "-")
+    assert code == 2
+    assert "no file name" in err

@@ -158,3 +158,26 @@ def test_bad_requests_are_one_line(result, tmp_path, run):
         code, said, err = run(*arguments)
         assert (code, said, err.count("\n")) == (2, "", 1), err
         assert says in err
+
+
+@pytest.mark.parametrize("cell", [0.012, 0.05])
+def test_a_map_has_no_holes_and_its_cells_are_at_their_middles(cell):
+    """An empty cell between four full ones would be one that the search has missed."""
+    found = error_map(Pair(CHAIN, DESIGN, TRUTH), np.zeros(6), (1, 2), cell, np.zeros((P, P)), NONE)
+    full = ~np.isnan(found.error)
+    inner = full[:-2, 1:-1] & full[2:, 1:-1] & full[1:-1, :-2] & full[1:-1, 2:]
+    assert inner.sum() > 500
+    assert full[1:-1, 1:-1][inner].all()
+    off = (
+        found.point[1:-1, 1:-1][inner] @ found.axes.T
+        - np.stack(np.meshgrid(found.u, found.v), axis=-1)[1:-1, 1:-1][inner]
+    )
+    assert np.mean(np.abs(off).max(axis=1) < 2e-3 * cell) > 0.99  # at the rim a middle may be out of reach
+    lower, upper = (np.array([getattr(joint, end) for joint in CHAIN.joints]) for end in ("lower", "upper"))
+    assert ((found.q[full] >= lower) & (found.q[full] <= upper)).all()
+
+
+def test_too_many_cells_are_refused(result, run):
+    code, _, err = run("map", result, "--cell", "1")
+    assert code == 2
+    assert "choose larger ones" in err

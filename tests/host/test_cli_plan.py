@@ -71,6 +71,9 @@ def test_lines_are_planned(folder, capsys):
     ("change", "message"),
     [
         (["--minutes", "5"], "give a budget"),
+        (["--spread-mm", "nan"], "--spread-mm"),
+        (["--dwell-s", "inf"], "--dwell-s"),
+        (["--robot", "ulb"], "--branch LOW:HIGH"),
         (["--region", "1:2"], "--region '1:2'"),
         (["--region", "5000:5001,0:1,0:1"], "reaches no place of the region"),
         (["--bar", "nope"], "bar 'nope' is not in the rig"),
@@ -78,6 +81,7 @@ def test_lines_are_planned(folder, capsys):
         (["--reserve-mm", "37"], "lower --reserve-mm or --spread-mm"),
         (["--result", "missing.json"], "missing.json"),
         (["--measured", "missing.csv"], "missing.csv"),
+        (["--out", "-"], "-: is no file name"),
         (["--program", "x.txt"], "no program is written as '.txt'"),
         (["--poses", "5000"], "5000 of"),
         (["--criterion", "Q"], "'Q'"),

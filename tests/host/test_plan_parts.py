@@ -18,7 +18,7 @@ from truearm.plan.programs import Signals, program
 from truearm.plan.route import Stop, plain
 from truearm.plan.shapes import segment_distance
 from truearm.plan.shells import candidates
-from truearm.plan.site import Pairing, allowed, bar_length
+from truearm.plan.site import Pairing, allowed, bar_vectors
 from truearm.plan.way import onto_shell, samples, way_with_bar, way_without_bar
 
 coordinate = st.floats(-1.0, 1.0).map(lambda v: round(v, 3))
@@ -44,7 +44,7 @@ def test_a_way_comes_back_onto_the_shell():
     q = candidates(site, [pairing], 12).q
     middle = onto_shell(site, 0.5 * (q[0] + q[-1]), pairing)
     bar, mounted = pairing.of(site.rig)
-    assert abs(bar_length(site, middle[None], mounted)[0] - bar.zero) < 1e-9
+    assert abs(np.linalg.norm(bar_vectors(site, middle[None], mounted)[0]) - bar.zero) < 1e-9
     assert way_with_bar(site, q[0], q[0], pairing).shape == (0, 6)
 
 

@@ -60,6 +60,12 @@ def read_calibration(result: Path, robot: str | None, base: str | None = None, t
     return Calibration(chain, nominal, identified, joint_units(chain), robot, stored)
 
 
+def check_names(*paths: Path | None) -> None:
+    """Raise InputError for "-": neither standard input nor standard output is meant by any of these."""
+    if Path("-") in paths:
+        raise InputError("-: is no file name; standard input and output are not used, give files")
+
+
 def chosen_mountings(calibration: Calibration, own_frames: bool) -> Mountings:
     """The mountings to take out: the calibration's, or none."""
     return mountings(calibration.chain, calibration.nominal, calibration.identified) if own_frames else NONE

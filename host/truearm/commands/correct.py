@@ -62,6 +62,9 @@ def correct(
             metavar="Q1,Q2,...", help="Joints near those of the first target, to choose the configuration [deg, mm]."
         ),
     ] = None,
+    residuals: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write every target's error before and after as a table (.csv).")
+    ] = None,
     margin: Annotated[
         float, typer.Option(min=1e-4, max=1.0, metavar="SIGMA", help="Refuse targets nearer to a singularity.")
     ] = 0.05,
@@ -76,6 +79,6 @@ def correct(
     """
     from truearm.commands.correcting import Choice, correct_file
 
-    choice = Choice(robot, base, tip, method.value, steps, own_frames, work, tool, home, margin)
+    choice = Choice(robot, base, tip, method.value, steps, own_frames, work, tool, home, margin, residuals)
     for line in correct_file(result, targets, out, choice):
         typer.echo(line)

@@ -12,6 +12,7 @@ import numpy as np
 
 from truearm.commands.calibration import (
     Calibration,
+    check_names,
     chosen_mountings,
     joints_of,
     mounting_lines,
@@ -52,6 +53,7 @@ class Choice(NamedTuple):
     tool: str | None
     home: str | None
     margin: float
+    residuals: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,7 @@ def correct_file(result: Path, targets: Path, out: Path, choice: Choice) -> list
 
     Raises InputError in one line, and then writes nothing.
     """
+    check_names(result, targets, out, choice.residuals)
     program = is_program(targets)
     read = [result, targets, *filter(None, [robot_file(choice.robot) if choice.robot else None])]
     check_writable(out, inputs=read, ours=None if program else looks_like_targets)
@@ -88,7 +91,11 @@ def correct_file(result: Path, targets: Path, out: Path, choice: Choice) -> list
         raise InputError(f"{out}: exists; a program is only written under a new name")
     calibration = read_calibration(result, choice.robot, choice.base, choice.tip)
     request = _request(calibration, choice)
+    if choice.residuals is not None:
+        check_writable(choice.residuals, inputs=[*read, out], ours=looks_like_targets)
     found = _correct_program(targets, out, request) if program else _correct_table(targets, out, request)
+    if choice.residuals is not None:
+        write_atomic(choice.residuals, _residuals(found, "line" if program else "row"))
     return _summary(found, calibration, choice.own_frames, out)
 
 
@@ -209,6 +216,16 @@ def _doubts(calibration: Calibration, q: Floats, own_frames: bool) -> list[str]:
             f"these are as described, not as measured.{remedy}"
         )
     return doubts
+
+
+def _residuals(found: _Corrected, what: str) -> str:
+    """One row a target; no angles where only positions matter."""
+    lines = [f"{what},before_mm,after_mm,before_deg,after_deg"]
+    for place, before, after in zip(found.places, found.correction.before, found.correction.after, strict=True):
+        lengths = [f"{1e3 * error[0]:.6f}" for error in (before, after)]
+        angles = [f"{math.degrees(error[1]):.6f}" if math.isfinite(error[1]) else "" for error in (before, after)]
+        lines.append(",".join([place, *lengths, *angles]))
+    return "\n".join([*lines, ""])
 
 
 def _cells(before: Floats, after: Floats) -> str:

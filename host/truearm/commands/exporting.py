@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from truearm.commands.calibration import Calibration, mounting_lines, read_calibration
+from truearm.commands.calibration import Calibration, check_names, mounting_lines, read_calibration
 from truearm.commands.choice import free_parameters
 from truearm.commands.terminal import one_line
 from truearm.errors import InputError
@@ -42,6 +42,7 @@ class Choice(NamedTuple):
 
 def export_file(result: Path, out: Path, choice: Choice) -> list[str]:
     """Write the calibrated robot; returns what is to be said of it. Raises InputError in one line, and writes nothing."""
+    check_names(result, out, choice.over)
     robot = robot_file(choice.robot) if choice.robot else None
     check_writable(out, inputs=[result, *filter(None, [robot, choice.over])], ours=_looks_like_ours)
     calibration = read_calibration(result, choice.robot, choice.base, choice.tip)

@@ -11,7 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from truearm.commands.calibration import Calibration, chosen_mountings, joints_of, read_calibration, uncertainty_of
+from truearm.commands.calibration import (
+    Calibration,
+    check_names,
+    chosen_mountings,
+    joints_of,
+    read_calibration,
+    uncertainty_of,
+)
 from truearm.commands.terminal import one_line
 from truearm.correct.error_map import ErrorMap, Region, best_region, error_map
 from truearm.correct.pair import Pair
@@ -40,6 +47,7 @@ class Choice(NamedTuple):
 
 def map_files(result: Path, out: Path | None, picture: Path | None, choice: Choice) -> list[str]:
     """Write what was asked for; returns what is to be said. Raises InputError in one line."""
+    check_names(result, out, picture)
     read = [result, *filter(None, [robot_file(choice.robot) if choice.robot else None])]
     if out is not None:
         check_writable(out, inputs=read, ours=lambda head: not head.strip() or head.startswith(MARK.encode()))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -129,6 +130,7 @@ def ballbar(
     from truearm.plan.way import Pace
 
     _check_outputs([robot, rig, *(measured or []), result], out, program or [])
+    _check_finite(minutes=minutes, reserve_mm=reserve_mm, spread_mm=spread_mm, dwell_s=dwell_s)
     if (poses is None) == (minutes is None):
         raise InputError("give a budget: --poses N or --minutes M")
     known = _known(robot, rig, result, measured or [])
@@ -208,6 +210,7 @@ def line(
     from truearm.plan.way import Pace
 
     _check_outputs([robot, rig, *(measured or []), result], out, program or [])
+    _check_finite(length_mm=length_mm, transverse_mm=transverse_mm, dwell_s=dwell_s)
     known = _known(robot, rig, result, measured or [])
     site = make_site(known, branch_of(known.chain, branch), Limits(), Sizes(), seed)
     wanted = LinesWanted(
@@ -258,12 +261,21 @@ def _check_outputs(read: list[Any], out: Path | None, programs: list[Path]) -> N
     from truearm.files.disk import check_writable
     from truearm.plan.programs import check_suffix
 
+    if out == Path("-"):
+        raise InputError("-: is no file name; --json prints the forecast to standard output")
     for path in programs:
         check_suffix(path.suffix.lower())
     inputs = [Path(path) for path in read if path is not None and Path(path).exists()]
     outputs = [*([out] if out else []), *programs]
     for i, path in enumerate(outputs):
         check_writable(path, inputs=[*inputs, *outputs[:i]])
+
+
+def _check_finite(**given: float | None) -> None:
+    """typer's bounds let nan and inf pass."""
+    for name, value in given.items():
+        if value is not None and not math.isfinite(value):
+            raise InputError(f"--{name.replace('_', '-')} must be a finite number, is {value}")
 
 
 def _known(robot: str, rig: Path, result: Path | None, measured: list[Path]) -> Known:

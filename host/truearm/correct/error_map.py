@@ -3,7 +3,8 @@
     e(q) = ‖f_i(q) − f_n(q)‖                                  (31)
 
 Two joints with parallel axes move the end in a plane; all others stand still (Fig. 5: θ_1 = θ_4 = θ_6 = 0, elbow up). The
-plane is cut into square cells, and each takes the joint vector that brings the nominal end nearest to its middle. Elbow up
+plane is cut into square cells, and each takes the joint vector that brings the nominal end to its middle; where the middle is
+out of reach, one that brings it into the cell, if one is known. Elbow up
 and down are told apart by the sign of the plane's Jacobian ∂(u, v)/∂(q_a, q_b): between them the arm is stretched.
 
 The map's own uncertainty: with the parameters' covariance P the identified end has the mean square error tr(J P Jᵀ).
@@ -12,19 +13,22 @@ Where a direction that the observations did not see would move the end, no figur
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
+from truearm.correct.inverse import within
 from truearm.correct.pair import Pair, reached, told
 from truearm.errors import RobotError
 from truearm.model.chain import joint_frames, joint_jacobian, point_jacobians
 from truearm.types import Floats
 
-SAMPLES = 400  # of each of the two joints
-FLAT = 1e-6  # m: by how much the nominal end may leave the plane
+SAMPLES = 100  # of each of the two joints: cells to begin with
+MOST_CELLS = 250_000
+NEWTON_STEPS = 6  # from a neighbour a cell away it squares its error, 25 mm, down to rounding
+LARGEST_STEP = 0.3  # rad
 MOVES = 1e-6  # m by a null direction whose largest weight is 1
 STRETCHED = 1e-3  # m²/rad²: below, elbow up and down are hardly told apart
 
@@ -67,26 +71,61 @@ def error_map(
     """
     axes = _plane(pair, q, joints)
     samples = _samples(pair, q, joints)
-    points = told(pair, samples)[:, :3, 3]
-    kept = _elbow(pair, samples, joints, axes, elbow_up)
-    samples, points = samples[kept], points[kept]
-    flat = points @ axes.T
+    side = _elbow(pair, samples, joints, axes, elbow_up)
+    samples = samples[side * _sides(pair, samples, joints, axes) > STRETCHED]
+    flat = told(pair, samples)[:, :3, 3] @ axes.T
     low = np.floor(flat.min(axis=0) / cell) * cell
     at = np.floor((flat - low) / cell).astype(int)
-    size = at.max(axis=0) + 1
-    off = np.linalg.norm(flat - low - (at + 0.5) * cell, axis=1)
-    order = np.lexsort((off, at[:, 0], at[:, 1]))
-    place = at[order, 1] * size[0] + at[order, 0]
-    _, first = np.unique(place, return_index=True)
-    chosen = order[first]
-    grid = at[chosen, 1], at[chosen, 0]
-    shape = (int(size[1]), int(size[0]))
-    q_grid, point, error, sigma = (np.full((*shape, *more), np.nan) for more in ((q.size,), (3,), (), ()))
-    q_grid[grid], point[grid] = samples[chosen], points[chosen]
-    error[grid] = np.linalg.norm(reached(pair, samples[chosen])[:, :3, 3] - points[chosen], axis=1)
-    sigma[grid] = _sigma(pair, samples[chosen], covariance, unseen)
-    u, v = (low[i] + cell * (np.arange(size[i]) + 0.5) for i in (0, 1))
+    u, v = (low[i] + cell * (np.arange(at[:, i].max() + 1) + 0.5) for i in (0, 1))
+    if u.size * v.size > MOST_CELLS:
+        raise RobotError(f"the section has {u.size} × {v.size} cells, the most is {MOST_CELLS}; choose larger ones")
+    q_grid = np.full((v.size, u.size, q.size), np.nan)
+    q_grid[at[:, 1], at[:, 0]] = samples
+    middles = np.stack(np.meshgrid(u, v), axis=-1)
+    _spread(lambda start, goal: _reach(pair, start, goal, joints, axes, side, cell), q_grid, middles)
+    full = np.nonzero(~np.isnan(q_grid[..., 0]))
+    point, error, sigma = (np.full((v.size, u.size, *more), np.nan) for more in ((3,), (), ()))
+    point[full] = told(pair, q_grid[full])[:, :3, 3]
+    error[full] = np.linalg.norm(reached(pair, q_grid[full])[:, :3, 3] - point[full], axis=1)
+    sigma[full] = _sigma(pair, q_grid[full], covariance, unseen)
     return ErrorMap(u, v, axes, q_grid, point, error, sigma)
+
+
+def _spread(reach: Callable[[Floats, Floats], Floats], q: Floats, middles: Floats) -> None:
+    """Move the joints of every cell (l, k, j) to its middle, and go from there to neighbours that are empty yet.
+
+    ``reach`` gives the joints at which the end is at a goal, starting near by, NaN where it cannot be.
+    """
+    full = np.nonzero(~np.isnan(q[..., 0]))
+    moved = reach(q[full], middles[full])
+    q[full] = np.where(np.isnan(moved), q[full], moved)
+    fresh = ~np.isnan(q[..., 0])
+    while fresh.any():
+        start, fresh = np.where(fresh[..., None], q, np.nan), np.zeros_like(fresh)
+        for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
+            beside = np.full_like(q, np.nan)
+            to, of = [slice(None)] * 2, [slice(None)] * 2
+            to[axis], of[axis] = (slice(1, None), slice(None, -1))[::step]
+            beside[tuple(to)] = start[tuple(of)]
+            empty = np.nonzero(np.isnan(q[..., 0]) & ~np.isnan(beside[..., 0]))
+            q[empty] = reach(beside[empty], middles[empty])
+            fresh[empty] = ~np.isnan(q[empty][:, 0])
+
+
+def _reach(
+    pair: Pair, start: Floats, goal: Floats, joints: tuple[int, int], axes: Floats, side: float, cell: float
+) -> Floats:
+    """Joints (n, j) that bring the nominal end to places (n, 2) of the plane, by Newton's method in the two joints."""
+    q, two = start.copy(), list(joints)
+    for _ in range(NEWTON_STEPS):
+        error = goal - told(pair, q)[:, :3, 3] @ axes.T
+        jac = axes @ joint_jacobian(pair.chain, pair.nominal, q)[:, :3, two]
+        square = jac @ jac.swapaxes(1, 2) + 1e-12 * np.eye(2)
+        step = (jac.swapaxes(1, 2) @ np.linalg.solve(square, error[..., None]))[..., 0]
+        q[:, two] += np.clip(step, -LARGEST_STEP, LARGEST_STEP)
+    missed = np.abs(goal - told(pair, q)[:, :3, 3] @ axes.T).max(axis=1, initial=0.0)
+    good = (missed < 1e-3 * cell) & within(pair.chain, q) & (side * _sides(pair, q, joints, axes) > STRETCHED)
+    return np.where(good[:, None], q, np.nan)
 
 
 def _plane(pair: Pair, q: Floats, joints: tuple[int, int]) -> Floats:
@@ -118,22 +157,24 @@ def _samples(pair: Pair, q: Floats, joints: tuple[int, int]) -> Floats:
     return samples
 
 
-def _elbow(pair: Pair, samples: Floats, joints: tuple[int, int], axes: Floats, up: bool) -> NDArray[np.bool_]:
-    """Mask (n,) of one configuration: of both the one whose elbow lies, on the whole, higher (lower)."""
-    jac = axes @ joint_jacobian(pair.chain, pair.nominal, samples)[:, :3, list(joints)]
-    side = np.linalg.det(jac)
+def _sides(pair: Pair, q: Floats, joints: tuple[int, int], axes: Floats) -> Floats:
+    """(n,) m²/rad², the determinant of the plane's Jacobian."""
+    jac = axes @ joint_jacobian(pair.chain, pair.nominal, q)[:, :3, list(joints)]
+    return np.asarray(np.linalg.det(jac))
+
+
+def _elbow(pair: Pair, samples: Floats, joints: tuple[int, int], axes: Floats, up: bool) -> float:
+    """The sign that the determinant has where the elbow lies, on the whole, higher (lower); the only one if there is one."""
+    sides = _sides(pair, samples, joints, axes)
     frames = joint_frames(pair.chain, pair.nominal, samples)
-    end = told(pair, samples)[:, :3, 3]
-    middle = 0.5 * (frames[:, joints[0], :3, 3] + end)
+    middle = 0.5 * (frames[:, joints[0], :3, 3] + told(pair, samples)[:, :3, 3])
     height = (frames[:, joints[1], :3, 3] - middle) @ axes[1]
-    sides = [np.asarray(side > STRETCHED), np.asarray(side < -STRETCHED)]
-    if not all(mask.any() for mask in sides):
-        only = sides[0] if sides[0].any() else sides[1]
-        if not only.any():
-            raise RobotError(f"joints {joints[0] + 1} and {joints[1] + 1} do not span a section at these joints")
-        return np.asarray(only)
-    heights = [float(height[mask].mean()) for mask in sides]
-    return np.asarray(sides[int(np.argmax(heights) if up else np.argmin(heights))])
+    heights = {
+        sign: float(height[sign * sides > STRETCHED].mean()) for sign in (1.0, -1.0) if (sign * sides > STRETCHED).any()
+    }
+    if not heights:
+        raise RobotError(f"joints {joints[0] + 1} and {joints[1] + 1} do not span a section at these joints")
+    return (max if up else min)(heights, key=lambda sign: heights[sign])
 
 
 def _sigma(pair: Pair, q: Floats, covariance: Floats, unseen: Floats) -> Floats:

@@ -33,6 +33,8 @@ DAMPING_START, DAMPING_LEAST, DAMPING_MOST = 1e-3, 1e-9, 1e3
 N_SAMPLES = 20_000  # random joint vectors to start a search from
 N_NEAR = 150  # of them that are looked at for each target, and
 N_STARTS = 24  # started from: those most unlike each other, since an arm of six joints has up to 16 configurations
+ROOM = 0.05  # rad, m: what a correction moves a joint by, as a rule
+SINGULAR = 0.1  # twice the margin of corrections
 CHUNK = 20_000  # targets solved at once: Jacobians of 10 MB
 
 
@@ -126,11 +128,15 @@ def search(
     found = inverse(chain, params, np.repeat(targets, k, axis=0), starts.reshape(n * k, j), oriented)
     q = wrapped(chain, found.q).reshape(n, k, j)
     good = found.reached.reshape(n, k) & within(chain, q)
+    if not oriented:  # where the joints are ours to choose, those at a limit or a singularity are the worse choice
+        worse = ~within(chain, q, ROOM) | (found.singular_value.reshape(n, k) < SINGULAR)
+    else:  # the controller goes where it goes
+        worse = np.zeros((n, k), dtype=bool)
     near = 0.5 * (lower + upper) if home is None else home
     wrong = np.zeros((n, k)) if quadrants is None else _misplaced(q, quadrants)
     chosen = np.empty(n, dtype=int)
     for i in range(n):
-        far = np.abs(q[i] - near).max(axis=-1) + 1e3 * wrong[i] + 1e6 * ~good[i]
+        far = np.abs(q[i] - near).max(axis=-1) + 1e2 * worse[i] + 1e3 * wrong[i] + 1e6 * ~good[i]
         chosen[i] = int(np.argmin(far))
         if good[i, chosen[i]]:
             near = q[i, chosen[i]]
@@ -148,10 +154,10 @@ def wrapped(chain: Chain, q: Floats) -> Floats:
     return q
 
 
-def within(chain: Chain, q: Floats) -> NDArray[np.bool_]:
-    """(…,) whether joint readings (…, j) lie within the limits."""
+def within(chain: Chain, q: Floats, room: float = 0.0) -> NDArray[np.bool_]:
+    """(…,) whether joint readings (…, j) lie within the limits, by ``room`` [rad, m]."""
     lower, upper = (np.array([getattr(joint, end) for joint in chain.joints]) for end in ("lower", "upper"))
-    return np.asarray(((q >= lower) & (q <= upper)).all(axis=-1))
+    return np.asarray(((q >= lower + room) & (q <= upper - room)).all(axis=-1))
 
 
 def _sampled_range(chain: Chain) -> tuple[Floats, Floats]:

@@ -13,7 +13,8 @@ Each step takes the best candidate and adds its block J_iᵀJ_i to M. The order 
 choice of n, so a budget in minutes is a matter of where to stop. The exchange (Fedorov 1972) then takes every chosen
 candidate out and puts the best one in its place, as long as that helps.
 
-Measured, one core: 400 of 5000 candidates of one row and 36 parameters in 2 s, an exchange pass as long.
+Measured, one core: 400 of 5000 candidates of one row and 36 parameters take 0.5 s (D), 0.7 s (E) or 1.6 s (A, I), an exchange
+pass as long and up to half as long again.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ from truearm.plan.choose import as_blocks, choose, condensed
 from truearm.plan.forecast import Aim, Forecast, Known, compiled, forecast, planned_table, prior_unit, region_root
 from truearm.plan.region import Region, around, poses_in
 from truearm.plan.route import Stop, csv_of, plain
-from truearm.plan.site import Site, allowed, smallest_singular_value
+from truearm.plan.site import Site, all_allowed, smallest_singular_value
 from truearm.plan.way import Pace, move_seconds, samples, way_without_bar
 from truearm.types import Device, Floats, ObservationTable
 
@@ -145,7 +145,7 @@ def _fits(site: Site, q: Floats, p_middle: Floats, along: Floats, wanted: LinesW
         return False
     way = np.concatenate([samples(a, b) for a, b in pairwise(q)])
     limits = site.limits.tightened()
-    if not allowed(site, way, None, limits).all() or (smallest_singular_value(site, way) < limits.singular_value).any():
+    if not all_allowed(site, way, None, limits) or (smallest_singular_value(site, way) < limits.singular_value).any():
         return False
     off = point_forward(site.arm.chain, site.arm.params, way, point) - p_middle
     bulge = np.linalg.norm(off - (off @ along)[:, None] * along, axis=1).max()

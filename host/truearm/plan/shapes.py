@@ -125,12 +125,16 @@ def segment_distance(a0: Floats, a1: Floats, b0: Floats, b1: Floats) -> Floats:
     The nearest points of the two lines, one parameter clamped to its segment and the other one solved for again.
     """
     along_a, along_b, between = a1 - a0, b1 - b0, a0 - b0
-    a, e, b = (np.sum(u * v, axis=-1) for u, v in ((along_a, along_a), (along_b, along_b), (along_a, along_b)))
-    c, f = np.sum(along_a * between, axis=-1), np.sum(along_b * between, axis=-1)
+    a, e, b = _dot(along_a, along_a), _dot(along_b, along_b), _dot(along_a, along_b)
+    c, f = _dot(along_a, between), _dot(along_b, between)
     tiny = 1e-18
     across = a * e - b * b  # 0 for parallels: any point of the first does
     s = np.clip(np.where(across > tiny, (b * f - c * e) / np.where(across > tiny, across, 1.0), 0.0), 0.0, 1.0)
     t = np.clip((b * s + f) / np.maximum(e, tiny), 0.0, 1.0)
     s = np.clip((b * t - c) / np.maximum(a, tiny), 0.0, 1.0)
     apart = between + s[..., None] * along_a - t[..., None] * along_b
-    return np.asarray(np.linalg.norm(apart, axis=-1))
+    return np.asarray(np.sqrt(_dot(apart, apart)))
+
+
+def _dot(u: Floats, v: Floats) -> Floats:
+    return np.asarray(np.einsum("...i,...i->...", u, v))

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.model.chain import forward, joint_jacobian, point_forward
+from truearm.model.chain import forward, joint_jacobian
 from truearm.plan.inverse import LEVER, Arm
 from truearm.plan.shapes import Mounted, Shapes, clear
 from truearm.types import BallBar, Floats, Plan, Rig
@@ -81,15 +81,35 @@ def of_pairing(plan: Plan, pairing: Pairing) -> NDArray[np.bool_]:
 def allowed(site: Site, q: Floats, pairing: Pairing | None, limits: Limits | None = None) -> NDArray[np.bool_]:
     """Whether joints q (n, j) keep within all limits, with the bar on or, for None, off."""
     limits = limits or site.limits
+    good = _device_allows(site, q, pairing, limits)
+    good[good] = _arm_allows(site, q[good], pairing, limits)
+    return good
+
+
+def all_allowed(site: Site, q: Floats, pairing: Pairing | None, limits: Limits) -> bool:
+    """Whether all of q (n, j) are; what is dear to compute is not where something cheap fails."""
+    return bool(_device_allows(site, q, pairing, limits).all() and _arm_allows(site, q, pairing, limits).all())
+
+
+def _device_allows(site: Site, q: Floats, pairing: Pairing | None, limits: Limits) -> NDArray[np.bool_]:
+    """Joints, the bar's length and its cups' angles."""
     good = within_joints(site, q, limits)
     if pairing is None:
-        return good & clear(site.shapes, q, None)
+        return good
     bar, mounted = pairing.of(site.rig)
-    good &= smallest_singular_value(site, q) > limits.singular_value
-    good &= np.abs(bar_length(site, q, mounted) - bar.zero) < free_travel(bar, limits)
-    at_chuck, at_sphere = cup_angles(site, q, mounted)
-    good &= (at_chuck < limits.chuck_angle) & (at_sphere < limits.sphere_angle)
-    return good & clear(site.shapes, q, mounted)
+    vector, axis = bar_vectors(site, q, mounted)
+    length = np.linalg.norm(vector, axis=1)
+    good &= np.abs(length - bar.zero) < free_travel(bar, limits)
+    good &= vector[:, 2] > length * np.cos(limits.chuck_angle)
+    good &= -np.einsum("ni,ni->n", vector, axis) > length * np.cos(limits.sphere_angle)
+    return good
+
+
+def _arm_allows(site: Site, q: Floats, pairing: Pairing | None, limits: Limits) -> NDArray[np.bool_]:
+    """Singularities, which matter while the bar is on, and what must not touch."""
+    if pairing is None:
+        return clear(site.shapes, q, None)
+    return clear(site.shapes, q, pairing.of(site.rig)[1]) & (smallest_singular_value(site, q) > limits.singular_value)
 
 
 def within_joints(site: Site, q: Floats, limits: Limits) -> NDArray[np.bool_]:
@@ -111,16 +131,7 @@ def free_travel(bar: BallBar, limits: Limits) -> float:
     return 0.5 * abs(bar.gain) * bar.travel - limits.reserve
 
 
-def bar_length(site: Site, q: Floats, mounted: Mounted) -> Floats:
-    """(n,) centre to centre [m]."""
-    p_sphere = point_forward(site.arm.chain, site.arm.params, q, mounted.p_sphere)
-    return np.asarray(np.linalg.norm(p_sphere - mounted.p_chuck, axis=-1))
-
-
-def cup_angles(site: Site, q: Floats, mounted: Mounted) -> tuple[Floats, Floats]:
-    """(n,) each: the bar from the vertical at the chuck, and from the end's z axis at the sphere [rad]."""
+def bar_vectors(site: Site, q: Floats, mounted: Mounted) -> tuple[Floats, Floats]:
+    """(n, 3) each: from chuck to sphere [m], and the end's z axis."""
     pose = forward(site.arm.chain, site.arm.params, q)
-    bar = pose[:, :3, :3] @ mounted.p_sphere + pose[:, :3, 3] - mounted.p_chuck
-    bar = bar / np.linalg.norm(bar, axis=1, keepdims=True)
-    facing = -np.einsum("ni,ni->n", bar, pose[:, :3, 2])
-    return np.arccos(np.clip(bar[:, 2], -1.0, 1.0)), np.arccos(np.clip(facing, -1.0, 1.0))
+    return pose[:, :3, :3] @ mounted.p_sphere + pose[:, :3, 3] - mounted.p_chuck, pose[:, :3, 2]

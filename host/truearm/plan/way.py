@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from truearm.model.chain import along, point_forward, trace_point
-from truearm.plan.site import STEP, Pairing, Site, allowed
+from truearm.plan.site import STEP, Pairing, Site, all_allowed
 from truearm.types import Floats
 
 DEEPEST = 4  # halvings: at most 15 via points
@@ -42,12 +42,12 @@ def samples(start: Floats, end: Floats) -> Floats:
 
 def way_with_bar(site: Site, start: Floats, end: Floats, pairing: Pairing, halvings: int = DEEPEST) -> Floats | None:
     """Via points (v, j) between two poses with the bar on all the way; None where none are found."""
-    if allowed(site, samples(start, end), pairing, site.limits.tightened()).all():
+    if all_allowed(site, samples(start, end), pairing, site.limits.tightened()):
         return np.zeros((0, len(start)))
     if halvings == 0:
         return None
     middle = onto_shell(site, 0.5 * (start + end), pairing)
-    if not allowed(site, middle[None], pairing, site.limits.tightened())[0]:
+    if not all_allowed(site, middle[None], pairing, site.limits.tightened()):
         return None
     before = way_with_bar(site, start, middle, pairing, halvings - 1)
     after = None if before is None else way_with_bar(site, middle, end, pairing, halvings - 1)
@@ -71,7 +71,7 @@ def way_without_bar(site: Site, start: Floats, end: Floats, seed: int = 0) -> Fl
     tightened = site.limits.tightened()
 
     def free(a: Floats, b: Floats) -> bool:
-        return bool(allowed(site, samples(a, b), None, tightened).all())
+        return all_allowed(site, samples(a, b), None, tightened)
 
     if free(start, end):
         return np.zeros((0, len(start)))
