@@ -4,7 +4,7 @@ import cbor2
 import pytest
 from tests.end_to_end.levels import LEVELS, lab_of
 
-from truearm.commands.box_gauge import sample
+from truearm.commands.gauging import sample
 from truearm.errors import LinkError, ProtocolError, RefusedError
 from truearm.record.box_control import MAX_WAITING, BoxControl, NoAnswer
 from truearm.sensors.selftest import FAIL, PASS, WARN, findings
