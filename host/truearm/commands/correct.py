@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from truearm.commands.options import IdentifiedBaseOption, IdentifiedRobotOption, IdentifiedTipOption, ResultArgument
+
 MOST_STEPS = 50
 
 
@@ -21,18 +23,15 @@ class Method(StrEnum):
 
 
 def correct(
-    result: Annotated[Path, typer.Argument(metavar="RESULT", help="What truearm identify --out wrote (.json).")],
+    result: ResultArgument,
     targets: Annotated[
         Path,
         typer.Argument(metavar="TARGETS", help="Targets (.csv), a RAPID module (.mod, .prg) or a URScript (.script)."),
     ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="Write the corrected table or program here.")],
-    robot: Annotated[
-        str | None,
-        typer.Option(metavar="ROBOT", help="The robot that was identified; default: the built-in one of that name."),
-    ] = None,
-    base: Annotated[str | None, typer.Option(metavar="LINK", help="Of a URDF; default: as identified.")] = None,
-    tip: Annotated[str | None, typer.Option(metavar="LINK", help="Of a URDF; default: as identified.")] = None,
+    robot: IdentifiedRobotOption = None,
+    base: IdentifiedBaseOption = None,
+    tip: IdentifiedTipOption = None,
     method: Annotated[
         Method,
         typer.Option(

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from truearm.commands.options import IdentifiedBaseOption, IdentifiedRobotOption, IdentifiedTipOption, ResultArgument
+
 
 class Format(StrEnum):
     """What can be written."""
@@ -21,7 +23,7 @@ class Format(StrEnum):
 
 
 def export(
-    result: Annotated[Path, typer.Argument(metavar="RESULT", help="What truearm identify --out wrote (.json).")],
+    result: ResultArgument,
     form: Annotated[
         Format,
         typer.Option(
@@ -31,12 +33,9 @@ def export(
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="Write it here.")],
-    robot: Annotated[
-        str | None,
-        typer.Option(metavar="ROBOT", help="The robot that was identified; default: the built-in one of that name."),
-    ] = None,
-    base: Annotated[str | None, typer.Option(metavar="LINK", help="Of a URDF; default: as identified.")] = None,
-    tip: Annotated[str | None, typer.Option(metavar="LINK", help="Of a URDF; default: as identified.")] = None,
+    robot: IdentifiedRobotOption = None,
+    base: IdentifiedBaseOption = None,
+    tip: IdentifiedTipOption = None,
     own_frames: Annotated[
         bool,
         typer.Option("--own-frames", help="Leave out how base and tool were mounted; the ends stay as described."),

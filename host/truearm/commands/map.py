@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from truearm.commands.options import IdentifiedBaseOption, IdentifiedRobotOption, IdentifiedTipOption, ResultArgument
+
 
 class Elbow(StrEnum):
     """Of the two configurations of the arm in the section."""
@@ -17,15 +19,12 @@ class Elbow(StrEnum):
 
 
 def map_(
-    result: Annotated[Path, typer.Argument(metavar="RESULT", help="What truearm identify --out wrote (.json).")],
+    result: ResultArgument,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the cells as a table (.csv).")] = None,
     picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the map as a picture (.svg).")] = None,
-    robot: Annotated[
-        str | None,
-        typer.Option(metavar="ROBOT", help="The robot that was identified; default: the built-in one of that name."),
-    ] = None,
-    base: Annotated[str | None, typer.Option(metavar="LINK", help="Of a URDF; default: as identified.")] = None,
-    tip: Annotated[str | None, typer.Option(metavar="LINK", help="Of a URDF; default: as identified.")] = None,
+    robot: IdentifiedRobotOption = None,
+    base: IdentifiedBaseOption = None,
+    tip: IdentifiedTipOption = None,
     vary: Annotated[
         str, typer.Option(metavar="I,J", help="The two joints that span the section; their axes are parallel.")
     ] = "2,3",

@@ -8,18 +8,17 @@ from typing import Annotated
 
 import typer
 
+from truearm.commands.options import IdentifiedBaseOption, IdentifiedRobotOption, IdentifiedTipOption, ResultArgument
+
 
 def validate(
-    result: Annotated[Path, typer.Argument(metavar="RESULT", help="What truearm identify --out wrote (.json).")],
+    result: ResultArgument,
     inputs: Annotated[
         list[Path], typer.Argument(metavar="INPUT", help="Sessions (.mcap) and tables (.csv) to judge by.")
     ],
-    robot: Annotated[
-        str | None,
-        typer.Option(metavar="ROBOT", help="The robot that was identified; default: the built-in one of that name."),
-    ] = None,
-    base: Annotated[str | None, typer.Option(metavar="LINK", help="Of a URDF; default: as identified.")] = None,
-    tip: Annotated[str | None, typer.Option(metavar="LINK", help="Of a URDF; default: as identified.")] = None,
+    robot: IdentifiedRobotOption = None,
+    base: IdentifiedBaseOption = None,
+    tip: IdentifiedTipOption = None,
     rig: Annotated[
         list[str] | None,
         typer.Option(metavar="[NAME=]FILE", help="As of truearm identify; default: each session's own."),

@@ -1,0 +1,20 @@
+"""Arguments and options that several commands share. --help reads this, so it imports nothing slow."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+ResultArgument = Annotated[Path, typer.Argument(metavar="RESULT", help="What truearm identify --out wrote (.json).")]
+IdentifiedRobotOption = Annotated[
+    str | None,
+    typer.Option(
+        "--robot", metavar="ROBOT", help="The robot that was identified; default: the built-in one of that name."
+    ),
+]
+IdentifiedBaseOption = Annotated[
+    str | None, typer.Option("--base", metavar="LINK", help="Of a URDF; default: as identified.")
+]
+IdentifiedTipOption = Annotated[
+    str | None, typer.Option("--tip", metavar="LINK", help="Of a URDF; default: as identified.")
+]
