@@ -1,0 +1,33 @@
+"""A recording in virtual time, and what is in its file."""
+
+import json
+
+from record_box import run_of
+
+from truearm.record.recorder import record
+from truearm.record.session import open_session
+from truearm.record.session_writer import SessionWriter
+
+
+def run(lab, box, path, seconds=3.0, **options):
+    with SessionWriter(path, lab) as writer:
+        return record(box.link, writer, lab, duration_s=seconds, **options)
+
+
+def topics(path):
+    """Messages by topic; the file must be complete."""
+    found: dict[str, list] = {}
+    for message in open_session(path).messages():
+        found.setdefault(message.topic, []).append(message)
+    return found
+
+
+def events(path, kind=None):
+    rows = [json.loads(m.data) for m in topics(path).get("/events", [])]
+    return [row["kind"] for row in rows] if kind is None else [row for row in rows if row["kind"] == kind]
+
+
+def received(path):
+    """All bytes of the box in the order of the file, delimiters aside."""
+    messages = [m for m in open_session(path).messages() if m.topic.startswith("/box/")]
+    return b"".join(m.data if m.topic == "/box/console" else run_of(m.data) for m in messages)

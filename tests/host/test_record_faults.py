@@ -1,0 +1,211 @@
+"""The recorder against a box in memory that does what boxes do when something is wrong: everything is kept, and faults are what they were."""
+
+import json
+
+import cbor2
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from record_box import (
+    HOST_0,
+    LATENCY,
+    MS,
+    SECOND,
+    Box,
+    Lab,
+    Robot,
+    array,
+    u32,
+)
+from record_files import events, received, run, topics
+
+from truearm.errors import LinkClosed
+from truearm.record.session import open_session
+from truearm.sensors.ident import parse_ident_json
+from truearm.sync.joints import JointReader
+
+
+class TestFaults:
+    @pytest.mark.parametrize("change", [{"scale": "abc"}, {"scale": [1]}, {"calibration": {"poly": [[1, 0]] * 17}}])
+    def test_a_faulty_calibration_is_said_at_once_and_nothing_is_refused(self, lab, path, change):
+        box = Box(lab)
+        box.lvdt = change
+        seen = []
+        summary = run(lab, box, path, osr=2048, progress=lambda status: seen.append(status.faults))
+        (fault,) = summary.faults
+        assert fault.startswith("channel 'c0' of stream adc: ")
+        assert seen[1] == (fault,)
+        assert events(path, "box-fault") == [{"kind": "box-fault", "text": fault}]
+        assert len(topics(path)["/box/adc"]) == box.blocks > 100
+        assert parse_ident_json(open_session(path).metadata["box"]["ident"]).faults == (fault,)
+
+    def test_a_robot_that_does_not_count_its_readings(self, lab, path):
+        """Recorded, and read back by sync: all readings, and losses that nobody knows."""
+        robot = Robot(lab, 3.0, LinkClosed("done"), counts=False)
+        summary = run(lab, Box(lab), path, None, robot=robot.link)
+        reader = JointReader()
+        for message in open_session(path).messages():
+            reader.feed(message)
+        joints = reader.finish()
+        assert summary.counters.robot_lines == joints.readings == len(robot.sent) == 375
+        assert (joints.lost, joints.malformed, joints.duplicated) == (None, 0, 0)
+        assert joints.bins.n.sum() == 375
+
+    def test_a_lost_frame_and_a_doubled_one(self, lab, path):
+        box = Box(lab)
+        box.mangle = lambda i, raw: b"" if i == 100 else raw * 2 if i == 150 else raw
+        summary = run(lab, box, path)
+        assert summary.counters.lost_frames == 1
+        assert summary.counters.doubled_frames == 1
+        assert summary.counters.restarts == 0
+        assert received(path) == box.sent.replace(b"\0", b"")
+
+    def test_a_flipped_bit_is_kept_as_console(self, lab, path):
+        box = Box(lab)
+        flipped = {}
+
+        def flip(index, raw):
+            if index == 120:
+                flipped["raw"] = raw[:30] + bytes([raw[30] ^ 0x40 or 0x41]) + raw[31:]
+                return flipped["raw"]
+            return raw
+
+        box.mangle = flip
+        summary = run(lab, box, path)
+        assert [m.data for m in topics(path)["/box/console"]] == [flipped["raw"].strip(b"\0")]
+        assert summary.counters.lost_frames == 1
+
+    def test_a_traceback_in_the_stream(self, lab, path):
+        box = Box(lab)
+        text = b'Traceback (most recent call last):\n  File "main.py", line 7\nMemoryError: \n'
+        lab.at(HOST_0 + 2 * SECOND, lambda: box.send_raw(text))
+        summary = run(lab, box, path)
+        assert [m.data for m in topics(path)["/box/console"]] == [text]
+        assert summary.counters.lost_frames == 0
+
+    @pytest.mark.parametrize("speaks_again", [True, False])
+    def test_a_traceback_bears_the_time_of_its_end(self, lab, path, speaks_again):
+        """It may wait long for a delimiter: for the next boot, or for ever."""
+        box = Box(lab)
+
+        def crash():
+            box.streaming = False
+            box.send_raw(b"Traceback")
+            box.mangle = lambda i, raw: b""
+
+        lab.at(HOST_0 + SECOND, crash)
+        if speaks_again:
+            lab.at(HOST_0 + 3 * SECOND, lambda: setattr(box, "mangle", lambda i, raw: raw))
+        run(lab, box, path, 5.0)
+        (message,) = topics(path)["/box/console"]
+        assert message == ("/box/console", HOST_0 + SECOND + LATENCY, b"Traceback")
+
+    @settings(max_examples=15, deadline=None)
+    @given(
+        st.dictionaries(st.integers(1, 250), st.binary(max_size=300), max_size=20), st.randoms(use_true_random=False)
+    )
+    def test_whatever_comes_is_kept(self, tmp_path_factory, insertions, random):
+        """Junk anywhere, in the middle of frames too, in pieces of any size: the file holds every byte."""
+        lab = Lab()
+        path = tmp_path_factory.mktemp("junk") / "s.mcap"
+        box = Box(lab)
+
+        def insert(index, raw):
+            at = random.randrange(len(raw))
+            return raw[:at] + insertions.get(index, b"") + raw[at:]
+
+        box.mangle = insert
+        run(lab, box, path, 2.0)
+        assert received(path) == box.sent.replace(b"\0", b"")
+
+    def test_a_late_frame_is_no_restart(self, lab, path):
+        box = Box(lab)
+        held = []
+
+        def hold(index, raw):
+            if index == 100:
+                held.append(raw)
+                return b""
+            return raw + held.pop() if index == 105 else raw
+
+        box.mangle = hold
+        summary = run(lab, box, path)
+        assert summary.counters.restarts == 0
+        assert [c[0] for c in box.commands] == [48, 51, 50, 48, 51]  # asked once who it is
+        assert len(topics(path)["/box/adc"]) == box.blocks
+
+    def test_a_restart_in_the_middle(self, lab, path):
+        box = Box(lab)
+
+        def reset():
+            box.boot(0x2222)
+            box.send_ident(0)
+
+        lab.at(HOST_0 + 2 * SECOND, reset)
+        summary = run(lab, box, path, 4.0, osr=2048)
+        assert summary.counters.restarts == 1
+        assert summary.counters.lost_frames == 0
+        assert events(path) == ["start", "box-restarted", "start", "stop"]
+        assert events(path, "box-restarted")[0]["boot_id"] == 0x2222
+        assert [c[0] for c in box.commands if c[0] != 48] == [51, 49, 50, 51, 49, 50, 51]
+        firsts = [cbor2.loads(m.data)[3] for m in topics(path)["/box/adc"]]
+        assert firsts.count(0) == 2
+        assert json.loads(open_session(path).metadata["box"]["ident"])["boot_id"] == 0x2222
+
+    def test_a_restart_whose_ident_was_lost(self, lab, path):
+        box = Box(lab)
+        lab.at(HOST_0 + 2 * SECOND, lambda: box.boot(0x2222))  # says nothing; its heartbeat gives it away
+        summary = run(lab, box, path, 4.0)
+        assert summary.counters.restarts == 1
+        assert events(path) == ["start", "box-restarted", "start", "stop"]
+
+    def test_a_restart_that_only_the_heartbeat_tells(self, lab, path):
+        box = Box(lab)
+        lab.at(HOST_0 + 2 * SECOND, lambda: box.boot(0x2222, seq=box.seq))
+        assert run(lab, box, path, 4.0).counters.restarts == 1
+
+    def test_frames_counted_anew_without_a_restart(self, lab, path):
+        """Not of this protocol, but it must neither be taken for a restart nor be asked about for ever."""
+        box = Box(lab)
+        lab.at(HOST_0 + 2 * SECOND, lambda: setattr(box, "seq", 0))
+        summary = run(lab, box, path, 4.0)
+        assert summary.counters.restarts == 0
+        assert [c[0] for c in box.commands] == [48, 51, 50, 48, 51]
+
+    def test_lost_answers_are_asked_for_again_and_nothing_is_done_twice(self, lab, path):
+        box = Box(lab)
+        box.deaf_to = 3
+        run(lab, box, path)
+        assert [c[0] for c in box.commands] == [48, 51, 50, 51]
+
+    def test_unanswered_probes(self, lab, path):
+        box = Box(lab)
+        box.answer_probes = False
+        summary = run(lab, box, path, 5.0)
+        rows = [json.loads(m.data) for m in topics(path)["/sync"]]
+        assert summary.counters.unanswered_probes == summary.counters.probes == len(rows)
+        assert summary.rtt_us is None
+        assert all((row["t1_us"], row["t2_us"], row["t3_ns"]) == (None, None, None) for row in rows)
+        first = topics(path)["/sync"][0]
+        assert 2 * SECOND <= first.t_host_ns - rows[0]["t0_ns"] <= 2 * SECOND + 50 * MS
+
+    def test_silence_is_noted(self, lab, path):
+        box = Box(lab)
+        lab.at(HOST_0 + SECOND, lambda: setattr(box, "mangle", lambda i, raw: b""))
+        lab.at(HOST_0 + 6 * SECOND, lambda: setattr(box, "mangle", lambda i, raw: raw))
+        run(lab, box, path, 8.0)
+        assert events(path) == ["start", "box-silent", "box-heard", "stop"]
+
+    def test_frames_of_unknown_kinds(self, lab, path):
+        box = Box(lab)
+        lab.at(HOST_0 + SECOND, lambda: box.send(lambda seq: array(99, u32(seq), "new")))
+        lab.at(HOST_0 + SECOND, lambda: box.send(lambda seq: array(17, u32(seq), 0, 5, 1)))
+        lab.at(HOST_0 + SECOND, lambda: box.send(lambda seq: array(16, u32(seq), "odd")))
+        lab.at(HOST_0 + SECOND, lambda: box.send(lambda seq: array(18, u32(seq), "odd")))
+        lab.at(HOST_0 + SECOND, lambda: box.send(lambda seq: array(33, u32(seq), 1, -1, b"\xf5")))
+        summary = run(lab, box, path)
+        found = topics(path)
+        assert len(found["/box/other"]) == 2
+        assert len(found["/box/event"]) == 1
+        assert summary.counters.lost_frames == 0
+        assert received(path) == box.sent.replace(b"\0", b"")
