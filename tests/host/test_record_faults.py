@@ -4,6 +4,7 @@ import json
 
 import cbor2
 import pytest
+from cobs import cobs
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from record_box import (
@@ -15,13 +16,16 @@ from record_box import (
     Lab,
     Robot,
     array,
+    frame,
     u32,
+    u64,
 )
 from record_files import events, received, run, topics
 
 from truearm.errors import LinkClosed
 from truearm.record.session import open_session
 from truearm.sensors.ident import parse_ident_json
+from truearm.sync.blocks import BoxReader
 from truearm.sync.joints import JointReader
 
 
@@ -171,6 +175,77 @@ class TestFaults:
         summary = run(lab, box, path, 4.0)
         assert summary.counters.restarts == 0
         assert [c[0] for c in box.commands] == [48, 51, 50, 48, 51]
+
+    def test_echoed_requests_are_console(self, lab, path):
+        """A box whose firmware ended by an exception stands at a prompt, which echoes what it is told: an echo is no frame of its."""
+        box = Box(lab)
+        echoed = []
+
+        def crash():
+            box.streaming = False
+            box.send_raw(b"Traceback (most recent call last):\r\nMemoryError: \r\n>>> ")
+            box.boot_id = None  # its heart stands still
+            box.link.on_write = echo
+
+        def echo(raw):
+            echoed.append(raw)
+            lab.at(lab.now + LATENCY, lambda: box.send_raw(raw))
+
+        lab.at(HOST_0 + 2 * SECOND, crash)
+        summary = run(lab, box, path, 6.0)
+        assert summary.counters.lost_frames == summary.counters.odd_frames == 0
+        assert summary.counters.unanswered_probes == sum(raw[2:5] == b"\x82\x18\x20" for raw in echoed) > 10
+        assert summary.rtt_us == pytest.approx(2 * LATENCY / 1000)
+        assert "/box/other" not in topics(path)
+        console = b"".join(m.data for m in topics(path)["/box/console"])
+        assert console.endswith(b"".join(echoed).replace(b"\0", b""))
+        assert received(path) == box.sent.replace(b"\0", b"")
+
+    def test_a_count_that_jumps_absurdly_is_not_believed(self, lab, path):
+        """One stray frame changes nothing; the box is asked who it is. The losses that inspect counts anew are the same."""
+        box = Box(lab)
+        lab.at(HOST_0 + SECOND, lambda: box.send_raw(frame(array(33, u32(12_512_235), 5, 6, 7))))
+        summary = run(lab, box, path)
+        assert (summary.counters.lost_frames, summary.counters.odd_frames, summary.counters.restarts) == (0, 1, 0)
+        reader = BoxReader()
+        for message in open_session(path).messages():
+            reader.feed(message)
+        assert (reader.losses().frames_lost, reader.losses().frames_malformed, len(reader.segments)) == (0, 1, 1)
+
+    def test_a_count_that_goes_on_elsewhere(self, lab, path):
+        """Every sample is kept; a new segment begins, since nobody knows what was lost."""
+        box = Box(lab)
+        lab.at(HOST_0 + SECOND, lambda: setattr(box, "seq", 12_512_235))
+        summary = run(lab, box, path)
+        assert (summary.counters.lost_frames, summary.counters.restarts) == (0, 0)
+        reader = BoxReader()
+        blocks = [block for message in open_session(path).messages() if (block := reader.feed(message))]
+        assert (reader.losses().frames_lost, len(reader.segments)) == (0, 2)
+        assert len(blocks) >= box.blocks - 1
+
+    def test_an_answer_that_was_under_way_for_less_than_the_box_held_it(self, lab, path):
+        box = Box(lab)
+        lab.at(HOST_0 + SECOND, lambda: setattr(box, "answer_probes", False))
+        asked = []
+
+        def lie(raw):
+            asked.append(raw)
+            t_us = box.t_us()
+            if raw[2:4] == b"\x82\x18" and raw[4] == 32:
+                number = cbor2.loads(cobs.decode(raw.strip(b"\0"))[:-4])[1]
+                box.send(lambda seq: array(33, u32(seq), number, u64(t_us), u64(t_us + 1_500)))
+
+        def begin():
+            hear = box.link.on_write
+            box.link.on_write = lambda raw: (lie(raw), hear(raw))
+
+        lab.at(HOST_0 + SECOND, begin)
+        summary = run(lab, box, path)
+        rows = [json.loads(m.data) for m in topics(path)["/sync"]]
+        assert asked
+        assert summary.rtt_us == pytest.approx(2 * LATENCY / 1000)
+        assert all(row["t1_us"] is None for row in rows if row["t0_ns"] > HOST_0 + SECOND)
+        assert summary.counters.unanswered_probes == sum(row["t1_us"] is None for row in rows) >= 6
 
     def test_lost_answers_are_asked_for_again_and_nothing_is_done_twice(self, lab, path):
         box = Box(lab)

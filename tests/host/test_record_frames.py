@@ -174,7 +174,10 @@ class TestVectors:
     def test_golden(self, entry):
         raw = (VECTORS / entry["file"]).read_bytes()
         ((is_frame, payload),) = split([raw])
-        assert is_frame
+        assert is_frame != (entry["values"][0] == 32 or 48 <= entry["values"][0] < 64)
+        if not is_frame:  # only a host sends such: an echo
+            assert payload == raw.strip(b"\0")
+            return
         assert frame(payload) == raw
         assert frame_type(payload) == entry["values"][0]
         if entry["values"][0] < 32:

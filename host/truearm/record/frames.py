@@ -1,7 +1,9 @@
 """Bytes in arbitrary pieces → frames and everything else (SPEC §1). Nothing that arrives is lost.
 
 The stream is cut at the delimiters. A run between two delimiters is a frame when it decodes as COBS, its CRC fits and
-it is an array that begins with a frame type; any other run is console text: a traceback, a frame that was damaged.
+it is an array that begins with a frame type; any other run is console text: a traceback, a frame that was damaged. So is a
+frame of a type that only the host sends: a prompt or a terminal echoes what it is told, and the second element of a
+request is no count of frames.
 That a frame's delimiters may be shared or doubled needs no code: empty runs are dropped.
 
 About 1.5 µs a frame of 200 bytes; a box at 4 kHz sends 310 a second.
@@ -13,9 +15,12 @@ from zlib import crc32
 
 from cobs import cobs
 
+from truearm_wire.messages import SYNC_REQUEST
+
 MAX_RUN = 4096  # bytes; a longer run is no frame and is handed out in pieces of this size
 _ENCODED_MIN, _ENCODED_MAX = 8, 255  # payload 3 … 250, CRC 4, one byte of stuffing
 _LARGEST_TYPE = 255
+_FROM_HOST = frozenset({SYNC_REQUEST, *range(48, 64)})  # SPEC §6: requests, and commands of any minor version
 
 _UINT_WIDTH = {0x18: 1, 0x19: 2, 0x1A: 4, 0x1B: 8}
 
@@ -87,9 +92,10 @@ def payload_of(run: bytes) -> bytes | None:
     except cobs.DecodeError:
         return None
     payload = raw[:-4]
-    if len(payload) < 3 or crc32(payload) != int.from_bytes(raw[-4:], "little") or frame_type(payload) is None:
+    if len(payload) < 3 or crc32(payload) != int.from_bytes(raw[-4:], "little"):
         return None
-    return payload
+    kind = frame_type(payload)
+    return None if kind is None or kind in _FROM_HOST else payload
 
 
 def frame_type(payload: bytes) -> int | None:

@@ -4,7 +4,8 @@ Looked at is only what the recording itself needs: the ident (for the streams' n
 commands and clock exchanges, and ``seq`` for a count of losses. About 8 µs a data frame, of which 5 are the file's.
 
 A box that restarts shows a new boot id in its ident or heartbeat, or counts frames backwards; the last may also be a
-frame that was delivered late, so ``suspect`` asks the recorder to have the box identify itself, and its boot id decides.
+frame that was delivered late, so ``suspect`` asks the recorder to have the box identify itself, and its boot id decides. So
+does a count that jumps by more frames than any link could have carried meanwhile: nothing is known to be lost by it.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from truearm.record.frames import FrameSplitter, frame_seq, frame_type
 from truearm.record.probes import Probes
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
-from truearm.sensors.data import Data, data_of, decode, usual_data
+from truearm.sensors.data import Data, data_of, decode, too_many, usual_data
 from truearm.sensors.ident import Ident, decode_ident
 from truearm.sensors.pages import Pages
 from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, IDENT, REPLY, SYNC_REPLY
@@ -58,6 +59,7 @@ class Intake:
     heard_ns: int | None = None  # its last word, or since when it might speak again
     spoke_ns: int | None = None  # its last word
     _expected_seq: int | None = None
+    _counted_ns: int = 0  # when the frame before that arrived
     _streams: dict[int, tuple[str, int]] = field(default_factory=dict)  # id: topic, bytes a sample
     _splitter: FrameSplitter = field(default_factory=FrameSplitter)
     _pages: Pages = field(default_factory=Pages)
@@ -101,7 +103,7 @@ class Intake:
             self._take_data(t_host_ns, payload, data or _unusual_data(payload))
             return
         self.writer.add(_topic(kind), t_host_ns, payload)
-        self._count(frame_seq(payload))
+        self._count(t_host_ns, frame_seq(payload))
         fields = None if kind not in _TOPICS else fields_of(kind, payload)
         if fields is not None:
             self._interpret(t_host_ns, kind, fields)
@@ -109,26 +111,28 @@ class Intake:
     def _take_data(self, t_host_ns: int, payload: bytes, data: Data | None) -> None:
         if data is None or (data.stream > _LARGEST_UNNAMED_STREAM and data.stream not in self._streams):
             self.writer.add("/box/other", t_host_ns, payload)
-            self._count(frame_seq(payload))
+            self._count(t_host_ns, frame_seq(payload))
             return
         n_bytes = len(data.samples)
         topic, sample_bytes = self._streams.get(data.stream) or (f"/box/stream{data.stream}", n_bytes + 1)
         self.writer.add(topic, t_host_ns, payload)
         self.counters.samples += n_bytes // sample_bytes
-        self._count(data.seq)
+        self._count(t_host_ns, data.seq)
 
-    def _count(self, seq: int | None) -> None:
+    def _count(self, t_host_ns: int, seq: int | None) -> None:
         self.counters.frames += 1
         if seq is None:
             return
         gap = 0 if self._expected_seq is None else (seq - self._expected_seq) & _SEQ_MASK
         if gap == _SEQ_MASK:  # the last one again
             self.counters.doubled_frames += 1
-        elif gap >= _SEQ_HALF:
-            self.suspect = True
+        elif gap >= _SEQ_HALF or too_many(gap, t_host_ns - self._counted_ns):
+            self.suspect = True  # backwards, or further ahead than can be
+            self.counters.odd_frames += 1
         else:
             self.counters.lost_frames += gap
             self._expected_seq = (seq + 1) & _SEQ_MASK
+            self._counted_ns = t_host_ns
 
     def _interpret(self, t_host_ns: int, kind: int | None, fields: Mapping[str, Any]) -> None:
         if kind == SYNC_REPLY:

@@ -1,7 +1,8 @@
 """Clock exchanges with the box: requests under way, and the ``/sync`` rows that they become.
 
 t0 is the host's time before the request was handed over, t3 that of the reply's arrival; the box's t1 and t2 lie
-between them (SPEC §4). A request that is not answered in 2 s becomes a row with nulls.
+between them (SPEC §4). A request that is not answered in 2 s becomes a row with nulls; so does one whose answer says that the box held
+it for longer than it was away, which no clock of a box does (the answer itself is kept in ``/box/sync``).
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ from typing import Any
 from truearm.record.session_writer import SessionWriter
 
 SYNC_TIMEOUT_NS = 2_000_000_000
+_STAMP_US = 2.0  # each stamp is a whole number of microseconds
+_RATE = 1e-3  # ten times what a crystal is off
 
 
 @dataclass
@@ -31,12 +34,16 @@ class Probes:
 
     def answered(self, probe: int, t1_us: int, t2_us: int, t3_ns: int) -> None:
         """A reply arrived; one that is unknown, too late or doubled is not counted again."""
-        t0_ns = self._pending.pop(probe, None)
+        t0_ns = self._pending.get(probe)
         if t0_ns is None:
             return
+        away_us = (t3_ns - t0_ns) / 1000
+        if not 0 <= t2_us - t1_us <= away_us * (1 + _RATE) + _STAMP_US:
+            return
+        del self._pending[probe]
         row = {"id": probe, "t0_ns": t0_ns, "t1_us": t1_us, "t2_us": t2_us, "t3_ns": t3_ns}
         self.writer.add_json("/sync", t3_ns, row)
-        rtt_us = (t3_ns - t0_ns) / 1000 - (t2_us - t1_us)
+        rtt_us = max(0.0, away_us - (t2_us - t1_us))
         self.rtt_us = rtt_us if self.rtt_us is None else min(rtt_us, self.rtt_us)
 
     def expire(self, now_ns: int, older_than_ns: int = SYNC_TIMEOUT_NS) -> None:

@@ -15,6 +15,8 @@ TAG_UINT16 = 69
 MAX_PAYLOAD = 250
 MAX_DEVICE_US = 2**53  # 285 years: beyond it nothing but a damaged or hostile file lies, and ns stay within 63 bits
 MAX_N0 = 2**62
+_FRAMES_PER_NS = 20_000e-9  # fifty times what the fastest box sends
+_FRAMES_AT_ONCE = 1000  # of a link that delivers late
 
 # A data frame as the box writes it: array(8), type, seq, stream < 24, n0, t0_us, period_ns, tag 78, byte string of 24 … 255.
 _USUAL = struct.Struct(">3sIBBQBQBI3sB")
@@ -76,6 +78,11 @@ def data_of(frame: list[Any]) -> Data | None:
     if _is_array(timing, TAG_UINT16):
         return Data(seq, stream, n0, t0_us, 0, timing.value, samples.value, flags)
     return None
+
+
+def too_many(lost: int, elapsed_ns: int) -> bool:
+    """Whether more frames would be lost than any link carries in the host's time between two of them: the count is not to be believed."""
+    return lost > _FRAMES_AT_ONCE + _FRAMES_PER_NS * max(0, elapsed_ns)
 
 
 def _is_array(value: object, tag: int) -> bool:

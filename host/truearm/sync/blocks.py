@@ -23,10 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import ProtocolError
-from truearm.sensors.data import Data, data_of, decode, usual_data
+from truearm.sensors.data import Data, data_of, decode, too_many, usual_data
 from truearm.sensors.ident import Ident, Stream, decode_ident
 from truearm.sensors.pages import Pages
-from truearm.sync.frames import Exchange, device_time, is_boot, is_text, parse_exchange
+from truearm.sync.frames import Exchange, device_time, is_boot, is_echo, is_text, parse_exchange
 from truearm.sync.heartbeats import Heartbeats
 from truearm.sync.losses import Losses
 from truearm.sync.streams import COUNTED, StreamReport, StreamTrack
@@ -81,6 +81,8 @@ class BoxReader:
         self._keep_exchanges = keep_exchanges
         self._count: Counter[str] = Counter()
         self._last_seq: int | None = None
+        self._last_host_ns = 0  # when that frame arrived
+        self._far_seq: int | None = None  # of the frame before, if it was too far ahead
         self._recent: list[bytes] = [b""] * REMEMBERED
         self._times: dict[int, int] = {}
         self._streams: dict[int, StreamTrack] = {}
@@ -125,14 +127,14 @@ class BoxReader:
     def _frame(self, message: Message) -> Block | None:
         data = usual_data(message.data)
         if data is not None:
-            new = self._new(data.seq, (data.stream, data.t0_us), message.data, False)
+            new = self._new(data.seq, (data.stream, data.t0_us), message, False)
             return self._data(data, message) if new else None
         frame = decode(message.data)
-        if frame is None:
+        if frame is None or is_echo(frame):
             self._count["frames_malformed"] += 1
             return None
         kind, boot = frame[0], is_boot(frame)
-        if not self._new(frame[1], device_time(frame), message.data, boot):
+        if not self._new(frame[1], device_time(frame), message, boot):
             return None
         self._segment.booted |= boot
         if kind == wire.DATA:
@@ -145,11 +147,26 @@ class BoxReader:
             self._count["frames_unknown"] += 1
         return None
 
-    def _new(self, seq: int, stamp: tuple[int, int] | None, data: bytes, boot: bool) -> bool:
-        """Account for a frame; False for a doubled one."""
-        new = self._advance(seq, stamp, data, boot)
+    def _new(self, seq: int, stamp: tuple[int, int] | None, message: Message, boot: bool) -> bool:
+        """Account for a frame; False for a doubled or foreign one."""
+        if self._foreign(seq, message.t_host_ns, boot):
+            self._count["frames_malformed"] += 1
+            return False
+        new = self._advance(seq, stamp, message.data, boot)
         self._count["frames" if new else "frames_duplicated"] += 1
+        self._last_host_ns = message.t_host_ns
         return new
+
+    def _foreign(self, seq: int, t_host_ns: int, boot: bool) -> bool:
+        """Whether ``seq`` lies further ahead than can be; if it goes on from such a one, a new segment begins before it."""
+        step = 1 if self._last_seq is None or boot else (seq - self._last_seq) & 0xFFFFFFFF
+        far = step < HALF_CIRCLE and too_many(step, t_host_ns - self._last_host_ns)
+        before, self._far_seq = self._far_seq, seq if far else None
+        if not far or before is None or seq != (before + 1) & 0xFFFFFFFF:
+            return far
+        self._restart()
+        self._last_seq, self._far_seq = before, None
+        return False
 
     def _advance(self, seq: int, stamp: tuple[int, int] | None, data: bytes, boot: bool) -> bool:
         """Account for ``seq`` and device time; False for a doubled frame."""

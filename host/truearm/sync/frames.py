@@ -47,6 +47,11 @@ def parse_exchange(data: bytes) -> Exchange | None:
     return Exchange(t0, t1, t2, t3) if host and device else None  # type: ignore[arg-type]
 
 
+def is_echo(frame: list[Any]) -> bool:
+    """Whether a frame is of a type that only a host sends (SPEC §6)."""
+    return bool(frame[0] == wire.SYNC_REQUEST or 48 <= frame[0] < 64)
+
+
 def device_time(frame: list[Any]) -> tuple[int, int] | None:
     """The kind of device time (a stream's id, or a negative number) and its value, of a frame that has one."""
     kind = frame[0]

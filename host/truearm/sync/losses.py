@@ -7,7 +7,12 @@ What a frame's ``seq`` means is decided in this order, with step = seq − the l
 2. Device time of its kind runs backward, step is 0 or at least half the circle, or it is the ident of a boot and
    step ≠ 1: a **restart**. seq counts from 0, so the seq frames before it are lost. A new boot id is a restart too,
    whatever seq says.
-3. Otherwise step − 1 frames are **lost**.
+3. More frames would be lost than any link carries in the time between their arrivals: the frame is **malformed**, whatever
+   its CRC says, and changes nothing. Where the next one goes on from it, the count began anew: a restart, by which nobody knows
+   what was lost.
+4. Otherwise step − 1 frames are **lost**.
+
+Frames of a type that only a host sends are malformed too: an echo.
 
 A single frame that was delivered late and is no double looks like a restart by rule 2: two segments with one boot id. While a
 session is recorded the box can be asked; afterwards a segment too many does no harm, as nothing is fitted across segments.
