@@ -6,7 +6,7 @@ Shapes: ``n`` rows, ``j`` joints, ``p`` parameters, ``m`` scalar residuals.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -196,30 +196,59 @@ class ObservationTable:
 
 @dataclass(frozen=True)
 class Plan:
-    """Poses in the order of their visits: joint vectors and what the ball-bar connects at each.
+    """What a robot visits, row by row: joint vectors, and what is measured there or on the way there.
+
+    ``move`` says what a row is. ``dwell``: a pose at which the ball-bar is read at rest. ``via``: a place that is passed or
+    stopped at; with the bar on if the row names bar, chuck and sphere, with it off if it names none. ``line``: reached from the
+    row before straight in Cartesian space, ``target`` at constant ``speed`` along the ``line`` device while its sensors
+    measure; such a row names no bar. Columns that are not given: all rows are dwells.
 
     Raises PlanError where the shapes disagree.
     """
 
     IDS: ClassVar[tuple[str, ...]] = ("shell", "bar", "chuck", "sphere")
+    MOVES: ClassVar[tuple[str, ...]] = ("dwell", "via", "line")
 
     q: Floats  # (n, j) rad
     shell: Strings  # (n,)
     bar: Strings  # (n,)
     chuck: Strings  # (n,)
     sphere: Strings  # (n,)
+    move: Strings = field(default_factory=_absent)  # (n,) of MOVES
+    line: Strings = field(default_factory=_absent)  # (n,) the line device's placement, "" but on lines
+    target: Strings = field(default_factory=_absent)  # (n,) the tool point on the line, "" but on lines
+    speed: Floats = field(default_factory=_absent)  # (n,) m/s, NaN but on lines
 
     def __post_init__(self) -> None:
-        shapes = {getattr(self, name).shape for name in self.IDS}
-        if self.q.ndim != 2 or shapes != {self.q.shape[:1]}:
-            raise PlanError(f"a plan needs q (n, j) and ids (n,), got {self.q.shape} and {sorted(shapes)}")
+        n = self.q.shape[:1]
+        for name, value in (("move", "dwell"), ("line", ""), ("target", ""), ("speed", np.nan)):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.full(n, value))
+        shapes = {getattr(self, name).shape for name in self.columns()[1:]}
+        if self.q.ndim != 2 or shapes != {n}:
+            raise PlanError(f"a plan needs q (n, j) and columns (n,), got {self.q.shape} and {sorted(shapes)}")
 
     def __len__(self) -> int:
         return int(self.q.shape[0])
 
+    @classmethod
+    def columns(cls) -> tuple[str, ...]:
+        """Names of all columns, ``q`` first."""
+        return tuple(column.name for column in fields(cls))
+
+    @property
+    def dwells(self) -> NDArray[np.bool_]:
+        """(n,) the rows at which the ball-bar is read."""
+        return np.asarray(self.move == "dwell")
+
+    @property
+    def lines(self) -> NDArray[np.bool_]:
+        """(n,) the rows on the way to which the line device is read."""
+        return np.asarray(self.move == "line")
+
     def select(self, rows: NDArray[Any]) -> Plan:
-        """The poses of a boolean mask or an index array."""
-        return Plan(self.q[rows], *(getattr(self, name)[rows] for name in self.IDS))
+        """The rows of a boolean mask or an index array."""
+        return Plan(**{name: getattr(self, name)[rows] for name in self.columns()})
 
 
 @dataclass(frozen=True)

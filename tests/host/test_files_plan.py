@@ -8,12 +8,22 @@ from hypothesis.extra.numpy import arrays
 
 from truearm.errors import PlanError
 from truearm.files.plan import check_against_rig, concatenate, format_plan, parse_plan, read_plan, write_plan
-from truearm.types import Plan, Rig
+from truearm.types import Device, Plan, Point, Rig
 
 GOOD = """\
 pose,shell,bar,chuck,sphere,q1_rad,q2_rad
 0,bar46-c1,bar46,c1,s1,0.1,-0.25
 1,,bar46,c1,s2,1e-3,.5
+"""
+
+
+MOVING = """\
+pose,shell,bar,chuck,sphere,move,line,target,speed_mm_s,q1_rad,q2_rad
+0,bar46-c1,bar46,c1,s1,,,,,0.1,-0.25
+1,,bar46,c1,s1,via,,,,0.2,.5
+2,,,,,via,,,,0.3,.5
+3,,,,,line,left,ball,62.5,0.4,.5
+4,,,,,line,left,,100,0.3,.5
 """
 
 
@@ -23,9 +33,8 @@ def plan_of(q):
 
 
 def assert_same(a, b):
-    assert np.array_equal(a.q, b.q)
-    for name in ("shell", "bar", "chuck", "sphere"):
-        assert np.array_equal(getattr(a, name), getattr(b, name))
+    for name in Plan.columns():
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
 
 
 def test_a_plan_by_hand():
@@ -46,6 +55,72 @@ def test_a_plan_through_a_file(tmp_path):
     plan = plan_of(np.random.default_rng(1).normal(size=(4, 6)))
     write_plan(tmp_path / "plan.csv", plan)
     assert_same(read_plan(tmp_path / "plan.csv"), plan)
+
+
+def test_a_plan_with_via_points_and_lines():
+    plan = parse_plan(MOVING, "plan.csv")
+    assert plan.move.tolist() == ["dwell", "via", "via", "line", "line"]
+    assert plan.line.tolist() == ["", "", "", "left", "left"]
+    assert plan.target.tolist() == ["", "", "", "ball", ""]
+    assert plan.bar.tolist() == ["bar46", "bar46", "", "", ""]
+    assert plan.speed[3:].tolist() == [0.0625, 0.1]
+    assert np.isnan(plan.speed[:3]).all()
+    assert plan.dwells.tolist() == [True] + 4 * [False]
+    assert plan.lines.tolist() == 3 * [False] + 2 * [True]
+    assert_same(parse_plan(format_plan(plan), "plan.csv"), plan)
+    both = concatenate(parse_plan(GOOD, "plan.csv"), plan)
+    assert_same(parse_plan(format_plan(both), "plan.csv"), both)
+
+
+def test_a_plan_of_dwells_is_written_as_ever():
+    assert format_plan(parse_plan(GOOD, "plan.csv")).splitlines()[0] == GOOD.splitlines()[0]
+    plain = MOVING.splitlines()[:2]
+    assert (
+        format_plan(parse_plan("\n".join(plain), "p"))
+        == GOOD.splitlines(keepends=True)[0] + "0,bar46-c1,bar46,c1,s1,0.1,-0.25\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        (",via,,,,0.2", ",fly,,,,0.2", "row 3 column move: 'fly' is none of dwell, via, line"),
+        ("bar46,c1,s1,via", "bar46,c1,,via", "row 3: names bar but not bar, chuck and sphere"),
+        (",via,,,,0.2", ",via,left,,,0.2", "row 3 column line: only lines have one"),
+        (",via,,,,0.2", ",via,,,100,0.2", "row 3 column speed_mm_s: only lines have one"),
+        (",,,line,left,ball", "bar46,,,line,left,ball", "row 5 column bar: the bar is off"),
+        ("line,left,ball,62.5", "line,,ball,62.5", "row 5 column line: '' is no identifier"),
+        ("line,left,ball,62.5", "line,left,a b,62.5", "row 5 column target: 'a b' is no identifier"),
+        ("ball,62.5", "ball,", "row 5 column speed_mm_s: '' is no speed"),
+        ("ball,62.5", "ball,0", "row 5 column speed_mm_s: '0' is no speed"),
+        ("ball,62.5", "ball,10001", "row 5 column speed_mm_s: '10001' is no speed"),
+        ("0,bar46-c1,bar46,c1,s1,,,,,", "0,,,,,line,left,,100,", "row 2: a line is driven from the row before it"),
+        (",sphere,move,line,target,speed_mm_s", ",sphere,move,line,target", "row 1: column 'q1_rad' is wrong"),
+    ],
+)
+def test_bad_moves_are_named(old, new, says):
+    assert old in MOVING
+    with pytest.raises(PlanError, match=rf"^plan\.csv.*({says})"):
+        parse_plan(MOVING.replace(old, new), "plan.csv")
+
+
+def test_a_plan_that_measures_nothing():
+    text = "\n".join([MOVING.splitlines()[0], "0,,,,,via,,,,0.1,0.2"])
+    with pytest.raises(PlanError, match="nothing to measure"):
+        parse_plan(text, "plan.csv")
+
+
+def test_lines_and_targets_against_the_rig():
+    plan = parse_plan(MOVING, "plan.csv").select(np.array([False, False, True, True, True]))
+    ball, tip = Point("ball", (0.0, 0.0, 0.1)), Point("tip", (0.0, 0.0, 0.2))
+    check_against_rig(plan, Rig(targets={"ball": ball}), "plan.csv")  # lists no lines, so takes any
+    with pytest.raises(PlanError, match=r"pose 1 column target: 'ball' is not in the rig \(it has tip\)"):
+        check_against_rig(plan, Rig(targets={"tip": tip}), "plan.csv")
+    with pytest.raises(PlanError, match="pose 2 column target: '' is not in the rig"):
+        check_against_rig(plan, Rig(targets={"ball": ball, "tip": tip}), "plan.csv")
+    other = Device("right", ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+    with pytest.raises(PlanError, match="column line: 'left' is not in the rig"):
+        check_against_rig(plan, Rig(targets={"ball": ball}, lines={"right": other}), "plan.csv")
 
 
 def test_concatenate_and_select():

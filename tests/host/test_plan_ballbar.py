@@ -14,6 +14,7 @@ from truearm.plan.ballbar import Wanted, all_pairings, bars_off, plan_ballbar
 from truearm.plan.forecast import Aim, bar_table, forecast
 from truearm.plan.region import parse_region
 from truearm.plan.way import Pace
+from truearm.types import Plan
 
 each_robot = pytest.mark.parametrize("name", bench.ROBOTS)
 
@@ -42,6 +43,29 @@ def test_a_pairing_once_left_does_not_come_back(name):
     changes = 1 + sum(a != b for a, b in pairwise(keys))
     assert changes == len(set(keys))
     assert route.n_mounts == changes + len(bars_off(route))
+
+
+@each_robot
+def test_the_plan_file_keeps_via_points_and_says_where_the_bar_is_off(name):
+    route = bench.planned(name).route
+    visits = route.visits
+    dwells = visits.select(visits.dwells)
+    for column in Plan.columns():
+        np.testing.assert_array_equal(getattr(dwells, column), getattr(route.plan, column))
+    # The same places in the same order; one that stands twice is where a bar comes off.
+    new = np.concatenate([[True], np.any(np.diff(visits.q, axis=0) != 0.0, axis=1)])
+    assert np.array_equal(visits.q[new], route.q)
+    on = visits.bar != ""
+    assert not on[~new].any()
+    row = np.flatnonzero(new)
+    for i in range(1, len(route.q)):
+        here = tuple(str(getattr(visits, column)[row[i]]) for column in ("chuck", "sphere", "bar"))
+        mounted = bench.connected(route, i)
+        assert here == (mounted or ("", "", "")) or route.mount[i]
+        # A bar that comes off between two poses of one pairing is off at a row between them.
+        if route.mount[i] and visits.bar[row[i - 1]] == visits.bar[row[i]]:
+            same = all(getattr(visits, c)[row[i - 1]] == getattr(visits, c)[row[i]] for c in ("chuck", "sphere"))
+            assert not same or not on[row[i - 1] : row[i]].all()
 
 
 @each_robot

@@ -253,3 +253,19 @@ def test_marks_of_a_stranger():
     marks.feed("/events", 9, b'{"kind":"mounted","bar":"b2"}')
     assert [marks.mounted_at(t) for t in (4, 5, 8, 9)] == [{}, {"bar": "b1"}, {"bar": "b1"}, {"bar": "b2"}]
     assert marks.kinds == {"mounted": 2}
+
+
+def test_only_dwells_of_a_plan_are_poses_to_be_matched():
+    marks = Marks()
+    for row in (
+        b'{"q":[0,0],"move":"via"}',
+        b'{"q":[1,0],"bar":"b","chuck":"c","sphere":"s"}',
+        b'{"q":[2,0],"move":"line","line":"left","target":"ball","speed_m_s":0.1}',
+        b'{"q":[3,0],"move":"dwell","bar":"b"}',
+        b'{"q":[4,0],"move":"jump"}',
+    ):
+        marks.feed("/plan", 0, row)
+    assert marks.malformed == 1
+    assert marks.dwells == [1, 3]
+    assert marks.plan().q.tolist() == [[1.0, 0.0], [3.0, 0.0]]
+    assert (marks.rows[2].line, marks.rows[2].target) == ("left", "ball")

@@ -123,7 +123,7 @@ def describe(session: Session) -> dict[str, Any]:
         "clock": [asdict(report) for report in found.clock_reports],
         "robot": _robot(found, contents),
         "events": found.marks.kinds,
-        "plan_poses": len(found.marks.poses),
+        "plan_poses": len(found.marks.dwells),
         "dwells": _dwells(session, found, ident),
     }
     return _without_nan(document)  # type: ignore[no-any-return]

@@ -149,7 +149,7 @@ def ballbar(
         (lambda _: None) if as_json else _say,
     )
     if out is not None:
-        write_plan(out, planned.route.plan)
+        write_plan(out, planned.route.visits)
     _write_programs(planned.route.stops, dwell_s, program or [], Signals(output_line, input_line))
     document = _document(planned.forecast) | {
         "poses": len(planned.route.plan),

@@ -204,18 +204,17 @@ def _check_mounted(mounting: Mapping[str, str], rig: Rig, name: str) -> None:
 
 
 def plan_rows(plan: Plan) -> list[dict[str, Any]]:
-    """The messages of ``/plan``."""
-    return [
-        {
-            "pose": pose,
-            "shell": str(plan.shell[pose]),
-            "bar": str(plan.bar[pose]),
-            "chuck": str(plan.chuck[pose]),
-            "sphere": str(plan.sphere[pose]),
-            "q": plan.q[pose].tolist(),
-        }
-        for pose in range(len(plan))
-    ]
+    """The messages of ``/plan``, one a row."""
+    return [_plan_row(plan, pose) for pose in range(len(plan))]
+
+
+def _plan_row(plan: Plan, pose: int) -> dict[str, Any]:
+    row: dict[str, Any] = {"pose": pose, **{name: str(getattr(plan, name)[pose]) for name in plan.IDS}}
+    if plan.move[pose] != "dwell":
+        row["move"] = str(plan.move[pose])
+    if plan.lines[pose]:
+        row |= {"line": str(plan.line[pose]), "target": str(plan.target[pose]), "speed_m_s": float(plan.speed[pose])}
+    return row | {"q": plan.q[pose].tolist()}
 
 
 @contextmanager

@@ -1,8 +1,8 @@
-"""Plan files: CSV with one row a pose, in the order of the visits (docs/table-format.md).
+"""Plan files: CSV with one row a place, in the order of the visits (docs/table-format.md).
 
-Columns ``pose, shell, bar, chuck, sphere, q1_rad … qj_rad``; ``pose`` counts from 0. The recorder stores the plan in the
-session; later a dwell is known by the planned joint vector that it stands at. A plan without shells may leave ``shell``
-empty.
+Columns ``pose, shell, bar, chuck, sphere``, then, in plans that hold more than dwells, ``move, line, target, speed_mm_s``, then
+``q1_rad … qj_rad``; ``pose`` counts from 0. The recorder stores the plan in the session; later a dwell is known by the
+planned joint vector that it stands at, a line by those between which it was driven.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ from truearm.types import Plan, Rig
 MAX_BYTES = 16 * 2**20
 MAX_JOINTS = 64
 IDS = Plan.IDS
+MOTION = ("move", "line", "target", "speed_mm_s")  # all four or none
+FASTEST = 10.0  # m/s; a speed beyond was written in another unit
 LARGEST = 20.0 * math.pi  # rad; an angle beyond ten turns was written in degrees
 
 _ID = re.compile(r"[\w-]{1,64}")
@@ -32,8 +34,7 @@ def concatenate(*plans: Plan) -> Plan:
     """Several plans visited one after the other. Raises PlanError when their joints differ in number."""
     if len({plan.q.shape[1] for plan in plans}) != 1:
         raise PlanError(f"plans of different robots: they have {[plan.q.shape[1] for plan in plans]} joints")
-    ids = (np.concatenate([getattr(plan, name) for plan in plans]) for name in IDS)
-    return Plan(np.concatenate([plan.q for plan in plans]), *ids)
+    return Plan(**{name: np.concatenate([getattr(plan, name) for plan in plans]) for name in Plan.columns()})
 
 
 def read_plan(path: Path) -> Plan:
@@ -47,22 +48,40 @@ def parse_plan(text: str, name: str) -> Plan:
     if not rows:
         raise PlanError(f"{name}: is empty; a plan begins with the header pose,shell,bar,chuck,sphere,q1_rad,...")
     header = rows[0][1]
-    n_joints = len(header) - 1 - len(IDS)
-    expected = _header(n_joints)
-    if not 1 <= n_joints <= MAX_JOINTS or header != expected:
+    moving = MOTION[0] in header[:6]
+    names = _names(moving)
+    expected = [*names, *_joints(len(header) - len(names))]
+    if not len(names) < len(header) <= len(names) + MAX_JOINTS or header != expected:
         wrong = next((title for title, right in zip(header, expected, strict=False) if title != right), "the last")
-        raise PlanError(f"{name} row 1: column {wrong[:40]!r} is wrong; the header is pose,{','.join(IDS)},q1_rad,...")
+        raise PlanError(
+            f"{name} row 1: column {wrong[:40]!r} is wrong; the header is {','.join(_names(False))},q1_rad,... "
+            f"or {','.join(_names(True))},q1_rad,..."
+        )
     if len(rows) == 1:
         raise PlanError(f"{name}: has a header but no poses")
     for pose, (number, cells) in enumerate(rows[1:]):
-        _check_row(cells, pose, len(header), f"{name} row {number}")
-    q = np.array([[_angle(cell, f"{name} row {number}") for cell in cells[5:]] for number, cells in rows[1:]])
-    columns = np.array([cells[1:5] for _, cells in rows[1:]]).T
-    return Plan(q, *columns)
+        where = f"{name} row {number}"
+        _check_row(cells, pose, len(header), where)
+        _check_names(dict(zip(names, cells, strict=False)), pose, where)
+    q = np.array([[_angle(c, f"{name} row {number}") for c in cells[len(names) :]] for number, cells in rows[1:]])
+    columns = dict(zip(names, np.array([cells[: len(names)] for _, cells in rows[1:]]).T, strict=True))
+    ids = {name: columns[name] for name in IDS}
+    if not moving:
+        return Plan(q, **ids)
+    move = np.where(columns["move"] == "", "dwell", columns["move"])
+    if (move == "via").all():
+        raise PlanError(f"{name}: holds nothing to measure, only places to pass")
+    speed = np.array([float(cell) / 1e3 if cell else np.nan for cell in columns["speed_mm_s"]])
+    return Plan(q, **ids, move=move, line=columns["line"], target=columns["target"], speed=speed)
 
 
-def _header(n_joints: int) -> list[str]:
-    return ["pose", *IDS, *(f"q{i + 1}_rad" for i in range(n_joints))]
+def _names(moving: bool) -> list[str]:
+    """The columns before the joints."""
+    return ["pose", *IDS, *(MOTION if moving else ())]
+
+
+def _joints(n_joints: int) -> list[str]:
+    return [f"q{i + 1}_rad" for i in range(n_joints)]
 
 
 def _rows(text: str, name: str) -> list[tuple[int, list[str]]]:
@@ -79,9 +98,41 @@ def _check_row(cells: list[str], pose: int, width: int, where: str) -> None:
         raise PlanError(f"{where}: has {len(cells)} cells, the header has {width}")
     if cells[0] != str(pose):
         raise PlanError(f"{where}: pose is {cells[0][:40]!r}, expected {pose}; poses count from 0 without gaps")
-    for name, cell in zip(IDS, cells[1:], strict=False):
-        if not _ID.fullmatch(cell) and not (name == "shell" and cell == ""):
+
+
+def _check_names(cells: dict[str, str], pose: int, where: str) -> None:
+    """The names of one row and its kind of move against each other."""
+    move = cells.get("move") or "dwell"
+    if move not in Plan.MOVES:
+        raise PlanError(f"{where} column move: {move[:40]!r} is none of {', '.join(Plan.MOVES)}")
+    for name in (*IDS, "line", "target"):
+        cell = cells.get(name, "")
+        if not _ID.fullmatch(cell) and (cell or _required(name, move)):
             raise PlanError(f"{where} column {name}: {cell[:40]!r} is no identifier (letters, digits, '-', '_')")
+    fitted = [name for name in ("bar", "chuck", "sphere") if cells[name]]
+    if move == "line":
+        if pose == 0:
+            raise PlanError(f"{where}: a line is driven from the row before it, and there is none")
+        if fitted:
+            raise PlanError(f"{where} column {fitted[0]}: the bar is off while a line is driven; leave it empty")
+        _speed(cells["speed_mm_s"], where)
+        return
+    if len(fitted) not in (0, 3):
+        raise PlanError(f"{where}: names {fitted[0]} but not bar, chuck and sphere, which a place has all or none of")
+    for name in ("line", "target", "speed_mm_s"):
+        if cells.get(name):
+            raise PlanError(f"{where} column {name}: only lines have one; leave it empty")
+
+
+def _required(name: str, move: str) -> bool:
+    return name in {"dwell": ("bar", "chuck", "sphere"), "via": (), "line": ("line",)}[move]
+
+
+def _speed(cell: str, where: str) -> None:
+    if not _NUMBER.fullmatch(cell[:60]) or not 0.0 < float(cell[:60]) <= 1e3 * FASTEST:
+        raise PlanError(
+            f"{where} column speed_mm_s: {cell[:40]!r} is no speed in mm/s above 0, {1e3 * FASTEST:g} at most"
+        )
 
 
 def _angle(cell: str, where: str) -> float:
@@ -93,10 +144,13 @@ def _angle(cell: str, where: str) -> float:
 
 
 def check_against_rig(plan: Plan, rig: Rig, name: str) -> None:
-    """Raise PlanError for the first pose with a bar, chuck or sphere that the rig does not have."""
-    for column, known in (("bar", rig.bars), ("chuck", rig.chucks), ("sphere", rig.spheres)):
+    """Raise PlanError for the first row that names something that the rig does not have, or not the one of its targets."""
+    lines = rig.lines or dict.fromkeys(plan.line[plan.lines].tolist())  # a rig that lists none takes any
+    known_names = {"bar": rig.bars, "chuck": rig.chucks, "sphere": rig.spheres, "line": lines, "target": rig.targets}
+    for column, known in known_names.items():
         for pose, identifier in enumerate(getattr(plan, column)):
-            if identifier not in known:
+            chosen = column == "target" and plan.move[pose] == "line" and len(known) > 1
+            if identifier not in known and (identifier or chosen):
                 names = ", ".join(sorted(known)) or "none"
                 raise PlanError(
                     f"{name} pose {pose} column {column}: {str(identifier)!r} is not in the rig (it has {names})"
@@ -104,13 +158,23 @@ def check_against_rig(plan: Plan, rig: Rig, name: str) -> None:
 
 
 def format_plan(plan: Plan) -> str:
-    """The text of a plan file; every number comes back bit for bit."""
+    """The text of a plan file; every joint comes back bit for bit, a speed to a picometre a second. Plans of dwells alone have no columns of motion."""
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_header(plan.q.shape[1]))
+    moving = not plan.dwells.all()
+    writer.writerow([*_names(moving), *_joints(plan.q.shape[1])])
     for pose in range(len(plan)):
-        writer.writerow([pose, *(getattr(plan, name)[pose] for name in IDS), *map(repr, plan.q[pose].tolist())])
+        motion = _motion(plan, pose) if moving else ()
+        names = (getattr(plan, name)[pose] for name in IDS)
+        writer.writerow([pose, *names, *motion, *map(repr, plan.q[pose].tolist())])
     return text.getvalue()
+
+
+def _motion(plan: Plan, pose: int) -> tuple[str, ...]:
+    """The cells of MOTION."""
+    speed = float(plan.speed[pose])
+    cell = "" if math.isnan(speed) else repr(round(1e3 * speed, 9))
+    return str(plan.move[pose]), str(plan.line[pose]), str(plan.target[pose]), cell
 
 
 def write_plan(path: Path, plan: Plan) -> None:

@@ -51,6 +51,26 @@ class Route(NamedTuple):
         return float(self.seconds.sum() + rest) / 60.0
 
     @property
+    def visits(self) -> Plan:
+        """All stops as a plan: via points name what is mounted, or nothing on the way to a mount, where the bar is off.
+
+        Where a bar is taken off and put on again without a via point between, the place where it comes off stands twice.
+        """
+        rows = list[tuple[Floats, int, str]]()
+        to = _next_pose(self.pose)
+        for i, (q, pose) in enumerate(zip(self.q, self.pose.tolist(), strict=True)):
+            off = bool(self.mount[np.argmax(self.pose[i:] >= 0) + i])
+            if pose >= 0 and off and i and self.pose[i - 1] >= 0:
+                rows.append((self.q[i - 1], -1, "via"))
+            rows.append((q, int(to[i]) if pose >= 0 or not off else -1, "dwell" if pose >= 0 else "via"))
+        which = np.array([pose for _, pose, _ in rows])
+        names = {
+            name: np.where(which < 0, "", getattr(self.plan, name)[which])
+            for name in ("bar", "chuck", "sphere", "shell")
+        }
+        return Plan(np.array([q for q, _, _ in rows]), **names, move=np.array([move for _, _, move in rows]))
+
+    @property
     def stops(self) -> list[Stop]:
         """For a program."""
         out = []

@@ -48,7 +48,13 @@ _PROPERTIES: dict[str, dict[str, Any]] = {
         "arrival": {"type": "boolean"},
     },
     "/events": {"kind": {"type": "string"}, **_TEXTS},
-    "/plan": {"pose": {"type": "integer"}, **_TEXTS, "q": _NUMBERS},
+    "/plan": {
+        "pose": {"type": "integer"},
+        **_TEXTS,
+        **{name: {"type": "string"} for name in ("move", "line", "target")},
+        "speed_m_s": {"type": "number"},
+        "q": _NUMBERS,
+    },
 }
 
 

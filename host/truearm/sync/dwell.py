@@ -79,7 +79,7 @@ class Dwell:
     n_samples: int = 0
     n_eff: float = 0.0
     clock_bound_ns: float = float("nan")
-    pose: int | None = None  # of the plan
+    pose: int | None = None  # row of the plan
     mounted: dict[str, str] = field(default_factory=dict)  # bar, chuck, sphere, shell
     q_cmd: Floats = field(default_factory=lambda: np.empty(0))  # (j,) mean commanded, NaN if not said; nothing uses it
 

@@ -17,32 +17,44 @@ import json
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from truearm.sensors.joints import MAX_JOINTS
 from truearm.types import Floats
+from truearm.types import Plan as PlanFile
 
 FITTINGS = ("bar", "chuck", "sphere", "shell")
 REQUIRED = ("bar", "chuck", "sphere")  # what an observation of the ball-bar must name
+MOVES = PlanFile.MOVES
 MAX_NAME = 64
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The planned poses in their order: q (p, j) and what is mounted at each."""
+    """The poses at which the ball-bar is read, in their order: q (p, j) and what is mounted at each."""
 
     q: Floats
     mounted: tuple[dict[str, str], ...]
+
+
+class Row(NamedTuple):
+    """A row of the plan as ``/plan`` has it (``types.Plan``)."""
+
+    q: list[float]
+    mounted: dict[str, str]  # of FITTINGS
+    move: str
+    line: str
+    target: str
 
 
 @dataclass
 class Marks:
     """Gathers what ``/plan`` and ``/events`` say."""
 
-    poses: list[tuple[list[float], dict[str, str]]] = field(default_factory=list)
+    rows: list[Row] = field(default_factory=list)
     mountings: list[tuple[int, dict[str, str]]] = field(default_factory=list)  # (t_host_ns, what)
     kinds: dict[str, int] = field(default_factory=dict)
     malformed: int = 0
@@ -67,16 +79,24 @@ class Marks:
         q = document.get("q")
         numbers = isinstance(q, list) and 1 <= len(q) <= MAX_JOINTS
         numbers = numbers and all(type(value) in (int, float) and abs(value) < 1e6 for value in q or [])
-        if not numbers or (self.poses and len(self.poses[0][0]) != len(q or [])):
+        move = document.get("move", "dwell")
+        if not numbers or move not in MOVES or (self.rows and len(self.rows[0].q) != len(q or [])):
             self.malformed += 1
             return
-        self.poses.append(([float(value) for value in q or []], _fittings(document)))
+        line, target = (_named(document, key) for key in ("line", "target"))
+        self.rows.append(Row([float(value) for value in q or []], _fittings(document), move, line, target))
+
+    @property
+    def dwells(self) -> list[int]:
+        """The rows at which the ball-bar is read."""
+        return [number for number, row in enumerate(self.rows) if row.move == "dwell"]
 
     def plan(self) -> Plan | None:
-        """The plan, None without a pose."""
-        if not self.poses:
+        """The poses of ``dwells``, None without any."""
+        poses = [self.rows[number] for number in self.dwells]
+        if not poses:
             return None
-        return Plan(np.array([q for q, _ in self.poses]), tuple(mounted for _, mounted in self.poses))
+        return Plan(np.array([row.q for row in poses]), tuple(row.mounted for row in poses))
 
     def mounted_at(self, t_host_ns: int) -> dict[str, str]:
         """What was said to be mounted at a time; empty before the first word."""
@@ -185,5 +205,10 @@ def _document(data: bytes) -> dict[str, Any] | None:
 
 
 def _fittings(document: Mapping[str, Any]) -> dict[str, str]:
-    named = {key: document.get(key) for key in FITTINGS}
-    return {key: str(value)[:MAX_NAME] for key, value in named.items() if isinstance(value, str) and value}
+    named = {key: _named(document, key) for key in FITTINGS}
+    return {key: value for key, value in named.items() if value}
+
+
+def _named(document: Mapping[str, Any], key: str) -> str:
+    value = document.get(key)
+    return value[:MAX_NAME] if isinstance(value, str) else ""

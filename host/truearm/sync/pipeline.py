@@ -170,7 +170,8 @@ def _pair(found: Survey, rig: Rig, rules: DwellRules) -> list[Dwell]:
         if k in found_poses.ambiguous:
             dwells[i] = replace(dwells[i], reason="ambiguous")
         else:
-            dwells[i] = _mounted(dwells[i], pose, {} if pose is None else plan.mounted[pose], rig)
+            row = None if pose is None else found.marks.dwells[pose]
+            dwells[i] = _mounted(dwells[i], row, {} if pose is None else plan.mounted[pose], rig)
     return dwells
 
 
