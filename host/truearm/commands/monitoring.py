@@ -23,13 +23,12 @@ if TYPE_CHECKING:
 
     from truearm.record.box_control import BoxControl, Sent
     from truearm.sensors.ident import Channel, Ident, Stream
-    from truearm.sync.frames import Exchange
+    from truearm.sync.online import OnlineClock
 
 WINDOW_S = 1.0  # of samples that a shown value is the mean of
 PROBE_S = 0.25
 SHOW_S = 0.5
 PLAIN_S = 1.0
-MAX_EXCHANGES = 240  # a minute
 MAX_PROBES = 64  # under way
 
 
@@ -55,6 +54,12 @@ class Window:
             self.samples -= len(self.blocks.popleft())
 
 
+def _clock() -> OnlineClock:
+    from truearm.sync.online import OnlineClock  # with scipy, which --help does without
+
+    return OnlineClock()
+
+
 @dataclass
 class Watch:
     """What was seen of a box since it was started. Times in s and ns of the host's clock."""
@@ -62,7 +67,7 @@ class Watch:
     ident: Ident
     windows: dict[int, Window] = field(default_factory=dict)
     heartbeat: dict[str, Any] = field(default_factory=dict)
-    exchanges: deque[Exchange] = field(default_factory=lambda: deque(maxlen=MAX_EXCHANGES))
+    clock: OnlineClock = field(default_factory=_clock)
     probes: dict[int, int] = field(default_factory=dict)
     edges: int = 0
     restarts: int = 0
@@ -74,7 +79,6 @@ class Watch:
 
     def take(self, sent: Sent) -> None:
         """A frame that came."""
-        from truearm.sync.frames import Exchange
         from truearm_wire.messages import EVENT, HEARTBEAT, SYNC_REPLY
 
         if sent.data is not None:
@@ -88,7 +92,7 @@ class Watch:
             self.edges += 1
         elif sent.kind == SYNC_REPLY and sent.fields["id"] in self.probes:
             t0_ns = self.probes.pop(sent.fields["id"])
-            self.exchanges.append(Exchange(t0_ns, sent.fields["t1_us"], sent.fields["t2_us"], sent.t_host_ns))
+            self.clock.add(t0_ns, sent.fields["t1_us"], sent.fields["t2_us"], sent.t_host_ns)
 
 
 def monitor_box(device: str, duration: float | None, plain: bool) -> None:
@@ -181,15 +185,12 @@ def value_of(counts: NDArray[np.int32], channel: Channel, stream: Stream) -> str
 
 def clock_words(watch: Watch) -> str:
     """How well the host knows the box's clock by the exchanges of the last minute."""
-    from truearm.sync.clock import fit_clock
-
-    fitted = fit_clock(0, list(watch.exchanges)) if len(watch.exchanges) >= 3 else None
-    if fitted is None:
+    now = watch.clock.estimate()
+    if now is None:
         return "not known yet"
-    report = fitted[1]
     return (
-        f"± {report.bound_ns / 1000:.0f} µs, host {report.rate_ppm:+.1f} ppm faster, "
-        f"round trip {report.rtt_min_ns / 1000:.0f} µs at best"
+        f"± {now.bound_ns / 1000:.0f} µs, host {now.rate_ppm:+.1f} ppm faster, "
+        f"round trip {now.rtt_min_ns / 1000:.0f} µs at best"
     )
 
 
