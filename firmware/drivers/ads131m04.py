@@ -28,24 +28,9 @@ RX_CRC_EN stays off: while sampling, DIN is low, so that every frame is the comm
 registers is seen by REG_MAP. Its check takes 448 clocks.
 """
 
-import sys
 from array import array
 
-if sys.implementation.name == "micropython":
-    import micropython
-else:
-
-    class micropython:  # the decorator is matched by its text, so the name must be this one
-        @staticmethod
-        def viper(function):
-            return function
-
-    def ptr8(buffer):
-        return buffer
-
-    def ptr16(buffer):
-        return buffer
-
+from truearm_wire.fast import micropython, ptr8, ptr16
 
 NULL = 0x0000
 RREG = 0xA000  # + address << 7

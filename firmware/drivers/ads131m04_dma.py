@@ -32,39 +32,14 @@ Rings (32 KiB with what aligning takes): 16 KiB of frames hold 681 conversions, 
 
 # ruff: noqa: F821  (the state machine's instructions are names that asm_pio brings)
 
-import sys
 from array import array
 
-from truearm_wire.fast import add, copy
-from truearm_wire.messages import FLAG_CONVERTER
+from truearm_wire.fast import add, copy, micropython, ptr8, ptr16, ptr32
+from truearm_wire.messages import COUNTER, FLAG_CONVERTER
 
 from .ads131m04 import CLOCK_WORD, SETTLING, TABLE, Registers, gain_word, osr_code
 from .registers import address, aligned, arm, drain, halt, poke
 
-if sys.implementation.name == "micropython":
-    import micropython
-else:
-
-    class micropython:  # the decorator is matched by its text, so the name must be this one
-        @staticmethod
-        def viper(function):
-            return function
-
-        @staticmethod
-        def native(function):
-            return function
-
-    def ptr8(buffer):
-        return buffer
-
-    def ptr16(buffer):
-        return buffer
-
-    def ptr32(buffer):
-        return buffer
-
-
-COUNTER = (1 << 30) - 1  # counters of the box wrap there
 CHANNELS = 4
 SAMPLE = 4 * CHANNELS
 RECORD = 24  # bytes of a frame in the ring: six words, the 24 bits in the lower three bytes
@@ -393,7 +368,8 @@ class Adc:
         if s[SEEN] == 0:
             s[BROKEN] = 0
         if jump:
-            self._skip(jump)
+            self._lost += jump
+            add(self._index, 0, 8, jump)
         copy(index, 0, self._index, 0, 8)
         add(self._index, 0, 8, n)
         return True
@@ -432,12 +408,6 @@ class Adc:
             s[READ] = (s[READ] + s[SEEN]) & COUNTER
             s[SEEN] = 0
             s[BROKEN] = 0
-
-    def _skip(self, n):
-        self._lost += n
-        while n > 0:
-            add(self._index, 0, 8, min(n, 1 << 20))
-            n -= 1 << 20
 
     # -- the hardware; no call allocates
 

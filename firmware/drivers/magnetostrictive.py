@@ -70,35 +70,13 @@ No shot is lost in hardware: the FIFOs hold four. Python must come by once in SH
 
 # ruff: noqa: F821  (the state machine's instructions are names that asm_pio brings)
 
-import sys
 from array import array
 
-from truearm_wire.fast import add, copy
-from truearm_wire.messages import FLAG_MISSING_STOP
+from truearm_wire.fast import add, copy, micropython, ptr8, ptr32
+from truearm_wire.messages import COUNTER, FLAG_MISSING_STOP
 
 from .registers import address, aligned, arm, drain, halt, poke
 
-if sys.implementation.name == "micropython":
-    import micropython
-else:
-
-    class micropython:  # the decorator is matched by its text, so the name must be this one
-        @staticmethod
-        def viper(function):
-            return function
-
-        @staticmethod
-        def native(function):
-            return function
-
-    def ptr8(buffer):
-        return buffer
-
-    def ptr32(buffer):
-        return buffer
-
-
-COUNTER = (1 << 30) - 1  # counters of the box wrap there
 TICK_NS = 8
 SHOTS = 512  # of the rings
 RING_BITS = 11  # 2^11 bytes each
@@ -337,7 +315,7 @@ class Magnetostrictive:
             return n
         self._lost += n
         self._state[READ] = (self._state[READ] + n) & COUNTER
-        self._advance(n)
+        add(self._index, 0, 8, n)
         return 0
 
     @micropython.native
@@ -349,7 +327,7 @@ class Magnetostrictive:
         missing = unload(self._state, self._counts[0], self._counts[1], n, self._top, dst, at)
         self.missing = (self.missing + missing) & COUNTER
         self._fault = FLAG_MISSING_STOP if missing else 0
-        self._advance(n)
+        add(self._index, 0, 8, n)
         return True
 
     def broken(self):
@@ -364,11 +342,6 @@ class Magnetostrictive:
         return self._fault
 
     # -- the hardware; no call allocates
-
-    def _advance(self, n):
-        while n > 0:
-            add(self._index, 0, 8, min(n, 1 << 20))
-            n -= 1 << 20
 
     @staticmethod
     def _restart(state_machine, word):

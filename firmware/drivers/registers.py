@@ -1,21 +1,6 @@
 """Single registers and addresses, for drivers whose work is done by DMA and PIO. No call but `aligned` allocates."""
 
-import sys
-
-if sys.implementation.name == "micropython":
-    import micropython
-else:
-
-    class micropython:  # the decorator is matched by its text, so the name must be this one
-        @staticmethod
-        def viper(function):
-            return function
-
-    def ptr8(buffer):
-        return buffer
-
-    def ptr32(buffer):
-        return buffer
+from truearm_wire.fast import micropython, ptr8, ptr32
 
 
 @micropython.viper

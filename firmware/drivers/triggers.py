@@ -29,28 +29,12 @@ Debouncing is the box's (truearm_box/ring.py), on stamps: here every edge counts
 
 # ruff: noqa: F821  (the state machine's instructions are names that asm_pio brings)
 
-import sys
 from array import array
+
+from truearm_wire.fast import micropython, ptr8, ptr32
 
 from .registers import aligned, arm, drain, halt, poke
 
-if sys.implementation.name == "micropython":
-    import micropython
-else:
-
-    class micropython:  # the decorator is matched by its text, so the name must be this one
-        @staticmethod
-        def viper(function):
-            return function
-
-    def ptr8(buffer):
-        return buffer
-
-    def ptr32(buffer):
-        return buffer
-
-
-COUNTER = (1 << 30) - 1  # counters of the box wrap there
 OUTPUT = 2  # line of the box's own output
 EDGES = 256  # changes that the ring holds
 RING_BITS = 10  # 2^10 bytes

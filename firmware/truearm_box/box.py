@@ -49,12 +49,12 @@ import io
 import sys
 
 from truearm_wire.frame import Splitter
-from truearm_wire.messages import BOOT_LOADER, EVENT, RESET
+from truearm_wire.messages import BOOT_LOADER, COUNTER, EVENT, RESET
 
 from .commands import Commands
 from .health import Health
 from .link import Link
-from .ring import COUNTER, Events, Ring
+from .ring import Events, Ring
 from .settings import Settings
 from .storage import keep_error
 from .stream import Streams

@@ -8,6 +8,7 @@ from truearm_wire.fast import micropython
 from truearm_wire.messages import (
     BOOT_LOADER,
     CONFIGURE,
+    COUNTER,
     ERROR,
     ERROR_MALFORMED,
     ERROR_RANGE,
@@ -31,7 +32,6 @@ from truearm_wire.messages import (
 )
 
 from .ident import plain
-from .ring import COUNTER
 
 SMALL = 1 << 30
 TEXT_MAX = 160  # of an error

@@ -7,8 +7,7 @@ for the ring's data frames); until the link has taken all of it no other can be 
 from truearm_wire.cbor import put_head, put_int
 from truearm_wire.fast import add, copy
 from truearm_wire.frame import FRAME_MAX, HEAD, close
-
-from .ring import COUNTER
+from truearm_wire.messages import COUNTER
 
 
 class Link:

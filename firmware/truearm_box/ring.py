@@ -6,8 +6,8 @@ A slot of the ring is where a frame is built and whence it is sent: no copies.
 from array import array
 
 from truearm_wire.fast import add, copy, extend, less, micropython
+from truearm_wire.messages import COUNTER
 
-COUNTER = (1 << 30) - 1  # counters wrap there (SPEC §4): beyond, an integer would be allocated at every step
 SLOTS_LEAST = 64  # 0.6 s of both streams at 1 kHz
 SLOT = 252  # the longest data frame (13 samples of 4 x 32 bit) has 251 bytes
 

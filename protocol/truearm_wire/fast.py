@@ -1,7 +1,7 @@
 """Byte work in place, without allocation: CRC-32, COBS, 64-bit counters, copies.
 
 One source for both interpreters: under MicroPython the decorated functions become native code (viper), under
-CPython the decorator and `ptr8` do nothing. Only single bytes are touched, so the word size (31-bit small integers on
+CPython the decorators and `ptr8` do nothing; the drivers take them from here. Only single bytes are touched, so the word size (31-bit small integers on
 the chip) never shows; only the CRC's table is of words. MicroPython keeps a function's first three locals in registers: what a loop
 changes and reads most comes first. A frame of 250 bytes is sealed in 0.15 ms on the emulated Pico.
 """
@@ -11,6 +11,9 @@ from array import array
 
 if sys.implementation.name == "micropython":
     import micropython
+
+    # The compiler knows these, and the decorators, by their names alone: they are here so that they can be imported.
+    ptr8 = ptr16 = ptr32 = uint = None
 else:
 
     class micropython:  # the decorator is matched by its text, so the name must be this one
@@ -25,9 +28,7 @@ else:
     def ptr8(buffer):
         return buffer
 
-    def ptr32(buffer):
-        return buffer
-
+    ptr16 = ptr32 = ptr8
     uint = int
 
 
@@ -161,7 +162,7 @@ def cobs_decode(buf: ptr8, start: int, end: int) -> int:
 
 @micropython.viper
 def add(buf: ptr8, at: int, width: int, n: int):
-    """Add 0 ≤ n < 2^22 to the big-endian counter of `width` bytes at `at`; it wraps."""
+    """Add 0 ≤ n < 2^30 to the big-endian counter of `width` bytes at `at`; it wraps."""
     i = at + width
     while n > 0 and i > at:
         i -= 1

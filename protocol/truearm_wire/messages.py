@@ -27,6 +27,8 @@ ERROR_RANGE = 3
 ERROR_STREAMING = 4
 ERROR_STORAGE = 5
 
+COUNTER = (1 << 30) - 1  # counters wrap there: beyond, an integer of the chip would be allocated at every step
+
 FLAG_OVERRUN = 1
 FLAG_CONVERTER = 2
 FLAG_MISSING_STOP = 4

@@ -23,7 +23,7 @@ import json
 import sys
 
 from truearm_wire.fast import add, copy
-from truearm_wire.messages import FLAG_CONVERTER, FLAG_MISSING_STOP
+from truearm_wire.messages import COUNTER, FLAG_CONVERTER, FLAG_MISSING_STOP
 
 GRANT = 40
 ANSWER = 16
@@ -34,7 +34,6 @@ FIFO = 512  # samples: half a second at 1 kHz
 EDGE = 6
 EDGES = 64  # that the board holds
 STAMP = 4
-WRAP = (1 << 30) - 1
 TICK_NS = 8
 
 RESET, OUTPUT, ALIVE, PROMPT, BOOT_LOADER = 2, 8, 16, 32, 64
@@ -151,8 +150,8 @@ class Source:
             if i == n - 1 and fault:
                 self._flags[place] |= FLAG_CONVERTER
             self._count += 1
-        self.crc_errors = (self.crc_errors + (fault & 1)) & WRAP
-        self.resets = (self.resets + (fault >> 1)) & WRAP
+        self.crc_errors = (self.crc_errors + (fault & 1)) & COUNTER
+        self.resets = (self.resets + (fault >> 1)) & COUNTER
 
     def _stop(self, at):
         """The flags of a time of flight; one outside of blanking and time-out becomes 0."""
@@ -161,7 +160,7 @@ class Source:
             return 0
         for i in range(4):
             fifo[at + i] = 0
-        self.missing = (self.missing + 1) & WRAP
+        self.missing = (self.missing + 1) & COUNTER
         return FLAG_MISSING_STOP
 
 
@@ -277,7 +276,7 @@ class Board:
 
     def _keep_edge(self, buf, at):
         if self._edge_n == EDGES:
-            self.edges_lost = (self.edges_lost + 1) & WRAP
+            self.edges_lost = (self.edges_lost + 1) & COUNTER
             return
         place = (self._edge_first + self._edge_n) % EDGES
         copy(self._edge_fifo, place * EDGE, buf, at, EDGE)
