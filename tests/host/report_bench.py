@@ -1,0 +1,220 @@
+"""Report pages for tests: plausible calibrations, and a page as a parser sees it."""
+
+import html
+import math
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from xml.etree import ElementTree
+
+import numpy as np
+from scipy import stats
+
+from truearm.report.page import CalibrationPage
+from truearm.report.words import KINDS
+from truearm.types import (
+    Addition,
+    Estimate,
+    HeldOut,
+    NullDirection,
+    Observability,
+    ObservationTable,
+    PredictedError,
+    Relabelling,
+)
+
+SIGMA = 0.084e-3  # m, the paper's residual
+HOSTILE = "<script>alert(1)</script>\"'&"
+LINK = ("x", "y", "z", "alpha", "beta", "gamma")
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def held_out(residual):
+    size = np.abs(residual)
+    return HeldOut(rms(residual), float(size.mean()), float(size.max()), size.size) if size.size else None
+
+
+def puma_names():
+    """54 names in the order of Table II: seven links, six joints."""
+    names = [f"link1.{k}" for k in LINK]
+    for i in range(1, 7):
+        names += [f"joint{i}.offset", f"joint{i}.gain", *(f"link{i + 1}.{k}" for k in LINK)]
+    return tuple(names)
+
+
+def unit(name):
+    return {"gain": "1", "x": "m", "y": "m", "z": "m"}.get(name.rpartition(".")[2], "rad")
+
+
+def make_page(n=1600, kind="ball_bar", seed=0, **changes):
+    """A plausible calibration: 54 parameters, 36 free, half of the rows held out."""
+    rng = np.random.default_rng(seed)
+    names = puma_names()
+    free = np.zeros(54, dtype=bool)
+    free[rng.permutation(54)[:36]] = True
+    root = rng.standard_normal((200, 36))
+    covariance = np.zeros((54, 54))
+    covariance[np.ix_(free, free)] = 1e-8 * np.linalg.inv(root.T @ root)
+    nominal = np.round(rng.uniform(-1, 1, 54), 3)
+    change = np.where(free, 1e-3 * rng.standard_normal(54), 0.0)
+    signed = kind in ("ball_bar", "plane")
+    residual = SIGMA * (rng.standard_normal(n) if signed else stats.maxwell.rvs(size=n, random_state=rng))
+    before = 100.0 * residual
+    fitted = np.arange(n) < (n + 1) // 2
+    estimate = Estimate(
+        status="converged",
+        message="",
+        solver="lm",
+        iterations=4,
+        parameter_names=names,
+        units=tuple(map(unit, names)),
+        nominal=nominal,
+        value=nominal + change,
+        sigma=np.where(free, np.sqrt(np.diag(covariance)), np.nan),
+        free=free,
+        identifiable=free.copy(),
+        covariance=covariance,
+        n_robot_parameters=54,
+        n_observations=int(fitted.sum()),
+        rank=36,
+        rank_gap=math.inf,
+        null_space=(),
+        rms_before=rms(before[fitted]),
+        rms_after=rms(residual[fitted]),
+        rms_history=(1e-2, 2e-4, 8.3e-5, 8.2e-5),
+        chi2_reduced=0.98,
+        held_out=held_out(residual[~fitted]),
+        held_out_before=held_out(before[~fitted]),
+        residual=residual,
+        residual_before=before,
+        fitted=fitted,
+        seconds=0.4,
+    )
+    blank, index = np.full(n, ""), np.arange(n)
+    pick = {
+        "chuck": np.array(["c1", "c2", "c3"])[index % 3],
+        "sphere": np.array(["s1", "s2", "s3"])[index // 3 % 3],
+        "place": blank,
+    }
+    if kind != "ball_bar":
+        named = np.array(["front", "left", "right"])[index % 3]
+        column = {"seat": "place", "line": "line", "position": "tracker", "pose": "tracker", "plane": "plane"}[kind]
+        pick = {"chuck": blank, "sphere": blank, "place": blank, column: named}
+    table = ObservationTable(
+        q=np.zeros((n, 6)),
+        kind=np.full(n, kind),
+        value=np.full(n, 0.46),
+        sigma=np.full(n, np.nan),
+        bar=np.full(n, "b46"),
+        socket=blank,
+        shell=np.full(n, "b46-c1"),
+        source=np.array([f"session.mcap dwell {i}" for i in range(n)]),
+        **pick,
+    )
+    page = CalibrationPage(
+        title="Calibration of a PUMA 560",
+        subtitle="46 cm shells",
+        estimate=estimate,
+        table=table,
+        longitude=rng.uniform(-np.pi, np.pi, n) if kind == "ball_bar" else np.full(n, np.nan),
+        facts=(("dwells", str(n)), ("samples lost", "0")),
+        steps=(("simulate", 12.0), ("identify", 0.5)),
+        command="truearm demo --seed 1",
+    )
+    return replace(page, **changes)
+
+
+class Strict(HTMLParser):
+    """Collects elements and text; raises where tags do not nest."""
+
+    VOID = frozenset({"meta", "br"})
+
+    def __init__(self, text):
+        super().__init__(convert_charrefs=True)
+        self.open, self.elements, self.text = [], [], []
+        self.feed(text)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] not in ("style", "title"):
+            self.text.append(data)
+
+    def all(self, tag):
+        return [attrs for name, attrs in self.elements if name == tag]
+
+
+def drawings(text):
+    """The SVG elements, each through an XML parser."""
+    return [ElementTree.fromstring(part) for part in re.findall(r"<svg.*?</svg>", text, re.S)]
+
+
+def titles(text):
+    return re.findall(r"<h3>(.*?)</h3>", text)
+
+
+def both(a, b):
+    """One page of the rows of two, with the parameters of the first."""
+
+    def joined(x, y):
+        return np.concatenate([x, y])
+
+    columns = a.table.__dataclass_fields__
+    table = ObservationTable(**{k: joined(getattr(a.table, k), getattr(b.table, k)) for k in columns})
+    changed = ("residual", "residual_before", "fitted", "suspect", "distance", "weight")
+    rows = {k: joined(getattr(a.estimate, k), getattr(b.estimate, k)) for k in changed}
+    angles = [np.full(len(page.table), np.nan) if page.angle is None else page.angle for page in (a, b)]
+    estimate, longitude = replace(a.estimate, **rows), joined(a.longitude, b.longitude)
+    return replace(a, table=table, estimate=estimate, longitude=longitude, angle=joined(*angles))
+
+
+def cells_of(text, label):
+    """The header and the rows of the table with that label, as text."""
+    table = re.search(rf'aria-label="{label}"><table.*?</table>', text, re.S).group()
+    rows = re.findall(r"<tr.*?</tr>", table, re.S)
+    return [[html.unescape(cell) for cell in re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row)] for row in rows]
+
+
+def full_page():
+    """A page with everything that a page may have: all kinds, two rigs, suspects, wrong labels, proposals."""
+    page = make_page(300)
+    for seed, kind in enumerate(KINDS):
+        if kind != "ball_bar":
+            page = both(page, make_page(60, kind, seed=seed))
+    n, e = len(page.table), page.estimate
+    index = np.arange(n)
+    estimate = replace(
+        e,
+        suspect=index % 50 == 3,
+        distance=np.full(n, 6.5),
+        weight=np.where(index % 100 == 3, 0.0, 1.0),
+        chi2_band=(0.9, 1.1),
+        observability=Observability(2.5, 1.25e-7, 0.75, 0.009),
+        suggested_free=e.free & (np.arange(54) > 9),
+        additions=(Addition("pairing", ("c3", "s2"), 35, LINK), Addition("line", (), 34, LINK)),
+        relabellings=(Relabelling((4, 5, 9), ("c1", "s1"), ("c2", "s1"), 8e-3, 9e-5),),
+        null_space=(NullDirection(("link1.x", "link2.x"), (1.0, -1.0)),),
+        hardly_seen=(NullDirection(("link2.z",), (1.0,)),),
+    )
+    return replace(
+        page,
+        estimate=estimate,
+        table=replace(page.table, rig=np.where(index % 2 == 0, "monday", "tuesday")),
+        angle=np.where(page.table.kind == "pose", 1e-4 * (1 + index % 7), np.nan),
+        predicted=PredictedError(6.4e-5, 1.12e-4, "y.csv row 7", 20, True),
+        prior="weak",
+    )

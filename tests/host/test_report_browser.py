@@ -1,0 +1,128 @@
+"""The report page with everything on it, as a parser and a browser see it."""
+
+import html
+import json
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from report_bench import Strict, drawings, full_page, titles
+
+from truearm.report.page import render
+
+# --- the page in a browser
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+QUIET = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+# A browser's window is at least 500 px wide; a frame of any width is laid out as a window of that width. The page
+# inside is the unchanged one; the script stands in the frame around it, since the page's own policy would stop it.
+AROUND = """<!DOCTYPE html><meta name="color-scheme" content="light dark"><iframe id="page" width="WIDTH" height="900"
+style="border:0" srcdoc="PAGE"></iframe><pre id="probe"></pre><script>
+onload = () => {
+  const frame = document.getElementById('page'), w = frame.contentWindow, d = frame.contentDocument;
+  const box = e => e.getBoundingClientRect();
+  const svgs = [...d.querySelectorAll('svg')].map(svg => {
+    const s = box(svg), texts = [...svg.querySelectorAll('text')].filter(t => t.textContent);
+    const cut = texts.filter(t => { const b = box(t);
+      return b.left < s.left - 1 || b.right > s.right + 1 || b.top < s.top - 1 || b.bottom > s.bottom + 1; });
+    const over = [];
+    texts.forEach((t, i) => texts.slice(0, i).forEach(u => { const a = box(t), b = box(u);
+      // boxes of text are higher than its ink: a third of the height may be shared
+      if (Math.min(a.right, b.right) - Math.max(a.left, b.left) > 1 &&
+          Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > Math.min(a.height, b.height) / 3)
+        over.push(t.textContent + ' | ' + u.textContent); }));
+    return {width: s.width, height: s.height, texts: texts.length, cut: cut.map(t => t.textContent), over};
+  });
+  const style = w.getComputedStyle(d.body), root = d.documentElement;
+  document.getElementById('probe').textContent = JSON.stringify({inner: w.innerWidth, client: root.clientWidth,
+    scroll: root.scrollWidth, paper: style.backgroundColor, ink: style.color,
+    loaded: w.performance.getEntriesByType('resource').length, svgs});
+};
+</script>"""
+
+
+def look(page, folder, width, dark):
+    """The page laid out by the browser: what the probe found."""
+    path = folder / "around.html"
+    whole = AROUND.replace("WIDTH", str(width)).replace("PAGE", html.escape(render(page)))
+    path.write_text(whole, encoding="utf-8")
+    theme = ("--blink-settings=preferredColorScheme=0",) if dark else ()
+    profile = f"--user-data-dir={folder / 'profile'}"
+    run = subprocess.run(
+        [CHROMIUM, *QUIET, *theme, profile, "--window-size=1400,1000", "--dump-dom", path.as_uri()],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    return json.loads(html.unescape(re.search(r'<pre id="probe">(.*?)</pre>', run.stdout, re.S).group(1)))
+
+
+def luminance(colour):
+    """Relative luminance of "rgb(r, g, b)" (WCAG 2)."""
+    c = np.array([int(v) for v in re.findall(r"\d+", colour)[:3]]) / 255.0
+    linear = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
+def test_everything_at_once_is_one_sound_page():
+    text = render(full_page())
+    parsed = Strict(text)
+    words = " ".join(" ".join(parsed.text).split())
+    assert len(drawings(text)) == len(parsed.all("figure"))
+    for said in (
+        "Wrong label?",
+        "χ² per degree of freedom",
+        "touched flat",
+        "What to measure next",
+        "errs by 0.0640 mm",
+    ):
+        assert said in words
+    for title in parsed.all("table"):
+        assert title["class"].split()[0] in ("plain", "numbers", "steps")
+    heads = [html.unescape(t) for t in re.findall(r'<th scope="col">(.*?)</th>', text)]
+    for head in heads:  # every column of numbers says its unit
+        assert re.search(r"\[(mm|deg|σ|1)\]$", head) or head in UNITLESS, head
+    assert "nan" not in re.sub(r"<style.*?</style>", "", text, flags=re.S).lower()
+
+
+UNITLESS = {
+    *("observations", "rig", "fitted rows", "held-out rows", "row", "observation"),  # names and counts
+    *("index", "value", "unit", "what it says"),  # a column names the unit
+    *("parameter", "nominal", "identified", "change", "σ", ""),
+}
+
+
+@pytest.mark.skipif(
+    CHROMIUM is None, reason="no browser: install chromium (apt-get install chromium) to lay out the page"
+)
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize("width", [1280, 390])
+def test_in_a_browser(tmp_path, width, dark):
+    page = full_page()
+    seen = look(page, tmp_path, width, dark)
+    assert seen["inner"] == width
+    assert seen["scroll"] <= seen["client"]  # the page itself never scrolls sideways
+    assert seen["loaded"] == 0
+    assert len(seen["svgs"]) == len(titles(render(page))) - 1  # "What to measure next" has no picture
+    assert len(seen["svgs"]) > 20
+    for drawing in seen["svgs"]:
+        assert drawing["width"] >= 280
+        assert drawing["height"] >= 150
+        assert drawing["texts"] >= 8
+        assert drawing["cut"] == []  # no label leaves its picture
+        assert drawing["over"] == []  # nor hides another
+    paper, ink = luminance(seen["paper"]), luminance(seen["ink"])
+    assert (paper < ink) == dark
+    assert (max(paper, ink) + 0.05) / (min(paper, ink) + 0.05) >= 7.0  # WCAG 2 contrast, level AAA

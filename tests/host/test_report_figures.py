@@ -1,0 +1,175 @@
+"""The report's numbers, words, laws, axes and pictures."""
+
+import math
+import re
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from report_bench import HOSTILE, SIGMA, drawings, make_page
+from scipy import integrate, stats
+
+from truearm.report import svg
+from truearm.report.correlation import correlation
+from truearm.report.figures import MAX_POINTS, figures_of
+from truearm.report.page import render
+from truearm.report.rows import Law, law_of, rows_by_kind
+from truearm.report.tables import direction_words
+from truearm.report.text import escape, figures, number
+from truearm.types import (
+    NullDirection,
+)
+
+# --- numbers and words
+
+
+def test_numbers():
+    assert [figures(v) for v in (10.2345, 0.08213, 1234.5, 0.0, 2.84e12, 3e-7, math.nan)] == [
+        "10.2",
+        "0.0821",
+        "1234",
+        "0",
+        "2.84·10¹²",
+        "3.00·10⁻⁷",
+        "–",
+    ]
+    assert number(-0.25, 1) == "−0.2"  # a true minus; half to even
+    assert number(-1e-9, 4, sign=True) == "0.0000"  # no sign before zero
+    assert number(0.5, 2, sign=True) == "+0.50"
+
+
+def test_escape_leaves_nothing_active():
+    assert escape(HOSTILE) == "&lt;script&gt;alert(1)&lt;/script&gt;&quot;&#x27;&amp;"
+    assert escape("a\x00b\u202ec\ud800d\te") == "a\ufffdb\ufffdc\ufffdd e"  # NUL, right-to-left mark, lone surrogate
+    assert len(escape("x" * 10_000)) == 200
+
+
+@pytest.mark.parametrize(
+    ("names", "weights", "words"),
+    [
+        (("link6.alpha",), (1.0,), "link6.alpha: not seen at all"),
+        (("link2.z", "link3.z"), (1.0, -1.0), "link2.z up, link3.z down by as much"),
+        (("link4.z", "link2.x"), (1.0, 1.0), "link4.z up, link2.x up by as much"),
+        (("a", "b", "c"), (0.4, 1.0, -0.2), "+1.00 b +0.40 a −0.20 c"),
+        (("a", "b"), (1.0, 0.001), "a: not seen at all"),
+    ],
+)
+def test_direction_words(names, weights, words):
+    assert direction_words(NullDirection(names, weights)) == words
+
+
+# --- laws and axes
+
+
+@pytest.mark.parametrize(
+    ("law", "reference"),
+    [
+        (Law(True, 0.3, 1.7), stats.norm(0.3, 1.7)),
+        (Law(False, 0.0, 1.7), stats.maxwell(scale=1.7)),
+    ],
+)
+def test_law_against_scipy(law, reference):
+    x = np.linspace(-5.0, 9.0, 57)
+    np.testing.assert_allclose(law.density(x), reference.pdf(x), atol=1e-15)
+    share = np.linspace(0.01, 0.99, 33)
+    np.testing.assert_allclose(law.quantile(share), reference.ppf(share), rtol=1e-12, atol=1e-12)
+    assert integrate.quad(lambda v: float(law.density(np.array(v))), -20.0, 20.0)[0] == pytest.approx(1.0, abs=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["ball_bar", "seat"])
+def test_law_finds_the_sigma_of_one_coordinate(kind):
+    page = make_page(8000, kind, seed=3)
+    (rows,) = rows_by_kind(page.estimate, page.table, page.longitude)
+    # 4000 rows of 1 or 3 coordinates: σ is known to 1/sqrt(2·4000) = 1.1 % or better; 4 of these
+    assert law_of(rows).sigma == pytest.approx(1e3 * SIGMA, rel=0.045)
+
+
+@pytest.mark.parametrize(
+    ("rough", "step"), [(1.0, 1.0), (1.01, 2.0), (0.3, 0.5), (0.05, 0.05), (7.0, 10.0), (2e-7, 2e-7)]
+)
+def test_round_step(rough, step):
+    assert svg.round_step(rough) == pytest.approx(step, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("low", "high"), [(-0.27, 0.27), (0.0, 209.0), (0.0, 0.0), (3.0, 3.0), (-1e-13, 2e-13), (0, 1e9)]
+)
+def test_linear_axis_holds_the_data_with_few_short_labels(low, high):
+    axis = svg.linear_axis("x [mm]", low, high)
+    assert axis.low <= low
+    assert axis.high >= high
+    assert axis.ticks[0] == axis.low
+    assert axis.ticks[-1] == pytest.approx(axis.high, rel=1e-12)
+    assert 3 <= len(axis.ticks) <= 9
+    assert len(set(axis.tick_labels)) == len(axis.ticks)
+    assert max(map(len, axis.tick_labels)) <= 10
+    np.testing.assert_array_equal(axis.fraction([axis.low, axis.high]), [0.0, 1.0])
+
+
+@pytest.mark.parametrize("values", [[0.07, 12.0], [0.0, 0.0], [1e-13, 10.0], [1.0, 1.0], [0.5]])
+def test_log_axis_holds_the_data(values):
+    axis = svg.log_axis("x [mm]", values)
+    shown = axis.fraction(values)
+    assert np.all((shown >= 0.0) & (shown <= 1.0))
+    assert 2 <= len(axis.ticks) <= 8
+    assert axis.low <= min(v for v in [*values, 1.0] if v > 0.0)
+
+
+def test_longitude_is_wrapped_and_in_degrees():
+    page = make_page(4, longitude=np.array([0.0, 1.5 * np.pi, -1.5 * np.pi, np.nan]))
+    (rows,) = rows_by_kind(page.estimate, page.table, page.longitude)
+    np.testing.assert_allclose(rows.longitude, [0.0, -90.0, 90.0, np.nan], atol=1e-12)
+
+
+def test_bars_and_points_count_the_rows():
+    page = make_page(1601)
+    histogram, longitude, *_ = drawings(render(page))
+    counts = [int(tip.text.rpartition(": ")[2]) for tip in histogram.iterfind("rect/title")]
+    assert sum(counts) == page.estimate.n_observations == 801
+    groups = {g.get("class"): len(g) for g in longitude.iterfind("g")}
+    assert groups == {"fit": 801, "val": 800}
+
+
+def test_histogram_heights_follow_the_gaussian():
+    page = make_page(20_000, seed=5)
+    (rows,) = rows_by_kind(page.estimate, page.table, page.longitude)
+    drawing = ElementTree.fromstring(figures_of(rows)[0].drawing)
+    heights = np.array([float(r.get("height")) for r in drawing.iterfind("rect")])
+    curve = drawing.find("polyline").get("points").split()
+    top = min(float(point.split(",")[1]) for point in curve)
+    # 10⁴ rows in bins of about 0.25 σ: 1000 in the highest, ±32; a scale wrong by the bin width would be far off
+    assert heights.max() == pytest.approx(300.0 - 46.0 - top, rel=0.12)
+
+
+@pytest.mark.parametrize("residual_mm", [[-0.2, 0.0, 0.1, 0.3], [0.1, 0.3, 0.5, 0.7], [-0.3, -0.1], [0.05]])
+def test_histogram_counts_residuals_on_the_edges(residual_mm):
+    page = make_page(len(residual_mm))
+    residual = 1e-3 * np.array(residual_mm)
+    estimate = replace(page.estimate, residual=residual, fitted=np.ones(residual.size, dtype=bool))
+    histogram = drawings(render(replace(page, estimate=estimate)))[0]
+    assert sum(int(tip.text.rpartition(": ")[2]) for tip in histogram.iterfind("rect/title")) == residual.size
+
+
+def test_correlation_of_two():
+    page = make_page(20)
+    free = np.arange(54) < 2
+    covariance = np.zeros((54, 54))
+    covariance[:2, :2] = [[4e-8, -1e-8], [-1e-8, 1e-8]]
+    figure = correlation(replace(page.estimate, free=free, identifiable=free, covariance=covariance))
+    (cell,) = [r for r in ElementTree.fromstring(figure.drawing).iterfind("rect") if "link1" in r.find("title").text]
+    assert cell.find("title").text == "link1.y, link1.x: −0.50"
+    assert (cell.get("class"), cell.get("fill-opacity")) == ("negative", "0.50")
+    assert "link1.y and link1.x −0.50" in figure.caption
+
+
+def test_the_largest_of_many_residuals_are_drawn():
+    page = make_page(60_000)
+    residual = page.estimate.residual.copy()
+    residual[17] = 5e-3
+    page = replace(page, estimate=replace(page.estimate, residual=residual))
+    longitude = drawings(render(page))[1]
+    marks = [path.get("d") for path in longitude.iterfind("path") if "dots" in path.get("class")]
+    points = [point for d in marks for point in re.findall(r"M[\d.]+ ([\d.]+)h0", d)]
+    assert len(points) <= 2 * MAX_POINTS
+    assert min(map(float, points)) < 60.0  # near the top, which is at 30 of 300; all others are about 142
