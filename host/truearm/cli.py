@@ -26,13 +26,14 @@ from truearm.commands.inspect import inspect
 from truearm.commands.map import map_
 from truearm.commands.plan import app as plan
 from truearm.commands.record import record
+from truearm.commands.recover import recover
 from truearm.commands.reproduce import reproduce
 from truearm.commands.simulate import simulate
 from truearm.commands.terminal import one_line
 from truearm.commands.validate import validate
 from truearm.errors import TruearmError
 
-COMMANDS = (demo, simulate, record, add_joints, inspect, identify, validate, map_, correct, export, reproduce)
+COMMANDS = (demo, simulate, record, recover, add_joints, inspect, identify, validate, map_, correct, export, reproduce)
 
 # Options and arguments that typer rejects raise a UsageError. That class lives in click or, in later versions, inside
 # typer, which exports only its subclass BadParameter.

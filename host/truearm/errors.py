@@ -13,6 +13,7 @@
     │   ├── SessionError      a session file (MCAP)
     │   ├── ConfigError       a box's configuration (TOML)
     │   └── ImageError        an image for the box's chip (UF2)
+    ├── WriteError            a file cannot be written any more (a full disk)
     ├── ProblemError          the observations and the robot do not make a solvable problem
     └── LinkError             the box or the robot stopped answering
         ├── LinkClosed        the other side ended the stream in order
@@ -69,6 +70,14 @@ class ConfigError(InputError):
 
 class ImageError(InputError):
     """An image for the box's chip is damaged, or for another chip."""
+
+
+class WriteError(TruearmError):
+    """A file cannot be written any more; ``strerror`` is the system's word for why."""
+
+    def __init__(self, text: str, strerror: str = "") -> None:
+        super().__init__(text)
+        self.strerror = strerror
 
 
 class ProblemError(TruearmError):

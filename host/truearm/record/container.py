@@ -10,7 +10,7 @@ import struct
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO, NoReturn
+from typing import BinaryIO, NamedTuple, NoReturn
 
 import lz4.frame
 import zstandard
@@ -130,10 +130,27 @@ def _decompress(chunk: Chunk) -> bytes | None:
     return chunk.data if chunk.compression == "" else None
 
 
+class Stored(NamedTuple):
+    """A message as it stands in a chunk; ``begin`` and ``end`` are where in the chunk's records its data are."""
+
+    topic: str
+    sequence: int  # of its topic, as its writer counted
+    t_host_ns: int
+    begin: int
+    end: int
+
+
 def chunk_messages(
     path: Path, data: bytes, channels: dict[int, str], wanted: frozenset[str] | None
 ) -> Iterator[Message]:
     """The wanted messages among the records ``data``; ``channels`` gains those that it declares."""
+    for topic, _, t_host_ns, begin, end in stored(path, data, channels):
+        if wanted is None or topic in wanted:
+            yield Message(topic, t_host_ns, data[begin:end])
+
+
+def stored(path: Path, data: bytes, channels: dict[int, str]) -> Iterator[Stored]:
+    """All messages among the records ``data``; ``channels`` gains those that it declares."""
     at, size = 0, len(data)
     while at < size:
         if at + RECORD.size > size:
@@ -146,12 +163,11 @@ def chunk_messages(
         if opcode == Opcode.MESSAGE:
             if length < MESSAGE.size:
                 damaged(path, at)
-            channel, _, t_host_ns, _ = MESSAGE.unpack_from(data, at)
+            channel, sequence, t_host_ns, _ = MESSAGE.unpack_from(data, at)
             topic = channels.get(channel)
             if topic is None:
                 damaged(path, at)
-            if wanted is None or topic in wanted:
-                yield Message(topic, t_host_ns, data[at + MESSAGE.size : end])
+            yield Stored(topic, sequence, t_host_ns, at + MESSAGE.size, end)
         elif opcode == Opcode.CHANNEL:
             channel, topic = _channel(path, data[at:end], at)
             channels[channel] = topic

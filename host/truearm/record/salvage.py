@@ -54,11 +54,15 @@ _CHUNK_HEAD = struct.Struct("<QQQII")
 
 @dataclass(frozen=True)
 class Damage:
-    """A place where a file is damaged. ``at``: its first byte, None where only a CRC tells. Seconds of the session."""
+    """A place where a file is damaged. ``at``: its first byte, None where only a CRC tells. Seconds of the session.
+
+    ``lost_s`` of the ``of_s`` seconds are missing, from ``from_s`` after its first message on.
+    """
 
     at: int | None
     lost_s: float
     of_s: float
+    from_s: float = 0.0
 
 
 @dataclass
@@ -70,6 +74,8 @@ class Whole:
     attachments: dict[str, bytes] = field(default_factory=dict)
     spans: list[tuple[int, int]] = field(default_factory=list)
     damage: tuple[Damage, ...] = ()
+    unread_bytes: int = 0  # that stand in no whole record
+    counted: dict[str, int] = field(default_factory=dict)  # messages by topic, as the file's end says
     first_ns: int | None = None
     last_ns: int | None = None  # of the messages
     _gaps: list[tuple[int, int | None, int | None]] = field(default_factory=list)  # at byte, times before and after
@@ -103,9 +109,9 @@ class Whole:
             self._gaps.pop()  # nothing comes behind it: the file just ends there
         first, last = span or (self.first_ns or 0, self.last_ns or 0)
         of_s = 1e-9 * max(0, last - first)
+        times = [(at, first if a is None else a, last if b is None else b) for at, a, b in self._gaps]
         self.damage = tuple(
-            Damage(at, 1e-9 * max(0, (last if after is None else after) - (first if before is None else before)), of_s)
-            for at, before, after in self._gaps
+            Damage(at, 1e-9 * max(0, after - before), of_s, 1e-9 * max(0, before - first)) for at, before, after in times
         )
 
     def _close(self, now_ns: int) -> None:
@@ -124,8 +130,8 @@ def salvage(path: Path, file: BinaryIO) -> tuple[Whole, bool]:
     """What is whole of a file, and whether it has its end. Raises SessionError where hardly anything is."""
     size = os.fstat(file.fileno()).st_size
     complete = has_footer(file, size)
-    channels, span = _summary(path, file, size) if complete else ({}, None)
-    whole = Whole(channels)
+    channels, span, counted = _summary(path, file, size) if complete else ({}, None, {})
+    whole = Whole(channels, counted={channels[k]: n for k, n in counted.items() if k in channels})
     at: int | None = len(MCAP0_MAGIC)
     n_bad = 0
     while at is not None and at + RECORD.size <= size:
@@ -142,7 +148,10 @@ def salvage(path: Path, file: BinaryIO) -> tuple[Whole, bool]:
         if n_bad > MAX_BAD:
             raise SessionError(f"{path}: is damaged in more than {MAX_BAD} places; copy it again")
         whole.bad(at)
-        at = end if _may_begin(file, end, size) else _search(file, at + 1, size)
+        begin, at = at, end if _may_begin(file, end, size) else _search(file, at + 1, size)
+        whole.unread_bytes += (size if at is None else at) - begin
+    if at is not None and not complete:
+        whole.unread_bytes += size - at
     whole.finish(complete, span)
     return whole, complete
 
@@ -231,8 +240,12 @@ def _fits(file: BinaryIO, at: int, size: int) -> bool:
     return bool(_CHUNK_HEAD.size + n_name + 8 + n_data == length)
 
 
-def _summary(path: Path, file: BinaryIO, size: int) -> tuple[dict[int, str], tuple[int, int] | None]:
-    """What a complete file says again at its end: its channels, and the times of its first and last message.
+_Summary = tuple[dict[int, str], tuple[int, int] | None, dict[int, int]]
+
+
+def _summary(path: Path, file: BinaryIO, size: int) -> _Summary:
+    """What a complete file says again at its end: its channels, the times of its first and last message, and how many
+    messages each channel has.
 
     Where bytes are missing, the footer's offset is wrong: the summary is what follows the data's end.
     """
@@ -240,9 +253,9 @@ def _summary(path: Path, file: BinaryIO, size: int) -> tuple[dict[int, str], tup
     file.seek(size - tail)
     found = file.read(tail).rfind(_DATA_END)
     channels: dict[int, str] = {}
-    span = None
+    span, counts = None, {}
     if found < 0:
-        return channels, span
+        return channels, span, counts
     start = size - tail + found
     try:
         for opcode, at, length in records(file, size, start):
@@ -251,11 +264,12 @@ def _summary(path: Path, file: BinaryIO, size: int) -> tuple[dict[int, str], tup
                 _drain(chunk_messages(path, body, channels, None))
             elif opcode == Opcode.STATISTICS:
                 body = body_of(path, file, at, length, MAX_METADATA_BYTES)
-                counted = Statistics.read(ReadDataStream(io.BytesIO(body)))
-                span = counted.message_start_time, counted.message_end_time
+                statistics = Statistics.read(ReadDataStream(io.BytesIO(body)))
+                span = statistics.message_start_time, statistics.message_end_time
+                counts = statistics.channel_message_counts
     except (SessionError, *UNREADABLE):  # the summary is damaged too: what was read of it serves
         pass
-    return channels, span
+    return channels, span, counts
 
 
 def _drain(messages: Iterator[object]) -> None:

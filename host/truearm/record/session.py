@@ -37,6 +37,7 @@ from truearm.record.container import (
     parse_attachment,
     parse_metadata,
     records,
+    stored,
 )
 from truearm.record.salvage import MAX_ITEMS, Damage, salvage
 from truearm.types import Message
@@ -60,6 +61,8 @@ class Session:
     spans: tuple[tuple[int, int], ...]  # bytes between which there are whole records alone
     channels: dict[int, str] = field(default_factory=dict)  # that the records themselves may not declare
     damage: tuple[Damage, ...] = ()
+    unread_bytes: int = 0  # of a damaged file: those that stand in no whole record
+    counted: dict[str, int] = field(default_factory=dict)  # messages by topic as a damaged file's end has them
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """Messages of ``topics`` (all if None) in the order in which they were written.
@@ -68,15 +71,25 @@ class Session:
         """
         wanted = None if topics is None else frozenset([topics] if isinstance(topics, str) else topics)
         channels = dict(self.channels)
+        for data in self._packed():
+            yield from chunk_messages(self.path, data, channels, wanted)
+
+    def numbered(self) -> Iterator[tuple[int, Message]]:
+        """All messages, each with the number that its writer gave it within its topic."""
+        channels = dict(self.channels)
+        for data in self._packed():
+            for topic, sequence, t_host_ns, begin, end in stored(self.path, data, channels):
+                yield sequence, Message(topic, t_host_ns, data[begin:end])
+
+    def _packed(self) -> Iterator[bytes]:
+        """The records of one chunk after the other."""
         with open_file(self.path) as file:
             for start, end in self.spans:
                 for opcode, at, length in records(file, end, start):
-                    data = b""
                     if opcode == Opcode.CHUNK:
-                        data = chunk_records(self.path, file, at, length)
+                        yield chunk_records(self.path, file, at, length)
                     elif opcode in (Opcode.CHANNEL, Opcode.MESSAGE):  # files of other programs need not have chunks
-                        data = RECORD.pack(opcode, length) + body_of(self.path, file, at, length, MAX_CHUNK_BYTES)
-                    yield from chunk_messages(self.path, data, channels, wanted)
+                        yield RECORD.pack(opcode, length) + body_of(self.path, file, at, length, MAX_CHUNK_BYTES)
 
 
 def open_session(path: Path | str, allow_damaged: bool = False) -> Session:
@@ -111,8 +124,8 @@ def _salvaged(path: Path, file: BinaryIO, known_damaged: bool) -> Session:
     damage = whole.damage
     if known_damaged and complete and not damage:
         damage = (Damage(None, 0.0, 0.0),)
-    spans = tuple(whole.spans)
-    return Session(path, whole.metadata, whole.attachments, not complete, spans, whole.channels, damage)
+    found = whole.metadata, whole.attachments, not complete, tuple(whole.spans), whole.channels
+    return Session(path, *found, damage, whole.unread_bytes, whole.counted)
 
 
 def _scan(path: Path, file: BinaryIO) -> tuple[Session, bool]:

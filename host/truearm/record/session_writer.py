@@ -26,7 +26,7 @@ from typing import Any, BinaryIO
 from mcap.writer import CompressionType, Writer
 
 from truearm import __version__
-from truearm.errors import InputError, LinkError, TruearmError
+from truearm.errors import InputError, LinkError, WriteError
 from truearm.record.links import Clock
 
 CHUNK_NS = 800_000_000  # with the recorder's pace of 50 ms no message waits longer than 1 s
@@ -61,12 +61,13 @@ _PROPERTIES: dict[str, dict[str, Any]] = {
 class SessionWriter:
     """An open session file. ``close`` (or leaving the ``with`` block) completes it; an unclosed one is readable too.
 
-    With ``hold`` there is no file before ``keep``, and never one if the writer is closed before.
+    With ``hold`` there is no file before ``keep``, and never one if the writer is closed before. Without a ``clock`` it is the
+    copy of a recording that is over: nothing is said of when, but for what ``metadata`` and ``close`` are given.
 
-    Raises InputError where the file cannot be made, TruearmError where it cannot be written any more (a full disk).
+    Raises InputError where the file cannot be made, WriteError where it cannot be written any more (a full disk).
     """
 
-    def __init__(self, path: Path, clock: Clock, *, overwrite: bool = False, hold: bool = False) -> None:
+    def __init__(self, path: Path, clock: Clock | None, *, overwrite: bool = False, hold: bool = False) -> None:
         self.path = path
         self._overwrite = overwrite
         self._out = _Output(io.BytesIO() if hold else self._open())
@@ -82,7 +83,8 @@ class SessionWriter:
         self._chunk_since_ns: int | None = None
         self._synced_s = time.monotonic()
         self._writer.start(profile="truearm", library=f"truearm {__version__}")
-        self.metadata("session", {"version": __version__, "clock": clock.kind, **_anchor(clock)})
+        if clock is not None:
+            self.metadata("session", {"version": __version__, "clock": clock.kind, **_anchor(clock)})
 
     def __enter__(self) -> SessionWriter:
         return self
@@ -108,13 +110,15 @@ class SessionWriter:
         except OSError as exc:
             raise self._cannot_write(exc) from exc
 
-    def add(self, topic: str, t_host_ns: int, data: bytes) -> None:
-        """Append a message as it is."""
+    def add(self, topic: str, t_host_ns: int, data: bytes, sequence: int | None = None) -> None:
+        """Append a message as it is; ``sequence`` is its number within its topic, by default the next one."""
         channel = self._channels.get(topic)
         if channel is None:
             channel = self._channels[topic] = [self._register(topic), 0]
             # MCAP says this once, in the chunk under way; without that chunk the rest could not be told apart.
             self.metadata("channels", {str(number): name for name, (number, _) in self._channels.items()})
+        if sequence is not None:
+            channel[1] = sequence
         try:
             self._writer.add_message(channel[0], t_host_ns, data, t_host_ns, channel[1])
         except OSError as exc:
@@ -143,7 +147,7 @@ class SessionWriter:
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Write an attachment."""
-        now_ns = self._clock.now_ns()
+        now_ns = 0 if self._clock is None else self._clock.now_ns()
         try:
             self._writer.add_attachment(now_ns, now_ns, name, media_type, data)
         except OSError as exc:
@@ -155,7 +159,8 @@ class SessionWriter:
             self._finish_chunk()
 
     def close(self, end: Mapping[str, str] | None = None) -> None:
-        """Write the metadata ``session-end`` (the clock's anchor and ``end``), the index, and make the disk keep all.
+        """Write the metadata ``session-end`` (the clock's anchor and ``end``, if there is either), the index, and make the
+        disk keep all.
 
         A second call does nothing.
         """
@@ -165,7 +170,9 @@ class SessionWriter:
             self._out.file.close()
             return
         try:
-            self._writer.add_metadata("session-end", {**_anchor(self._clock), **(end or {})})
+            said = {**({} if self._clock is None else _anchor(self._clock)), **(end or {})}
+            if said:
+                self._writer.add_metadata("session-end", said)
             self._writer.finish()
             self._out.flush()
             os.fsync(self._out.file.fileno())
@@ -211,8 +218,14 @@ class SessionWriter:
         if self._out.tell() > MAX_HELD_BYTES:
             raise LinkError(f"{MAX_HELD_BYTES >> 20} MiB came before the box said what it is; is this a truearm box?")
 
-    def _cannot_write(self, exc: OSError) -> TruearmError:
-        return TruearmError(f"{self.path}: cannot be written any more ({exc.strerror}); what is in it stays readable")
+    def _cannot_write(self, exc: OSError) -> WriteError:
+        why = exc.strerror or str(exc)
+        return WriteError(f"{self.path}: cannot be written any more ({why}); what is in it stays readable", why)
+
+
+def media_type(name: str) -> str:
+    """Of an attachment, by its name: a session does not keep it elsewhere."""
+    return "application/toml" if name.endswith(".toml") else "application/octet-stream"
 
 
 class _Output:

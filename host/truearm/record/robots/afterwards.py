@@ -16,7 +16,7 @@ from pathlib import Path
 from truearm.errors import InputError, SessionError
 from truearm.record.robots.table import Reading
 from truearm.record.session import Session
-from truearm.record.session_writer import SessionWriter
+from truearm.record.session_writer import SessionWriter, media_type
 from truearm.types import Message
 
 TOPIC = "/robot/joints"
@@ -133,7 +133,7 @@ def _span(session: Session, replace: bool) -> tuple[int, int]:
 def _copy_head(session: Session, writer: SessionWriter) -> None:
     """Attachments and metadata that are not the writer's own."""
     for name, data in session.attachments.items():
-        writer.attach(name, "application/toml" if name.endswith(".toml") else "application/octet-stream", data)
+        writer.attach(name, media_type(name), data)
     for name, entries in session.metadata.items():
         if name not in (*ANCHORS, "channels"):
             writer.metadata(name, entries)

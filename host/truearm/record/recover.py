@@ -1,0 +1,102 @@
+"""A damaged or unfinished session → a new, complete one with all that is whole of it. The old file is only read.
+
+Messages keep their time, their bytes and their number within their topic, so that what is missing shows in the new file
+too: as a jump of these numbers, and of those that box and robot count themselves. Nothing is put in its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from truearm.record.salvage import Damage
+from truearm.record.session import Session
+from truearm.record.session_writer import SessionWriter, media_type
+
+_CIRCLE = 2**32
+_WRITERS_OWN = ("session-end", "channels")  # metadata that the writer writes itself
+
+
+@dataclass
+class TopicAccount:
+    """Messages of one topic. ``lost`` of them are known to be missing: by their numbers or by what the file's end says.
+
+    Where a recording was cut off nobody knows what else there was.
+    """
+
+    saved: int = 0
+    lost: int = 0
+    _next: int | None = None
+
+    def take(self, sequence: int) -> None:
+        """A message with this number is saved. Numbers that do not ascend (other writers' may all be 0) tell nothing."""
+        self.saved += 1
+        skipped = (sequence - (self._next or 0)) % _CIRCLE
+        if skipped < _CIRCLE // 2:
+            self.lost += skipped
+        self._next = (sequence + 1) % _CIRCLE
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """What became of a file. ``seconds`` lie between the first and the last message that were saved.
+
+    ``unread_bytes`` are those that stand in no whole record. ``cut_off``: its end is missing.
+    """
+
+    topics: dict[str, TopicAccount]
+    damage: tuple[Damage, ...]
+    cut_off: bool
+    unread_bytes: int
+    seconds: float
+    attachments: tuple[str, ...] = ()
+
+
+def is_whole(session: Session) -> bool:
+    """Whether there is nothing to recover."""
+    return not session.truncated and not session.damage
+
+
+def recover(session: Session, out: Path, said: Mapping[str, str]) -> Recovered:
+    """Write ``out``, a complete session, from one that was opened with ``allow_damaged``. ``said`` goes to metadata ``recovered``.
+
+    Raises InputError where ``out`` exists or cannot be made, TruearmError where it cannot be written any more, SessionError
+    where the damaged file changes while it is read.
+    """
+    topics: dict[str, TopicAccount] = {}
+    first_ns, last_ns = 2**64, 0
+    with SessionWriter(out, None) as writer:
+        for name, entries in session.metadata.items():
+            if name not in _WRITERS_OWN:
+                writer.metadata(name, entries)
+        for name, data in session.attachments.items():
+            writer.attach(name, media_type(name), data)
+        for sequence, message in session.numbered():
+            topics.setdefault(message.topic, TopicAccount()).take(sequence)
+            first_ns, last_ns = min(first_ns, message.t_host_ns), max(last_ns, message.t_host_ns)
+            writer.add(*message, sequence)
+        for topic, count in session.counted.items():
+            account = topics.setdefault(topic, TopicAccount())
+            account.lost = max(account.lost, count - account.saved)
+        found = Recovered(
+            topics=dict(sorted(topics.items())),
+            damage=session.damage,
+            cut_off=session.truncated,
+            unread_bytes=session.unread_bytes,
+            seconds=1e-9 * max(0, last_ns - first_ns),
+            attachments=tuple(session.attachments),
+            )
+        writer.metadata("recovered", {**said, **_entries(found)})
+        writer.close(session.metadata.get("session-end"))
+    return found
+
+
+def _entries(found: Recovered) -> dict[str, str]:
+    return {
+        "cut_off": str(found.cut_off).lower(),
+        "unread_bytes": str(found.unread_bytes),
+        "messages_saved": str(sum(account.saved for account in found.topics.values())),
+        "messages_lost": str(sum(account.lost for account in found.topics.values())),
+        "damaged_at": " ".join("?" if damage.at is None else str(damage.at) for damage in found.damage),
+    }
