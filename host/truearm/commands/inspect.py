@@ -113,7 +113,9 @@ def describe(session: Session) -> dict[str, Any]:
         "truncated": session.truncated,
         "damage": [asdict(damage) for damage in session.damage],
         "duration_s": 1e-9 * (max(times) - min(times)) if times else 0.0,
-        "metadata": {key: session.metadata.get(key, {}) for key in ("session", "session-end", "joints-added", "recovered")},
+        "metadata": {
+            key: session.metadata.get(key, {}) for key in ("session", "session-end", "joints-added", "recovered")
+        },
         "attachments": sorted(session.attachments),
         "topics": {name: _topic(topic) for name, topic in sorted(contents.topics.items())},
         "firmware": sorted({ident.firmware for ident in found.idents.values()}),

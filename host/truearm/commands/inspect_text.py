@@ -57,6 +57,9 @@ def _damage(damage: list[Mapping[str, Any]]) -> Iterator[str]:
 
 def _session(document: Mapping[str, Any]) -> Iterator[str]:
     session = document["metadata"]["session"]
+    if recovered := document["metadata"]["recovered"]:
+        lost = recovered.get("messages_lost", "?")
+        yield "  " + one_line(f"recovered from {recovered.get('source', '?')}: {lost} messages known to be lost")
     said = [f"truearm {session['version']}"] if "version" in session else []
     said += [f"{session['clock']} clock"] if "clock" in session else []
     said += [f"firmware {', '.join(document['firmware'])}"] if document["firmware"] else []

@@ -22,7 +22,8 @@ SHOWN = 10  # damaged places that are listed
 def recover(
     session: Annotated[Path, typer.Argument(metavar="SESSION", help="A damaged or unfinished session file (.mcap).")],
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The session to write; default: SESSION's name, -recovered.mcap.")
+        Path | None,
+        typer.Option(metavar="FILE", help="The session to write; default: SESSION's name, -recovered.mcap."),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite the file to write.")] = False,
 ) -> None:
@@ -48,7 +49,6 @@ def recover(
     check_writable(out, inputs=[session])
     if out.exists() and not force:
         raise InputError(f"{out}: exists; choose another name or give --force")
-    said = {"source": session.name, "sha256": sha256(session)}
     found = _write(session, opened, out, {"source": session.name, "sha256": sha256(session)})
     for line in lines(found):
         typer.echo(line)
@@ -87,7 +87,9 @@ def lines(found: Recovered) -> list[str]:
     if len(found.damage) > SHOWN:
         said.append(f"lost   and in {len(found.damage) - SHOWN} places more")
     if found.cut_off:
-        said.append("lost   the end: it was cut off, so what came behind (a second, if the recorder was killed) cannot be counted")
+        said.append(
+            "lost   the end: it was cut off, so what came behind (a second, if the recorder was killed) cannot be counted"
+        )
     said.append(f"       {found.unread_bytes} bytes stand in no whole record")
     return said
 

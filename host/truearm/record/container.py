@@ -50,11 +50,14 @@ def open_file(path: Path) -> BinaryIO:
 def records(file: BinaryIO, end: int, at: int = len(MCAP0_MAGIC)) -> Iterator[tuple[int, int, int]]:
     """Opcode, offset of the body and its length for every record from ``at`` on that is whole before ``end``.
 
-    At each yield the file stands at the body.
+    At each yield the file stands at the body. Raises SessionError where the file ends before ``end``.
     """
     while at + RECORD.size <= end:
         file.seek(at)
-        opcode, length = RECORD.unpack(file.read(RECORD.size))
+        head = file.read(RECORD.size)
+        if len(head) < RECORD.size:
+            raise SessionError(f"{file.name}: became shorter while it was read; read it when nobody writes it")
+        opcode, length = RECORD.unpack(head)
         at += RECORD.size
         if opcode == 0 or length > end - at:  # zeros: a power cut left the file's length, not its bytes
             return

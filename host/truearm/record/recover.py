@@ -86,7 +86,7 @@ def recover(session: Session, out: Path, said: Mapping[str, str]) -> Recovered:
             unread_bytes=session.unread_bytes,
             seconds=1e-9 * max(0, last_ns - first_ns),
             attachments=tuple(session.attachments),
-            )
+        )
         writer.metadata("recovered", {**said, **_entries(found)})
         writer.close(session.metadata.get("session-end"))
     return found

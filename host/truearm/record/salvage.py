@@ -111,7 +111,8 @@ class Whole:
         of_s = 1e-9 * max(0, last - first)
         times = [(at, first if a is None else a, last if b is None else b) for at, a, b in self._gaps]
         self.damage = tuple(
-            Damage(at, 1e-9 * max(0, after - before), of_s, 1e-9 * max(0, before - first)) for at, before, after in times
+            Damage(at, 1e-9 * max(0, after - before), of_s, 1e-9 * max(0, before - first))
+            for at, before, after in times
         )
 
     def _close(self, now_ns: int) -> None:
@@ -253,7 +254,8 @@ def _summary(path: Path, file: BinaryIO, size: int) -> _Summary:
     file.seek(size - tail)
     found = file.read(tail).rfind(_DATA_END)
     channels: dict[int, str] = {}
-    span, counts = None, {}
+    counts: dict[int, int] = {}
+    span = None
     if found < 0:
         return channels, span, counts
     start = size - tail + found

@@ -1,0 +1,186 @@
+"""`truearm recover`: a new, complete session with all that is whole of a damaged one, and an account of the rest."""
+
+import hashlib
+import os
+import random
+
+import mcap.records
+import pytest
+from mcap.data_stream import ReadDataStream
+from mcap.reader import SeekingReader
+from mcap.records import Chunk
+from mcap.stream_reader import breakup_chunk
+from test_session import written
+
+from truearm.cli import main
+from truearm.errors import SessionError
+from truearm.record.recover import recover
+from truearm.record.session import open_session
+
+
+@pytest.fixture
+def made(tmp_path):
+    """Messages of a session, its bytes, its chunks, and the file that is going to be damaged."""
+    path = tmp_path / "s.mcap"
+    messages = written(path)
+    with path.open("rb") as file:
+        chunks = SeekingReader(file).get_summary().chunk_indexes
+        rest = iter(messages)
+        for chunk in chunks:
+            file.seek(chunk.chunk_start_offset + 9)
+            records = breakup_chunk(Chunk.read(ReadDataStream(file)))
+            chunk.holds = [next(rest) for record in records if isinstance(record, mcap.records.Message)]
+    return messages, path.read_bytes(), chunks, path
+
+
+def mended(path, out):
+    """What recover makes of a file: the messages of the new one, which must be complete for us and for the library."""
+    found = recover(open_session(path, allow_damaged=True), out, {"source": path.name})
+    session = open_session(out)
+    read = list(session.messages())
+    with out.open("rb") as file:
+        reader = SeekingReader(file, validate_crcs=True)
+        assert reader.get_summary().statistics.message_count == len(read)
+        assert [m.data for _, _, m in reader.iter_messages(log_time_order=False)] == [m.data for m in read]
+    assert {topic: account.saved for topic, account in found.topics.items()} == {
+        topic: sum(m.topic == topic for m in read) for topic in found.topics
+    }
+    return read, found, session
+
+
+def test_one_damaged_chunk(made, tmp_path, capsys):
+    messages, whole, chunks, path = made
+    damaged = bytearray(whole)
+    damaged[chunks[2].chunk_start_offset + 100] ^= 1
+    path.write_bytes(damaged)
+    before = hashlib.sha256(damaged).hexdigest()
+    assert main(["recover", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert hashlib.sha256(path.read_bytes()).hexdigest() == before
+    out = tmp_path / "s-recovered.mcap"
+    session = open_session(out)
+    read = list(session.messages())
+    lost = [m for m in messages if m not in read]
+    assert lost
+    assert lost == chunks[2].holds
+    for topic in {m.topic for m in messages}:
+        saved, missing = (sum(m.topic == topic for m in those) for those in (read, lost))
+        assert f"{topic:<12}  {saved}" + (f", {missing} lost" if missing else "") + "\n" in said
+    assert f"from {1e-9 * (chunks[1].message_end_time - messages[0].t_host_ns):.1f} s on" in said
+    assert session.attachments == {"rig.toml": b"x = 1\n"}
+    assert session.metadata["session-end"]["reason"] == "test"
+    assert session.metadata["recovered"]["sha256"] == before
+    assert session.metadata["recovered"]["messages_lost"] == str(len(lost))
+    assert session.metadata["session"]["version"]
+
+
+def test_numbers_keep_their_gap(made, tmp_path):
+    """What is missing shows in the new file as well, to whoever counts."""
+    messages, whole, chunks, path = made
+    damaged = bytearray(whole)
+    damaged[chunks[1].chunk_start_offset + 60] ^= 1
+    path.write_bytes(damaged)
+    read, _, _ = mended(path, tmp_path / "new.mcap")
+    with (tmp_path / "new.mcap").open("rb") as file:
+        numbers = [m.sequence for _, c, m in SeekingReader(file).iter_messages(["/box/adc"])]
+    adc = [m for m in messages if m.topic == "/box/adc"]
+    assert [adc[number] for number in numbers] == [m for m in read if m.topic == "/box/adc"]
+    assert numbers != list(range(len(numbers)))
+
+
+@pytest.mark.parametrize("n", [40, pytest.param(1000, marks=pytest.mark.soak)])
+def test_cut_anywhere(made, tmp_path, n):
+    """Every message of every chunk that ended before the cut, and nothing else."""
+    messages, whole, chunks, path = made
+    rng = random.Random(1)
+    ends = [chunk.chunk_start_offset + chunk.chunk_length for chunk in chunks]
+    for size in [chunks[0].chunk_start_offset, ends[0] - 1, ends[0], *(rng.randrange(8, len(whole)) for _ in range(n))]:
+        path.write_bytes(whole[:size])
+        out = tmp_path / f"{size}.mcap"
+        read, found, session = mended(path, out)
+        assert read == messages[: len(read)]
+        ended = [chunk for chunk, end in zip(chunks, ends, strict=True) if end <= size]
+        assert read == [message for chunk in ended for message in chunk.holds]
+        assert found.cut_off
+        assert not found.damage
+        before = open_session(path, allow_damaged=True).metadata
+        assert {**session.metadata, "channels": 0, "recovered": 0} == {**before, "channels": 0, "recovered": 0}
+        out.unlink()
+
+
+def test_other_places_are_counted_too(made, tmp_path):
+    """Two damaged chunks, bytes that are missing, the end cut off: all bytes are either read or counted."""
+    _, whole, chunks, path = made
+    a, b, c = (chunks[k].chunk_start_offset for k in (1, 3, 5))
+    damaged = bytearray(whole[: c + 50])
+    damaged[a + 40] ^= 8
+    del damaged[b + 20 : b + 90]
+    path.write_bytes(damaged)
+    session = open_session(path, allow_damaged=True)
+    read, found, _ = mended(path, tmp_path / "new.mcap")
+    assert len(found.damage) == 2
+    assert found.unread_bytes + sum(end - start for start, end in session.spans) + 8 == len(damaged)
+    assert read == [message for k in (0, 2, 4) for message in chunks[k].holds]
+    lost = [message for k in (1, 3) for message in chunks[k].holds]
+    assert found.topics["/box/adc"].lost == sum(m.topic == "/box/adc" for m in lost)
+
+
+def test_what_is_whole_is_left_alone(made, tmp_path, capsys):
+    *_, path = made
+    assert main(["recover", str(path)]) == 0
+    assert "is whole" in capsys.readouterr().out
+    assert os.listdir(tmp_path) == ["s.mcap"]
+
+
+class TestRefusals:
+    @pytest.fixture
+    def cut(self, made):
+        _, whole, _, path = made
+        path.write_bytes(whole[: len(whole) // 2])
+        return path
+
+    def refused(self, capsys, *arguments):
+        assert main(["recover", *map(str, arguments)]) == 2
+        said = capsys.readouterr()
+        assert not said.out
+        assert said.err.count("\n") == 1
+        return said.err
+
+    def test_nothing_is_overwritten(self, cut, tmp_path, capsys):
+        other = tmp_path / "other.mcap"
+        other.write_text("precious")
+        assert "--force" in self.refused(capsys, cut, "--out", other)
+        assert other.read_text() == "precious"
+        assert main(["recover", str(cut), "--out", str(other), "--force"]) == 0
+        assert not open_session(other).truncated
+
+    @pytest.mark.parametrize("linked", [False, True])
+    def test_the_damaged_file_itself(self, cut, tmp_path, capsys, linked):
+        out, before = cut, cut.read_bytes()
+        if linked:
+            out = tmp_path / "link.mcap"
+            out.symlink_to(cut)
+        assert "also read" in self.refused(capsys, cut, "--out", out, "--force")
+        assert cut.read_bytes() == before
+
+    @pytest.mark.parametrize("size", [0, 3, 8, 60])
+    def test_nothing_to_save(self, cut, tmp_path, capsys, size):
+        cut.write_bytes(cut.read_bytes()[:size])
+        self.refused(capsys, cut)
+        assert os.listdir(tmp_path) == ["s.mcap"]
+
+    def test_no_file(self, tmp_path, capsys):
+        assert "no such file" in self.refused(capsys, tmp_path / "none.mcap")
+
+    def test_a_file_that_shrinks_meanwhile(self, made, tmp_path):
+        _, whole, _, path = made
+        path.write_bytes(whole[:-10])
+        session = open_session(path, allow_damaged=True)
+        path.write_bytes(whole[:300])
+        with pytest.raises(SessionError, match="became shorter"):
+            recover(session, tmp_path / "new.mcap", {})
+
+
+def test_help_has_an_example(capsys):
+    assert main(["recover", "--help"]) == 0
+    assert "truearm recover session.mcap" in capsys.readouterr().out
