@@ -18,6 +18,7 @@ from truearm.sensors.joints import parse_reading
 if TYPE_CHECKING:
     from truearm.record.session import Session
     from truearm.sensors.ident import Ident
+    from truearm.sync.dwell import Dwell
     from truearm.sync.pipeline import Survey
     from truearm.types import Message
 
@@ -201,6 +202,7 @@ def _dwells(session: Session, found: Survey, ident: Ident | None) -> dict[str, A
         "observations": None,
         "samples_used": None,
         "not_paired": None,
+        "table": _dwell_rows(found.dwells),
     }
     attached = session.attachments.get("rig.toml")
     if attached is None:
@@ -228,7 +230,28 @@ def _observations(
         "observations": len(result.table),
         "samples_used": result.samples_used,
         "clock_bound_ns": max(bounds, default=None),
+        "table": _dwell_rows(result.dwells),
     }
+
+
+def _dwell_rows(dwells: Collection[Dwell]) -> list[dict[str, Any]]:
+    """Every stop: when, how long of it is used and how long it took to settle, what it is of, why it is rejected."""
+    return [
+        {
+            "dwell": number,
+            "t_robot_s": dwell.stood_s,
+            "settling_s": dwell.start_s - dwell.stood_s,
+            "used_s": 0.0 if dwell.reason else dwell.end_s - dwell.start_s,
+            "pose": dwell.pose,
+            **dwell.mounted,
+            "length_m": dwell.value,
+            "noise_m": dwell.noise,
+            "drift_m": dwell.drift,
+            "reason": dwell.reason,
+            "detail": dwell.detail,
+        }
+        for number, dwell in enumerate(dwells, start=1)
+    ]
 
 
 def _tally(words: list[str]) -> dict[str, int]:

@@ -7,6 +7,7 @@ from typing import Any
 
 from truearm.commands.terminal import one_line
 
+DWELLS = 24  # listed one by one
 LOSSES = (
     ("frames_lost", "frames lost on the link"),
     ("frames_duplicated", "frames doubled"),
@@ -162,10 +163,31 @@ def _dwells(document: Mapping[str, Any]) -> Iterator[str]:
     yield f"dwells: {dwells['found']} found{planned}{became}"
     for reason, count in dwells["rejected"].items():
         yield f"  {count:>6} rejected: {reason}{_explained(reason, bool(document['plan_poses']))}"
+    yield from _dwell_table(dwells["table"])
     if dwells["not_paired"]:
         yield f"  not paired with bars: {dwells['not_paired']}"
     if document["events"]:
         yield "events: " + one_line(", ".join(f"{count} {kind}" for kind, count in document["events"].items()))
+
+
+def _dwell_table(rows: list[Mapping[str, Any]]) -> Iterator[str]:
+    """All dwells of a short session; of a long one those that were rejected. The file's names have no control characters."""
+    good = sorted(row["settling_s"] for row in rows if not row["reason"])
+    if good:
+        yield f"  settled after {good[len(good) // 2]:.2f} s in the middle, {good[-1]:.2f} s at most"
+    shown = rows if len(rows) <= DWELLS else [row for row in rows if row["reason"]]
+    if shown:
+        yield f"  {'dwell':>6} {'t robot/s':>10} {'settling/s':>10} {'used/s':>7} {'pose':>5}  of"
+    for row in shown[:DWELLS]:
+        fittings = " ".join(row[key] for key in ("bar", "chuck", "sphere") if key in row)
+        became = f"{row['reason']}: {row['detail']}" if row["detail"] else row["reason"]
+        pose = "-" if row["pose"] is None else row["pose"]
+        yield one_line(
+            f"  {row['dwell']:>6} {row['t_robot_s']:>10.1f} {row['settling_s']:>10.2f} {row['used_s']:>7.2f} {pose:>5}  "
+            f"{fittings or '-'}{', ' if became else ''}{became}"
+        )
+    if len(shown) > DWELLS:
+        yield f"  … {len(shown) - DWELLS} more; --json has all"
 
 
 def _explained(reason: str, planned: bool) -> str:

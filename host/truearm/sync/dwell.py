@@ -1,4 +1,4 @@
-"""Dwells: where the robot stood still, from its joint readings alone (hop 5).
+"""Dwells: where the robot stood still, from its joint readings (hop 5); what the sensor says of them is in ``measure``.
 
 How much a reading moves while the robot rests is not declared anywhere, so the readings say it themselves: the range of each
 joint over windows of four bins (0.2 s), of which the tenth percentile belongs to rest as long as the robot rests a tenth of
@@ -6,20 +6,22 @@ the time. With n Gaussian readings a window that percentile is 2.6 (n = 16) to 4
 times it is a threshold of 8 to 13, which rest does not cross and motion does at once. The threshold is never below two steps
 of the quantisation nor below a microradian.
 
-Bins that share a window whose range keeps below the threshold belong together; a chain of them is a dwell. Its beginning is
-discarded (the arm still swings although the encoders stand), and what is left must keep below the threshold as a whole, lest
-a creep slower than the threshold in each window pass.
+Bins that share a window whose range keeps below the threshold belong together; a chain of them is a stop. What still creeps
+below that threshold is left out by ``settled_from()``: a dwell begins where the bins' means keep to the level of the stop's
+second half, within what bins of resting stops differ by. Some of the beginning is left out in any case: the robot's clock may
+run late, and a window may reach into the motion.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truearm.sync.joints import Bins, JointStream
+from truearm.sync.settling import LEAST_BLOCKS, settled_from
 from truearm.types import Floats
 
 WINDOW_BINS = 4
@@ -30,13 +32,16 @@ SHORTEST_S = 0.25  # shorter pauses (a turn of direction) are no attempt at a dw
 
 REASONS = (
     "too short",
-    "still moving",
+    "still moving",  # the joints
+    "ringing",  # the sensor, from side to side
+    "drift",  # the sensor, one way
     "gap",
     "rail",
     "out of travel",
     "noisy",
     "no samples",
     "no clock",
+    "clock",  # its bound is larger than the guard
     "no plan match",
     "ambiguous",  # the plan holds this pose with different fittings, and nothing says which were mounted
 )
@@ -46,7 +51,7 @@ REASONS = (
 class DwellRules:
     """What a dwell must be to give an observation. Times in s, ``pose_tolerance`` in rad (or m), the same for all joints."""
 
-    settle_s: float = 0.5  # discarded at the beginning
+    settle_s: float = 0.2  # discarded at the beginning in any case; where robot or sensor settle later, more
     shortest_s: float = 1.0  # at least so much must be left
     longest_s: float = 60.0  # no more than this is used: a robot parked overnight is one dwell too
     guard_s: float = 0.1  # discarded at the end: the robot's clock runs late by an unknown latency
@@ -55,9 +60,11 @@ class DwellRules:
 
 @dataclass(frozen=True)
 class Dwell:
-    """One stop of the robot and what became of it. ``reason`` is "" if it gave an observation, else one of REASONS.
+    """One stop of the robot and what became of it. ``reason`` is "" if it gave an observation, else one of REASONS, and
+    ``detail`` says how much of it.
 
-    ``start_s``, ``end_s``: controller time of the part that is used, the settling time left out. ``q_cov`` is the
+    ``stood_s``: controller time at which the joints stood; ``start_s``, ``end_s``: of the part that is used, where robot and
+    sensor had settled. ``bins``: first and past the last of the readings in it. ``q_cov`` is the
     covariance of single readings about their mean, quantisation included. ``value`` [m] is the mean length of the bar,
     ``value_var`` [m²] the variance of that mean from the samples alone, ``sigma`` [m] with the declared repeatability.
     """
@@ -68,7 +75,10 @@ class Dwell:
     q: Floats  # (j,) mean reading
     q_cov: Floats  # (j, j)
     n_readings: int
+    stood_s: float
+    bins: tuple[int, int]
     reason: str = ""
+    detail: str = ""
     start_host_ns: int = 0
     end_host_ns: int = 0
     value: float = float("nan")
@@ -76,6 +86,7 @@ class Dwell:
     sigma: float = float("nan")
     noise: float = float("nan")  # m, standard deviation of a sample
     drift: float = float("nan")  # m, of a straight line through the samples, from end to end
+    drift_sigma: float = float("nan")  # m, its standard deviation
     n_samples: int = 0
     n_eff: float = 0.0
     clock_bound_ns: float = float("nan")
@@ -94,11 +105,30 @@ def find_dwells(stream: JointStream, rules: DwellRules) -> list[Dwell]:
         return []
     threshold = motion_threshold(ranges[whole], stream.step)
     quiet = whole & np.all(ranges <= threshold, axis=1)
-    return [
-        _dwell(bins, slice(first, last), rules, threshold, stream.step)
+    runs = [
+        slice(first, last)
         for first, last in _runs(quiet, len(bins.n))
         if bins.t_last_s[last - 1] - bins.t_first_s[first] >= SHORTEST_S
     ]
+    rest = _Rest(threshold, resting_variance(bins, runs), np.maximum(1.001 * stream.step, LEAST_MOTION), stream.step)
+    return [_dwell(bins, run, rules, rest) for run in runs]
+
+
+@dataclass(frozen=True)
+class _Rest:
+    """How much each joint's readings move at rest: range, variance of a bin's mean, what nobody cares about, step; all (j,)."""
+
+    threshold: Floats
+    bin_var: Floats
+    floor: Floats
+    step: Floats
+
+
+def resting_variance(bins: Bins, runs: list[slice]) -> Floats:
+    """Variance (j,) of the mean of a bin at rest: the median over the second halves of all stops long enough to say it."""
+    halves = [bins.mean[(run.start + run.stop) // 2 : run.stop] for run in runs]
+    spread = [np.var(half, axis=0, ddof=1) for half in halves if len(half) >= LEAST_BLOCKS]
+    return np.asarray(np.median(spread, axis=0)) if spread else np.zeros(bins.mean.shape[1])
 
 
 def motion_threshold(ranges: Floats, step: Floats) -> Floats:
@@ -128,21 +158,87 @@ def _runs(quiet: NDArray[np.bool_], b: int) -> Iterator[tuple[int, int]]:
         yield int(first), min(int(last) + 1, b)
 
 
-def _dwell(bins: Bins, run: slice, rules: DwellRules, threshold: Floats, step: Floats) -> Dwell:
-    t0 = bins.t_first_s[run.start]
-    settled = np.flatnonzero(
-        (bins.t_first_s[run] >= t0 + rules.settle_s) & (bins.t_last_s[run] <= t0 + rules.settle_s + rules.longest_s)
+def _dwell(bins: Bins, run: slice, rules: DwellRules, rest: _Rest) -> Dwell:
+    stood = float(bins.t_first_s[run.start])
+    inside = np.flatnonzero(
+        (bins.t_first_s[run] >= stood + rules.settle_s)
+        & (bins.t_last_s[run] <= stood + rules.settle_s + rules.longest_s)
     )
-    used = slice(run.start + settled[0], run.start + settled[-1] + 1) if settled.size else run
+    if not inside.size:
+        left = max(0.0, float(bins.t_last_s[run.stop - 1]) - stood - rules.settle_s - rules.guard_s)
+        return _of_bins(bins, run, rules, rest.step, stood, "too short", f"{left:.2f} s")
+    used = slice(run.start + int(inside[0]), run.start + int(inside[-1]) + 1)
+    whole = _seconds(bins, used, rules)
+    if whole < rules.shortest_s:
+        return _of_bins(bins, used, rules, rest.step, stood, "too short", f"{max(0.0, whole):.2f} s")
+    first, late = _settled(bins.mean[used], rest)
+    settled = slice(min(used.start + first, used.stop - 1), used.stop)
+    strays = np.max(bins.high[settled], axis=0) - np.min(bins.low[settled], axis=0)
+    if first and _seconds(bins, settled, rules) < rules.shortest_s:
+        swing = float(np.ptp(bins.mean[used][:, late]))
+        return _of_bins(bins, used, rules, rest.step, stood, "still moving", f"joint {late + 1} by {swing:.2g} rad")
+    if np.any(strays > rest.threshold):
+        late = int(np.argmax(strays / rest.threshold))
+        detail = f"joint {late + 1} by {strays[late]:.2g} rad"
+        return _of_bins(bins, settled, rules, rest.step, stood, "still moving", detail)
+    return _of_bins(bins, settled, rules, rest.step, stood)
+
+
+def _settled(means: Floats, rest: _Rest) -> tuple[int, int]:
+    """The first of the bins' means (b, j) from which all joints rest, and the joint that settles last."""
+    if len(means) < LEAST_BLOCKS:
+        return 0, 0
+    firsts = [settled_from(means[:, j], rest.bin_var[j], rest.floor[j]).first for j in range(means.shape[1])]
+    return max(firsts), int(np.argmax(firsts))
+
+
+def _seconds(bins: Bins, used: slice, rules: DwellRules) -> float:
+    return float(bins.t_last_s[used.stop - 1]) - rules.guard_s - float(bins.t_first_s[used.start])
+
+
+def _of_bins(
+    bins: Bins, used: slice, rules: DwellRules, step: Floats, stood: float, reason: str = "", detail: str = ""
+) -> Dwell:
     q, q_cov, n = _statistics(bins, used, step)
     start, end = float(bins.t_first_s[used.start]), float(bins.t_last_s[used.stop - 1]) - rules.guard_s
-    reason = ""
-    if not settled.size or end - start < rules.shortest_s:
-        reason = "too short"
-    elif np.any(np.max(bins.high[used], axis=0) - np.min(bins.low[used], axis=0) > threshold):
-        reason = "still moving"
     q_cmd = np.average(bins.commanded[used], axis=0, weights=bins.n[used])
-    return Dwell(int(bins.segment[run.start]), start, end, q, q_cov, n, reason, q_cmd=q_cmd)
+    return Dwell(
+        segment=int(bins.segment[used.start]),
+        start_s=start,
+        end_s=end,
+        q=q,
+        q_cov=q_cov,
+        n_readings=n,
+        stood_s=stood,
+        bins=(used.start, used.stop),
+        reason=reason,
+        detail=detail,
+        q_cmd=q_cmd,
+    )
+
+
+def begun_at(dwell: Dwell, start_s: float, start_host_ns: int, stream: JointStream) -> Dwell:
+    """The dwell with a later beginning, its joints' mean and covariance from what is left.
+
+    Where less than a bin is left of the readings, the last one is taken: the joints rest in all of them.
+    """
+    if stream.bins is None or start_s <= dwell.start_s:
+        return dwell
+    first, end = dwell.bins
+    first += int(np.searchsorted(stream.bins.t_first_s[first:end], start_s))
+    used = slice(min(first, end - 1), end)
+    q, q_cov, n = _statistics(stream.bins, used, stream.step)
+    q_cmd = np.average(stream.bins.commanded[used], axis=0, weights=stream.bins.n[used])
+    return replace(
+        dwell,
+        start_s=start_s,
+        start_host_ns=start_host_ns,
+        q=q,
+        q_cov=q_cov,
+        n_readings=n,
+        q_cmd=q_cmd,
+        bins=(used.start, used.stop),
+    )
 
 
 def _statistics(bins: Bins, used: slice, step: Floats) -> tuple[Floats, Floats, int]:

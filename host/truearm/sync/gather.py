@@ -30,14 +30,20 @@ class Taken:
     channel: Channel | None = None
     period_ns: int = 0
     pieces: list[list[NDArray[Any]]] = field(default_factory=list)
+    begins_ns: list[int] = field(default_factory=list)  # host time of the first sample of each piece
     bound_ns: float = 0.0
     fault: bool = False
 
     @property
     def longest(self) -> NDArray[Any]:
         """Counts (n,) of the longest whole piece."""
-        whole = [np.concatenate(piece) for piece in self.pieces if piece]
-        return max(whole, key=len, default=np.empty(0, np.int32))
+        return self.longest_piece[1]
+
+    @property
+    def longest_piece(self) -> tuple[int, NDArray[Any]]:
+        """Host time [ns] of the first sample of the longest whole piece, and its counts (n,)."""
+        whole = [(t, np.concatenate(piece)) for t, piece in zip(self.begins_ns, self.pieces, strict=True) if piece]
+        return max(whole, key=lambda piece: len(piece[1]), default=(self.start_ns, np.empty(0, np.int32)))
 
 
 class Source(NamedTuple):
@@ -117,14 +123,17 @@ def _take(
     ends = np.cumsum([block.n for block in chunk])
     k0, k1 = (int(k) for k in np.searchsorted(ends, [low, high - 1], side="right"))
     touched = chunk[k0 : k1 + 1]
-    begins = ends[k0 : k1 + 1] - [block.n for block in touched]
+    firsts = ends[k0 : k1 + 1] - [block.n for block in touched]
     counts = np.frombuffer(b"".join(block.data.samples for block in touched), "<i4").reshape(-1, chunk[0].channels)
-    gaps = [int(begin) for begin, block in zip(begins, touched, strict=True) if block.gap]
+    gaps = [int(begin) for begin, block in zip(firsts, touched, strict=True) if block.gap]
     cuts = [low, *(gap for gap in gaps if low < gap < high), high]
-    pieces = [counts[a - begins[0] : b - begins[0], source.column] for a, b in pairwise(cuts)]
+    pieces = [counts[a - firsts[0] : b - firsts[0], source.column] for a, b in pairwise(cuts)]
+    begins = [int(times[a]) for a in cuts[:-1]]
     if taken.pieces and low not in gaps:
         taken.pieces[-1].append(pieces.pop(0))
+        begins.pop(0)
     taken.pieces += [[piece] for piece in pieces]
+    taken.begins_ns += begins
     taken.channel = source.stream.channels[source.column]
     taken.period_ns = chunk[0].data.period_ns or source.stream.period_ns
     taken.bound_ns = max(taken.bound_ns, float(np.max(bounds[k0 : k1 + 1])))

@@ -50,5 +50,8 @@ def line_under(x: Floats, y: Floats, middle: float) -> tuple[float, float]:
         return float(y[corners[0]]), 0.0
     edge = int(np.clip(np.searchsorted(x[corners], middle) - 1, 0, corners.size - 2))
     (x0, x1), (y0, y1) = x[corners[edge : edge + 2]], y[corners[edge : edge + 2]]
-    rate = float((y1 - y0) / (x1 - x0))
-    return float(y0 - rate * x0), rate
+    with np.errstate(
+        over="ignore", invalid="ignore"
+    ):  # times may differ by next to nothing; the rate is then no number
+        rate = float((y1 - y0) / (x1 - x0))
+        return float(y0 - rate * x0), rate

@@ -1,22 +1,25 @@
 """Which bar, chuck and sphere a dwell belongs to: by the plan, or by what was said to be mounted (hop 5).
 
-A robot follows its plan in order, but a pose may be left out, visited twice, or stopped at in between. The pairing is
-therefore the longest chain of (dwell, pose) pairs that are near in joint space and ascend in both; of chains as long, the
-one with the smaller distances. It is found as a longest increasing subsequence with weights, in O(k log k) for k near pairs.
+A robot follows its plan in order, but a pose may be left out, visited twice, or stopped at in between, and the program may be
+stopped and begun again. The pairing is therefore a way through the plan: (dwell, pose) pairs that are near in joint space,
+each dwell in one of them. It gains 1 for every pair and pays REPEAT for standing at the pose before once more and BACK for
+going back in the plan; of ways that are worth the same, the one with the smaller distances. Going on costs nothing, however
+many poses are left out. So one stop that happens to lie near an earlier pose is no restart, two in a row are. The best way
+is found dwell by dwell, the best that ends before a pose by a Fenwick tree: O(k log k) for k near pairs.
 
-A plan may hold the same joint pose twice with different fittings. Where dwells are missing, several chains are then as
-long, and nothing says which of them the robot took: a dwell to which such chains give different bars, chucks or spheres
-is **ambiguous**. A pair lies on a chain of the greatest length exactly if the longest chain that ends at it and the longest
-that begins at it, less the pair that they share, make that length. Distances do not decide here: a robot that misses its
-poses by a little more on one side would be given another bar.
+A plan may hold the same joint pose twice with different fittings. Where dwells are missing, several ways are then worth the
+same, and nothing says which of them the robot took: a dwell to which such ways give different bars, chucks or spheres
+is **ambiguous**. A pair lies on a best way exactly if the best way that ends at it and the best that begins at it, less the
+pair that they share, are worth that much. Distances do not decide here: a robot that misses its poses by a little more on one
+side would be given another bar.
 """
 
 from __future__ import annotations
 
 import json
-from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,6 +33,8 @@ FITTINGS = ("bar", "chuck", "sphere", "shell")
 REQUIRED = ("bar", "chuck", "sphere")  # what an observation of the ball-bar must name
 MOVES = PlanFile.MOVES
 MAX_NAME = 64
+REPEAT = 0.25
+BACK = 1.125
 
 
 @dataclass(frozen=True)
@@ -107,10 +112,19 @@ class Marks:
 
 @dataclass(frozen=True)
 class Matches:
-    """The planned pose of each dwell, None where there is none, and the dwells that different fittings suit as well."""
+    """The planned pose of each dwell, None where there is none, and the fittings ("b46 c1 s1") that suit a dwell equally
+    well where they differ."""
 
     poses: tuple[int | None, ...]
-    ambiguous: frozenset[int]
+    ambiguous: Mapping[int, tuple[str, ...]]
+
+
+class _Pair(NamedTuple):
+    """A dwell near a planned pose; ``closeness`` is 0 to 1, and so small that all of them together are less than REPEAT."""
+
+    dwell: int
+    pose: int
+    closeness: float
 
 
 def match_plan(q: Floats, plan: Plan, tolerance: float, said: Sequence[Mapping[str, str]]) -> Matches:
@@ -121,26 +135,32 @@ def match_plan(q: Floats, plan: Plan, tolerance: float, said: Sequence[Mapping[s
     """
     pairs = _near_pairs(q, plan, tolerance, said)
     matched: list[int | None] = [None] * len(q)
-    for dwell, pose in _best_chain(pairs, len(plan.q)):
-        matched[dwell] = pose
+    worth, before = _ways(pairs, [pair.closeness for pair in pairs], len(plan.q))
+    k = max(range(len(pairs)), key=worth.__getitem__, default=-1)
+    while k >= 0:
+        matched[pairs[k].dwell] = pairs[k].pose
+        k = before[k]
     return Matches(tuple(matched), _ambiguous(pairs, plan))
 
 
-def _near_pairs(
-    q: Floats, plan: Plan, tolerance: float, said: Sequence[Mapping[str, str]]
-) -> list[tuple[int, int, float]]:
-    """(dwell, pose, weight) of near pairs, by dwell; the poses of one dwell descend, so that a chain takes one of them.
+def nearest_pose(q: Floats, plan: Plan) -> tuple[int, float]:
+    """The planned pose nearest to one mean reading (j,), and its distance in the joint that is furthest off."""
+    if q.shape[0] != plan.q.shape[1]:
+        return -1, float("nan")
+    distance = np.max(np.abs(plan.q - q), axis=1)
+    return int(np.argmin(distance)), float(np.min(distance))
 
-    A pair weighs 1 less its distance, scaled so that all distances together are less than one pair.
-    """
+
+def _near_pairs(q: Floats, plan: Plan, tolerance: float, said: Sequence[Mapping[str, str]]) -> list[_Pair]:
+    """Near pairs by dwell, then by pose."""
     if not len(q) or q.shape[1] != plan.q.shape[1]:
         return []
     near = KDTree(plan.q).query_ball_point(q, tolerance, p=np.inf)
-    scale = 1.0 / (tolerance * (len(q) + 1))
+    scale = REPEAT / (tolerance * (len(q) + 1))
     return [
-        (dwell, pose, 1.0 - scale * float(np.max(np.abs(q[dwell] - plan.q[pose]))))
+        _Pair(dwell, pose, scale * (tolerance - float(np.max(np.abs(q[dwell] - plan.q[pose])))))
         for dwell, poses in enumerate(near)
-        for pose in sorted(poses, reverse=True)
+        for pose in sorted(poses)
         if not _contradict(said[dwell], plan.mounted[pose])
     ]
 
@@ -149,51 +169,47 @@ def _contradict(said: Mapping[str, str], planned: Mapping[str, str]) -> bool:
     return any(said.get(key) and planned.get(key) and said[key] != planned[key] for key in REQUIRED)
 
 
-def _best_chain(pairs: list[tuple[int, int, float]], poses: int) -> list[tuple[int, int]]:
-    """The heaviest chain of pairs that ascends in both; a Fenwick tree holds the heaviest that ends at or before a pose."""
-    tree = [(0.0, -1)] * (poses + 1)
-    weights, before = [], []
-    for k, (_, pose, weight) in enumerate(pairs):
-        best, i = (0.0, -1), pose
-        while i > 0:
-            best, i = max(best, tree[i]), i & (i - 1)
-        weights.append(best[0] + weight)
-        before.append(best[1])
-        i = pose + 1
-        while i <= poses:
-            tree[i], i = max(tree[i], (weights[k], k)), i + (i & -i)
-    chain, k = [], max(range(len(pairs)), key=weights.__getitem__, default=-1)
-    while k >= 0:
-        chain.append(pairs[k][:2])
-        k = before[k]
-    return chain[::-1]
+def _ways(pairs: Sequence[_Pair], closeness: Sequence[float], poses: int) -> tuple[list[float], list[int]]:
+    """What the best way that ends at each pair is worth, and the pair before it on that way, -1 for none."""
+    nothing = (0.0, -1)
+    tree = [nothing] * (poses + 1)  # of the best ways that end before a pose
+    at: dict[int, tuple[float, int]] = {}  # the best way that ends at a pose
+    best = nothing
+    worth: list[float] = []
+    before: list[int] = []
+    for _, group in groupby(enumerate(pairs), key=lambda numbered: numbered[1].dwell):
+        of_dwell = [(k, pair.pose) for k, pair in group]
+        for k, pose in of_dwell:
+            coming, i = nothing, pose
+            while i > 0:
+                coming, i = max(coming, tree[i]), i & (i - 1)
+            again = at.get(pose, nothing)
+            coming = max(coming, (again[0] - REPEAT, again[1]), (best[0] - BACK, best[1]))
+            worth.append(coming[0] + 1.0 + closeness[k])
+            before.append(coming[1])
+        for k, pose in of_dwell:  # only now: a dwell is in one pair
+            way = (worth[k], k)
+            best, at[pose] = max(best, way), max(at.get(pose, nothing), way)
+            i = pose + 1
+            while i <= poses:
+                tree[i], i = max(tree[i], way), i + (i & -i)
+    return worth, before
 
 
-def _ambiguous(pairs: list[tuple[int, int, float]], plan: Plan) -> frozenset[int]:
-    """The dwells to which the longest chains give different fittings."""
+def _ambiguous(pairs: list[_Pair], plan: Plan) -> dict[int, tuple[str, ...]]:
+    """The dwells to which ways of the greatest worth give different fittings, and those."""
     poses = len(plan.q)
-    ending = _chain_lengths([pose for _, pose, _ in pairs])
-    beginning = _chain_lengths([poses - 1 - pose for _, pose, _ in reversed(pairs)])[::-1]
-    longest = max(ending, default=0)
-    first: dict[int, tuple[str | None, ...]] = {}
-    ambiguous = set()
-    for (dwell, pose, _), end, begin in zip(pairs, ending, beginning, strict=True):
-        if end + begin - 1 == longest:
-            fittings = tuple(plan.mounted[pose].get(key) for key in REQUIRED)
-            if first.setdefault(dwell, fittings) != fittings:
-                ambiguous.add(dwell)
-    return frozenset(ambiguous)
-
-
-def _chain_lengths(poses: list[int]) -> list[int]:
-    """Length of the longest ascending chain that ends at each of these poses (patience sorting)."""
-    least: list[int] = []  # least last pose of the chains of length k + 1
-    lengths = []
-    for pose in poses:
-        k = bisect_left(least, pose)
-        least[k : k + 1] = [pose]
-        lengths.append(k + 1)
-    return lengths
+    exact = [0.0] * len(pairs)  # eighths: sums of them are exact
+    ending, _ = _ways(pairs, exact, poses)
+    backward = [_Pair(pair.dwell, poses - 1 - pair.pose, 0.0) for pair in reversed(pairs)]
+    beginning = _ways(backward, exact, poses)[0][::-1]
+    greatest = max(ending, default=0.0)
+    suits: dict[int, dict[str, None]] = {}
+    for pair, end, begin in zip(pairs, ending, beginning, strict=True):
+        if end + begin - 1.0 == greatest:
+            fittings = " ".join(plan.mounted[pair.pose].get(key, "?") for key in REQUIRED)
+            suits.setdefault(pair.dwell, {})[fittings] = None
+    return {dwell: tuple(fittings) for dwell, fittings in suits.items() if len(fittings) > 1}
 
 
 def _document(data: bytes) -> dict[str, Any] | None:

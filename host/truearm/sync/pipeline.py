@@ -14,25 +14,19 @@ import numpy as np
 
 from truearm.errors import RigError
 from truearm.sensors.ident import Ident
-from truearm.sensors.lvdt import bar_length, extension, out_of_travel, railed
 from truearm.sync.blocks import Block, BoxReader
 from truearm.sync.clock import ClockReport, fit_clock
 from truearm.sync.device_clock import DeviceClock
 from truearm.sync.dwell import Dwell, DwellRules, find_dwells
-from truearm.sync.gather import Taken, gather
+from truearm.sync.gather import gather
 from truearm.sync.joints import JointReader, JointStream
 from truearm.sync.losses import Losses
-from truearm.sync.pairing import REQUIRED, Marks, match_plan
-from truearm.sync.statistics import mean_of
+from truearm.sync.measure import measured, without_noisy
+from truearm.sync.pairing import REQUIRED, Marks, Plan, match_plan, nearest_pose
 from truearm.sync.streams import StreamReport
-from truearm.types import BallBar, Message, ObservationTable, Rig
+from truearm.types import Message, ObservationTable, Rig
 
 Messages = Callable[[Collection[str] | None], Iterator[Message]]
-
-LEAST_SAMPLES = 8
-NOISY = 5.0  # times the median noise of all dwells
-DRIFT_SIGMAS = 6.0
-MICRON = 1e-6  # a ball-bar's joints are not rounder: less noise or drift condemns no dwell
 
 
 @dataclass(frozen=True)
@@ -127,8 +121,9 @@ def observations(
     intervals = _disjoint([(i, start, end) for start, end, i in good])
     for taken in gather(_blocks(messages, found.box_topics, ident), found.clocks, intervals, channel):
         dwell = dwells[taken.dwell]
-        dwells[taken.dwell] = _measure(dwell, taken, rig.bars[dwell.mounted["bar"]], rules, bool(found.clocks))
-    dwells = _without_noisy(dwells)
+        bar = rig.bars[dwell.mounted["bar"]]
+        dwells[taken.dwell] = measured(dwell, taken, bar, rules, found.joints, bool(found.clocks))
+    dwells = without_noisy(dwells)
     used = sum(dwell.n_samples for dwell in dwells if not dwell.reason)
     return SyncResult(_table(dwells, found.joints, name), tuple(dwells), found, found.losses.samples, used)
 
@@ -160,7 +155,7 @@ def _pair(found: Survey, rig: Rig, rules: DwellRules) -> list[Dwell]:
     dwells = list(found.dwells)
     good = [i for i, dwell in enumerate(dwells) if not dwell.reason]
     said = [found.marks.mounted_at(dwells[i].start_host_ns) for i in good]
-    plan = found.marks.plan()
+    plan, rows = found.marks.plan(), found.marks.dwells
     if plan is None or not good:
         for i, words in zip(good, said, strict=True):
             dwells[i] = _mounted(dwells[i], None, words, rig)
@@ -168,11 +163,23 @@ def _pair(found: Survey, rig: Rig, rules: DwellRules) -> list[Dwell]:
     found_poses = match_plan(np.array([dwells[i].q for i in good]), plan, rules.pose_tolerance, said)
     for k, (i, pose) in enumerate(zip(good, found_poses.poses, strict=True)):
         if k in found_poses.ambiguous:
-            dwells[i] = replace(dwells[i], reason="ambiguous")
+            dwells[i] = replace(dwells[i], reason="ambiguous", detail=" or ".join(found_poses.ambiguous[k]))
         else:
-            row = None if pose is None else found.marks.dwells[pose]
+            row = None if pose is None else rows[pose]
             dwells[i] = _mounted(dwells[i], row, {} if pose is None else plan.mounted[pose], rig)
+            if pose is None:
+                dwells[i] = replace(dwells[i], detail=_away(dwells[i], plan, rows, rules))
     return dwells
+
+
+def _away(dwell: Dwell, plan: Plan, rows: list[int], rules: DwellRules) -> str:
+    """How far a dwell is from the plan."""
+    nearest, distance = nearest_pose(dwell.q, plan)
+    if nearest < 0:
+        return f"the plan is of {plan.q.shape[1]} joints"
+    if distance <= rules.pose_tolerance:
+        return f"pose {rows[nearest]} is out of turn, or other fittings are on"
+    return f"{distance:.3f} rad from pose {rows[nearest]}"
 
 
 def _mounted(dwell: Dwell, pose: int | None, mounted: dict[str, str], rig: Rig) -> Dwell:
@@ -188,41 +195,6 @@ def _check_rig(mounted: dict[str, str], rig: Rig) -> None:
         if mounted[key] not in known:
             names = ", ".join(sorted(known)) or "none"
             raise RigError(f"the session names {key} {mounted[key]!r}, which the rig does not have (it has {names})")
-
-
-def _measure(dwell: Dwell, taken: Taken, bar: BallBar, rules: DwellRules, any_clock: bool) -> Dwell:
-    """The dwell with its mean length, or with the reason why it has none."""
-    counts = taken.longest
-    if not counts.size or taken.channel is None:
-        return replace(dwell, reason="no samples" if any_clock else "no clock")
-    dwell = replace(dwell, clock_bound_ns=taken.bound_ns)
-    if counts.size < LEAST_SAMPLES or 1e-9 * taken.period_ns * (counts.size + 1) < rules.shortest_s:
-        return replace(dwell, reason="gap")
-    if taken.fault or np.any(railed(counts)):
-        return replace(dwell, reason="rail")
-    stretched = extension(counts, taken.channel)
-    of = mean_of(bar_length(stretched, bar))
-    dwell = replace(
-        dwell,
-        value=of.mean,
-        value_var=of.variance,
-        sigma=float(np.sqrt(of.variance + bar.sigma**2)),
-        noise=of.noise,
-        drift=of.drift,
-        n_samples=of.n,
-        n_eff=of.n_eff,
-    )
-    if np.any(out_of_travel(stretched, bar)):
-        return replace(dwell, reason="out of travel")
-    # A drift within the bar's declared repeatability is covered by it.
-    moving = abs(of.drift) > max(DRIFT_SIGMAS * of.drift_sigma, bar.sigma, MICRON)
-    return replace(dwell, reason="still moving") if moving else dwell
-
-
-def _without_noisy(dwells: list[Dwell]) -> list[Dwell]:
-    noise = [dwell.noise for dwell in dwells if not dwell.reason]
-    limit = max(NOISY * float(np.median(noise)), MICRON) if noise else np.inf
-    return [replace(d, reason="noisy") if not d.reason and d.noise > limit else d for d in dwells]
 
 
 def _table(dwells: list[Dwell], joints: JointStream, name: str) -> ObservationTable:
