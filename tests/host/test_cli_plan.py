@@ -36,7 +36,7 @@ def test_plan_measure_identify_plan_again(folder, capsys):
     assert f"written: {script}" in said
     visits = read_plan(plan).select(read_plan(plan).dwells)
     assert len(visits) == 36
-    assert script.read_text().count("# pose ") == 36
+    assert script.read_text().count(": dwell") == 36
 
     known = bench.known("irb120")
     rng = np.random.default_rng(0)

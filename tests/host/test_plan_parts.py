@@ -1,6 +1,5 @@
-"""Planning's parts: distances, ways, branches, programs."""
+"""Planning's parts: distances, ways, branches."""
 
-import re
 from dataclasses import replace
 from itertools import pairwise
 
@@ -14,8 +13,6 @@ from truearm.errors import PlanError
 from truearm.model.robot import builtin_robot
 from truearm.plan.ballbar import all_pairings
 from truearm.plan.branches import BRANCHES, branch_of
-from truearm.plan.programs import Signals, program
-from truearm.plan.route import Stop, plain
 from truearm.plan.shapes import segment_distance
 from truearm.plan.shells import candidates
 from truearm.plan.site import Pairing, allowed, bar_vectors
@@ -86,66 +83,6 @@ def test_robots_without_a_known_branch_are_told_so():
     with pytest.raises(PlanError, match="--branch LOW:HIGH"):
         branch_of(builtin_robot("ulb").chain)
     assert branch_of(builtin_robot("ulb").chain, ",".join(["-10:10"] * 6)).upper[0] == pytest.approx(np.deg2rad(10))
-
-
-STOPS = [
-    Stop(np.full(6, 0.1), 0.0, "bar b1 from c1 to s1", 0),
-    Stop(np.full(6, 0.2), 1.5, "", -1),
-    Stop(np.full(6, -0.3), 2.25, "", 1),
-]
-
-
-def test_a_ur_program_moves_says_rest_waits_and_takes_it_back():
-    text = program(STOPS, 2.0, ".script", "my plan", Signals(3, 1))
-    joints = [tuple(map(float, m.split(","))) for m in re.findall(r"movej\(\[([^\]]*)\]", text)]
-    np.testing.assert_allclose(joints, [stop.q for stop in STOPS], atol=1e-6)
-    assert re.findall(r"t=([\d.]+)\)", text) == ["1.500", "2.250"]
-    assert "a=0.2, v=0.2)" in text.splitlines()[3]  # the first, from wherever the arm stands
-    said = re.findall(r"set_standard_digital_out\(3, (\w+)\)|sleep\((2\.000)\)|in\(1\) != (\w+) and", text)
-    once = [("True", "", ""), ("", "", "True"), ("", "2.000", ""), ("False", "", ""), ("", "", "False")]
-    assert said == [("False", "", ""), *once, *once]
-    assert text.startswith("def my_plan():\n")
-    assert text.endswith("end\nmy_plan()\n")
-    assert text.count("  end\n") == text.count("while")
-
-
-def test_a_rapid_program_does_the_same_in_degrees():
-    text = program(STOPS, 2.0, ".mod", "1plan", Signals(0, 1))
-    joints = [tuple(map(float, m.split(","))) for m in re.findall(r"MoveAbsJ \[\[([^\]]*)\]", text)]
-    np.testing.assert_allclose(np.deg2rad(joints), [stop.q for stop in STOPS], atol=1e-7)
-    assert re.findall(r"\\T:=([\d.]+)", text) == ["1.500", "2.250"]
-    said = re.findall(r"SetDO doTruearm, (\d)|WaitTime (2\.000)|WaitDI diTruearm, (\d)", text)
-    once = [("1", "", ""), ("", "", "1"), ("", "2.000", ""), ("0", "", ""), ("", "", "0")]
-    assert said == [("0", "", ""), *once, *once]
-    assert text.startswith("MODULE p_1plan\n  VAR bool late;\n")
-    assert all(line.endswith((";", "()")) or line.split()[0] in ("MODULE", "ENDPROC", "ENDMODULE", "!")
-               for line in text.splitlines())  # fmt: skip
-
-
-def test_a_csv_program_has_every_stop_to_the_last_bit():
-    text = program(STOPS, 2.0, ".csv", "x")
-    rows = [line.split(",") for line in text.splitlines()]
-    assert rows[0][:5] == ["stop", "pose", "mount", "move_s", "dwell_s"]
-    assert [row[1] for row in rows[1:]] == ["0", "", "1"]
-    assert [row[4] for row in rows[1:]] == ["2", "0", "2"]
-    np.testing.assert_array_equal([[float(v) for v in row[5:]] for row in rows[1:]], [stop.q for stop in STOPS])
-
-
-def test_names_cannot_break_out_of_a_program():
-    assert re.fullmatch(r"[\w: .-]*", plain('b"1\n; Stop, ä\\'), re.ASCII)
-
-
-def test_what_is_no_program_is_said():
-    with pytest.raises(PlanError, match=r"no program is written as '\.txt'"):
-        program(STOPS, 2.0, ".txt", "x")
-    five = [replace_q(stop, 5) for stop in STOPS]
-    with pytest.raises(PlanError, match="six joints, the robot has 5"):
-        program(five, 2.0, ".script", "x")
-    assert program(five, 2.0, ".csv", "x")
-
-
-def replace_q(stop, n):
-    return stop._replace(q=stop.q[:n])
 
 
 def test_every_limit_is_looked_at():

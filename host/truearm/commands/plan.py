@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from truearm.model.robot import Robot
     from truearm.plan.forecast import Forecast, Known
     from truearm.plan.region import Region
-    from truearm.plan.route import Stop
+    from truearm.plan.stops import Signals, Stop
 
 app = typer.Typer(
     name="plan",
@@ -124,9 +124,9 @@ def ballbar(
     from truearm.files.plan import write_plan
     from truearm.plan.ballbar import Wanted, all_pairings, make_site, plan_ballbar
     from truearm.plan.branches import branch_of
-    from truearm.plan.programs import Signals
     from truearm.plan.shapes import Sizes
     from truearm.plan.site import Limits
+    from truearm.plan.stops import Signals
     from truearm.plan.way import Pace
 
     _check_outputs([robot, rig, *(measured or []), result], out, program or [])
@@ -204,9 +204,9 @@ def line(
     from truearm.plan.ballbar import make_site
     from truearm.plan.branches import branch_of
     from truearm.plan.lines import LinesWanted, lines_csv, plan_lines
-    from truearm.plan.programs import Signals
     from truearm.plan.shapes import Sizes
     from truearm.plan.site import Limits
+    from truearm.plan.stops import Signals
     from truearm.plan.way import Pace
 
     _check_outputs([robot, rig, *(measured or []), result], out, program or [])
@@ -324,12 +324,13 @@ def _check_travel(known: Known, reserve: float, spread_mm: float) -> None:
             )
 
 
-def _write_programs(stops: list[Stop], dwell: float, paths: list[Path], signals: Any) -> None:
+def _write_programs(stops: list[Stop], dwell: float, paths: list[Path], signals: Signals) -> None:
     from truearm.files.disk import write_atomic
     from truearm.plan.programs import program
+    from truearm.plan.stops import Task
 
     for path in paths:
-        write_atomic(path, program(stops, dwell, path.suffix.lower(), path.stem, signals))
+        write_atomic(path, program(stops, path.suffix.lower(), Task(path.stem, dwell, signals)))
 
 
 def _document(told: Forecast) -> dict[str, Any]:

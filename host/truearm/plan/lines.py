@@ -30,9 +30,10 @@ from truearm.model.chain import point_forward, point_jacobians
 from truearm.observe.rotation import rotation_vector
 from truearm.plan.choose import as_blocks, choose, condensed
 from truearm.plan.forecast import Aim, Forecast, Known, compiled, forecast, planned_table, prior_unit, region_root
+from truearm.plan.programs import csv_of
 from truearm.plan.region import Region, around, poses_in
-from truearm.plan.route import Stop, csv_of, plain
 from truearm.plan.site import Site, all_allowed, smallest_singular_value
+from truearm.plan.stops import Stop, plain
 from truearm.plan.way import Pace, move_seconds, samples, way_without_bar
 from truearm.types import Device, Floats, ObservationTable
 
@@ -257,10 +258,10 @@ def _stops(site: Site, q: Floats, pace: Pace, point: Floats) -> list[Stop]:
                     raise PlanError(f"no way to line {number + 1} is free; try --seed")
                 via = list(found)
             for q_via in via:
-                stops.append(Stop(q_via, move_seconds(site, stops[-1].q, q_via, point, pace), "", -1))
+                stops.append(Stop(q_via, move_seconds(site, stops[-1].q, q_via, point, pace), "via"))
             seconds = move_seconds(site, stops[-1].q, here, point, pace) if stops else 0.0
             what = plain(f"line device along line plan{number + 1}") if k == 0 else ""
-            stops.append(Stop(here, seconds, what, number * q.shape[1] + k))
+            stops.append(Stop(here, seconds, "dwell", "", what))
     return stops
 
 

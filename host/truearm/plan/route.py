@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +12,7 @@ from truearm.errors import PlanError
 from truearm.plan.roadmap import Roadmap, make_roadmap, passable
 from truearm.plan.shells import move_costs
 from truearm.plan.site import Pairing, Site, of_pairing, pairing_at
+from truearm.plan.stops import Stop, plain
 from truearm.plan.tour import short_tour
 from truearm.plan.way import Pace, move_seconds, way_without_bar
 from truearm.types import Floats, Plan
@@ -20,18 +20,11 @@ from truearm.types import Floats, Plan
 NEAR = 12  # poses to which the way is looked at before the order is chosen
 
 
-class Stop(NamedTuple):
-    """One stop of a program: joints (j,), seconds of the move there (0 for the first), what the operator has to do before
-    and at it ("" nothing; ASCII letters, digits and ": _-." only), and the number of its observation, −1 for none."""
-
-    q: Floats
-    seconds: float
-    mount: str
-    pose: int
-
-
 class Route(NamedTuple):
-    """Stops in order: poses of a plan and via points between them. All bars are off on the way to a ``mount``."""
+    """Stops in order: poses of a plan and via points between them.
+
+    All bars are off on the way to a ``mount``; where the pairing stays, there is a via point that says so.
+    """
 
     plan: Plan  # in the order of the visits
     q: Floats  # (m, j) of every stop
@@ -52,43 +45,33 @@ class Route(NamedTuple):
 
     @property
     def visits(self) -> Plan:
-        """All stops as a plan: via points name what is mounted, or nothing on the way to a mount, where the bar is off.
-
-        Where a bar is taken off and put on again without a via point between, the place where it comes off stands twice.
-        """
-        rows = list[tuple[Floats, int, str]]()
+        """All stops as a plan, row by row: via points name what is mounted, or nothing on the way to a mount."""
         to = _next_pose(self.pose)
-        for i, (q, pose) in enumerate(zip(self.q, self.pose.tolist(), strict=True)):
-            off = bool(self.mount[np.argmax(self.pose[i:] >= 0) + i])
-            if pose >= 0 and off and i and self.pose[i - 1] >= 0:
-                rows.append((self.q[i - 1], -1, "via"))
-            rows.append((q, int(to[i]) if pose >= 0 or not off else -1, "dwell" if pose >= 0 else "via"))
-        which = np.array([pose for _, pose, _ in rows])
+        mounts = np.zeros(len(self.plan), dtype=bool)
+        mounts[self.pose[self.mount]] = True
+        is_via = self.pose < 0
         names = {
-            name: np.where(which < 0, "", getattr(self.plan, name)[which])
+            name: np.where(is_via & mounts[to], "", getattr(self.plan, name)[to])
             for name in ("bar", "chuck", "sphere", "shell")
         }
-        return Plan(np.array([q for q, _, _ in rows]), **names, move=np.array([move for _, _, move in rows]))
+        return Plan(self.q, **names, move=np.where(is_via, "via", "dwell"))
 
     @property
     def stops(self) -> list[Stop]:
-        """For a program."""
-        out = []
-        for q, seconds, mount, pose in zip(self.q, self.seconds, self.mount, self.pose, strict=True):
-            at = pairing_at(self.plan, int(pose))
-            what = plain(f"bar {at.bar} from {at.chuck} to {at.sphere}") if mount else ""
-            out.append(Stop(q, float(seconds), what, int(pose)))
+        """For a program: the operator is asked to take the bar off before the way to a mount, and to put it on there."""
+        out: list[Stop] = []
+        left = 0  # the stop that the way to the next pose begins with
+        for i, (q, seconds, pose) in enumerate(zip(self.q, self.seconds.tolist(), self.pose.tolist(), strict=True)):
+            out.append(Stop(q, seconds, "dwell" if pose >= 0 else "via"))
+            if pose < 0:
+                continue
+            if self.mount[i]:
+                at = pairing_at(self.plan, pose)
+                what = f"bar {at.bar} from {at.chuck} to {at.sphere}"
+                out[left] = out[left]._replace(before=plain(f"Bar off. Next: {what}"))
+                out[i] = out[i]._replace(there=plain(f"Put on {what}"))
+            left = i + 1
         return out
-
-
-def plain(text: str) -> str:
-    """A text that no controller's language takes for anything else."""
-    return re.sub(r"[^\w: .-]", "_", text, flags=re.ASCII)
-
-
-def csv_of(rows: Iterable[Iterable[str]]) -> str:
-    """Cells without commas, quotes or line feeds, as all here are, as CSV."""
-    return "".join(",".join(cells) + "\n" for cells in rows)
 
 
 def route(site: Site, plan: Plan, pace: Pace, graphs: Mapping[Pairing, Roadmap] | None = None) -> Route:
@@ -172,6 +155,8 @@ def _way(site: Site, plan: Plan, i: int, roadmap: Roadmap) -> tuple[Floats, bool
     via = way_without_bar(site, start, end, seed=i)
     if via is None:
         raise PlanError(f"no way to pose {i} ({pairing.bar}, {pairing.chuck}, {pairing.sphere}) is free; try --seed")
+    if not len(via) and pairing == pairing_at(plan, i - 1):
+        via = 0.5 * (start + end)[None]
     return via, True
 
 

@@ -1,0 +1,76 @@
+"""A route in RAPID.
+
+Signals ``doTruearm`` and ``diTruearm`` stand in the controller's configuration. Lines are driven to robtargets that the
+controller computes of the joints planned, ``CalcRobT``: so in the configuration planned, and by its own model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from truearm.plan.stops import SETTLE, TIMEOUT, Stop, Task, identifier
+
+TOOL = "toTruearm"
+
+
+def rapid(stops: Sequence[Stop], task: Task) -> str:
+    """A module; joints in degrees."""
+    lines_too = any(stop.move == "line" for stop in stops)
+    tool = TOOL if lines_too else "tool0"
+    lines = [f"MODULE {identifier(task.name)}", *_data(task, lines_too), "  PROC main()", *_begin(lines_too)]
+    for number, stop in enumerate(stops):
+        lines.append(f"    ! row {number}: {stop.move}")
+        if stop.before:
+            lines += _ask(stop.before)
+        lines += _line(stop, task) if stop.move == "line" else [_move(stop, tool)]
+        if stop.there:
+            lines += _ask(stop.there)
+        if stop.move == "dwell":
+            lines += [*_at_rest(task), f"    WaitTime {task.dwell:.3f};", *_switched(task, 0)]
+    return "\n".join([*lines, "  ENDPROC", "ENDMODULE", ""])
+
+
+def _data(task: Task, lines_too: bool) -> list[str]:
+    place = ",".join(f"{1e3 * v:.3f}" for v in task.tool)
+    tool = [
+        "  ! Set the tool's own mass [kg] and its centre before you drive.",
+        f"  PERS tooldata {TOOL}:=[TRUE,[[{place}],[1,0,0,0]],[1,[0,0,50],[1,0,0,0],0,0,0]];",
+    ]
+    return tool * lines_too + ["  VAR bool late;"] * (task.signals.input is not None)
+
+
+def _begin(lines_too: bool) -> list[str]:
+    return ["    ConfL \\Off;"] * lines_too + ["    SetDO doTruearm, 0;"]
+
+
+def _move(stop: Stop, tool: str) -> str:
+    pace = f"v1000 \\T:={stop.seconds:.3f}" if stop.seconds > 0.0 else "v50"
+    return f"    MoveAbsJ {_joints(stop)} \\NoEOffs, {pace}, fine, {tool};"
+
+
+def _line(stop: Stop, task: Task) -> list[str]:
+    speed = f"[{1e3 * stop.speed:.2f},500,5000,1000]"
+    drive = f"    MoveL CalcRobT({_joints(stop)}, {TOOL}), {speed}, fine, {TOOL};"
+    return [*_at_rest(task), drive, *_switched(task, 0)]
+
+
+def _joints(stop: Stop) -> str:
+    return f"[[{','.join(f'{v:.5f}' for v in np.rad2deg(stop.q))}],[9E9,9E9,9E9,9E9,9E9,9E9]]"
+
+
+def _ask(text: str) -> list[str]:
+    return [f'    TPWrite "{text}";', "    Stop;"]
+
+
+def _at_rest(task: Task) -> list[str]:
+    return [f"    WaitTime \\InPos, {SETTLE};", *_switched(task, 1)]
+
+
+def _switched(task: Task, level: int) -> list[str]:
+    """The output, and where there is an input the wait until it follows."""
+    out = f"    SetDO doTruearm, {level};"
+    if task.signals.input is None:
+        return [out]
+    return [out, f"    WaitDI diTruearm, {level} \\MaxTime:={TIMEOUT} \\TimeFlag:=late;"]
