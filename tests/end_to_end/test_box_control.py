@@ -158,9 +158,9 @@ class Parrot:
 
 
 def _payload(data):
-    from truearm.record.frames import payload_of
+    from truearm_wire.frame import unframe
 
-    return payload_of(data.strip(b"\0"))
+    return unframe(data.strip(b"\0"))
 
 
 def reply(req_id, document, seq=0):

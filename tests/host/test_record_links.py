@@ -10,6 +10,8 @@ import pytest
 
 from truearm.errors import InputError, LinkClosed, LinkError
 from truearm.record.links import HostClock, SerialLink, TcpLink, host_and_port
+from truearm.record.ports import BoxPort
+from truearm.record.reopening import PAUSE_S, Reopening
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs a pseudo-terminal")
 PATIENCE_S = 10.0  # only a broken link waits so long
@@ -108,7 +110,7 @@ class TestSocket:
         link.close()
 
     def test_lost_after_everything_was_handed_out_then_back(self, server):
-        link = SerialLink(f"socket://{server.address}", HostClock())
+        link = Reopening(BoxPort(f"socket://{server.address}", HostClock()))
         peer = server.peer()
         peer.sendall(b"last words")
         peer.close()
@@ -117,7 +119,7 @@ class TestSocket:
         assert "lost" in str(error)
         with pytest.raises(LinkError):  # again and again
             link.read(0.0)
-        assert link.reopen(0.0)
+        assert link.reopen(PATIENCE_S)
         server.peer().sendall(b"back")
         assert b"".join(data for _, data in read_until(link, 4)) == b"back"
         link.close()
@@ -132,9 +134,9 @@ class TestSocket:
             SerialLink(f"socket://{server.address}", HostClock())
 
     def test_reopening_in_vain(self, server):
-        link = SerialLink(f"socket://{server.address}", HostClock())
+        link = Reopening(BoxPort(f"socket://{server.address}", HostClock()))
         server.stop_listening()
-        assert not link.reopen(0.0)
+        assert not link.reopen(2.5 * PAUSE_S)  # two attempts
         with pytest.raises(LinkError):
             link.read(0.0)
 

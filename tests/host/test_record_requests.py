@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from truearm.record.frames import payload_of
 from truearm.record.requests import CTRL_C, Requests, id_of
+from truearm_wire.frame import unframe
 from truearm_wire.messages import CONFIGURE, IDENTIFY, PUT_CONFIG, RESET, START, SYNC_REQUEST, decode_payload
 
 LAST = 255**3 * 31 - 2
@@ -33,7 +33,7 @@ def test_no_frame_stops_a_box_that_boots(hours, kind, arguments):
     assert not any(CTRL_C in data for _, data in made)
     assert len({number for number, _ in made}) == 1000
     for number, data in made:
-        assert decode_payload(payload_of(data.strip(b"\0"))) == [kind, number, *arguments]
+        assert decode_payload(unframe(data.strip(b"\0"))) == [kind, number, *arguments]
 
 
 @pytest.mark.parametrize(("kind", "arguments"), [(PUT_CONFIG, (0, 1, b"\x03")), (CONFIGURE, (0, 4096))])
@@ -41,4 +41,4 @@ def test_what_holds_the_byte_whatever_its_id_is_sent_all_the_same(kind, argument
     """A page, or two zeros three bytes apart (COBS). They follow an answer, so the box has booted."""
     number, data = Requests(0).make(kind, *arguments)
     assert CTRL_C in data
-    assert decode_payload(payload_of(data.strip(b"\0"))) == [kind, number, *arguments]
+    assert decode_payload(unframe(data.strip(b"\0"))) == [kind, number, *arguments]

@@ -115,14 +115,16 @@ def _record(
     duration: float | None,
 ) -> tuple[RecordSummary, bool]:
     """The summary, and whether there is a file."""
-    from truearm.record.links import HostClock, SerialLink
+    from truearm.record.links import HostClock
+    from truearm.record.ports import BoxPort
     from truearm.record.recorder import record as record_session
+    from truearm.record.reopening import Reopening
     from truearm.record.session_writer import SessionWriter
 
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     clock = HostClock()
     with (
-        closing(SerialLink(device, clock)) as link,
+        closing(Reopening(BoxPort(device, clock))) as link,
         _robot_link(robot, clock) as robot_link,
         SessionWriter(out, clock, overwrite=force, hold=True) as writer,
         asked_to_stop() as interrupted,

@@ -14,8 +14,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from truearm.errors import ProtocolError
 from truearm.record.fields import fields_of
 from truearm.record.frames import FrameSplitter, frame_seq, frame_type
+from truearm.record.operator import Operator
 from truearm.record.probes import Probes
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
@@ -51,6 +53,7 @@ class Intake:
     writer: SessionWriter
     counters: Counters
     probes: Probes
+    operator: Operator = field(default_factory=Operator)
     ident: Ident | None = None
     awaited: int | None = None
     answer: Answer | None = None
@@ -118,6 +121,7 @@ class Intake:
         self.writer.add(topic, t_host_ns, payload)
         self.counters.samples += n_bytes // sample_bytes
         self._count(t_host_ns, data.seq)
+        self.operator.block(t_host_ns, data)
 
     def _count(self, t_host_ns: int, seq: int | None) -> None:
         self.counters.frames += 1
@@ -136,7 +140,9 @@ class Intake:
 
     def _interpret(self, t_host_ns: int, kind: int | None, fields: Mapping[str, Any]) -> None:
         if kind == SYNC_REPLY:
-            self.probes.answered(fields["id"], fields["t1_us"], fields["t2_us"], t_host_ns)
+            t0_ns = self.probes.answered(fields["id"], fields["t1_us"], fields["t2_us"], t_host_ns)
+            if t0_ns is not None:
+                self.operator.exchange(t0_ns, fields["t1_us"], fields["t2_us"], t_host_ns)
         elif kind == HEARTBEAT:
             self._take_heartbeat(fields)
         elif kind == IDENT:
@@ -157,6 +163,8 @@ class Intake:
         if document is None:
             return
         ident = decode_ident(document)
+        if self.ident is not None:
+            _check_same(self.ident, ident)
         if self.ident is not None and ident.boot_id != self.ident.boot_id:
             self.counters.restarts += 1
             self.restarted = True
@@ -169,6 +177,16 @@ class Intake:
         self._streams = {s.id: (f"/box/{s.name}", _SAMPLE_BYTES * len(s.channels)) for s in ident.streams.values()}
         if fields["req_id"] == self.awaited:
             self.answer = Answer()
+
+
+def _check_same(before: Ident, now: Ident) -> None:
+    """Raise ProtocolError where another box answers: its calibration and its clock are others'."""
+    uids = [str(ident.document.get("uid", ""))[:32] for ident in (before, now)]
+    if uids[0] != uids[1]:
+        raise ProtocolError(
+            f"another box answers ({uids[1] or 'without a uid'}; the recording began with {uids[0] or 'one without'}); "
+            "plug in the one that it began with and go on with --resume"
+        )
 
 
 def _topic(kind: int | None) -> str:

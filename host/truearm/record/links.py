@@ -15,7 +15,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 from urllib.parse import urlsplit
 
 import serial
@@ -26,7 +26,7 @@ Arrivals = list[tuple[int, bytes]]
 
 _POLL_S = 0.1  # how long a reader thread waits before it looks whether it shall stop
 _READ_BYTES = 4096
-_QUEUE_ITEMS = 4096  # at most 16 MiB wait for the recorder; then the operating system holds the sender back
+_QUEUE_ITEMS = 16384  # 25 s of a box at 4 kHz wait for the recorder; then the operating system holds the sender back
 _READ_ITEMS = 1024  # handed out at a time: who sends faster than we take must not hold up all else
 _WRITE_TIMEOUT_S = 2.0
 _CONNECT_TIMEOUT_S = 5.0
@@ -77,6 +77,18 @@ class Reopenable(Protocol):
         ...
 
 
+class Backlog(NamedTuple):
+    """What waits between a link's reader and the recorder: pieces now, and how often the reader had to stop because too many did."""
+
+    waiting: int = 0
+    held_up: int = 0
+
+
+def backlog_of(link: Link) -> Backlog:
+    """Of a link that reads in a thread; zeros of one that does not."""
+    return Backlog(*getattr(link, "backlog", ()))
+
+
 class HostClock:
     """The operating system's monotonic clock, the one that NTP does not slew where there is one."""
 
@@ -100,6 +112,7 @@ class Reader:
         self._clock = clock
         self._queue: queue.Queue[tuple[int, bytes] | LinkError] = queue.Queue(_QUEUE_ITEMS)
         self._error: LinkError | None = None
+        self._held_up = 0
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -119,6 +132,10 @@ class Reader:
             raise self._error
         return arrivals
 
+    @property
+    def backlog(self) -> Backlog:
+        return Backlog(self._queue.qsize(), self._held_up)
+
     def stop(self) -> None:
         self._stopping.set()
         self._thread.join()
@@ -135,6 +152,8 @@ class Reader:
                 self._put((t_host_ns, data))
 
     def _put(self, item: tuple[int, bytes] | LinkError) -> None:
+        if self._queue.full():
+            self._held_up += 1
         while not self._stopping.is_set():
             try:
                 self._queue.put(item, timeout=_POLL_S)
@@ -174,14 +193,10 @@ class SerialLink:
             raise LinkError(f"{self.name}: the link was lost ({exc})") from exc
         return t_host_ns
 
-    def reopen(self, timeout_s: float) -> bool:
-        self.close()
-        try:
-            self._open()
-        except LinkError:
-            time.sleep(timeout_s)  # a real link may: its clock is the operating system's
-            return False
-        return True
+    @property
+    def backlog(self) -> Backlog:
+        """What waits to be read."""
+        return Backlog() if self._reader is None else self._reader.backlog
 
     def close(self) -> None:
         if self._reader is not None:
@@ -277,6 +292,7 @@ class TcpLink:
         except OSError as exc:
             raise LinkError(_why_not_open(self.name, exc)) from exc
         self._socket.settimeout(_WRITE_TIMEOUT_S)
+        _notice_silence(self._socket)
         self._reader = Reader(self._receive, clock)
 
     def read(self, timeout_s: float) -> Arrivals:
@@ -289,6 +305,11 @@ class TcpLink:
         except OSError as exc:
             raise LinkError(f"{self.name}: the robot was lost ({exc})") from exc
         return t_host_ns
+
+    @property
+    def backlog(self) -> Backlog:
+        """What waits to be read."""
+        return self._reader.backlog
 
     def close(self) -> None:
         self._reader.stop()
@@ -303,6 +324,14 @@ class TcpLink:
         if data == b"":
             raise LinkClosed(f"{self.name}: the robot closed its stream")
         return data or b""
+
+
+def _notice_silence(connection: socket.socket) -> None:
+    """Have the operating system ask a silent peer whether it is there: a cable that was pulled ends no connection."""
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for name, value in (("TCP_KEEPIDLE", 5), ("TCP_KEEPINTVL", 2), ("TCP_KEEPCNT", 3)):  # lost after 11 s
+        if hasattr(socket, name):
+            connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
 
 def host_and_port(url: str, scheme: str) -> tuple[str, int]:

@@ -32,19 +32,20 @@ class Probes:
         self._pending[probe] = t0_ns
         self.sent += 1
 
-    def answered(self, probe: int, t1_us: int, t2_us: int, t3_ns: int) -> None:
-        """A reply arrived; one that is unknown, too late or doubled is not counted again."""
+    def answered(self, probe: int, t1_us: int, t2_us: int, t3_ns: int) -> int | None:
+        """A reply arrived; the time of its request, None for one that is unknown, too late, doubled or not to be believed."""
         t0_ns = self._pending.get(probe)
         if t0_ns is None:
-            return
+            return None
         away_us = (t3_ns - t0_ns) / 1000
         if not 0 <= t2_us - t1_us <= away_us * (1 + _RATE) + _STAMP_US:
-            return
+            return None
         del self._pending[probe]
         row = {"id": probe, "t0_ns": t0_ns, "t1_us": t1_us, "t2_us": t2_us, "t3_ns": t3_ns}
         self.writer.add_json("/sync", t3_ns, row)
         rtt_us = max(0.0, away_us - (t2_us - t1_us))
         self.rtt_us = rtt_us if self.rtt_us is None else min(rtt_us, self.rtt_us)
+        return t0_ns
 
     def expire(self, now_ns: int, older_than_ns: int = SYNC_TIMEOUT_NS) -> None:
         """Give up requests of that age."""

@@ -14,7 +14,8 @@ from typing import Any
 
 from truearm.errors import LinkError, ProtocolError, TruearmError
 from truearm.record.intake import Answer, Intake
-from truearm.record.links import Clock, Link, Reopenable
+from truearm.record.links import Clock, Link, Reopenable, backlog_of
+from truearm.record.operator import Operator
 from truearm.record.probes import Probes
 from truearm.record.requests import Requests
 from truearm.record.robot import EXPECTED, RobotIntake
@@ -32,7 +33,8 @@ RETRIES = 10  # 5 s: a box that was just plugged in waits 2 s before it runs
 STOP_RETRIES = 4  # somebody who pressed Ctrl-C waits for this
 SILENCE_NS = 3 * SECOND  # of a box that sends a heartbeat every second
 ROBOT_NS = 5 * SECOND  # a robot whose stream runs has sent hundreds of readings by then
-REOPEN_S = 0.5
+REOPEN_S = CHORES_NS / SECOND
+PATIENCE_S = 600.0  # for a lost box or robot; a wire is plugged in again sooner, and nobody watches an unattended one
 SHORTEST_NS = 10_000
 DRAIN_NS = SECOND // 5
 
@@ -61,19 +63,28 @@ def record(
     until: Callable[[], bool] | None = None,
     interrupted: Callable[[], bool] | None = None,
     progress: Callable[[Status], None] | None = None,
+    operator: Operator | None = None,
+    patience_s: float = PATIENCE_S,
+    head: Iterable[tuple[str, Mapping[str, Any]]] = (),
 ) -> RecordSummary:
     """Identify, configure and start the box, then record until the end; completes and closes the session file.
 
     The end: ``duration_s`` after the start, the robot closing its stream or sending no reading in 5 s, ``until()`` or
-    ``interrupted()`` turning true (both asked at least every 50 ms), KeyboardInterrupt, or a lost link that cannot be
-    opened again. A writer that is held is kept once the box has started. ``plan``: one mapping a pose, as ``/plan`` holds them. ``osr`` is configured on every stream that has one; None leaves them.
-    ``progress`` is called four times a second. The links stay open.
+    ``interrupted()`` turning true (both asked at least every 50 ms), KeyboardInterrupt, the operator's wish, or a lost link that
+    cannot be opened again, or not within ``patience_s``. A writer that is held is kept once the box has started. ``plan``: one mapping a
+    pose, as ``/plan`` holds them. ``osr`` is configured on every stream that has one; None leaves them.
+    ``progress`` is called four times a second. ``head``: metadata to write first, name and entries. The links stay open.
 
-    Raises LinkError if the box does not answer, ProtocolError if it refuses a command or speaks another protocol,
-    TruearmError if the file cannot be written; what came until then is kept in the file.
+    Raises LinkError if the box does not answer, ProtocolError if it refuses a command, speaks another protocol or is suddenly
+    another one, TruearmError if the file cannot be written, and what ``operator`` raises to refuse the box; what came until then is
+    kept in the file.
     """
     ends = {"until": until, "interrupted": interrupted}
-    recorder = _Recorder(link, writer, clock, robot, osr, duration_s, ends, progress)
+    recorder = _Recorder(
+        link, writer, clock, robot, osr, duration_s, ends, progress, operator or Operator(), patience_s
+    )
+    for name, entries in head:
+        writer.metadata(name, entries)
     return recorder.run(plan, rig_toml, mounted)
 
 
@@ -88,6 +99,8 @@ class _Recorder:
         duration_s: float | None,
         ends: Mapping[str, Callable[[], bool] | None],
         progress: Callable[[Status], None] | None,
+        operator: Operator,
+        patience_s: float,
     ) -> None:
         self._link = link
         self._writer = writer
@@ -96,11 +109,13 @@ class _Recorder:
         self._duration_s = duration_s
         self._ends = ends
         self._progress = progress
+        self._operator = operator
+        self._patience_ns = int(patience_s * SECOND)
 
         self._counters = Counters()
         self._probes = Probes(writer)
-        self._box = Intake(writer, self._counters, self._probes)
-        self._robot = None if robot is None else RobotIntake(robot, writer, clock, self._counters)
+        self._box = Intake(writer, self._counters, self._probes, operator)
+        self._robot = None if robot is None else RobotIntake(robot, writer, clock, self._counters, operator)
         now_ns = clock.now_ns()
         self._requests = Requests(now_ns)
         self._state = "identifying"
@@ -172,6 +187,7 @@ class _Recorder:
         self._command(IDENTIFY)
         self._command(STOP, may_fail=True)  # a recorder that was killed left it streaming
         self._configure()
+        self._operator.approve(self._ident())
         self._command(START)
         now_ns = self._clock.now_ns()
         self._writer.event("start", now_ns)
@@ -208,6 +224,10 @@ class _Recorder:
         for reason, asked in self._ends.items():
             if asked is not None and asked():
                 raise _Ended(reason)
+        for wish in self._operator.wishes():
+            if wish.kind == "end":
+                raise _Ended("operator")
+            self._writer.event(wish.kind, self._clock.now_ns(), **wish.fields)
         if self._robot is not None:
             self._check_robot(self._robot)
         if self._started_ns is not None and self._duration_s is not None and self._elapsed_s() >= self._duration_s:
@@ -218,8 +238,10 @@ class _Recorder:
             raise _Ended("no readings", robot.rubbish)
         if robot.end is not None:
             raise _Ended("robot closed" if robot.closed else "robot lost", str(robot.end))
+        if robot.lost_ns is not None and self._clock.now_ns() - robot.lost_ns > self._patience_ns:
+            raise _Ended("robot lost", f"{robot.lost_text}; it did not come back in {self._patience_ns / SECOND:g} s")
         waited_ns = 0 if self._started_ns is None else self._clock.now_ns() - self._started_ns
-        if waited_ns >= ROBOT_NS and not self._counters.robot_lines:
+        if waited_ns >= ROBOT_NS and not self._counters.robot_lines and robot.lost_ns is None:
             raise _Ended("no readings", f"no joint reading of the robot in {ROBOT_NS / SECOND:g} s; {EXPECTED}")
 
     def _reconnect(self, error: LinkError) -> None:
@@ -234,13 +256,15 @@ class _Recorder:
         if not isinstance(self._link, Reopenable):
             raise _Ended("link lost", str(error))
         while not self._link.reopen(REOPEN_S):
+            if self._clock.now_ns() - now_ns > self._patience_ns:
+                raise _Ended("link lost", f"{error}; it did not come back in {self._patience_ns / SECOND:g} s")
             if self._robot is not None:
                 for t_host_ns, data in self._robot.read():
                     self._robot.take(t_host_ns, data)
             self._chores(self._clock.now_ns())
             self._check_end()
         self._box.heard_ns = self._clock.now_ns()
-        self._writer.event("link-back", self._box.heard_ns)
+        self._writer.event("link-back", self._box.heard_ns, device=self._link.name)
         self._box_gone = ""
         self._to_ask = True
         self._state = "recording"
@@ -323,13 +347,18 @@ class _Recorder:
         self._next_chores_ns = now_ns + CHORES_NS
         self._writer.tick(now_ns)
         self._probes.expire(now_ns)
+        if self._robot is not None:
+            self._robot.watch(now_ns)
         if self._state == "recording":
             self._watch_silence(now_ns)
             self._probe(now_ns)
-        if self._progress is not None and now_ns >= self._next_progress_ns:
+        if now_ns >= self._next_progress_ns:
             self._next_progress_ns = now_ns + PROGRESS_NS
             self._count_probes()
-            self._progress(self._status())
+            status = self._status(now_ns)
+            self._operator.status(status)
+            if self._progress is not None:
+                self._progress(status)
 
     def _probe(self, now_ns: int) -> None:
         if now_ns < self._next_probe_ns:
@@ -357,10 +386,18 @@ class _Recorder:
     def _count_probes(self) -> None:
         self._counters.probes = self._probes.sent
         self._counters.unanswered_probes = self._probes.unanswered
+        self._counters.held_up = backlog_of(self._link).held_up
 
-    def _status(self) -> Status:
-        robot_ok = None if self._robot is None else self._robot.end is None
-        box_ok = self._state != "link lost" and not self._silent
+    def _status(self, now_ns: int) -> Status:
+        robot = self._robot
         return Status(
-            self._elapsed_s(), self._state, self._probes.rtt_us, robot_ok, self._counters, self._box.faults, box_ok
+            self._elapsed_s(),
+            self._state,
+            self._probes.rtt_us,
+            None if robot is None else robot.end is None and robot.lost_ns is None,
+            self._counters,
+            self._box.faults,
+            self._state != "link lost" and not self._silent,
+            None if robot is None else robot.age_s(now_ns),
+            now_ns,
         )

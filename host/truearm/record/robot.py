@@ -5,15 +5,17 @@ Like a box's bytes they are stored before anything is made of them, line by line
 
 from __future__ import annotations
 
-from truearm.errors import LinkClosed, LinkError
+from truearm.errors import LinkClosed, LinkError, ProtocolError
 from truearm.record.frames import Runs
-from truearm.record.links import Arrivals, Clock, Link
+from truearm.record.links import Arrivals, Clock, Link, Reopenable
+from truearm.record.operator import Operator
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
 from truearm.sensors.joints import parse_reading
 
 MAX_LINE = 8192  # bytes
 MAX_RUBBISH = 1 << 20  # bytes without a reading between them; a robot that sends so many is none
+SILENCE_S = 3.0
 EXPECTED = 'expected are lines such as {"t": 1.5, "seq": 3, "q": [0.1, -2.0]}'
 
 
@@ -48,29 +50,80 @@ class JointLines:
 
 
 class RobotIntake:
-    """The robot's side of a recording. ``end`` is the error that ended its stream, None while it runs."""
+    """The robot's side of a recording. ``end`` is the error that ended its stream, None while it runs or may come back;
+    ``lost_ns``: since when it may come back, ``heard_ns`` when the last reading came."""
 
-    def __init__(self, link: Link, writer: SessionWriter, clock: Clock, counters: Counters) -> None:
+    def __init__(self, link: Link, writer: SessionWriter, clock: Clock, counters: Counters, operator: Operator) -> None:
         self.end: LinkError | None = None
+        self.lost_ns: int | None = None
+        self.lost_text = ""
+        self.heard_ns: int | None = None
         self._link = link
         self._writer = writer
         self._clock = clock
         self._counters = counters
+        self._operator = operator
         self._lines = JointLines()
         self._rubbish = 0  # bytes since the last reading
+        self._silent = False
+        self._last: bytes = b""  # reading
+        self._returning = False  # the link is back, and the first reading is awaited
 
     def read(self) -> Arrivals:
-        """What has arrived, without waiting; nothing after the end, or of a stream that is none."""
-        if self.end is not None or self.rubbish:
+        """What has arrived, without waiting; nothing after the end, while the link is lost, or of a stream that is none."""
+        if self.end is not None or self.rubbish or not self._opened():
             return []
         try:
             return self._link.read(0.0)
         except LinkError as exc:
-            self.end = exc
+            self._lost(exc)
+        return []
+
+    def watch(self, now_ns: int) -> None:
+        """Note in the file where the robot says nothing though its link is whole, and where it speaks again."""
+        silent = self.end is None and self.lost_ns is None and (self.age_s(now_ns) or 0.0) > SILENCE_S
+        if silent != self._silent:
+            self._silent = silent
+            if self.lost_ns is None and self.end is None:
+                self._writer.event("robot-silent" if silent else "robot-heard", now_ns, heard_ns=self.heard_ns)
+
+    def age_s(self, now_ns: int) -> float | None:
+        """Of the last reading."""
+        return None if self.heard_ns is None else (now_ns - self.heard_ns) / 1e9
+
+    def _opened(self) -> bool:
+        """Whether there is a link; a lost one is opened again meanwhile."""
+        if self.lost_ns is None:
+            return True
+        if not isinstance(self._link, Reopenable) or not self._link.reopen(0.0):
+            return False
+        self.lost_ns, self._returning = None, True
+        return True
+
+    def _lost(self, error: LinkError) -> None:
         now_ns = self._clock.now_ns()
         self.flush(now_ns)
-        self._writer.event("robot-closed" if self.closed else "robot-lost", now_ns, text=str(self.end))
-        return []
+        final = not isinstance(self._link, Reopenable) or isinstance(error, LinkClosed | ProtocolError)
+        if final:
+            self.end = error
+        elif self._returning:  # it was not back
+            self.lost_ns = now_ns if self.heard_ns is None else self.heard_ns
+            return
+        else:
+            self.lost_ns = now_ns
+            self._counters.robot_losses += 1
+        self.lost_text = str(error)
+        self._writer.event("robot-closed" if self.closed else "robot-lost", now_ns, text=str(error))
+
+    def _back(self, t_host_ns: int, line: bytes) -> None:
+        """The first reading behind a loss: how long it lasted, and how many readings went with it, if the robot counts them."""
+        self._returning = False
+        before, after = parse_reading(self._last), parse_reading(line)
+        lost = None
+        if before and after and None not in (before.seq, after.seq) and after.t > before.t and after.seq > before.seq:  # type: ignore[operator]
+            lost = after.seq - before.seq - 1  # type: ignore[operator]
+        away_s = None if self.heard_ns is None else round((t_host_ns - self.heard_ns) / 1e9, 3)
+        self._writer.event("robot-back", t_host_ns, away_s=away_s, lost=lost)
 
     @property
     def rubbish(self) -> str:
@@ -88,9 +141,13 @@ class RobotIntake:
         """Store bytes that arrived."""
         for is_joints, line in self._lines.push(data):
             if is_joints:
+                if self._returning:
+                    self._back(t_host_ns, line)
                 self._rubbish = 0
                 self._counters.robot_lines += 1
                 self._writer.add("/robot/joints", t_host_ns, line)
+                self.heard_ns, self._last = t_host_ns, line
+                self._operator.reading(t_host_ns, line)
             else:
                 self._store_console(t_host_ns, line)
         self._counters.robot_other_joints = self._lines.other_joints

@@ -24,6 +24,8 @@ class Counters:
     robot_console_bytes: int = 0  # those and all else that is no reading
     restarts: int = 0
     link_losses: int = 0
+    robot_losses: int = 0
+    held_up: int = 0  # times that a link's reader had to wait for the recorder
     dropped_in_box: int = 0  # frames, by the last heartbeat
     overruns_in_box: int = 0  # samples, by the last heartbeat
 
@@ -39,6 +41,8 @@ class Status:
     counters: Counters
     faults: tuple[str, ...] = ()  # what the operator should know of the box
     box_ok: bool = True  # False while its link is lost, or it is silent
+    robot_age_s: float | None = None  # of the last reading
+    t_host_ns: int = 0
 
 
 @dataclass(frozen=True)

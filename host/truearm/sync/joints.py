@@ -61,6 +61,9 @@ class JointStream:
     reports: tuple[RobotClockReport, ...]
 
 
+_BACK = b'"kind":"robot-back"'
+
+
 class Parsed(NamedTuple):
     """Lines that are readings: their indices (n,), controller time (n,) [s], seq (n,) and joints (n, j) [rad or m].
 
@@ -91,11 +94,15 @@ class JointReader:
         self._step: Floats = np.empty(0)  # smallest change between readings
         self._fast_step: Floats = np.empty(0)  # smallest change of a change
         self._numbered = True
+        self._returned = False  # the link was lost and is back: the next reading begins a segment
         self._holes = Holes()
         self.malformed = self.duplicated = self.late = self.gaps = 0
 
     def feed(self, message: Message) -> None:
         """Take one message; those of other topics are ignored."""
+        if message.topic == "/events" and _BACK in message.data:
+            self._flush()
+            self._returned = True
         if message.topic != "/robot/joints":
             return
         self._lines.append(message.data)
@@ -152,7 +159,10 @@ class JointReader:
         """Readings of one segment."""
         if not t.size:
             return
-        if self._last is None or t[0] < self._latest_s - LATE_S:
+        if self._last is None or self._returned or t[0] < self._latest_s - LATE_S:
+            if self._last is not None and self._returned and t[0] > self._latest_s and seq[0] > self._last[1]:
+                self._holes.skip(self._last[1], int(seq[0]))  # the robot counted on while nobody listened
+            self._returned = False
             self._close_bin()
             self._arrivals.append(Arrivals(float(t[0]), int(arrival[0])))
             self._latest_s, self._previous_bin_s, self._last = -np.inf, -np.inf, None

@@ -83,6 +83,7 @@ def survey(messages: Messages, ident: Ident | None = None, rules: DwellRules | N
         elif message.topic == "/sync":
             box.feed(message)
         else:
+            robot.feed(message)  # an event may say that its link was lost
             marks.feed(message.topic, message.t_host_ns, message.data)
     fits = {s.index: fit for s in box.segments if (fit := fit_clock(s.index, s.exchanges)) is not None}
     joints = robot.finish()

@@ -23,11 +23,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 from urllib.parse import parse_qsl
 
-from truearm.errors import InputError, LinkError
+from truearm.errors import InputError, LinkError, ProtocolError
 from truearm.files.cells import SCALE
 from truearm.files.columns import shown
 from truearm.record.frames import Runs
-from truearm.record.links import Arrivals, Clock, Link, TcpLink
+from truearm.record.links import Arrivals, Backlog, Clock, Link, TcpLink, backlog_of
 from truearm.record.robot import MAX_LINE
 from truearm.record.robots.columns import PER_SECOND, Columns, read_columns
 from truearm.record.robots.udp import UdpLink
@@ -198,6 +198,11 @@ class LinesLink:
     def write(self, data: bytes) -> int:
         return self._link.write(data)
 
+    @property
+    def backlog(self) -> Backlog:
+        """What waits to be read."""
+        return backlog_of(self._link)
+
     def close(self) -> None:
         self._link.close()
 
@@ -207,7 +212,7 @@ class LinesLink:
         try:
             return self._dialect.line(line)
         except InputError as exc:
-            self._end = LinkError(f"{self.name}: {exc}")
+            self._end = ProtocolError(f"{self.name}: {exc}")
             return line
 
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from truearm.errors import InputError
 from truearm.record.links import Clock, Link, TcpLink
+from truearm.record.reopening import Reopening
 from truearm.record.robots.lines import open_lines
 from truearm.record.robots.rtde import RtdeLink
 
 SCHEMES = ("tcp", "rtde", "lines+tcp", "lines+udp")
 
 
-def open_source(url: str, clock: Clock) -> Link:
-    """The joint source behind an address.
+def open_source(url: str, clock: Clock) -> Reopening:
+    """The joint source behind an address; after a loss it can be opened again.
 
     Raises InputError for an address that is none, LinkError where nobody answers.
     """
@@ -20,7 +21,19 @@ def open_source(url: str, clock: Clock) -> Link:
         known = ", ".join(f"{name}://" for name in SCHEMES)
         raise InputError(f"{url!r} is no address of a robot; it begins with one of {known}")
     if scheme == "rtde":
-        return RtdeLink(url, clock)
+        return Reopening(_Rtde(url, clock))
     if scheme == "tcp":
-        return TcpLink(url, clock)
-    return open_lines(url, clock)
+        return Reopening(lambda: TcpLink(url, clock))
+    return Reopening(lambda: open_lines(url, clock))
+
+
+class _Rtde:
+    """Opens connections to one controller, whose readings are counted on from one to the next."""
+
+    def __init__(self, url: str, clock: Clock) -> None:
+        self._url, self._clock = url, clock
+        self._last: RtdeLink | None = None
+
+    def __call__(self) -> Link:
+        self._last = RtdeLink(self._url, self._clock, None if self._last is None else self._last.first_s)
+        return self._last

@@ -18,8 +18,8 @@ import json
 from contextlib import suppress
 from urllib.parse import parse_qsl, urlsplit
 
-from truearm.errors import InputError, LinkClosed, LinkError
-from truearm.record.links import Arrivals, Clock, TcpLink
+from truearm.errors import InputError, LinkClosed, LinkError, ProtocolError
+from truearm.record.links import Arrivals, Backlog, Clock, TcpLink, backlog_of
 from truearm.record.robots import rtde_packages as rtde
 from truearm.sensors.joints import MAX_T_S, format_reading
 
@@ -42,11 +42,11 @@ EXAMPLE = "rtde://192.168.0.2, with ?hz=125 for a lower rate"
 class RtdeLink:
     """Connects, agrees on the fields and starts the stream; ``read`` gives lines. See the module.
 
-    ``url``: ``rtde://host[:port][?hz=125]``. Without ``hz`` the controller's own rate: 500 Hz, or 125 Hz before software 5.
+    ``first_s``: the timestamp that ``seq`` counts from, of an earlier connection, None for the first one that comes. ``url``: ``rtde://host[:port][?hz=125]``. Without ``hz`` the controller's own rate: 500 Hz, or 125 Hz before software 5.
     Raises InputError for another url or a rate that does not divide the controller's, LinkError where no controller answers or it refuses.
     """
 
-    def __init__(self, url: str, clock: Clock) -> None:
+    def __init__(self, url: str, clock: Clock, first_s: float | None = None) -> None:
         self.name = url
         host, port, hz = _address(url)
         self._clock = clock
@@ -55,7 +55,7 @@ class RtdeLink:
         self._awaited: int | None = None  # the type of the answer that is waited for
         self._answers: list[bytes] = []
         self._recipe: rtde.Recipe | None = None
-        self._first_s: float | None = None
+        self.first_s = first_s
         self._link = TcpLink(f"tcp://[{host}]:{port}" if ":" in host else f"tcp://{host}:{port}", clock, name=url)
         try:
             self._set_up(hz)
@@ -74,6 +74,11 @@ class RtdeLink:
     def write(self, data: bytes) -> int:
         """As of every link; the protocol asks for nothing once the stream runs."""
         return self._link.write(data)
+
+    @property
+    def backlog(self) -> Backlog:
+        """What waits to be read."""
+        return backlog_of(self._link)
 
     def close(self) -> None:
         """Pause the stream and close the connection."""
@@ -139,8 +144,10 @@ class RtdeLink:
             f"is this port {PORT} of a Universal Robots controller?"
         )
 
-    def _stranger(self) -> LinkError:
-        return LinkError(f"{self.name}: sends what is no RTDE; is this port {PORT} of a Universal Robots controller?")
+    def _stranger(self) -> ProtocolError:
+        return ProtocolError(
+            f"{self.name}: sends what is no RTDE; is this port {PORT} of a Universal Robots controller?"
+        )
 
     # --- packages → lines
 
@@ -168,8 +175,8 @@ class RtdeLink:
             return json.dumps({"rtde": "data", "timestamp": t, "actual_q": q}).encode()
         seq = None
         if 0.0 <= t < MAX_T_S:  # else it is no reading, and no beginning to count from
-            self._first_s = t if self._first_s is None else self._first_s
-            seq = round((t - self._first_s) * self._hz)
+            self.first_s = t if self.first_s is None or t < self.first_s else self.first_s
+            seq = round((t - self.first_s) * self._hz)
         return format_reading(t, seq, q, **{KEYS[name]: values[name] for name in WANTED if name in values})
 
 

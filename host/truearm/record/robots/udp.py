@@ -6,7 +6,7 @@ import select
 import socket
 
 from truearm.errors import LinkError
-from truearm.record.links import Arrivals, Clock, Reader, host_and_port
+from truearm.record.links import Arrivals, Backlog, Clock, Reader, host_and_port
 
 MAX_DATAGRAM = 8192  # bytes; of a longer one the rest is cut off, and what is left is no reading
 _POLL_S = 0.1
@@ -41,6 +41,11 @@ class UdpLink:
     def write(self, data: bytes) -> int:
         """Nothing is sent to such a robot."""
         return self._clock.now_ns()
+
+    @property
+    def backlog(self) -> Backlog:
+        """What waits to be read."""
+        return self._reader.backlog
 
     def close(self) -> None:
         self._reader.stop()

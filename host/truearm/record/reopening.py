@@ -1,0 +1,96 @@
+"""A link that comes back after it was lost: opened again and again, in a thread, for a dead address keeps who asks waiting for seconds."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+from truearm.errors import InputError, LinkError
+from truearm.record.links import Arrivals, Backlog, Link, backlog_of
+
+PAUSE_S = 0.25  # between attempts; a box that was just plugged in takes about one second to show its port
+
+
+class Reopening:
+    """What ``open_link`` opens, once now and again by ``reopen`` after it was lost. Raises what ``open_link`` raises now."""
+
+    def __init__(self, open_link: Callable[[], Link]) -> None:
+        self._open = open_link
+        self._link: Link | None = open_link()
+        self._opener: _Opener | None = None
+        self._held_up = 0  # of the links before
+        self.name = self._link.name
+
+    def read(self, timeout_s: float) -> Arrivals:
+        return self._opened().read(timeout_s)
+
+    def write(self, data: bytes) -> int:
+        return self._opened().write(data)
+
+    def reopen(self, timeout_s: float) -> bool:
+        """Whether the link is back, waiting up to ``timeout_s`` for it; the attempts go on meanwhile and between calls."""
+        if self._opener is None:
+            self.close()
+            self._opener = _Opener(self._open)
+        link = self._opener.opened(timeout_s)
+        if link is None:
+            return False
+        self._opener, self._link, self.name = None, link, link.name
+        return True
+
+    def close(self) -> None:
+        if self._opener is not None:
+            self._opener.stop()
+            self._opener = None
+        if self._link is not None:
+            link, self._link = self._link, None
+            self._held_up += backlog_of(link).held_up
+            link.close()
+
+    @property
+    def backlog(self) -> Backlog:
+        """What waits to be read of the link that is open; all links' readers together were held up so often."""
+        now = Backlog() if self._link is None else backlog_of(self._link)
+        return Backlog(now.waiting, now.held_up + self._held_up)
+
+    def _opened(self) -> Link:
+        if self._link is None:
+            raise LinkError(f"{self.name}: the link is closed")
+        return self._link
+
+
+class _Opener:
+    """A thread that tries until it has opened a link."""
+
+    def __init__(self, open_link: Callable[[], Link]) -> None:
+        self._open = open_link
+        self._link: Link | None = None
+        self._done = threading.Event()
+        self._stopping = threading.Event()
+        self._lock = threading.Lock()
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def opened(self, timeout_s: float) -> Link | None:
+        return self._link if self._done.wait(timeout_s) else None
+
+    def stop(self) -> None:
+        """An attempt that is under way is not waited for: what it opens is closed."""
+        with self._lock:
+            self._stopping.set()
+            if self._link is not None:
+                self._link.close()
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            try:
+                link = self._open()
+            except (LinkError, InputError):
+                self._stopping.wait(PAUSE_S)
+                continue
+            with self._lock:
+                if self._stopping.is_set():
+                    link.close()
+                    return
+                self._link = link
+                self._done.set()
+                return
