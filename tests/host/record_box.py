@@ -132,6 +132,21 @@ class Wire:
         self.arrived.append((self.lab.now, data))
 
 
+class ComingBack(Wire):
+    """A link whose plug comes back by itself; what arrived meanwhile is gone."""
+
+    def reopen(self, timeout_s):
+        deadline = self.lab.now + int(timeout_s * 1e9)
+        while self.error is not None and self.lab.now < deadline:
+            self.lab.step(deadline)
+        self.arrived = []
+        return self.error is None
+
+    def deliver(self, data):
+        if self.error is None:
+            super().deliver(data)
+
+
 class Box:
     """A box that behaves. ``sent`` is every byte that left it, ``commands`` what it executed."""
 
@@ -149,6 +164,7 @@ class Box:
         self.protocol: tuple[int, ...] = (1, 0)
         self.refuse: dict[int, tuple[int, str]] = {}
         self.lvdt: dict[str, object] = {}  # what the ident says differently of the first channel
+        self.uid = b"\x01\x02\x03\x04"
         self.boot(0x1111)
 
     @property
@@ -180,6 +196,7 @@ class Box:
 
     def send_ident(self, req_id: int) -> None:
         said = ident(self.boot_id, self.osr, self.protocol)
+        said["uid"] = self.uid
         said["streams"][0]["channels"][0].update(self.lvdt)
         document = cbor2.dumps(said)
         parts = [document[i : i + 200] for i in range(0, len(document), 200)]
@@ -239,9 +256,9 @@ class Box:
 class Robot:
     """A robot that sends a line every 8 ms and closes its stream at the end."""
 
-    def __init__(self, lab: Lab, seconds: float, end: Exception, counts: bool = True) -> None:
+    def __init__(self, lab: Lab, seconds: float, end: Exception, counts: bool = True, link: type[Wire] = Wire) -> None:
         self.lab = lab
-        self.link = Wire(lab, "robot in memory")
+        self.link = link(lab, "robot in memory")
         self.sent: list[bytes] = []
         for k in range(int(seconds / 0.008)):
             number = {"seq": k} if counts else {}

@@ -2,18 +2,16 @@
 
 import json
 import os
-import select
 import signal
 import socket
 import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from record_box import Box, Lab
+from record_real import PATIENCE_S, box_on_a_socket, play, real_time_box, serve_robot
 
 from truearm.cli import main
 from truearm.commands.record import MODULATOR_HZ, describe, nearest_osr, parse_mounted, plan_rows
@@ -25,7 +23,6 @@ from truearm.record.status import Counters, Status
 from truearm.types import Plan
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals or a pseudo-terminal")
-PATIENCE_S = 20.0  # only a broken recorder takes so long
 
 RIG = """
 [[chuck]]
@@ -40,69 +37,6 @@ zero_mm = 460
 travel_mm = 75
 sigma_mm = 0.084
 """
-
-
-def play(box, lab, receive_fd, stop):
-    """Let a box in memory live in real time behind a descriptor."""
-    while not stop.is_set():
-        ready, _, _ = select.select([receive_fd], [], [], 0.005)
-        try:
-            data = os.read(receive_fd, 4096) if ready else b""
-            if ready and not data:
-                return
-            now = HostClock().now_ns()
-            while lab.now < now:
-                lab.step(now)
-            if data:
-                box.link.on_write(data)
-            arrived, box.link.arrived = box.link.arrived, []
-            for _, raw in arrived:
-                os.write(receive_fd, raw)
-        except OSError:
-            return
-
-
-def real_time_box():
-    lab = Lab()
-    lab.now = HostClock().now_ns()
-    return lab, Box(lab)
-
-
-@contextmanager
-def box_on_a_socket():
-    """A box behind ``socket://``; yields it and the device."""
-    listener = socket.create_server(("127.0.0.1", 0))
-    stop = threading.Event()
-    lab, box = real_time_box()
-
-    def serve():
-        peer, _ = listener.accept()
-        with peer:
-            play(box, lab, peer.fileno(), stop)
-
-    thread = threading.Thread(target=serve, daemon=True)
-    thread.start()
-    yield box, f"socket://127.0.0.1:{listener.getsockname()[1]}"
-    stop.set()
-    thread.join(PATIENCE_S)
-    listener.close()
-
-
-def serve_robot(seconds):
-    listener = socket.create_server(("127.0.0.1", 0))
-
-    def serve():
-        peer, _ = listener.accept()
-        with peer, listener:
-            end = time.monotonic() + seconds
-            seq = 0
-            while time.monotonic() < end:
-                peer.sendall(json.dumps({"t": 0.02 * seq, "seq": seq, "q": [0.1, 0.2]}).encode() + b"\n")
-                seq += 1
-                time.sleep(0.02)
-
-    threading.Thread(target=serve, daemon=True).start()
-    return f"tcp://127.0.0.1:{listener.getsockname()[1]}"
 
 
 def test_a_recording_ended_by_time(tmp_path, capsys):

@@ -6,6 +6,7 @@ from record_box import (
     HOST_0,
     SECOND,
     Box,
+    ComingBack,
     Lab,
     Robot,
     Wire,
@@ -150,14 +151,3 @@ class TestEnds:
         assert topics(path)["/box/adc"][-1].t_host_ns > HOST_0 + 5 * SECOND
         assert rebooted or [c[0] for c in box.commands] == [48, 51, 50, 48, 51]  # asked whether it is the same
         assert (summary.counters.lost_frames > 150) != rebooted  # 2 s of a box that ran on are lost, and counted
-
-
-class ComingBack(Wire):
-    """A link whose plug comes back by itself; what arrived meanwhile is gone."""
-
-    def reopen(self, timeout_s):
-        deadline = self.lab.now + int(timeout_s * 1e9)
-        while self.error is not None and self.lab.now < deadline:
-            self.lab.step(deadline)
-        self.arrived = []
-        return self.error is None

@@ -1,0 +1,116 @@
+"""The box in memory in real time, behind a socket or a pseudo-terminal; and a robot."""
+
+import json
+import os
+import select
+import socket
+import threading
+import time
+from contextlib import contextmanager
+from types import SimpleNamespace
+
+from record_box import Box, Lab
+
+from truearm.record.links import HostClock
+
+PATIENCE_S = 20.0  # only a broken recorder takes so long
+
+
+def play(box, lab, receive_fd, stop):
+    """Let a box in memory live in real time behind a descriptor."""
+    while not stop.is_set():
+        ready, _, _ = select.select([receive_fd], [], [], 0.005)
+        try:
+            data = os.read(receive_fd, 4096) if ready else b""
+            if ready and not data:
+                return
+            now = HostClock().now_ns()
+            while lab.now < now:
+                lab.step(now)
+            if data:
+                box.link.on_write(data)
+            arrived, box.link.arrived = box.link.arrived, []
+            for _, raw in arrived:
+                os.write(receive_fd, raw)
+        except OSError:
+            return
+
+
+def real_time_box():
+    lab = Lab()
+    lab.now = HostClock().now_ns()
+    return lab, Box(lab)
+
+
+@contextmanager
+def box_on_a_socket():
+    """A box behind ``socket://``; yields it and the device."""
+    listener = socket.create_server(("127.0.0.1", 0))
+    stop = threading.Event()
+    lab, box = real_time_box()
+
+    def serve():
+        peer, _ = listener.accept()
+        with peer:
+            play(box, lab, peer.fileno(), stop)
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    yield box, f"socket://127.0.0.1:{listener.getsockname()[1]}"
+    stop.set()
+    thread.join(PATIENCE_S)
+    listener.close()
+
+
+def serve_robot(seconds):
+    listener = socket.create_server(("127.0.0.1", 0))
+
+    def serve():
+        peer, _ = listener.accept()
+        with peer, listener:
+            end = time.monotonic() + seconds
+            seq = 0
+            while time.monotonic() < end:
+                peer.sendall(json.dumps({"t": 0.02 * seq, "seq": seq, "q": [0.1, 0.2]}).encode() + b"\n")
+                seq += 1
+                time.sleep(0.02)
+
+    threading.Thread(target=serve, daemon=True).start()
+    return f"tcp://127.0.0.1:{listener.getsockname()[1]}"
+
+
+class OnTerminals:
+    """A box behind a pseudo-terminal that can be unplugged and plugged in again, under another name; ``ports`` is what USB says."""
+
+    def __init__(self, box, lab, serial="E6612345"):
+        self.box, self._lab, self._serial = box, lab, serial
+        self.device = ""
+        self.plug()
+
+    def plug(self):
+        import tty
+
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        self.device = os.ttyname(self._slave)
+        self._stop = threading.Event()
+        self.box.link.arrived = []  # what it sent meanwhile is gone
+        self._thread = threading.Thread(target=play, args=(self.box, self._lab, self._master, self._stop), daemon=True)
+        self._thread.start()
+
+    def unplug(self):
+        self._stop.set()
+        self._thread.join(PATIENCE_S)
+        os.close(self._master)
+        os.close(self._slave)
+        self.device = ""
+
+    def ports(self):
+        """As ``serial.tools.list_ports.comports`` has them."""
+        other = SimpleNamespace(
+            device="/dev/ttyS0", vid=None, pid=None, serial_number=None, product=None, description="n/a"
+        )
+        box = SimpleNamespace(
+            device=self.device, vid=0x2E8A, pid=5, serial_number=self._serial, product="truearm", description=""
+        )
+        return [other, box] if self.device else [other]

@@ -1,0 +1,191 @@
+"""Links that are lost and come back: what is opened again, what is said and counted, and how long the recorder waits."""
+
+import json
+import threading
+import time
+
+import pytest
+from record_box import HOST_0, MS, SECOND, Box, ComingBack, Robot
+from record_files import events, run, topics
+from record_real import PATIENCE_S, OnTerminals, real_time_box
+
+from truearm.cli import main
+from truearm.errors import LinkClosed, LinkError, ProtocolError
+from truearm.record.links import Backlog
+from truearm.record.recorder import PATIENCE_S as WAITS_S
+from truearm.record.reopening import Reopening
+from truearm.record.session import open_session
+from truearm.sync.joints import JointReader
+
+
+def joints_of(path):
+    reader = JointReader()
+    for message in open_session(path).messages():
+        reader.feed(message)
+    return reader.finish()
+
+
+def lose(lab, link, since_s, until_s, text="reset by peer"):
+    lab.at(HOST_0 + int(since_s * SECOND), lambda: setattr(link, "error", LinkError(text)))
+    lab.at(HOST_0 + int(until_s * SECOND), lambda: setattr(link, "error", None))
+
+
+class TestRobot:
+    def test_back_after_two_seconds(self, lab, path):
+        """8 ms a reading: those between 2 and 4 s are lost, exactly; a segment begins, and the rest is whole."""
+        robot = Robot(lab, 6.0, LinkClosed("done"), link=ComingBack)
+        lose(lab, robot.link, 2.0, 4.0)
+        summary = run(lab, Box(lab), path, None, robot=robot.link)
+        assert summary.reason == "robot closed"
+        assert summary.counters.robot_losses == 1
+        assert events(path) == ["start", "robot-lost", "robot-back", "robot-closed", "stop"]
+        received = [json.loads(m.data)["seq"] for m in topics(path)["/robot/joints"]]
+        missing = sorted(set(range(len(robot.sent))) - set(received))
+        assert missing == list(range(missing[0], missing[-1] + 1))
+        assert len(missing) == pytest.approx(250, abs=7)  # 50 ms between attempts
+        (back,) = events(path, "robot-back")
+        assert back["lost"] == len(missing)
+        assert back["away_s"] == pytest.approx(0.008 * (len(missing) + 1), abs=0.001)
+        joints = joints_of(path)
+        assert (joints.lost, joints.restarts, len(joints.clocks)) == (len(missing), 1, 2)
+
+    def test_a_robot_that_does_not_count(self, lab, path):
+        robot = Robot(lab, 4.0, LinkClosed("done"), counts=False, link=ComingBack)
+        lose(lab, robot.link, 1.0, 2.0)
+        run(lab, Box(lab), path, None, robot=robot.link)
+        assert events(path, "robot-back")[0]["lost"] is None
+        assert joints_of(path).lost is None
+
+    def test_not_for_ever(self, lab, path):
+        robot = Robot(lab, 20.0, LinkClosed("done"), link=ComingBack)
+        lose(lab, robot.link, 2.0, 1e6)
+        summary = run(lab, Box(lab), path, None, robot=robot.link, patience_s=5.0)
+        assert summary.reason == "robot lost"
+        assert summary.text == "reset by peer; it did not come back in 5 s"
+        assert summary.duration_s == pytest.approx(7.0, abs=0.1)
+
+    def test_what_is_no_loss_of_the_link_is_not_tried_again(self, lab, path):
+        robot = Robot(lab, 20.0, LinkClosed("done"), link=ComingBack)
+        lab.at(HOST_0 + SECOND, lambda: setattr(robot.link, "error", ProtocolError("is no RTDE")))
+        summary = run(lab, Box(lab), path, None, robot=robot.link)
+        assert (summary.reason, summary.text) == ("robot lost", "is no RTDE")
+
+    def test_silence_is_noted(self, lab, path):
+        robot = Robot(lab, 10.0, LinkClosed("done"), link=ComingBack)
+        deliver = robot.link.deliver
+        lab.at(HOST_0 + SECOND, lambda: setattr(robot.link, "deliver", lambda data: None))
+        lab.at(HOST_0 + 6 * SECOND, lambda: setattr(robot.link, "deliver", deliver))
+        seen = []
+        run(lab, Box(lab), path, 8.0, robot=robot.link, progress=lambda s: seen.append(s.robot_age_s or 0.0))
+        assert events(path) == ["start", "robot-silent", "robot-heard", "stop"]
+        assert max(seen) == pytest.approx(5.0, abs=0.3)
+        assert seen[-1] < 0.1
+
+
+class TestBox:
+    def test_not_for_ever(self, lab, path):
+        box = Box(lab, ComingBack)
+        lose(lab, box.link, 2.0, 1e6, "unplugged")
+        summary = run(lab, box, path, None, patience_s=5.0)
+        assert (summary.reason, summary.text) == ("link lost", "unplugged; it did not come back in 5 s")
+        assert WAITS_S == 600.0
+
+    def test_ctrl_c_while_it_is_away(self, lab, path):
+        box = Box(lab, ComingBack)
+        lose(lab, box.link, 2.0, 1e6)
+        summary = run(lab, box, path, None, interrupted=lambda: lab.now > HOST_0 + 3 * SECOND)
+        assert summary.reason == "interrupted"
+        assert events(path) == ["start", "link-lost", "stop"]
+
+    def test_another_box_is_refused(self, lab, path):
+        box = Box(lab, ComingBack)
+        lose(lab, box.link, 2.0, 3.0)
+
+        def exchange():
+            box.uid = b"\x09\x09"
+            box.boot(0x3333)
+
+        lab.at(HOST_0 + int(2.5 * SECOND), exchange)
+        with pytest.raises(ProtocolError, match=r"another box answers \(0909; the recording began with 01020304\)"):
+            run(lab, box, path, 6.0)
+        assert open_session(path).metadata["session-end"]["reason"] == "failed"
+        assert topics(path)["/box/adc"][-1].t_host_ns < HOST_0 + 2 * SECOND + 50 * MS
+
+    def test_under_another_name(self, tmp_path, monkeypatch, capsys):
+        """A USB cable is pulled and plugged in again: the box, without power meanwhile, has booted, and its port has another name."""
+        lab, box = real_time_box()
+        usb = OnTerminals(box, lab)
+        first = usb.device
+        monkeypatch.setattr("truearm.record.ports.list_ports.comports", usb.ports)
+        held = []
+
+        def handle():
+            wait_for(lambda: box.blocks >= 30)
+            usb.unplug()
+            time.sleep(0.6)
+            held.append(OnTerminals(*reversed(real_time_box())))  # somebody else has the name now
+            box.boot(0x4444)
+            usb.plug()
+
+        thread = threading.Thread(target=handle)
+        thread.start()
+        out = tmp_path / "s.mcap"
+        assert main(["record", "--device", first, "--duration", "3", "--out", str(out)]) == 0
+        thread.join(PATIENCE_S)
+        assert usb.device != first
+        assert events(out) == ["start", "link-lost", "link-back", "box-restarted", "start", "stop"]
+        assert events(out, "link-back")[0]["device"] == usb.device
+        usb.unplug()
+        assert held[0].box.commands == []  # nobody asked the other one
+        held[0].unplug()
+        assert "link lost 1 times" in capsys.readouterr().out
+
+
+def wait_for(true):
+    deadline = time.monotonic() + PATIENCE_S
+    while not true() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert true()
+
+
+class Slow:
+    """A link that takes long to open."""
+
+    name = "slow"
+
+    def __init__(self, opened, closed):
+        opened.wait(PATIENCE_S)
+        self._closed = closed
+        self.backlog = Backlog(3, 2)
+
+    def close(self):
+        self._closed.append(self)
+
+
+class TestReopening:
+    def test_who_waits_is_not_kept_waiting(self):
+        opened, closed = threading.Event(), []
+        opened.set()
+        link = Reopening(lambda: Slow(opened, closed))
+        assert link.backlog == Backlog(3, 2)
+        opened.clear()
+        before = time.monotonic()
+        assert not link.reopen(0.0)
+        assert not link.reopen(0.02)
+        assert time.monotonic() - before < 1.0
+        assert link.backlog == Backlog(0, 2)
+        opened.set()
+        assert link.reopen(PATIENCE_S)
+        assert link.backlog == Backlog(3, 4)
+        link.close()
+        assert len(closed) == 2
+
+    def test_what_opens_after_the_end_is_closed(self):
+        opened, closed = threading.Event(), []
+        opened.set()
+        link = Reopening(lambda: Slow(opened, closed))
+        opened.clear()
+        assert not link.reopen(0.0)
+        link.close()
+        opened.set()
+        wait_for(lambda: len(closed) == 2)
