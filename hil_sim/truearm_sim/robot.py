@@ -3,7 +3,7 @@
 Every move is straight in joint space along the quintic s(τ) = 10τ³ − 15τ⁴ + 6τ⁵, the shortest that keeps all joints within
 their speeds and accelerations (its peaks are 15/8·Δq/T and 10/√3·Δq/T²). A dwell is counted from the end of the commanded
 motion. The joints then stand where the servo holds them, an error of its own at each stop, and ring for some tenths of a
-second about it. Where the ball-bar has to be taken off (between two pairings, or because it would run out of travel on
+second about it; told to go where they stand, they stay. ``Arm`` can make them slow, limber and worn. Where the ball-bar has to be taken off (between two pairings, or because it would run out of travel on
 the way) the robot stops with its last joint turned back by MOUNTING, waits there for the operator, and goes the rest.
 """
 
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.types import Floats, Plan
+from truearm_sim.arm import Arm, last_direction
 from truearm_sim.clocks import Clock
 
 SPEED = np.deg2rad([82.0, 54.0, 122.0, 228.0, 241.0, 228.0])  # rad/s, a PUMA 560's
@@ -66,6 +67,9 @@ class Controller:
     q: Floats  # (m, j) commanded
     q_held: Floats  # (m, j) where the servo holds the joints
     ring: Floats  # (m, j) amplitude after arrival
+    direction: Floats  # (m, j) in which each joint last moved: −1, 0 (never) or 1
+    arm: Arm
+    seed: int
 
     @classmethod
     def from_plan(
@@ -75,6 +79,7 @@ class Controller:
         seed: int = 0,
         rate: float = 50.0,
         remount: NDArray[np.bool_] | None = None,
+        arm: Arm | None = None,
     ) -> Controller:
         """The motion of ``plan``; ``remount`` (n,) adds poses before which the bar is taken off to new pairings."""
         off = new_pairing(plan) if remount is None else remount | new_pairing(plan)
@@ -87,6 +92,7 @@ class Controller:
         stay = np.where(mounting, PAUSE, DWELL)
         leave = np.cumsum(durations + stay)
         servo = np.random.default_rng([seed, 0x5E120]).standard_normal(q.shape)
+        went = np.maximum.accumulate(np.where(np.any(delta != 0.0, axis=1), np.arange(len(q)), 0))
         return cls(
             plan=plan,
             clock=clock or Clock(),
@@ -97,8 +103,11 @@ class Controller:
             arrive=leave - stay,
             leave=leave,
             q=q,
-            q_held=q + SERVO_SIGMA * servo,
+            q_held=q + SERVO_SIGMA * servo[went],
             ring=ring_amplitudes(delta, durations),
+            direction=last_direction(delta),
+            arm=arm or Arm(),
+            seed=seed,
         )
 
     @property
@@ -120,21 +129,41 @@ class Controller:
         i = self.stop_index(t)
         return ~self.mounting[i] | (t >= self.leave[i] - READY)
 
+    @property
+    def q_rest(self) -> Floats:
+        """Joints (m, j) as they are when they have come to rest: the links behind their encoders where the arm is worn."""
+        return np.asarray(self.q_held + self.arm.behind(self.direction))
+
     def is_settled(self, t: Floats) -> NDArray[np.bool_]:
-        """Whether the joints stand at ``q_held`` of their stop, to 30 nm at the endpoint, at each time t (k,)."""
-        return np.asarray(t >= self.arrive[self.stop_index(t)] + SETTLED)
+        """Whether the joints stand at ``q_rest`` of their stop, to 30 nm at the endpoint, at each time t (k,)."""
+        return np.asarray(t >= self.arrive[self.stop_index(t)] + self.arm.rest_s(SETTLED))
 
     def q_commanded(self, t: Floats) -> Floats:
         """Commanded joints (k, j) at times t (k,)."""
         return self._between(self.q, t)
 
     def q_true(self, t: Floats) -> Floats:
-        """Joints as they are (k, j) at times t (k,): servo error and ringing included."""
+        """Joints as they are (k, j) at times t (k,): servo error, ringing and backlash included."""
+        i = self.stop_index(t)
+        swing = self.arm.swinging(t - self.arrive[i])[:, None] * self.direction[i]
+        return np.asarray(self.q_driven(t) + self.arm.behind(self.direction[i]) + swing)
+
+    def q_driven(self, t: Floats) -> Floats:
+        """Joints at their encoders (k, j) at times t (k,): what a reading without noise would be."""
         i = self.stop_index(t)
         since = np.maximum(t - self.arrive[i], 0.0)
         wave = np.exp(-since / RING_DECAY) * np.sin(2.0 * np.pi * RING_HZ * since)
         wave[since > SETTLED] = 0.0
-        return np.asarray(self._between(self.q_held, t) + self.ring[i] * wave[:, None])
+        share = quintic(
+            np.clip((t - self.move_start[i]) / np.maximum(self.arrive[i] - self.move_start[i], 1e-9), 0.0, 1.0)
+        )
+        short = self.arm.short(t - self.arrive[i], share)[:, None] * self.direction[i]
+        return np.asarray(self._between(self.q_held, t) + self.ring[i] * wave[:, None] + short)
+
+    def _read(self, t: Floats, numbers: NDArray[np.int64]) -> Floats:
+        """Joint readings (k, j) of these numbers at times t (k,)."""
+        q = self.q_driven(t)
+        return quantised(q + self.arm.reading_noise(self.seed, numbers, q.shape[1]))
 
     def _between(self, q: Floats, t: Floats) -> Floats:
         """Where the quintics between the rows of q (m, j) are at times t (k,)."""
@@ -151,8 +180,8 @@ class Controller:
 
     def readings(self, t0: float, t1: float) -> tuple[Floats, Floats]:
         """Controller times (k,) [s] and joint readings (k, j) [rad] with t0 ≤ true time < t1, any chunks alike."""
-        t_robot, _ = self.ticks(t0, t1)
-        return t_robot, quantised(self.q_true(self.clock.true(t_robot)))
+        t_robot, numbers = self.ticks(t0, t1)
+        return t_robot, self._read(self.clock.true(t_robot), numbers)
 
     def states(self, t0: float, t1: float) -> States:
         """What the controller says of the readings with t0 ≤ true time < t1, any chunks alike."""
@@ -163,9 +192,9 @@ class Controller:
             t=t,
             t_robot=t_robot,
             number=numbers,
-            q=quantised(self.q_true(t)),
+            q=self._read(t, numbers),
             q_cmd=self.q_commanded(t),
-            qd=(self.q_true(after) - self.q_true(before)) / VELOCITY_S,
+            qd=(self.q_driven(after) - self.q_driven(before)) / VELOCITY_S,
             qd_cmd=(self.q_commanded(after) - self.q_commanded(before)) / VELOCITY_S,
             inputs=np.zeros(t.size, dtype=np.int64),
         )
@@ -177,7 +206,7 @@ class Controller:
         """
         t_robot, numbers = self.ticks(t0, t1)
         t = self.clock.true(t_robot)
-        measured, commanded = quantised(self.q_true(t)), self.q_commanded(t)
+        measured, commanded = self._read(t, numbers), self.q_commanded(t)
         j = measured.shape[1]
         # Digits enough for the readings' step to be seen in differences of differences of what is printed.
         line = '{"t":%.6f,"seq":%d,"q":[' + ",".join(["%.12f"] * j) + '],"q_cmd":[' + ",".join(["%.9f"] * j) + "]}\n"

@@ -20,6 +20,7 @@ from truearm.model.robot import builtin_robot
 from truearm.plan.shells import plan_shells
 from truearm.types import BallBar, Floats, Plan, Point, Rig
 from truearm_sim import sensors
+from truearm_sim.arm import Arm
 from truearm_sim.clocks import Clock, Clocks, draw_clocks
 from truearm_sim.robot import SPEED, Controller, States
 
@@ -85,11 +86,12 @@ class World:
         robot_rate: float = 50.0,
         mag_period_ns: int = 0,
         lost_stops: float = 0.0,
+        arm: Arm | None = None,
     ) -> None:
         """``params`` (p,): the true robot, Table II's optimised values by default; ``clocks``: drawn from the seed.
 
         ``mag_period_ns``: how often the box is configured to read its magnetostrictive sensor, 0: never. A share ``lost_stops`` of
-        its shots has no stop pulse.
+        its shots has no stop pulse. ``arm``: a stiff one by default.
         Raises PlanError when the plan names something that the rig does not have.
         """
         robot = builtin_robot(ROBOT)
@@ -104,9 +106,9 @@ class World:
         self._p_sphere = np.array([self.rig.spheres[name].xyz for name in plan.sphere])
         self._zero, self._gain, self._travel = np.array([(bar.zero, bar.gain, bar.travel) for bar in bars]).T
         self._scatter = sensors.repeatability(seed, len(plan)) * [bar.sigma for bar in bars]
-        self.controller = Controller.from_plan(plan, self.clocks.robot, seed, robot_rate, self._runs_out(plan))
+        self.controller = Controller.from_plan(plan, self.clocks.robot, seed, robot_rate, self._runs_out(plan), arm)
         pose = self.controller.pose
-        self._settled_length = self._distance(self.controller.q_held, pose) + self._scatter[pose]
+        self._settled_length = self._distance(self.controller.q_rest, pose) + self._scatter[pose]
         self._mag_period_ns = mag_period_ns
         self._lost_stops = lost_stops
         self._kept: dict[str, tuple[tuple[int, ...], NDArray[Any]]] = {}
