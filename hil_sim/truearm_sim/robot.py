@@ -3,13 +3,18 @@
 Every move is straight in joint space along the quintic s(τ) = 10τ³ − 15τ⁴ + 6τ⁵, the shortest that keeps all joints within
 their speeds and accelerations (its peaks are 15/8·Δq/T and 10/√3·Δq/T²). A dwell is counted from the end of the commanded
 motion. The joints then stand where the servo holds them, an error of its own at each stop, and ring for some tenths of a
-second about it; told to go where they stand, they stay. ``Arm`` can make them slow, limber and worn. Where the ball-bar has to be taken off (between two pairings, or because it would run out of travel on
-the way) the robot stops with its last joint turned back by MOUNTING, waits there for the operator, and goes the rest.
+second about it; told to go where they stand, they stay. ``Arm`` can make them slow, limber and worn. Where the ball-bar
+has to be taken off (between two pairings, or because it would run out of travel on the way) the robot stops with its last
+joint turned back by MOUNTING, waits there for the operator, and goes the rest.
+
+A plan may hold more than dwells. Via points are stopped at, not waited at. Lines are driven along ``paths``, from rest to
+rest; before the first drive along another line the robot waits for the operator, who puts the device there.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -18,12 +23,14 @@ from numpy.typing import NDArray
 from truearm.types import Floats, Plan
 from truearm_sim.arm import Arm, last_direction
 from truearm_sim.clocks import Clock
+from truearm_sim.paths import Path
 
 SPEED = np.deg2rad([82.0, 54.0, 122.0, 228.0, 241.0, 228.0])  # rad/s, a PUMA 560's
 ACCELERATION = np.array([4.0, 4.0, 6.0, 15.0, 15.0, 15.0])  # rad/s²
 STEP = 2.0 * np.pi / 2**19  # rad, what a joint reading is a multiple of: 1.2e-5, a 19-bit encoder
 SERVO_SIGMA = 5e-5  # rad, where a joint comes to rest about its command
 DWELL = 2.0  # s
+TURN = 0.5  # s of rest at a line's ends
 MOUNTING = 0.05  # rad; moves a sphere by a few millimetres, yet no one takes the pause for a dwell of the plan
 PAUSE = 4.0  # s, for the operator to put the bar on
 READY = 0.5  # s, of the pause: the bar is on, hands are off
@@ -53,7 +60,7 @@ class Controller:
 
     Stop i is approached from ``move_start[i]`` to ``arrive[i]`` and left at ``leave[i]``. It is the dwell at a pose of
     the plan or, where ``mounting[i]``, the wait before it, with the bar off from ``move_start[i]`` until READY before
-    ``leave[i]``.
+    ``leave[i]``. The joints are reported as they were ``delay`` [s] earlier.
     """
 
     plan: Plan
@@ -70,6 +77,8 @@ class Controller:
     direction: Floats  # (m, j) in which each joint last moved: −1, 0 (never) or 1
     arm: Arm
     seed: int
+    paths: Mapping[int, Path] = field(default_factory=dict)  # to the rows of the plan that are lines
+    delay: float = 0.0
 
     @classmethod
     def from_plan(
@@ -80,8 +89,14 @@ class Controller:
         rate: float = 50.0,
         remount: NDArray[np.bool_] | None = None,
         arm: Arm | None = None,
+        paths: Mapping[int, Path] | None = None,
+        delay: float = 0.0,
     ) -> Controller:
-        """The motion of ``plan``; ``remount`` (n,) adds poses before which the bar is taken off to new pairings."""
+        """The motion of ``plan``; ``remount`` (n,) adds poses before which the bar is taken off to new pairings.
+
+        ``paths``: of every row that is a line.
+        """
+        paths = paths or {}
         off = new_pairing(plan) if remount is None else remount | new_pairing(plan)
         pose = np.repeat(np.arange(len(plan)), 1 + off)
         mounting = np.concatenate([pose[1:] == pose[:-1], [False]])
@@ -89,7 +104,10 @@ class Controller:
         q[mounting, -1] -= MOUNTING
         delta = np.diff(q, axis=0, prepend=q[:1])
         durations = move_durations(delta)
-        stay = np.where(mounting, PAUSE, DWELL)
+        ring = ring_amplitudes(delta, durations)
+        for stop in np.flatnonzero(plan.lines[pose]):
+            durations[stop], ring[stop] = paths[int(pose[stop])].seconds, 0.0
+        stay = np.where(mounting, PAUSE, stays(plan)[pose])
         leave = np.cumsum(durations + stay)
         servo = np.random.default_rng([seed, 0x5E120]).standard_normal(q.shape)
         went = np.maximum.accumulate(np.where(np.any(delta != 0.0, axis=1), np.arange(len(q)), 0))
@@ -104,10 +122,12 @@ class Controller:
             leave=leave,
             q=q,
             q_held=q + SERVO_SIGMA * servo[went],
-            ring=ring_amplitudes(delta, durations),
+            ring=ring,
             direction=last_direction(delta),
             arm=arm or Arm(),
             seed=seed,
+            paths=paths,
+            delay=delay,
         )
 
     @property
@@ -118,7 +138,12 @@ class Controller:
     @property
     def dwells(self) -> NDArray[np.int64]:
         """The stops (n,) that are the dwells at the plan's n poses."""
-        return np.flatnonzero(~self.mounting)
+        return np.flatnonzero(~self.mounting & self.plan.dwells[self.pose])
+
+    @property
+    def is_line(self) -> NDArray[np.bool_]:
+        """(m,) the stops to which a line is driven."""
+        return np.asarray(self.plan.lines[self.pose])
 
     def stop_index(self, t: Floats) -> NDArray[np.int64]:
         """Index of the stop that the robot goes to or stands at, at each time t (k,)."""
@@ -127,7 +152,7 @@ class Controller:
     def bar_is_on(self, t: Floats) -> NDArray[np.bool_]:
         """Whether the bar connects chuck and sphere at each time t (k,)."""
         i = self.stop_index(t)
-        return ~self.mounting[i] | (t >= self.leave[i] - READY)
+        return np.asarray((~self.mounting[i] | (t >= self.leave[i] - READY)) & (self.plan.bar[self.pose[i]] != ""))
 
     @property
     def q_rest(self) -> Floats:
@@ -165,12 +190,30 @@ class Controller:
         q = self.q_driven(t)
         return quantised(q + self.arm.reading_noise(self.seed, numbers, q.shape[1]))
 
+    def way(self, t: Floats) -> Floats:
+        """How far the target has come along its line (k,) [m] at times t (k,); 0 where no line is driven."""
+        i, out = self.stop_index(t), np.zeros(len(t))
+        for stop in self._line_stops(i):
+            at = i == stop
+            out[at] = self.paths[int(self.pose[stop])].along(t[at] - self.move_start[stop])
+        return out
+
+    def _line_stops(self, i: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Those of the stops i (k,) to which a line is driven, each once."""
+        return np.unique(i[self.is_line[i]]) if self.paths else np.empty(0, np.int64)
+
     def _between(self, q: Floats, t: Floats) -> Floats:
-        """Where the quintics between the rows of q (m, j) are at times t (k,)."""
+        """Where the moves between the rows of q (m, j) are at times t (k,)."""
         i = self.stop_index(t)
         before = np.maximum(i - 1, 0)
         share = (t - self.move_start[i]) / np.maximum(self.arrive[i] - self.move_start[i], 1e-9)
-        return np.asarray(q[before] + quintic(np.clip(share, 0.0, 1.0))[:, None] * (q[i] - q[before]))
+        out = np.asarray(q[before] + quintic(np.clip(share, 0.0, 1.0))[:, None] * (q[i] - q[before]))
+        for stop in self._line_stops(i):
+            at, path = i == stop, self.paths[int(self.pose[stop])]
+            way = path.along(t[at] - self.move_start[stop])
+            off = q[[stop - 1, stop]] - self.q[[stop - 1, stop]]
+            out[at] = path.joints(way) + off[0] + (way / path.length)[:, None] * (off[1] - off[0])
+        return out
 
     def ticks(self, t0: float, t1: float) -> tuple[Floats, NDArray[np.int64]]:
         """Controller times [s] of the readings with t0 ≤ true time < t1, and their numbers since true time 0."""
@@ -181,19 +224,20 @@ class Controller:
     def readings(self, t0: float, t1: float) -> tuple[Floats, Floats]:
         """Controller times (k,) [s] and joint readings (k, j) [rad] with t0 ≤ true time < t1, any chunks alike."""
         t_robot, numbers = self.ticks(t0, t1)
-        return t_robot, self._read(self.clock.true(t_robot), numbers)
+        return t_robot, self._read(self.clock.true(t_robot) - self.delay, numbers)
 
     def states(self, t0: float, t1: float) -> States:
         """What the controller says of the readings with t0 ≤ true time < t1, any chunks alike."""
         t_robot, numbers = self.ticks(t0, t1)
         t = self.clock.true(t_robot)
-        after, before = t + VELOCITY_S / 2, t - VELOCITY_S / 2
+        late = t - self.delay
+        after, before = late + VELOCITY_S / 2, late - VELOCITY_S / 2
         return States(
             t=t,
             t_robot=t_robot,
             number=numbers,
-            q=self._read(t, numbers),
-            q_cmd=self.q_commanded(t),
+            q=self._read(late, numbers),
+            q_cmd=self.q_commanded(late),
             qd=(self.q_driven(after) - self.q_driven(before)) / VELOCITY_S,
             qd_cmd=(self.q_commanded(after) - self.q_commanded(before)) / VELOCITY_S,
             inputs=np.zeros(t.size, dtype=np.int64),
@@ -206,7 +250,7 @@ class Controller:
         """
         t_robot, numbers = self.ticks(t0, t1)
         t = self.clock.true(t_robot)
-        measured, commanded = self._read(t, numbers), self.q_commanded(t)
+        measured, commanded = self._read(t - self.delay, numbers), self.q_commanded(t - self.delay)
         j = measured.shape[1]
         # Digits enough for the readings' step to be seen in differences of differences of what is printed.
         line = '{"t":%.6f,"seq":%d,"q":[' + ",".join(["%.12f"] * j) + '],"q_cmd":[' + ",".join(["%.9f"] * j) + "]}\n"
@@ -215,9 +259,19 @@ class Controller:
 
 
 def new_pairing(plan: Plan) -> NDArray[np.bool_]:
-    """True (n,) where the bar connects something else than at the pose before; the first pose is one of them."""
+    """True (n,) where a bar connects something else than at the row before; the first row with a bar is one of them."""
     ids = np.stack([plan.bar, plan.chuck, plan.sphere])
-    return np.concatenate([[True], np.any(ids[:, 1:] != ids[:, :-1], axis=0)])
+    return np.asarray(np.concatenate([[True], np.any(ids[:, 1:] != ids[:, :-1], axis=0)]) & (plan.bar != ""))
+
+
+def stays(plan: Plan) -> Floats:
+    """How long the robot rests at each row (n,) [s]; before the first drive along another line the operator has his PAUSE."""
+    begins = np.append(plan.lines[1:], False) & ~plan.lines
+    drives = np.flatnonzero(plan.lines)
+    new = drives[np.append(True, plan.line[drives[1:]] != plan.line[drives[:-1]])] if drives.size else drives
+    out = np.select([plan.dwells, plan.lines | begins], [DWELL, TURN], 0.0)
+    out[new - 1] += PAUSE
+    return out
 
 
 def move_durations(delta: Floats) -> Floats:

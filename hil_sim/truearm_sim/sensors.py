@@ -8,6 +8,9 @@ Noise is a pure function of seed, channel and sample index: sample k is number k
 each block has a generator of its own, a counter-based one (Philox) with the seed as key and channel and block in the
 counter. So any chunks that a reader asks for hold the same values.
 
+Beside a line device the transverse transducers' conditioners give a voltage likewise; where the magnet is out of their reach they lie at the
+negative rail too, and the head finds no pulse.
+
 The magnetostrictive head sends a strain pulse from the magnet along its wire; its time of flight is position / v plus the delay of
 the electronics, with v = 25.4 mm / (US_PER_INCH µs), and the position is that at the interrogation edge.
 """
@@ -21,11 +24,14 @@ from numpy.typing import NDArray
 
 from truearm.types import Floats
 
+Poly = tuple[tuple[int, int], ...]
+
 CHANNELS = ("lvdt", "transverse_a", "transverse_b", "excitation")
 SCALE = (1430511474609375, -22)  # mantissa and exponent, V per count: 1.2 V / 2^23, exactly
 VOLTS_PER_COUNT = 1.2 / 2**23
 COUNTS_MIN, COUNTS_MAX = -(2**23), 2**23 - 1
 POLY = ((-4213, -7), (378812, -7))  # m and m/V, mantissa and exponent: zero −0.42 mm, gain 37.9 mm/V
+TRANSVERSE_POLY = (((118, -6), (7163, -6)), ((-73, -6), (7091, -6)))  # m and m/V of either, 7.5 mm at some 1.05 V
 SAMPLE_SIGMA = 3e-6  # m, of the LVDT's samples
 RESTING_VOLTS = np.array([0.0, 0.3127, -0.1184, 0.7501])  # transducers that nothing touches, excitation reference
 RESTING_SIGMA = np.array([0.0, 18e-6, 18e-6, 9e-6])  # V
@@ -59,9 +65,9 @@ def group_delay_ns(osr: int) -> int:
     return MODULATOR_NS * (3 * (sinc - 1) + (osr - sinc)) // 2
 
 
-def calibration() -> dict[str, Any]:
-    """What the box's ident says of the LVDT channel (protocol/SPEC.md §5)."""
-    return {"unit": "m", "poly": [list(pair) for pair in POLY], "serial": "sim-lvdt", "date": "1993-10-01"}
+def calibration(poly: Poly = POLY, serial: str = "sim-lvdt") -> dict[str, Any]:
+    """What the box's ident says of a channel, the LVDT's by default (protocol/SPEC.md §5)."""
+    return {"unit": "m", "poly": [list(pair) for pair in poly], "serial": serial, "date": "1993-10-01"}
 
 
 def sample_noise(seed: int, channel: int, block: int) -> Floats:
@@ -72,11 +78,14 @@ def sample_noise(seed: int, channel: int, block: int) -> Floats:
 
 
 def flight_times(position: Floats, lost: float, seed: int, block: int) -> NDArray[np.int64]:
-    """Times of flight (BLOCK,) [ps] of one block of shots at magnet positions (BLOCK,) [m]; −1 for a share ``lost`` of them."""
+    """Times of flight (BLOCK,) [ps] of one block of shots at magnet positions (BLOCK,) [m].
+
+    −1, no stop pulse, for a share ``lost`` of them and where the position is NaN.
+    """
     flights = 1e12 / SOUND * position + 1e3 * MAG_DELAY_NS + MAG_SIGMA_PS * sample_noise(seed, _MAG_NOISE, block)
     bits = np.random.Philox(key=seed, counter=[0, block, _MAG_STOPS, 0])
     stopless = np.random.Generator(bits).random(BLOCK) < lost
-    return np.where(stopless, -1, np.rint(flights)).astype(np.int64)
+    return np.where(stopless | np.isnan(position), -1, np.rint(flights)).astype(np.int64)
 
 
 def magnetostrictive(period_ns: int) -> dict[str, Any]:
@@ -97,9 +106,9 @@ def repeatability(seed: int, n: int) -> Floats:
     return np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, len(CHANNELS), 0])).standard_normal(n)
 
 
-def volts_of_extension(extension: Floats) -> Floats:
-    """The conditioner's output [V] for an extension of the bar [m]."""
-    zero, gain = (mantissa * 10.0**exponent for mantissa, exponent in POLY)
+def volts_of_extension(extension: Floats, poly: Poly = POLY) -> Floats:
+    """A conditioner's output [V] for what it measures [m], the bar's extension by default."""
+    zero, gain = (mantissa * 10.0**exponent for mantissa, exponent in poly)
     return (extension - zero) / gain
 
 
@@ -108,11 +117,18 @@ def counts_of_volts(volts: Floats) -> NDArray[np.int32]:
     return np.clip(np.rint(volts / VOLTS_PER_COUNT), COUNTS_MIN, COUNTS_MAX).astype(np.int32)
 
 
-def sample_counts(extension: Floats, seed: int, block: int) -> NDArray[np.int32]:
-    """Counts (BLOCK, 4) of one block for the bar's true extensions (BLOCK,) [m], NaN while the bar is off."""
+def sample_counts(extension: Floats, seed: int, block: int, transverse: Floats | None = None) -> NDArray[np.int32]:
+    """Counts (BLOCK, 4) of one block for the bar's true extensions (BLOCK,) [m], NaN while the bar is off.
+
+    ``transverse`` (BLOCK, 2) [m]: the magnet before the transverse transducers, NaN out of their reach; without it they rest.
+    """
     volts = np.empty((BLOCK, len(CHANNELS)))
     noisy = extension + SAMPLE_SIGMA * sample_noise(seed, 0, block)
     volts[:, 0] = np.where(np.isnan(extension), COUNTS_MIN * VOLTS_PER_COUNT, volts_of_extension(noisy))
     for channel in range(1, len(CHANNELS)):
         volts[:, channel] = RESTING_VOLTS[channel] + RESTING_SIGMA[channel] * sample_noise(seed, channel, block)
+    if transverse is not None:
+        for channel, (poly, at) in enumerate(zip(TRANSVERSE_POLY, transverse.T, strict=True), start=1):
+            moved = volts[:, channel] - RESTING_VOLTS[channel] + volts_of_extension(at, poly)
+            volts[:, channel] = np.where(np.isnan(at), COUNTS_MIN * VOLTS_PER_COUNT, moved)
     return counts_of_volts(volts)

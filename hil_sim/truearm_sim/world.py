@@ -1,4 +1,4 @@
-"""The world that the box measures: a robot with true parameters, a ball-bar, clocks. A function of time and a seed.
+"""The world that the box measures: a robot with true parameters, a ball-bar, a line device, clocks. A function of time and a seed.
 
 Nothing here has a state: ask for any samples or readings, in any order and chunks, and the same ones come. (One block of
 samples of each kind is kept, because readers ask for the next few samples of it.) True time starts at 0 with the first move.
@@ -7,7 +7,7 @@ samples of each kind is kept, because readers ask for the next few samples of it
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,11 +22,16 @@ from truearm.types import BallBar, Floats, Plan, Point, Rig
 from truearm_sim import sensors
 from truearm_sim.arm import Arm
 from truearm_sim.clocks import Clock, Clocks, draw_clocks
+from truearm_sim.line_device import REACH, Flaws, LineDevices, Placement, place_devices, written_down
+from truearm_sim.paths import line_paths
 from truearm_sim.robot import SPEED, Controller, States
 
 ROBOT, DESIGN, TRUTH = "puma560", "design", "optimised"
 REPEATABILITY = 84e-6  # m
-MAG_STROKE = (0.05, 0.55)  # m, of the magnetostrictive sensor
+NO_BAR = BallBar("", math.nan, math.nan, math.nan, math.nan)  # at rows of a plan with the bar off
+NO_POINT = Point("", (math.nan, math.nan, math.nan))
+MAG_PERIOD_NS = 983_040  # 1017 Hz
+MAG_STROKE = (0.05, 0.55)  # m, of the magnetostrictive sensor where no lines are driven
 MAG_MIDDLE = 0.30
 MAG_Y = 0.15  # m, of the sensor's middle in the base frame
 
@@ -71,6 +76,8 @@ class Truth:
     dwell_start: Floats  # (n,) s
     dwell_end: Floats  # (n,) s
     length: Floats  # (n,) m, of the bar while the robot stands, repeatability included
+    lines: Mapping[str, Placement]  # where each line device lies
+    robot_delay: float  # s, by which the robot's readings are late
 
 
 class World:
@@ -84,15 +91,18 @@ class World:
         params: Floats | None = None,
         clocks: Clocks | None = None,
         robot_rate: float = 50.0,
-        mag_period_ns: int = 0,
+        mag_period_ns: int | None = None,
         lost_stops: float = 0.0,
         arm: Arm | None = None,
+        robot_delay_s: float = 0.0,
+        flaws: Flaws | None = None,
     ) -> None:
         """``params`` (p,): the true robot, Table II's optimised values by default; ``clocks``: drawn from the seed.
 
-        ``mag_period_ns``: how often the box is configured to read its magnetostrictive sensor, 0: never. A share ``lost_stops`` of
-        its shots has no stop pulse. ``arm``: a stiff one by default.
-        Raises PlanError when the plan names something that the rig does not have.
+        ``mag_period_ns``: how often the box is configured to read its magnetostrictive sensor, 0: never; default: MAG_PERIOD_NS
+        where lines are driven. A share ``lost_stops`` of its shots has no stop pulse. ``arm``: a stiff one by default.
+        ``robot_delay_s``: how late the robot's readings are. ``flaws``: what the line device does beside what it says.
+        Raises PlanError when the plan names something that the rig does not have, and for a line that cannot be driven.
         """
         robot = builtin_robot(ROBOT)
         self.seed = seed
@@ -101,15 +111,24 @@ class World:
         self.chain: Chain = robot.chain
         self.params = robot.parameter_sets[TRUTH] if params is None else params
         self.clocks = clocks or draw_clocks(seed)
-        bars = [self.rig.bars[name] for name in plan.bar]
-        self._p_chuck = np.array([self.rig.chucks[name].xyz for name in plan.chuck])
-        self._p_sphere = np.array([self.rig.spheres[name].xyz for name in plan.sphere])
+        bars = [self.rig.bars.get(name, NO_BAR) for name in plan.bar]
+        self._p_chuck = np.array([self.rig.chucks.get(name, NO_POINT).xyz for name in plan.chuck])
+        self._p_sphere = np.array([self.rig.spheres.get(name, NO_POINT).xyz for name in plan.sphere])
         self._zero, self._gain, self._travel = np.array([(bar.zero, bar.gain, bar.travel) for bar in bars]).T
         self._scatter = sensors.repeatability(seed, len(plan)) * [bar.sigma for bar in bars]
-        self.controller = Controller.from_plan(plan, self.clocks.robot, seed, robot_rate, self._runs_out(plan), arm)
+        paths = line_paths(plan, self.chain, robot.parameter_sets[DESIGN], self.rig)
+        self.controller = Controller.from_plan(
+            plan, self.clocks.robot, seed, robot_rate, self._runs_out(plan), arm, paths, robot_delay_s
+        )
+        self.placed = place_devices(plan, paths, self.chain, self.params, self.rig, seed)
+        self.rig = written_down(self.rig, self.placed, seed)
+        self._flaws = flaws or Flaws()
+        self._devices: LineDevices | None = None
+        if paths:
+            self._devices = LineDevices(self.controller, self.chain, self.params, self.rig, self.placed, seed)
         pose = self.controller.pose
         self._settled_length = self._distance(self.controller.q_rest, pose) + self._scatter[pose]
-        self._mag_period_ns = mag_period_ns
+        self._mag_period_ns = (MAG_PERIOD_NS if paths else 0) if mag_period_ns is None else mag_period_ns
         self._lost_stops = lost_stops
         self._kept: dict[str, tuple[tuple[int, ...], NDArray[Any]]] = {}
 
@@ -121,7 +140,8 @@ class World:
     @property
     def truth(self) -> Truth:
         robot, dwells = self.controller, self.controller.dwells
-        return Truth(self.params, self.clocks, robot.arrive[dwells], robot.leave[dwells], self._settled_length[dwells])
+        times = robot.arrive[dwells], robot.leave[dwells]
+        return Truth(self.params, self.clocks, *times, self._settled_length[dwells], self.placed, robot.delay)
 
     def _distance(self, q: Floats, poses: NDArray[np.int64]) -> Floats:
         """Centre to centre (m,) [m] at true joints q (m, j), with the chuck and sphere of each pose."""
@@ -171,8 +191,11 @@ class World:
     def magnet_position(self, t: Floats) -> Floats:
         """Where the magnet is on the magnetostrictive sensor (m,) [m] at true times t (m,).
 
-        A carriage follows the bar's sphere along y within the stroke; while the bar is off it stands in the middle.
+        Where lines are driven it is that on the device, errors of the drive included; NaN: it is in no device's reach. Else
+        a carriage follows the bar's sphere along y within the stroke; while the bar is off it stands in the middle.
         """
+        if self._devices is not None:
+            return self._devices.position(t - self._flaws.mag_delay)[:, 1]
         pose = self.controller.pose[self.controller.stop_index(t)]
         p_sphere = point_forward(self.chain, self.params, self.controller.q_true(t), self._p_sphere[pose])
         along = np.clip(MAG_MIDDLE + p_sphere[:, 1] - MAG_Y, *MAG_STROKE)
@@ -211,11 +234,18 @@ class World:
         t = self.clocks.device.true(1e-9 * shown_ns)
         pose = self.controller.pose[self.controller.stop_index(t)]
         extension = (self.length(t) - self._zero[pose]) / self._gain[pose]
-        return sensors.sample_counts(extension, self.seed, block)
+        return sensors.sample_counts(extension, self.seed, block, self.transverse(t))
+
+    def transverse(self, t: Floats) -> Floats | None:
+        """The magnet before the transverse sensors (m, 2) [m] at true times t (m,), NaN out of reach; None without a line device."""
+        if self._devices is None:
+            return None
+        across = self._devices.position(t - self._flaws.adc_delay)[:, [0, 2]]
+        return across + self._flaws.bend * (across / REACH) ** 3
 
     def _flights(self, device_ns: NDArray[np.int64], block: int) -> NDArray[np.int64]:
         position = self.magnet_position(self.clocks.device.true(1e-9 * device_ns))
-        return sensors.flight_times(position, self._lost_stops, self.seed, block)
+        return sensors.flight_times(position / (1.0 + self._flaws.sound), self._lost_stops, self.seed, block)
 
     def robot_lines(self, t0_ns: int, t1_ns: int) -> tuple[NDArray[np.int64], list[bytes]]:
         """True times of sending (m,) [ns] and lines of the robot's socket with t0 ≤ true time < t1; none after its end."""
@@ -242,6 +272,9 @@ class World:
             {"name": name, "unit": "V", "scale": list(sensors.SCALE)} for name in sensors.CHANNELS
         ]
         channels[0]["calibration"] = sensors.calibration()
+        if self._devices is not None:
+            for channel, poly, letter in zip(channels[1:], sensors.TRANSVERSE_POLY, "ab", strict=False):
+                channel["calibration"] = sensors.calibration(poly, f"sim-transverse-{letter}")
         return {
             "version": 2,
             "osr": osr,

@@ -1,0 +1,88 @@
+"""A rig and plans for the simulated line device: lines drawn from the workspace, driven there and back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from truearm.errors import PlanError
+from truearm.files import plan as plan_file
+from truearm.model.robot import builtin_robot
+from truearm.plan.ballbar import make_site
+from truearm.plan.branches import branch_of
+from truearm.plan.forecast import Known
+from truearm.plan.lines import LinesWanted, candidate_lines
+from truearm.plan.shapes import Sizes
+from truearm.plan.site import Limits, Site
+from truearm.plan.way import way_without_bar
+from truearm.types import Floats, Plan, Point, Rig
+from truearm_sim.paths import line_paths
+from truearm_sim.world import DESIGN, ROBOT
+
+MAGNET = "magnet"
+TARGETS = {MAGNET: Point(MAGNET, (0.0, 0.0, 0.10))}
+LENGTH = 0.5  # m
+SPEED = 0.1  # m/s
+
+
+def line_rig(rig: Rig | None = None) -> Rig:
+    """A rig with a magnet for the line device on the endpoint, and with whatever else it had."""
+    return replace(rig or Rig(), targets=TARGETS)
+
+
+def drawn_line_plan(
+    n_lines: int, seed: int = 0, rig: Rig | None = None, speed: float = SPEED, back: bool = True
+) -> Plan:
+    """``n_lines`` lines, named l1, l2 …, each driven there and, with ``back``, back; via points lead from one to the next.
+
+    Raises PlanError where the arm reaches no such lines.
+    """
+    robot, rig = builtin_robot(ROBOT), rig or line_rig()
+    design = robot.parameter_sets[DESIGN]
+    site = make_site(
+        Known(robot.chain, rig, design, robot.free, None, {}), branch_of(robot.chain, None), Limits(), Sizes(), seed
+    )
+    wanted = LinesWanted(n_lines, 10, LENGTH, n_candidates=3 * n_lines, seed=seed)
+    found = candidate_lines(site, wanted, np.array(TARGETS[MAGNET].xyz), None)
+    parts = list[Plan]()
+    for q in found[:, [0, -1]]:
+        driven = lines_plan(q, f"l{len(parts) + 1}", speed, back)
+        try:
+            line_paths(driven, robot.chain, design, rig)
+        except PlanError:
+            continue  # its ends lie in one posture, the even turn between them does not
+        parts.append(driven)
+        if len(parts) == n_lines:
+            return plan_file.concatenate(*with_ways(site, parts))
+    raise PlanError(f"only {len(parts)} lines of {1e3 * LENGTH:g} mm can be driven straight; try another seed")
+
+
+def lines_plan(ends: Floats, name: str, speed: float, back: bool) -> Plan:
+    """To the one end (2, j) by joints, along the line to the other, and back."""
+    q = ends[[0, 1, 0]] if back else ends
+    n, none = len(q), np.full(len(q), "")
+    on_line = np.arange(n) > 0
+    return Plan(
+        q,
+        *(none,) * 4,
+        move=np.where(on_line, "line", "via"),
+        line=np.where(on_line, name, ""),
+        target=np.where(on_line, MAGNET, ""),
+        speed=np.where(on_line, speed, np.nan),
+    )
+
+
+def with_ways(site: Site, parts: list[Plan]) -> list[Plan]:
+    """The parts of a plan, and between them via points on which nothing is touched. Raises PlanError where there is no way."""
+    out = parts[:1]
+    for before, after in pairwise(parts):
+        via = way_without_bar(site, before.q[-1], after.q[0])
+        if via is None:
+            raise PlanError("no way from one line to the next is free; try another seed")
+        if len(via):
+            none = np.full(len(via), "")
+            out.append(Plan(np.array(via), none, none, none, none, move=np.full(len(via), "via")))
+        out.append(after)
+    return out
