@@ -21,6 +21,7 @@ from truearm.commands.box import app as box
 from truearm.commands.correct import correct
 from truearm.commands.demo import demo
 from truearm.commands.export import export
+from truearm.commands.export_session import export_session
 from truearm.commands.identify import identify
 from truearm.commands.inspect import inspect
 from truearm.commands.map import map_
@@ -33,7 +34,21 @@ from truearm.commands.terminal import one_line
 from truearm.commands.validate import validate
 from truearm.errors import TruearmError
 
-COMMANDS = (demo, simulate, record, recover, add_joints, inspect, identify, validate, map_, correct, export, reproduce)
+COMMANDS = (
+    demo,
+    simulate,
+    record,
+    recover,
+    add_joints,
+    inspect,
+    export_session,
+    identify,
+    validate,
+    map_,
+    correct,
+    export,
+    reproduce,
+)
 
 # Options and arguments that typer rejects raise a UsageError. That class lives in click or, in later versions, inside
 # typer, which exports only its subclass BadParameter.

@@ -13,6 +13,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -174,14 +175,19 @@ def check_against_rig(table: ObservationTable, rig: Rig) -> None:
 
 def format_table(table: ObservationTable, joint_units: Sequence[str]) -> str:
     """The text of a table, in rad and m so that every number comes back bit for bit; ``source`` is not written."""
-    ids = [name for name in IDS if np.any(getattr(table, name) != "")]
-    columns = _number_columns(table, joint_units)
+    columns = table_columns(table, joint_units)
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["kind", *columns, *ids])
-    cells = [map(_written, column.tolist()) for column in columns.values()]
-    writer.writerows(zip(table.kind.tolist(), *cells, *(getattr(table, name).tolist() for name in ids), strict=True))
+    writer.writerow(columns)
+    cells = [map(_written, c.tolist()) if c.dtype.kind == "f" else c.tolist() for c in columns.values()]
+    writer.writerows(zip(*cells, strict=True))
     return text.getvalue()
+
+
+def table_columns(table: ObservationTable, joint_units: Sequence[str]) -> dict[str, Any]:
+    """Titles and values of the columns that ``format_table`` writes; ``source`` is not among them."""
+    ids = {name: getattr(table, name) for name in IDS if np.any(getattr(table, name) != "")}
+    return {"kind": table.kind, **_number_columns(table, joint_units), **ids}
 
 
 def _number_columns(table: ObservationTable, joint_units: Sequence[str]) -> dict[str, Floats]:

@@ -68,7 +68,7 @@ def gather(
         clock = clocks.get(chunk[0].segment)
         if clock is None:
             continue
-        times, bounds = _sample_times(chunk, clock, source.stream)
+        times, bounds = sample_times(chunk, clock, source.stream)
         while waiting and waiting[0].end_ns < times[0]:
             yield waiting.popleft()
         for taken in waiting:
@@ -97,20 +97,25 @@ def _source(ident: Ident, channel: str) -> Source:
     return Source(*found)
 
 
-def _sample_times(
+def sample_times(
     chunk: list[Block], clock: DeviceClock, stream: Stream
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Host time [ns] of the signal of each sample, and the bound of each block.
-
-    Within a block samples are placed by the period as it stands: 13 ms at 1000 ppm are 13 ns.
-    """
+    """Host time [ns] of the signal of each sample, and the bound of each block's; blocks of one segment and period."""
     host, bounds = clock.to_host_ns(np.array([block.data.t0_us for block in chunk], dtype=np.int64))
     n = np.array([block.n for block in chunk])
-    starts = np.repeat(np.cumsum(n) - n, n)
-    within = (np.arange(starts.size) - starts) * np.int64(chunk[0].data.period_ns)
+    return np.repeat(host, n) + within_ns(chunk) - stream.group_delay_ns, bounds
+
+
+def within_ns(chunk: list[Block]) -> NDArray[np.int64]:
+    """How long after its block's first sample each sample was taken [ns]; blocks of one period.
+
+    Samples are placed by the period as it stands: 13 ms at 1000 ppm are 13 ns.
+    """
     if chunk[0].data.period_ns == 0:
-        within = 1000 * np.frombuffer(b"".join(block.data.offsets_us for block in chunk), "<u2").astype(np.int64)
-    return np.repeat(host, n) + within - stream.group_delay_ns, bounds
+        return 1000 * np.frombuffer(b"".join(block.data.offsets_us for block in chunk), "<u2").astype(np.int64)
+    n = np.array([block.n for block in chunk])
+    starts = np.repeat(np.cumsum(n) - n, n)
+    return np.asarray((np.arange(starts.size) - starts) * np.int64(chunk[0].data.period_ns))
 
 
 def _take(

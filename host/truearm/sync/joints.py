@@ -142,10 +142,7 @@ class JointReader:
         self._numbered &= bool(np.all(seq != UNNUMBERED))
         if self._joints is None:
             self._begin(t, q)
-        restarts = np.flatnonzero(np.diff(t) < -LATE_S) + 1
-        if t[0] < self._latest_s - LATE_S:
-            restarts = np.concatenate([[0], restarts])
-        for part in np.split(np.arange(t.size), restarts):
+        for part in np.split(np.arange(t.size), restarts(t, self._latest_s)):
             self._part(t[part], seq[part], q[part], q_cmd[part], arrival[part])
 
     def _begin(self, t: Floats, q: Floats) -> None:
@@ -226,6 +223,12 @@ class JointReader:
         last = np.concatenate([starts[1:], [t.size]]) - 1
         bins = (segment, t[starts], t[last], n, mean, low, high, scatter.astype(np.float32), gap, commanded)
         self._bins.append(bins)
+
+
+def restarts(t: Floats, latest_s: float) -> NDArray[np.intp]:
+    """Where controller times (n,) [s] begin anew; ``latest_s``: the latest of the segment so far, -inf before the first."""
+    starts = np.flatnonzero(np.diff(t) < -LATE_S) + 1
+    return np.concatenate([[0], starts]) if t[0] < latest_s - LATE_S else starts
 
 
 def _smallest(change: Floats) -> Floats:

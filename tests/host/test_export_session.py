@@ -1,0 +1,319 @@
+"""`truearm export-session`: tables that say bit for bit what sync sees, in memory that does not grow with the session."""
+
+import csv
+import json
+import os
+import subprocess
+import sys
+import tracemalloc
+
+import numpy as np
+import pyarrow.parquet
+import pytest
+from record_box import Lab
+from sync_stream import BLOCK, PERIOD_NS, RIG, Box, metres_of, session, stream_of
+
+from truearm.cli import main
+from truearm.commands.inspect import ident_of
+from truearm.errors import SessionError
+from truearm.files.rig import write_rig
+from truearm.files.table import read_table
+from truearm.record.session import open_session
+from truearm.record.session_writer import SessionWriter
+from truearm.sync.blocks import BoxReader
+from truearm.sync.joints import parse_lines
+from truearm.sync.pipeline import observations, survey
+from truearm.sync.tabulate import MAX_TABLES, tabulate
+from truearm.types import Message
+
+WORDS = ("reason", "kind", "event", "shell", "bar", "chuck", "sphere")
+FORMATS = ("csv", "npz", "parquet")
+
+
+def store(path, messages, rig=True, finish=True):
+    """A session file of these messages."""
+    writer = SessionWriter(path, Lab())
+    if rig:
+        write_rig(path.with_suffix(".toml"), RIG)
+        writer.attach("rig.toml", "application/toml", path.with_suffix(".toml").read_bytes())
+    for message in messages:
+        writer.add(*message)
+    if finish:
+        writer.close()
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A session with six dwells, 400 frames of it lost in the middle of one; its messages and its file."""
+    messages, _ = session(np.random.default_rng(1), dwells=4, joint_noise=1e-5)
+    data = [k for k, message in enumerate(messages) if message.topic == "/box/adc"]
+    gone = set(data[300:310])
+    messages = [message for k, message in enumerate(messages) if k not in gone]
+    messages.insert(50, Message("/events", messages[50].t_host_ns, b'{"kind":"mounted","bar":"b46"}'))
+    path = tmp_path_factory.mktemp("session") / "s.mcap"
+    store(path, messages)
+    return messages, path
+
+
+def columns_of(path):
+    """Titles and columns of a table in any of the formats."""
+    if path.suffix == ".npz":
+        with np.load(path, allow_pickle=False) as file:
+            return dict(file)
+    if path.suffix == ".parquet":
+        return {title: column.to_numpy() for title, column in zip(*_parquet(path), strict=True)}
+    with path.open(newline="") as file:
+        titles, *rows = csv.reader(file)
+    columns = {title: [row[k] for row in rows] for k, title in enumerate(titles)}
+    return {title: np.array(cells) if title in WORDS else _typed(cells) for title, cells in columns.items()}
+
+
+def _parquet(path):
+    table = pyarrow.parquet.read_table(path)
+    return table.column_names, table.columns
+
+
+def _typed(cells):
+    for kind in (np.int64, np.float64):
+        try:
+            return np.array([kind(cell) if cell or kind is np.int64 else np.nan for cell in cells])
+        except ValueError:
+            continue
+    return np.array(cells)
+
+
+def export(path, out, format="csv", *more):
+    assert main(["export-session", str(path), "--out", str(out), "--format", format, *more]) == 0
+    tables = {name.partition(".")[0]: columns_of(out / name) for name in os.listdir(out) if name != "session.json"}
+    return tables, json.loads((out / "session.json").read_text())
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_what_sync_sees(made, tmp_path, format):
+    """Every number of every table against the functions that sync itself goes by: no tolerance."""
+    messages, path = made
+    tables, said = export(path, tmp_path / "x", format)
+    opened = open_session(path)
+    found = survey(opened.messages, ident_of(opened))
+    reader = BoxReader()
+    blocks = [block for message in messages if (block := reader.feed(message)) is not None]
+    adc = tables["box_adc"]
+    counts = np.concatenate([block.counts for block in blocks])
+    np.testing.assert_array_equal(adc["lvdt_counts"], counts[:, 0])
+    np.testing.assert_array_equal(adc["ch3_counts"], counts[:, 3])
+    np.testing.assert_array_equal(adc["lvdt_V"], counts[:, 0] * 143e-9)
+    np.testing.assert_allclose(adc["lvdt_m"], metres_of(counts[:, 0]), rtol=1e-12)
+    index = np.concatenate([block.data.n0 + np.arange(block.n) for block in blocks])
+    np.testing.assert_array_equal(adc["index"], index)
+    device_ns = np.concatenate([1000 * block.data.t0_us + PERIOD_NS * np.arange(block.n) for block in blocks])
+    np.testing.assert_array_equal(adc["device_time_ns"], device_ns)
+    host = np.concatenate(
+        [found.clocks[0].to_host_ns([b.data.t0_us])[0] + PERIOD_NS * np.arange(b.n) - 1_500_000 for b in blocks]
+    )
+    np.testing.assert_array_equal(adc["host_time_ns"], host)
+    bounds = np.concatenate([np.repeat(found.clocks[0].to_host_ns([b.data.t0_us])[1], b.n) for b in blocks])
+    np.testing.assert_array_equal(adc["host_bound_ns"], bounds)
+    # the one gap stands where samples are missing
+    np.testing.assert_array_equal(np.flatnonzero(adc["gap"])[1:], np.flatnonzero(np.diff(adc["index"]) != 1) + 1)
+    assert said["losses"]["samples_lost"] == 10 * BLOCK == np.diff(adc["index"]).max() - 1
+
+    lines = [message for message in messages if message.topic == "/robot/joints"]
+    parsed = parse_lines([line.data for line in lines], None)
+    joints = tables["joints"]
+    np.testing.assert_array_equal(joints["controller_time_s"], parsed.t)
+    np.testing.assert_array_equal(np.stack([joints[f"q{j}_rad"] for j in range(1, 7)], axis=1), parsed.q)
+    np.testing.assert_array_equal(joints["arrival_ns"], [line.t_host_ns for line in lines])
+    np.testing.assert_array_equal(joints["host_time_ns"], found.joints.clocks[0].to_host_ns(parsed.t))
+
+    exchanges = [json.loads(message.data) for message in messages if message.topic == "/sync"]
+    for title in ("t0_ns", "t1_us", "t2_us", "t3_ns"):
+        np.testing.assert_array_equal(tables["sync"][title], [row[title] for row in exchanges])
+
+    result = observations(opened.messages, RIG, name="s.mcap")
+    dwells = tables["dwells"]
+    np.testing.assert_array_equal(dwells["value_m"], [dwell.value for dwell in result.dwells])
+    assert dwells["reason"].tolist() == [dwell.reason for dwell in result.dwells]
+    np.testing.assert_array_equal(tables["observations"]["length_m"], result.table.value)
+    np.testing.assert_array_equal(tables["observations"]["q4_rad"], result.table.q[:, 3])
+    assert tables["plan"]["chuck"].tolist() == ["c1"] * 4
+    assert tables["events"]["kind"].tolist() == ["mounted"]
+    assert tables["box_heartbeat"]["t_us"].size == sum(m.topic == "/box/heartbeat" for m in messages)
+    assert {name: table["rows"] for name, table in said["tables"].items()} == {
+        f"{name}.{format}": len(next(iter(columns.values()))) for name, columns in tables.items()
+    }
+
+
+def test_the_observations_are_a_table_for_identify(made, tmp_path):
+    _, path = made
+    export(path, tmp_path / "x")
+    result = observations(open_session(path).messages, RIG)
+    read = read_table(tmp_path / "x" / "observations.csv")
+    np.testing.assert_array_equal(read.value, result.table.value)
+    np.testing.assert_array_equal(read.q, result.table.q)
+
+
+def test_without_a_rig(made, tmp_path):
+    messages, _ = made
+    store(tmp_path / "s.mcap", messages, rig=False)
+    tables, said = export(tmp_path / "s.mcap", tmp_path / "x")
+    assert "observations" not in tables
+    assert "--rig" in said["not_paired"]
+    assert len(tables["dwells"]["q1_rad"]) >= 3
+    write_rig(tmp_path / "rig.toml", RIG)
+    tables, said = export(tmp_path / "s.mcap", tmp_path / "y", "npz", "--rig", str(tmp_path / "rig.toml"))
+    assert len(tables["observations"]["length_m"]) >= 3
+    assert said["not_paired"] == ""
+
+
+def test_a_box_without_a_clock_and_a_reboot():
+    """Times that nobody can know are said to be unknown; the new life is another segment."""
+    box = Box()
+    box.ident(0)
+    for k in range(20):
+        box.data(10**9 + k * BLOCK * PERIOD_NS, np.arange(4 * BLOCK).reshape(BLOCK, 4))
+    box.reboot(2 * 10**9)
+    box.ident(2 * 10**9)
+    for k in range(5):
+        box.data(3 * 10**9 + k * BLOCK * PERIOD_NS, np.arange(4 * BLOCK).reshape(BLOCK, 4))
+    messages = stream_of(box.messages)
+    batches = list(tabulate(messages, survey(messages)))
+    assert [name for name, _ in batches] == ["box_adc", "box_adc"]
+    (first, second) = (columns for _, columns in batches)
+    assert set(first["host_time_ns"]) == {-1}
+    assert np.isnan(first["host_bound_ns"]).all()
+    assert (set(first["segment"]), set(second["segment"])) == ({0}, {1})
+    assert np.flatnonzero(second["gap"]).tolist() == [0]
+
+
+def joint_lines(rows):
+    return [Message("/robot/joints", 10**9 * (k + 1), json.dumps(row).encode()) for k, row in enumerate(rows)]
+
+
+def test_optional_keys_of_readings():
+    """They have columns from where they first come; restarts of the controller are segments; no number is -1."""
+    rows = [{"t": 0.1 * k, "seq": k, "q": [0.1, k]} for k in range(3)]
+    rows += [{"t": 0.01 * k, "q": [0.1, k], "qd": [1.0, 2.0], "inputs": 5} for k in range(2)]
+    messages = stream_of(joint_lines([{**row, "t": row["t"] + (5 if "seq" in row else 0)} for row in rows]))
+    ((name, columns),) = tabulate(messages, survey(messages), None, ("rad", "m"))
+    assert name == "joints"
+    assert list(columns)[-3:] == ["qd1_rad_s", "qd2_m_s", "inputs"]
+    assert columns["segment"].tolist() == [0, 0, 0, 1, 1]
+    assert columns["seq"].tolist() == [0, 1, 2, -1, -1]
+    assert columns["q2_m"].tolist() == [0.0, 1.0, 2.0, 0.0, 1.0]
+    np.testing.assert_array_equal(columns["qd1_rad_s"], [np.nan] * 3 + [1.0, 1.0])
+
+
+def test_keys_that_come_later_begin_another_table(monkeypatch):
+    monkeypatch.setattr("truearm.sync.tabulate.LINES", 4)
+    rows = [{"t": 0.1 * k, "q": [0.1], **({"effort": [2.0]} if k >= 5 else {})} for k in range(12)]
+    messages = stream_of(joint_lines(rows))
+    batches = list(tabulate(messages, survey(messages)))
+    assert [(name, len(columns["q1_rad"])) for name, columns in batches] == [
+        ("joints", 4),
+        ("joints-2", 4),
+        ("joints-2", 4),
+    ]
+    np.testing.assert_array_equal(batches[1][1]["effort1_Nm"], [np.nan, 2.0, 2.0, 2.0])
+
+
+def test_a_box_that_is_ever_another():
+    """A stranger's file cannot make files without end."""
+    import cbor2
+    from sync_stream import ident_document
+
+    from truearm_wire import messages as wire
+
+    box = Box()
+    for k in range(MAX_TABLES + 2):
+        document = ident_document(7)
+        document["streams"][0]["channels"][1]["name"] = f"other{k}"
+        for page, pages, data in wire.pages(cbor2.dumps(document)):
+            box.frame("ident", k, wire.IDENT, 1, page, pages, data)
+        box.data(10**9 + k * BLOCK * PERIOD_NS, np.zeros((BLOCK, 4), int))
+    messages = stream_of(box.messages)
+    with pytest.raises(SessionError, match="more than 100 tables"):
+        list(tabulate(messages, survey(messages)))
+
+
+def test_memory_does_not_grow(made):
+    """Six times as much to tell takes no more memory to tell it; a fifth is the allocator's chance."""
+    box = [message for message in made[0] if message.topic != "/robot/joints"]
+    found = survey(stream_of(made[0]))
+    q = [0.1] * 6
+
+    def told(times):
+        for part in range(times):
+            yield from box
+            for k in range(3000 * part, 3000 * (part + 1)):
+                yield Message("/robot/joints", 10**7 * k, json.dumps({"t": 0.01 * k, "seq": k, "q": q}).encode())
+
+    def peak(times):
+        tracemalloc.start()
+        rows = sum(
+            len(columns["segment"]) for name, columns in tabulate(lambda _: told(times), found) if name == "joints"
+        )
+        _, peak_bytes = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert rows == 3000 * times
+        return peak_bytes
+
+    peak(1)
+    assert peak(6) < 1.2 * peak(1) + 100_000
+
+
+class TestRefusals:
+    def refused(self, capsys, *arguments):
+        assert main(["export-session", *map(str, arguments)]) == 2
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1
+        return said
+
+    def test_a_folder_that_holds_something(self, made, tmp_path, capsys):
+        (tmp_path / "x").mkdir()
+        (tmp_path / "x" / "mine").write_text("precious")
+        assert "no empty folder" in self.refused(capsys, made[1], "--out", tmp_path / "x")
+        assert os.listdir(tmp_path / "x") == ["mine"]
+        (tmp_path / "y").mkdir()
+        export(made[1], tmp_path / "y")
+
+    def test_no_folder_above(self, made, tmp_path, capsys):
+        assert "create it first" in self.refused(capsys, made[1], "--out", tmp_path / "a" / "b")
+
+    def test_a_format_that_is_none(self, made, tmp_path, capsys):
+        assert "none of csv, npz, parquet" in self.refused(capsys, made[1], "--out", tmp_path / "x", "--format", "xlsx")
+
+    def test_parquet_without_its_library(self, made, tmp_path, capsys, monkeypatch):
+        monkeypatch.setitem(sys.modules, "pyarrow", None)
+        monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+        said = self.refused(capsys, made[1], "--out", tmp_path / "x", "--format", "parquet")
+        assert "truearm[parquet]" in said
+        assert not (tmp_path / "x").exists()
+
+    def test_damaged(self, made, tmp_path, capsys):
+        messages, path = made
+        cut = tmp_path / "cut.mcap"
+        cut.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+        assert "--allow-damaged" in self.refused(capsys, cut, "--out", tmp_path / "x")
+        tables, said = export(cut, tmp_path / "x", "npz", "--allow-damaged")
+        assert said["truncated"]
+        assert 0 < len(tables["joints"]["seq"]) < sum(m.topic == "/robot/joints" for m in messages)
+
+    @pytest.mark.skipif(os.name != "posix", reason="needs a limit of file sizes")
+    @pytest.mark.parametrize("format", FORMATS)
+    def test_a_full_disk(self, made, tmp_path, format):
+        """Nothing is left, not even a part of a table."""
+        code = (
+            "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))\n"
+            "from truearm.cli import main; sys.exit(main(sys.argv[1:]))"
+        )
+        arguments = ["export-session", str(made[1]), "--out", str(tmp_path / "x"), "--format", format]
+        done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, timeout=60)
+        assert done.returncode == 1, done.stderr
+        assert done.stderr.count("\n") == 1
+        assert "nothing was exported" in done.stderr
+        assert os.listdir(tmp_path) == []
+
+
+def test_help_has_an_example(capsys):
+    assert main(["export-session", "--help"]) == 0
+    assert "truearm export-session session.mcap" in capsys.readouterr().out
