@@ -14,6 +14,7 @@ from truearm.record.recorder import RecordSummary, record
 from truearm.record.session_writer import SessionWriter
 from truearm.types import Rig
 from truearm_sim import micropython
+from truearm_sim.arm import Arm
 from truearm_sim.lab import Lab
 from truearm_sim.simbox import Fault, SimulatedBox
 from truearm_sim.world import World, standard_plan
@@ -69,9 +70,10 @@ def record_session(
     osr: int = 4096,
     duration_s: float | None = None,
     rig: Rig | None = None,
+    arm: Arm | None = None,
 ) -> Recorded:
     plan = standard_plan(poses, seed, rig)
-    world = World(seed, plan, rig)
+    world = World(seed, plan, rig, arm=arm)
     box = SimulatedBox(world, interpreter(), faults=faults, seed=seed)
     lab = Lab(world, box, seed)
     link = TappedLink(lab.box_link)

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import count
 
 import numpy as np
 import pytest
@@ -153,6 +154,17 @@ def with_lvdt(messages, start_ns, end_ns, change):
     return result
 
 
+def added(metres):
+    """A change for ``with_lvdt()``: metres(t) more, t [s] from the first block that is changed."""
+    blocks = count()
+
+    def change(counts):
+        t = 1e-9 * PERIOD_NS * (13 * next(blocks) + np.arange(counts.size))
+        return counts + np.rint(metres(t) / 0.035 / 143e-9).astype(counts.dtype)
+
+    return change
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
@@ -172,13 +184,53 @@ def test_readings_that_cannot_be_trusted(clean, change, reason):
 
 
 def test_a_sensor_that_still_moves(clean):
-    """0.5 mm in the dwell, six times the declared repeatability, while the joints stand still."""
+    """0.1 mm a second, while the joints stand still."""
     messages, truth = clean
     start = truth.start_ns[4]
-    ramp = iter(np.linspace(0.0, 0.5e-3, 400))
-    result = synced(with_lvdt(messages, start, start + 2e9, lambda counts: counts + round(next(ramp) / 0.035 / 143e-9)))
+    result = synced(with_lvdt(messages, start, start + 2e9, added(lambda t: 0.1e-3 * t)))
     assert result.reasons == {"drift": 1}
     assert float(result.dwells[4].detail.split()[0]) > 21.0  # µm: a quarter of the declared repeatability
+
+
+def test_a_sensor_that_rings_on(clean):
+    """A swing of 0.1 mm at 6 Hz over the whole stop, while the joints stand still: no noise, however steady it is."""
+    messages, truth = clean
+    start = truth.start_ns[4]
+    swing = iter(0.1e-3 * np.cos(2.0 * np.pi * 6.0 * 13e-9 * PERIOD_NS * np.arange(400)))
+    result = synced(
+        with_lvdt(messages, start, start + 2e9, lambda counts: counts + round(next(swing) / 0.035 / 143e-9))
+    )
+    assert result.reasons == {"ringing": 1}
+    assert float(result.dwells[4].detail.split()[0]) == pytest.approx(100.0, abs=25.0)  # µm, in means over 25 ms
+
+
+def test_a_swing_that_ends_is_left_out(clean):
+    """It has died down to a quarter of the repeatability when the dwell begins, and costs no more than that."""
+    messages, truth = clean
+    start = truth.start_ns[4]
+    t = 13e-9 * PERIOD_NS * np.arange(400)
+    swing = iter(1e-3 * np.exp(-t / 0.12) * np.cos(2.0 * np.pi * 6.0 * t))
+    result = synced(
+        with_lvdt(messages, start, start + 2e9, lambda counts: counts + round(next(swing) / 0.035 / 143e-9))
+    )
+    assert result.reasons == {}
+    dwell = result.dwells[4]
+    assert 0.3 < dwell.start_s - dwell.stood_s < 0.7  # 0.12 · ln(1 mm / 21 µm) = 0.46 s
+    assert [d.start_s - d.stood_s < 0.3 for d in result.dwells] == [i != 4 for i in range(10)]
+    assert abs(dwell.value - truth.length[4]) < 5e-6
+
+
+def test_a_clock_too_poor_to_say_which_samples_are_of_the_dwell(clean):
+    """Requests that wait 0.3 s before they are sent leave ±0.15 s open."""
+    messages = []
+    for m in clean[0]:
+        if m.topic == "/sync":
+            exchange = json.loads(m.data)
+            m = m._replace(data=json.dumps({**exchange, "t0_ns": exchange["t0_ns"] - 300_000_000}).encode())
+        messages.append(m)
+    result = synced(messages)
+    assert result.reasons == {"clock": 10}
+    assert result.dwells[0].detail.startswith("±15")
 
 
 def test_mounted_events_serve_without_a_plan():

@@ -1,16 +1,17 @@
 """What the ball-bar's sensor says of a dwell: where it had settled, its mean, and whether it may be used (hop 5).
 
 The joints stood; the arm beyond its encoders may still swing or creep, and the bar shows it. The dwell therefore begins where
-the samples, too, keep to the level of its second half (``settled_from()``), by their own noise and its correlation. A quarter
-of the declared repeatability is nothing to wait for: what an exponential tail of that size leaves in the mean is less than
-half of it again, and adds at most a hundredth to the variance.
+the samples, too, keep to the level of its second half (``settled_from()``), by the sensor's own noise and its correlation. What
+that noise is the first LEARNT dwells say, in the middle; a dwell may have up to four times that variance itself, but not more: a
+swing that never ends would pass for noise. A quarter of the declared repeatability is nothing to wait for: what an exponential
+tail of that size leaves in the mean is less than half of it again, and adds at most a hundredth to the variance.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,25 +20,67 @@ from truearm.sensors.lvdt import bar_length, extension, out_of_travel, railed
 from truearm.sync.dwell import Dwell, DwellRules, begun_at
 from truearm.sync.gather import Taken
 from truearm.sync.joints import JointStream
-from truearm.sync.settling import LEAST_BLOCKS, Settled, block_means, block_variance, rings, settled_from
+from truearm.sync.settling import (
+    LEAST_BLOCKS,
+    Settled,
+    block_means,
+    block_variance,
+    quick_noise,
+    rings,
+    settled_from,
+)
 from truearm.sync.statistics import MeanOfSamples, mean_of
 from truearm.types import BallBar, Floats
 
 LEAST_SAMPLES = 8
 BLOCK_S = 0.025  # samples looked at together: short against a swing of an arm (5 to 20 Hz)
 UNSETTLED = 0.25  # of the declared repeatability
+LEARNT = 50  # dwells
+OWN_NOISE = 4.0  # times the usual variance
 NOISY = 5.0  # times the median noise of all dwells
 DRIFT_SIGMAS = 6.0
 MICRON = 1e-6  # a ball-bar's joints are not rounder: less noise, ringing or drift condemns no dwell
 
 
-def measured(
-    dwell: Dwell, taken: Taken, bar: BallBar, rules: DwellRules, joints: JointStream, any_clock: bool
-) -> Dwell:
-    """The dwell with its mean length, or with the reason why it has none. ``any_clock``: the session has exchanges."""
+@dataclass(frozen=True)
+class Sensing:
+    """What is the same for all dwells of a session. ``any_clock``: it has exchanges; ``noise``: of the sensor."""
+
+    rules: DwellRules
+    joints: JointStream
+    any_clock: bool
+    noise: Noise
+
+
+class Noise(NamedTuple):
+    """Of the sensor at rest: variance [m²] of the mean of a block, standard deviation [m] of samples by ``quick_noise()``; NaN: not known."""
+
+    block_var: float
+    quick: float
+
+
+def usual_noise(taken: Sequence[Taken]) -> Noise:
+    """The noise of the sensor in the middle of several dwells."""
+    found = []
+    for one in taken:
+        counts = one.longest
+        if one.channel is not None and counts.size >= 2 * LEAST_BLOCKS * (block := block_length(one)):
+            samples = extension(counts, one.channel)
+            found.append((block_variance(samples, block), quick_noise(samples)))
+    return Noise(*np.median(found, axis=0).tolist()) if found else Noise(float("nan"), float("nan"))
+
+
+def block_length(taken: Taken) -> int:
+    """How many samples of a dwell are BLOCK_S."""
+    return max(1, round(BLOCK_S / (1e-9 * taken.period_ns)))
+
+
+def measured(dwell: Dwell, taken: Taken, bar: BallBar, sensing: Sensing) -> Dwell:
+    """The dwell with its mean length, or with the reason why it has none."""
+    rules = sensing.rules
     begin_ns, counts = taken.longest_piece
     if not counts.size or taken.channel is None:
-        return replace(dwell, reason="no samples" if any_clock else "no clock")
+        return replace(dwell, reason="no samples" if sensing.any_clock else "no clock")
     dwell = replace(dwell, clock_bound_ns=taken.bound_ns)
     if taken.bound_ns > 1e9 * rules.guard_s:
         return replace(dwell, reason="clock", detail=f"±{1e-6 * taken.bound_ns:.0f} ms")
@@ -48,16 +91,21 @@ def measured(
         return replace(dwell, reason="rail", detail="the converter's fault")
     stretched = extension(counts, taken.channel)
     length = bar_length(stretched, bar)
-    block = max(1, round(BLOCK_S / period_s))
-    found = settled(length, block, max(UNSETTLED * bar.sigma, MICRON))
+    block = block_length(taken)
+    found = settled(length, block, bar.gain**2 * sensing.noise.block_var, max(UNSETTLED * bar.sigma, MICRON))
     first = _first_sample(found, counts.size, block)
     if period_s * (counts.size - first + 1) < rules.shortest_s:
-        reason, detail = _unsettled(counts, stretched, bar, found, round(rules.shortest_s / (block * period_s)))
+        reason, detail = _unusable(counts, stretched, bar)
+        quick = quick_noise(length)
+        if not reason and quick > max(NOISY * abs(bar.gain) * sensing.noise.quick, MICRON):
+            reason, detail = "noisy", _noise_words(quick, NOISY * abs(bar.gain) * sensing.noise.quick)
+        elif not reason:
+            reason, detail = _unsettled(found, round(rules.shortest_s / (block * period_s)))
         return replace(dwell, reason=reason, detail=detail)
     dwell = _with_mean(dwell, mean_of(length[first:]), bar)
     if first:
         late_s = 1e-9 * (begin_ns - dwell.start_host_ns) + period_s * first
-        dwell = begun_at(dwell, dwell.start_s + late_s, begin_ns + first * taken.period_ns, joints)
+        dwell = begun_at(dwell, dwell.start_s + late_s, begin_ns + first * taken.period_ns, sensing.joints)
     reason, detail = _unusable(counts[first:], stretched[first:], bar)
     # A drift within the bar's declared repeatability is covered by it.
     if not reason and abs(dwell.drift) > max(DRIFT_SIGMAS * dwell.drift_sigma, bar.sigma, MICRON):
@@ -65,12 +113,17 @@ def measured(
     return replace(dwell, reason=reason, detail=detail)
 
 
-def settled(length: Floats, block: int, floor: float) -> Settled | None:
-    """Where the lengths (n,) [m] come to rest, in blocks of so many samples; None where there are too few to say."""
+def settled(length: Floats, block: int, usual_var: float, floor: float) -> Settled | None:
+    """Where the lengths (n,) [m] come to rest, in blocks of so many samples; None where there are too few to say.
+
+    ``usual_var`` [m²]: of a block's mean at rest, NaN where not known.
+    """
     means = block_means(length, block)
     if means.size < LEAST_BLOCKS:
         return None
-    return settled_from(means, block_variance(length, block), floor)
+    own = block_variance(length, block)
+    variance = own if np.isnan(usual_var) else min(max(own, usual_var), OWN_NOISE * usual_var)
+    return settled_from(means, variance, floor)
 
 
 def without_noisy(dwells: Sequence[Dwell]) -> list[Dwell]:
@@ -78,9 +131,7 @@ def without_noisy(dwells: Sequence[Dwell]) -> list[Dwell]:
     noise = [dwell.noise for dwell in dwells if not dwell.reason]
     limit = max(NOISY * float(np.median(noise)), MICRON) if noise else np.inf
     return [
-        replace(d, reason="noisy", detail=f"{1e6 * d.noise:.1f} µm, {1e6 * limit:.1f} allowed")
-        if not d.reason and d.noise > limit
-        else d
+        replace(d, reason="noisy", detail=_noise_words(d.noise, limit)) if not d.reason and d.noise > limit else d
         for d in dwells
     ]
 
@@ -114,12 +165,13 @@ def _unusable(counts: NDArray[Any], stretched: Floats, bar: BallBar) -> tuple[st
     return "", ""
 
 
-def _unsettled(
-    counts: NDArray[Any], stretched: Floats, bar: BallBar, found: Settled | None, last: int
-) -> tuple[str, str]:
-    """Why too little is left: what cannot be read, else the swing or creep that the last usable blocks still show."""
-    reason, detail = _unusable(counts, stretched, bar)
-    if reason or found is None:
-        return reason or "gap", detail
+def _unsettled(found: Settled | None, last: int) -> tuple[str, str]:
+    """The swing or creep that so many last blocks still show."""
+    if found is None:
+        return "gap", ""
     off = 1e6 * float(np.max(np.abs(found.deviation[-last:])))
     return "ringing" if rings(found) else "drift", f"{off:.0f} µm off, {1e6 * found.bound:.0f} allowed"
+
+
+def _noise_words(noise: float, limit: float) -> str:
+    return f"{1e6 * noise:.1f} µm, {1e6 * limit:.1f} allowed"

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
+from itertools import chain, islice
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from truearm.sync.dwell import Dwell, DwellRules, find_dwells
 from truearm.sync.gather import gather
 from truearm.sync.joints import JointReader, JointStream
 from truearm.sync.losses import Losses
-from truearm.sync.measure import measured, without_noisy
+from truearm.sync.measure import LEARNT, Sensing, measured, usual_noise, without_noisy
 from truearm.sync.pairing import REQUIRED, Marks, Plan, match_plan, nearest_pose
 from truearm.sync.streams import StreamReport
 from truearm.types import Message, ObservationTable, Rig
@@ -120,10 +121,12 @@ def observations(
     dwells = _pair(found, rig, rules)
     good = sorted((d.start_host_ns, d.end_host_ns, i) for i, d in enumerate(dwells) if not d.reason)
     intervals = _disjoint([(i, start, end) for start, end, i in good])
-    for taken in gather(_blocks(messages, found.box_topics, ident), found.clocks, intervals, channel):
+    several = gather(_blocks(messages, found.box_topics, ident), found.clocks, intervals, channel)
+    first = list(islice(several, LEARNT))
+    sensing = Sensing(rules, found.joints, bool(found.clocks), usual_noise(first))
+    for taken in chain(first, several):
         dwell = dwells[taken.dwell]
-        bar = rig.bars[dwell.mounted["bar"]]
-        dwells[taken.dwell] = measured(dwell, taken, bar, rules, found.joints, bool(found.clocks))
+        dwells[taken.dwell] = measured(dwell, taken, rig.bars[dwell.mounted["bar"]], sensing)
     dwells = without_noisy(dwells)
     used = sum(dwell.n_samples for dwell in dwells if not dwell.reason)
     return SyncResult(_table(dwells, found.joints, name), tuple(dwells), found, found.losses.samples, used)

@@ -74,6 +74,11 @@ def block_variance(samples: Floats, length: int) -> float:
     return max(of_mean * tail.size / length, spread)
 
 
+def quick_noise(samples: Floats) -> float:
+    """Standard deviation of white samples (n,), n > 2, by their second differences, which a swing of an arm hardly alters."""
+    return float(np.sqrt(np.mean(np.square(np.diff(samples, n=2))) / 6.0))
+
+
 def rings(found: Settled) -> bool:
     """Whether what is off the level changes sides: a swing; else it comes from one side: a creep or a drift."""
     side = np.sign(found.deviation[np.abs(found.deviation) > found.bound])
