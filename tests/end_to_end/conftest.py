@@ -12,7 +12,7 @@ from truearm.commands.record import plan_rows
 from truearm.files.rig import format_rig
 from truearm.record.recorder import RecordSummary, record
 from truearm.record.session_writer import SessionWriter
-from truearm.types import Rig
+from truearm.types import Plan, Rig
 from truearm_sim import micropython
 from truearm_sim.arm import Arm
 from truearm_sim.lab import Lab
@@ -71,8 +71,10 @@ def record_session(
     duration_s: float | None = None,
     rig: Rig | None = None,
     arm: Arm | None = None,
+    plan: Plan | None = None,
 ) -> Recorded:
-    plan = standard_plan(poses, seed, rig)
+    """``poses`` with each bar of the rig, or another plan."""
+    plan = standard_plan(poses, seed, rig) if plan is None else plan
     world = World(seed, plan, rig, arm=arm)
     box = SimulatedBox(world, interpreter(), faults=faults, seed=seed)
     lab = Lab(world, box, seed)

@@ -47,7 +47,9 @@ def test_lines_are_straight_and_even_by_the_controllers_own_model():
         p = point_forward(chain, chain.params_nominal, c.q_commanded(t), P_TARGET)
         along = (p[-1] - p[0]) / np.linalg.norm(p[-1] - p[0])
         way = (p - p[0]) @ along
-        assert np.abs(p - p[0] - way[:, None] * along).max() < 30e-9  # the spline between knots 5 mm apart, most at its ends
+        assert (
+            np.abs(p - p[0] - way[:, None] * along).max() < 30e-9
+        )  # the spline between knots 5 mm apart, most at its ends
         assert way[-1] == pytest.approx(0.5, abs=1e-6)
         speed = np.gradient(way, t)
         ramp = 1.5 * 0.1 / ACCELERATION

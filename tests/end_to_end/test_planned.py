@@ -1,0 +1,60 @@
+"""A planned session: what `truearm plan ballbar` wrote is driven, recorded, synced and identified, and keeps what it promised."""
+
+import json
+
+import numpy as np
+import pytest
+from tests.end_to_end.conftest import record_session
+
+from truearm.cli import main
+from truearm.files.plan import read_plan
+from truearm.files.rig import write_rig
+from truearm_sim.robot import new_pairing
+from truearm_sim.world import standard_rig
+
+
+@pytest.fixture(
+    scope="module", params=[(40, 150), pytest.param((150, 2000), marks=pytest.mark.soak)], ids=lambda p: f"{p[0]}-poses"
+)
+def planned(request, tmp_path_factory):
+    """Poses planned on the design for the demo's rig, the forecast, and the session of the true robot that visits them."""
+    poses, candidates = request.param
+    out = tmp_path_factory.mktemp("planned")
+    write_rig(out / "rig.toml", standard_rig())
+    command = ["plan", "ballbar", "--robot", "puma560", "--rig", str(out / "rig.toml"), "--out", str(out / "plan.csv")]
+    with pytest.MonkeyPatch.context() as patch:
+        said = []
+        patch.setattr("typer.echo", lambda text="", **_: said.append(text))
+        assert main([*command, "--poses", str(poses), "--candidates", str(candidates), "--json"]) == 0
+    plan = read_plan(out / "plan.csv")
+    recorded = record_session(out / "session.mcap", 0, osr=16384, rig=standard_rig(), plan=plan)
+    return plan, json.loads(said[-1]), recorded
+
+
+def test_the_bar_stays_on_and_within_its_travel_where_the_plan_says_so(planned):
+    plan, _, recorded = planned
+    world = recorded.world
+    assert (plan.move == "via").sum() > 10
+    # The operator takes the bar off where the plan says so and nowhere else ...
+    assert world.controller.mounting.sum() == new_pairing(plan).sum()
+    t = np.arange(0.0, world.duration, 0.02)
+    row = world.controller.pose[world.controller.stop_index(t)]
+    on = world.controller.bar_is_on(t)
+    assert (on | world.controller.mounting[world.controller.stop_index(t)] | (plan.bar[row] == "")).all()
+    # ... and on every way that it is on the true robot, 20 mm off its design, keeps it within its stroke.
+    zero = np.array([standard_rig().bars[name].zero for name in plan.bar[row[on]]])
+    assert np.abs(world.length(t[on]) - zero).max() < 0.5 * 0.075
+
+
+def test_every_planned_dwell_is_used_and_sigma_is_as_foretold(planned, capsys):
+    plan, forecast, recorded = planned
+    assert recorded.summary.counters.lost_frames == 0
+    assert main(["identify", str(recorded.path), "--robot", "puma560", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["n_observations"] == plan.dwells.sum() == forecast["poses"]
+    assert result["rank"] == forecast["rank"] == 36
+    foretold = {p["name"]: p["sigma"] for p in forecast["parameters"]}
+    ratio = [p["sigma"] / foretold[p["name"]] for p in result["parameters"] if p["sigma"]]
+    assert len(ratio) == 36
+    # The forecast looks from the design, the identification from the true robot: 20 mm of a metre, 2 % of a lever.
+    assert np.abs(np.array(ratio) - 1.0).max() < 0.1
