@@ -12,12 +12,14 @@ import typer
 from truearm.errors import InputError, LinkError
 
 CHIP_STEP_NS = 20_000_000  # an emulated chip may be slower than the wall clock
+N_JOINTS = 6
 MARK = ".truearm-simulated"  # in a folder that simulate made and may write again
 
 # what the robot may speak: scheme of its address, usual port, readings a second
 ROBOTS = {"lines": ("tcp", 7008, 50.0), "rtde": ("rtde", 30004, 500.0)}
 
 if TYPE_CHECKING:
+    from truearm.types import Plan, Rig
     from truearm_sim.hardware import PowerOn
     from truearm_sim.micropython import Interpreter
     from truearm_sim.simbox import Fault
@@ -36,6 +38,19 @@ def simulate(
     ] = None,
     pty: Annotated[bool, typer.Option("--pty", help="The box behind a pseudo-terminal, as a serial device.")] = False,
     poses: Annotated[int, typer.Option(min=9, max=5000, help="Poses with each of the two bars.")] = 72,
+    lines: Annotated[
+        int, typer.Option(min=0, max=50, help="Lines past a line device, there and back; 0: a ball-bar instead.")
+    ] = 0,
+    plan_file: Annotated[
+        Path | None, typer.Option("--plan", metavar="FILE", help="What the robot visits instead (.csv).")
+    ] = None,
+    rig_file: Annotated[
+        Path | None,
+        typer.Option("--rig-file", metavar="FILE", help="The rig of that plan (.toml); default: the simulator's own."),
+    ] = None,
+    robot_delay_ms: Annotated[
+        float, typer.Option(min=0.0, max=1000.0, metavar="MS", help="How late the robot's readings are.")
+    ] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Of everything that is drawn by chance.")] = 1,
     level: Annotated[
         str,
@@ -52,7 +67,8 @@ def simulate(
     emulated RP2040, whose time may fall behind the wall clock's on a slow machine. Time starts with the first connection. Ends with
     the robot's program, or with Ctrl-C.
 
-    Example: truearm simulate, and in another terminal the truearm record line that it prints.
+    Example: truearm simulate, and in another terminal the truearm record line that it prints. With a plan of your own:
+    truearm simulate --plan plan.csv --rig-file rig.toml
     """
     from truearm.files.disk import own_folder
     from truearm.files.plan import write_plan
@@ -60,16 +76,16 @@ def simulate(
     from truearm_sim.rtde_server import RtdeServer
     from truearm_sim.serve import Port, Terminal, serve
     from truearm_sim.simbox import SimulatedBox
-    from truearm_sim.world import World, standard_plan
+    from truearm_sim.world import World
 
     if robot not in ROBOTS:
         raise InputError(f"--robot {robot!r} is not known; it is one of {', '.join(ROBOTS)}")
     scheme, usual_port, rate = ROBOTS[robot]
     faults = [parse_fault(text) for text in fault or []]
+    plan, rig = visits(poses, lines, seed, plan_file, rig_file)
+    world = World(seed, plan, rig, robot_rate=rate, robot_delay_s=1e-3 * robot_delay_ms)
     own_folder(folder, MARK)
     power_on = hardware(level)
-    plan = standard_plan(poses, seed)
-    world = World(seed, plan, robot_rate=rate)
     write_plan(folder / "plan.csv", plan)
     write_rig(folder / "rig.toml", world.rig)
     box = SimulatedBox(world, power_on=power_on, faults=faults, seed=seed)
@@ -80,7 +96,9 @@ def simulate(
         raise LinkError(f"cannot listen: {exc.strerror}; choose other ports with --port and --robot-port") from exc
     robot_end = RtdeServer(listener, rate) if robot == "rtde" else listener
     device = box_port.path if isinstance(box_port, Terminal) else f"socket://127.0.0.1:{box_port.number}"
-    typer.echo(f"{len(plan)} poses, {world.duration / 60:.0f} minutes. Record them with\n")
+    dwells, driven = int(plan.dwells.sum()), int(plan.lines.sum())
+    what = " and ".join([f"{dwells} poses"] * (dwells > 0) + [f"{driven} drives along lines"] * (driven > 0))
+    typer.echo(f"{what}, {world.duration / 60:.0f} minutes. Record them with\n")
     typer.echo(
         f"  truearm record --device {device} --robot {scheme}://127.0.0.1:{listener.number} "
         f"--plan {shlex.quote(str(folder / 'plan.csv'))} --rig {shlex.quote(str(folder / 'rig.toml'))} "
@@ -96,6 +114,26 @@ def simulate(
         box.close()
         box_port.close()
         robot_end.close()
+
+
+def visits(poses: int, lines: int, seed: int, plan_file: Path | None, rig_file: Path | None) -> tuple[Plan, Rig]:
+    """What the robot visits and what stands around it: files where they are given, else drawn. Raises InputError."""
+    from truearm.files.plan import read_plan
+    from truearm.files.rig import read_rig
+    from truearm_sim.line_plan import drawn_line_plan, line_rig
+    from truearm_sim.world import standard_plan, standard_rig
+
+    rig = read_rig(rig_file) if rig_file is not None else line_rig() if lines else standard_rig()
+    if plan_file is None:
+        if rig_file is not None:
+            raise InputError("--rig-file needs the --plan that was made for it")
+        return drawn_line_plan(lines, seed) if lines else standard_plan(poses, seed), rig
+    if lines:
+        raise InputError("--lines draws lines and --plan reads what the robot visits: give one of them")
+    plan = read_plan(plan_file)
+    if plan.q.shape[1] != N_JOINTS:
+        raise InputError(f"{plan_file}: has {plan.q.shape[1]} joints, the simulated PUMA 560 has {N_JOINTS}")
+    return plan, rig
 
 
 def hardware(level: str) -> PowerOn:

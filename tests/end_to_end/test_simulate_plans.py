@@ -1,0 +1,55 @@
+"""`truearm simulate` with a plan of one's own, with lines, and with what cannot be."""
+
+import numpy as np
+import pytest
+
+from truearm.cli import main
+from truearm.commands.simulate import visits
+from truearm.files.plan import read_plan, write_plan
+from truearm.files.rig import read_rig, write_rig
+from truearm_sim.line_plan import drawn_line_plan, line_rig
+from truearm_sim.world import World, standard_plan, standard_rig
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    out = tmp_path_factory.mktemp("plans")
+    write_plan(out / "lines.csv", drawn_line_plan(1, 2))
+    write_rig(out / "lines.toml", line_rig())
+    write_plan(out / "bars.csv", standard_plan(9, 1))
+    (out / "short.csv").write_text("pose,shell,bar,chuck,sphere,q1_rad\n0,,bar46,c1,s1,0.1\n")
+    return out
+
+
+def test_plans_from_files_are_what_is_visited(folder):
+    plan, rig = visits(72, 0, 1, folder / "lines.csv", folder / "lines.toml")
+    assert np.array_equal(plan.q, read_plan(folder / "lines.csv").q)
+    assert rig == read_rig(folder / "lines.toml")
+    assert list(World(1, plan, rig).rig.lines) == ["l1"]
+    plan, rig = visits(72, 0, 1, folder / "bars.csv", None)
+    assert (len(plan), rig) == (18, standard_rig())
+
+
+def test_lines_are_drawn_and_driven_there_and_back(folder):
+    plan, rig = visits(72, 1, 2, None, None)
+    assert np.array_equal(plan.q, read_plan(folder / "lines.csv").q)
+    assert plan.move.tolist() == ["via", "line", "line"]
+    assert list(rig.targets) == ["magnet"]
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--plan", "{}/lines.csv", "--lines", "2"], "give one of them"),
+        (["--rig-file", "{}/lines.toml"], "--rig-file needs the --plan"),
+        (["--plan", "{}/short.csv"], "has 1 joints, the simulated PUMA 560 has 6"),
+        (["--plan", "{}/lines.csv"], "column target: 'magnet' is not in the rig"),
+        (["--plan", "{}/none.csv"], "no such file"),
+        (["--robot-delay-ms", "nan"], "Invalid value for '--robot-delay-ms'"),
+    ],
+)
+def test_what_cannot_be_simulated_is_said(folder, tmp_path, capsys, options, says):
+    arguments = [text.format(folder) for text in options]
+    assert main(["simulate", "--out", str(tmp_path / "x"), *arguments]) == 2
+    assert says in capsys.readouterr().err
+    assert not (tmp_path / "x").exists()
