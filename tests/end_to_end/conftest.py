@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from truearm.commands.record import plan_rows
+from truearm.commands.recording import plan_rows
 from truearm.files.rig import format_rig
 from truearm.record.recorder import RecordSummary, record
 from truearm.record.session_writer import SessionWriter

@@ -8,7 +8,7 @@ import pytest
 from tests.end_to_end.conftest import truearm
 from tests.end_to_end.levels import LEVELS, wait_until_ready
 
-from truearm.commands.record import plan_rows
+from truearm.commands.recording import plan_rows
 from truearm.files.rig import format_rig
 from truearm.record.recorder import record
 from truearm.record.session_writer import SessionWriter

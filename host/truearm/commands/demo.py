@@ -75,7 +75,7 @@ def demo(
     Example:
       truearm demo --out out/demo
     """
-    from truearm.commands.record import nearest_osr
+    from truearm.commands.recording import nearest_osr
     from truearm.commands.simulate import find_interpreter
     from truearm.files.disk import own_folder
     from truearm_sim import micropython
@@ -121,7 +121,8 @@ def write_setup(out: Path, plan: Plan, world: World) -> None:
 
 def record_virtually(out: Path, plan: Plan, world: World, box: SimulatedBox, osr: int, seed: int) -> None:
     """The recorder on the lab's links and clock: session.mcap."""
-    from truearm.commands.record import asked_to_stop, plan_rows
+    from truearm.commands.interrupt import asked_to_stop
+    from truearm.commands.recording import plan_rows
     from truearm.record.recorder import record
     from truearm.record.session_writer import SessionWriter
     from truearm_sim.lab import Lab

@@ -97,7 +97,7 @@ class Watch:
 
 def monitor_box(device: str, duration: float | None, plain: bool) -> None:
     """What ``truearm box monitor`` does with its options."""
-    from truearm.commands.record import asked_to_stop
+    from truearm.commands.interrupt import asked_to_stop
 
     if duration is not None and not 0 < duration < math.inf:
         raise InputError(f"--duration {duration:g} is no time; give seconds above 0")

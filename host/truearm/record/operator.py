@@ -38,3 +38,7 @@ class Operator:
     def wishes(self) -> list[Wish]:
         """What the operator asked for since the last call; asked at least every 50 ms."""
         return []
+
+    def last_wishes(self) -> list[Wish]:
+        """The recording has ended: what is still to be written. It may wait for half a second, no longer."""
+        return []

@@ -80,11 +80,10 @@ def record(
     kept in the file.
     """
     ends = {"until": until, "interrupted": interrupted}
-    recorder = _Recorder(
-        link, writer, clock, robot, osr, duration_s, ends, progress, operator or Operator(), patience_s
-    )
     for name, entries in head:
         writer.metadata(name, entries)
+    operator = operator or Operator()
+    recorder = _Recorder(link, writer, clock, robot, osr, duration_s, ends, progress, operator, patience_s)
     return recorder.run(plan, rig_toml, mounted)
 
 
@@ -145,16 +144,8 @@ class _Recorder:
         finally:
             duration_s = self._elapsed_s()
             self._finish(end)
-        return RecordSummary(
-            end.reason,
-            end.text,
-            duration_s,
-            self._probes.rtt_us,
-            self._counters,
-            self._box.faults,
-            self._box_gone,
-            self._heard_s(),
-        )
+        rtt_us, faults, heard_s = self._probes.rtt_us, self._box.faults, self._heard_s()
+        return RecordSummary(end.reason, end.text, duration_s, rtt_us, self._counters, faults, self._box_gone, heard_s)
 
     def _write_head(
         self, plan: Iterable[Mapping[str, Any]], rig_toml: bytes | None, mounted: Mapping[str, str] | None
@@ -287,6 +278,8 @@ class _Recorder:
                 self._robot.flush(now_ns)
             self._probes.expire(now_ns, 0)
             self._count_probes()
+            for wish in self._operator.last_wishes():
+                self._writer.event(wish.kind, now_ns, **wish.fields)
             self._writer.event("stop", now_ns, reason=end.reason, text=end.text)
             counters = {name: str(value) for name, value in vars(self._counters).items()}
             self._writer.close({"reason": end.reason, **counters})

@@ -1,0 +1,105 @@
+"""How far a session has come: what is mounted, what was taken, what comes next and whether something has to be changed for it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from truearm.types import Floats
+
+MOUNTABLE = ("bar", "chuck", "sphere", "shell", "line", "target")
+CHANGED = ("bar", "chuck", "sphere", "line", "target")  # by hand; a shell is a place of the robot
+TOLERANCE = np.pi / 180.0  # rad or m, as sync.dwell has it
+
+
+@dataclass
+class Course:
+    """``rows`` is the plan as ``/plan`` has it, [] without one; ``mounted`` what is mounted as far as anybody said or the plan begins.
+
+    ``done``: rows whose dwell was taken; ``unplanned``: dwells beside the plan, or without one. ``next``: the row that is awaited.
+    """
+
+    rows: Sequence[Mapping[str, Any]] = ()
+    mounted: dict[str, str] = field(default_factory=dict)
+    done: set[int] = field(default_factory=set)
+    unplanned: int = 0
+    lines: int = 0
+    next: int = 0
+
+    def __post_init__(self) -> None:
+        self._dwells = [k for k, row in enumerate(self.rows) if row.get("move", "dwell") == "dwell"]
+        self._q = np.array([self.rows[k]["q"] for k in self._dwells])
+        if not self.mounted and self.rows:
+            self.mounted = self.wanted() or {}
+
+    @property
+    def taken(self) -> int:
+        """Dwells, each pose of the plan once."""
+        return len(self.done) if self._dwells else self.unplanned
+
+    @property
+    def planned(self) -> int:
+        """Dwells of the plan."""
+        return len(self._dwells)
+
+    @property
+    def planned_lines(self) -> int:
+        """Lines of the plan."""
+        return sum(row.get("move") == "line" for row in self.rows)
+
+    def pairings(self) -> list[dict[str, str]]:
+        """All pairings of the plan in their order, each once."""
+        found: list[dict[str, str]] = []
+        for row in self.rows:
+            pairing = pairing_of(row)
+            if pairing and pairing not in found:
+                found.append(pairing)
+        return found
+
+    def wanted(self) -> dict[str, str] | None:
+        """What the next row needs mounted; None at the plan's end and without one."""
+        return next((p for row in self.rows[self.next :] if (p := pairing_of(row))), None)
+
+    def change(self) -> dict[str, str] | None:
+        """What has to be mounted now, None if that is so already."""
+        wanted = self.wanted()
+        if wanted is None or all(self.mounted.get(key) == name for key, name in wanted.items()):
+            return None
+        return wanted
+
+    def mount(self, pairing: Mapping[str, str]) -> None:
+        """It is said to be mounted from now on; a bar and a line exclude each other."""
+        other = ("line", "target") if "bar" in pairing else ("bar", "chuck", "sphere") if "line" in pairing else ()
+        self.mounted = {k: v for k, v in self.mounted.items() if k not in other} | dict(pairing)
+
+    def visit(self, q: Floats | None) -> int | None:
+        """A dwell was taken at joints ``q`` (None: nobody knows); the plan's row that it is, None if it is none."""
+        row = self._row(q)
+        if row is None:
+            self.unplanned += 1
+        else:
+            self.done.add(row)
+            self.next = row + 1
+        return row
+
+    def _row(self, q: Floats | None) -> int | None:
+        if q is None:
+            return next((k for k in self._dwells if k >= self.next), None)
+        if not self._dwells or self._q.shape[1] != q.shape[0]:
+            return None
+        near = np.flatnonzero(np.max(np.abs(self._q - q), axis=1) <= TOLERANCE)
+        rows = [self._dwells[k] for k in near]
+        return next((k for k in rows if k >= self.next), rows[-1] if rows else None)
+
+
+def pairing_of(row: Mapping[str, Any]) -> dict[str, str]:
+    """What a row of the plan needs mounted."""
+    return {key: str(row[key]) for key in CHANGED if row.get(key)}
+
+
+def words_of(pairing: Mapping[str, str]) -> str:
+    """A pairing on one line."""
+    return ", ".join(f"{key} {name}" for key, name in pairing.items()) or "nothing said"

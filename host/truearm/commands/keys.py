@@ -1,0 +1,107 @@
+"""Lines that an operator types while something else goes on. Only a terminal is read, and only in the foreground: a recording in a
+script must not eat the script's input, and a program in the background that reads is stopped by its terminal."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+LONGEST = 500
+_POLL_S = 0.1
+_BACKSPACE, _ESCAPE, _CTRL_U = ("\x7f", "\b"), "\x1b", "\x15"
+
+
+class Typed:
+    """The line that is being typed."""
+
+    def __init__(self) -> None:
+        self.text = ""
+
+    def push(self, characters: str) -> list[str]:
+        """The lines that these characters finish. Backspace, Ctrl-U and Escape are obeyed, other control characters left out."""
+        lines = []
+        for character in characters:
+            if character in "\r\n":
+                lines.append(self.text)
+                self.text = ""
+            elif character in _BACKSPACE:
+                self.text = self.text[:-1]
+            elif character in (_ESCAPE, _CTRL_U):
+                self.text = ""
+            elif character.isprintable() and len(self.text) < LONGEST:
+                self.text += character
+        return lines
+
+
+def may_ask() -> bool:
+    """Whether there is somebody who types."""
+    try:
+        return os.name == "posix" and sys.stdin.isatty() and _in_foreground(sys.stdin.fileno())
+    except (AttributeError, OSError, ValueError):  # no standard input
+        return False
+
+
+@contextmanager
+def typed_lines(take: Callable[[str], None], one_by_one: bool) -> Iterator[Typed]:
+    """Hand every typed line to ``take``, from a thread. ``one_by_one``: the terminal hands over every key, and shows none itself.
+
+    Ctrl-Z does nothing meanwhile: a stopped recorder loses what the box sends.
+    """
+    import termios
+    import tty
+
+    typed, stop = Typed(), threading.Event()
+    fd = sys.stdin.fileno()
+    before = termios.tcgetattr(fd)
+    stopping = signal.signal(signal.SIGTSTP, _ignore)
+    if one_by_one:
+        tty.setcbreak(fd, termios.TCSANOW)
+    thread = threading.Thread(target=_read, args=(fd, typed, take, stop), daemon=True)
+    thread.start()
+    try:
+        yield typed
+    finally:
+        stop.set()
+        thread.join(1.0)
+        signal.signal(signal.SIGTSTP, stopping)
+        _restore(fd, before)
+
+
+def _read(fd: int, typed: Typed, take: Callable[[str], None], stop: threading.Event) -> None:
+    while not stop.is_set():
+        try:
+            ready, _, _ = select.select([fd], [], [], _POLL_S)
+            if not ready or not _in_foreground(fd):
+                stop.wait(_POLL_S if ready else 0.0)
+                continue
+            data = os.read(fd, 1024)
+        except (OSError, ValueError):
+            return
+        if not data:  # end of file; the terminal may have gone
+            return
+        for line in typed.push(data.decode("utf-8", "ignore")):
+            take(line)
+
+
+def _in_foreground(fd: int) -> bool:
+    return os.tcgetpgrp(fd) == os.getpgrp()
+
+
+def _restore(fd: int, attributes: list[object]) -> None:
+    import termios
+
+    try:
+        if _in_foreground(fd):
+            termios.tcsetattr(fd, termios.TCSANOW, attributes)  # type: ignore[arg-type]
+    except (OSError, termios.error):  # the terminal has gone
+        return
+
+
+def _ignore(number: int, frame: FrameType | None) -> None:
+    """A handler, not SIG_IGN, which programs started from here would inherit."""

@@ -1,0 +1,326 @@
+"""What the operator of a recording is shown, made of what the recorder hands on: no input, no output, and no part in the recording."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from truearm.commands.box_check import LINE_CHANNELS, LVDT
+from truearm.commands.course import Course, words_of
+from truearm.commands.live_dwells import ENOUGH_NS, LiveDwells, Seen, Strokes
+from truearm.commands.monitoring import Window, value_of
+from truearm.commands.terminal import one_line
+from truearm.record.operator import Wish
+from truearm.sensors.ident import find_channel
+from truearm.sensors.joints import parse_reading
+from truearm.sensors.lvdt import METRES, extension, railed
+
+if TYPE_CHECKING:
+    from truearm.record.status import Status
+    from truearm.sensors.data import Data
+    from truearm.sensors.ident import Ident
+    from truearm.sync.online import OnlineEstimate
+    from truearm.types import Rig
+
+NEAR_END = 0.1  # of the travel, at either end
+POSITION_BLOCKS = 8  # a tenth of a second: the bar may move
+BAR_CELLS = 31
+LATE_S = 1.0  # a reading older than that is shown as late
+
+
+class Shown(NamedTuple):
+    """A line of the view; ``alarm``: the operator should look."""
+
+    name: str
+    text: str
+    alarm: bool = False
+
+
+class LiveState:
+    """Fed in order of arrival. ``wishes`` are events that the recorder shall write, ``said`` lines for the operator, both to be taken."""
+
+    def __init__(self, course: Course, rig: Rig | None, with_robot: bool) -> None:
+        self.course = course
+        self.wishes: deque[Wish] = deque()
+        self.said: deque[str] = deque(maxlen=1000)
+        self.last = ""
+        self._rig, self._with_robot = rig, with_robot
+        self._ident: Ident | None = None
+        self._windows: dict[int, Window] = {}
+        self._dwells = LiveDwells(with_robot)
+        self._strokes = Strokes()
+        self._counted = False  # the dwell under way, which is
+        self._pose: int | None = None  # of the plan, and called
+        self._label = ""
+        self._readings: deque[int] = deque(maxlen=200)
+        self._near_end = False
+        self._asked: dict[str, str] | None = None
+        self._lost = (0, 0)
+
+    # --- what comes
+
+    def ident(self, ident: Ident) -> None:
+        """What the box says of itself, at the beginning and after a restart."""
+        self._ident = ident
+        self._windows.clear()
+
+    def block(self, t_ns: int, data: Data) -> None:
+        """Samples of a stream."""
+        stream = None if self._ident is None else self._ident.streams.get(data.stream)
+        if stream is None or len(data.samples) % (4 * len(stream.channels)):
+            return
+        counts = np.frombuffer(data.samples, "<i4").reshape(-1, len(stream.channels))
+        self._windows.setdefault(stream.id, Window()).take(data.n0, counts, data.period_ns)
+        for k, channel in enumerate(stream.channels):
+            if channel.fault or channel.calibrated_unit not in METRES or not channel.poly:
+                continue
+            if channel.name == LVDT and not railed(counts[:, k]).any():
+                self._ended(self._dwells.samples(t_ns, extension(counts[:, k], channel)))
+            elif channel.name == LINE_CHANNELS[0] and (seen := counts[counts[:, k] != 0, k]).size:
+                self._stroke(self._strokes.feed(t_ns, float(extension(seen, channel).mean())))
+
+    def reading(self, t_ns: int, line: bytes) -> None:
+        """A joint reading."""
+        self._readings.append(t_ns)
+        reading = parse_reading(line)
+        if reading is not None:
+            self._ended(self._dwells.joints(t_ns, np.array(reading.q)))
+
+    def now(self, t_ns: int) -> None:
+        """Time has passed: a dwell may have become long enough, a pairing may have to be changed."""
+        standing = self._dwells.standing_ns(t_ns)
+        if standing is None:
+            self._counted = False
+        elif standing >= ENOUGH_NS and not self._counted and self._within_travel():
+            self._counted = True
+            self._take()
+        change = self.course.change()
+        if change != self._asked:
+            self._asked = change
+            if change is not None:
+                self.said.append(f"now mount {words_of(change)}; then press Enter")
+        self._watch_travel()
+
+    def close(self, t_ns: int) -> None:
+        """The recording ends: so does a dwell under way."""
+        if self._counted:
+            self._ended(self._dwells.now(t_ns))
+
+    # --- what the operator says
+
+    def command(self, text: str) -> None:
+        """A line that was typed: Enter confirms what is asked for, a number takes a pairing of the plan, ``bar=…,chuck=…`` names one,
+        ``note …`` is kept, ``q`` ends the recording, all else is explained."""
+        text = text.strip()
+        word, _, rest = text.partition(" ")
+        pairings = self.course.pairings()
+        if text == "q":
+            self.wishes.append(Wish("end", {}))
+        elif word == "note" and rest.strip():
+            self.wishes.append(Wish("note", {"text": rest.strip()[:500]}))
+            self.said.append(f"noted: {rest.strip()[:500]}")
+        elif text == "" and (change := self.course.change()) is not None:
+            self._mount(change)
+        elif text.isdecimal() and 1 <= int(text) <= len(pairings):
+            self._mount(pairings[int(text) - 1])
+        elif "=" in text:
+            self._mount_named(text.removeprefix("m ").strip())
+        else:
+            self.said.append("; ".join(f"{n} {words_of(p)}" for n, p in enumerate(pairings, start=1)) + HELP)
+
+    def _mount_named(self, text: str) -> None:
+        from truearm.commands.mounted import check_mounted, parse_mounted
+        from truearm.errors import InputError
+
+        try:
+            pairing = parse_mounted(text)
+            if self._rig is not None:
+                check_mounted(pairing, self._rig, "the rig")
+        except InputError as exc:
+            self.said.append(str(exc))
+            return
+        self._mount(pairing)
+
+    def _mount(self, pairing: Mapping[str, str]) -> None:
+        self.course.mount(pairing)
+        self.wishes.append(Wish("mounted", dict(self.course.mounted)))
+        self.said.append(f"mounted: {words_of(self.course.mounted)}")
+
+    # --- dwells and lines
+
+    def _take(self) -> None:
+        course = self.course
+        pose = course.visit(self._dwells.q if self._with_robot else None)
+        row = {} if pose is None else course.rows[pose]
+        self._pose = pose
+        self._label = f"dwell {course.taken}" + (f" (pose {pose})" if pose is not None else "")
+        if pose is None and course.rows:
+            self._label = "a stop beside the plan"
+        other = [key for key in ("bar", "chuck", "sphere") if row.get(key) and row[key] != course.mounted.get(key)]
+        if other:
+            planned = ", ".join(f"{key} {row[key]}" for key in other)
+            self.said.append(f"warning: pose {pose} is planned with {planned}; mounted is {words_of(course.mounted)}")
+
+    def _ended(self, seen: Seen | None) -> None:
+        if seen is None or not self._counted:
+            return
+        self._counted = False
+        fields: dict[str, Any] = {"begin_ns": seen.begin_ns, "end_ns": seen.end_ns, "settled": seen.settled}
+        value = "no samples of the LVDT"
+        if np.isfinite(seen.mean):
+            value = f"{1e3 * seen.mean:+.4f} mm, noise {1e6 * seen.noise:.1f} µm, drift {1e6 * seen.drift:+.1f} µm"
+            fields |= {"mean_m": seen.mean, "noise_m": seen.noise}
+        if self._pose is not None:
+            fields["pose"] = self._pose
+        state = "settled" if seen.settled else "NOT settled"
+        self.last = f"{self._label}: {(seen.end_ns - seen.begin_ns) / 1e9:.1f} s, {value}, {state}"
+        self.said.append(self.last)
+        self.wishes.append(Wish("dwell", fields))
+
+    def _stroke(self, stroke: tuple[float, float] | None) -> None:
+        if stroke is None:
+            return
+        self.course.lines += 1
+        length, speed = stroke
+        self.last = f"line {self.course.lines}: {1e3 * length:.1f} mm at {1e3 * speed:.1f} mm/s"
+        self.said.append(self.last)
+        self.wishes.append(Wish("line", {"length_m": length, "speed_m_s": speed}))
+
+    # --- where the LVDT is
+
+    def _position(self) -> tuple[float | None, float | None, str]:
+        """Extension [m], half the travel [m] of the bar that is mounted, and what is wrong; None where not known."""
+        found = None if self._ident is None else find_channel(self._ident, LVDT)
+        if found is None:
+            return None, None, ""
+        stream, index = found
+        window, channel = self._windows.get(stream.id), stream.channels[index]
+        if window is None or channel.fault or channel.calibrated_unit not in METRES or not channel.poly:
+            return None, None, ""
+        counts = np.concatenate(list(window.blocks)[-POSITION_BLOCKS:])[:, index]
+        if railed(counts).any():
+            return None, None, "at the converter's rail: the bar is off, or a wire is"
+        bar = None if self._rig is None else self._rig.bars.get(self.course.mounted.get("bar", ""))
+        return float(extension(counts, channel).mean()), None if bar is None else 0.5 * bar.travel, ""
+
+    def _within_travel(self) -> bool:
+        position, half, wrong = self._position()
+        if position is None:
+            return self._with_robot or not wrong
+        return half is None or abs(position) <= half
+
+    def _watch_travel(self) -> None:
+        position, half, _ = self._position()
+        near = position is not None and half is not None and abs(position) > (1.0 - 2.0 * NEAR_END) * half
+        if near and not self._near_end:
+            self.said.append(
+                f"warning: the LVDT is at {1e3 * (position or 0.0):+.2f} mm of ±{1e3 * (half or 0.0):.1f} mm"
+            )
+        self._near_end = near
+
+    # --- what is shown
+
+    def rows(self, status: Status, clock: OnlineEstimate | None) -> list[Shown]:
+        """The whole view."""
+        rows = [Shown("state", f"{status.state}, {status.elapsed_s:.0f} s", not status.box_ok), self.travel()]
+        for stream in () if self._ident is None else self._ident.streams.values():
+            window = self._windows.get(stream.id)
+            for k, channel in enumerate(stream.channels):
+                if channel.name != LVDT and window is not None and window.blocks:
+                    counts = np.concatenate(window.blocks)[:, k]
+                    rows.append(Shown(one_line(channel.name), value_of(counts, channel, stream)))
+        rows.append(self.rates(status))
+        rows.append(Shown("clock", clock_words(status, clock)))
+        if self._with_robot:
+            rows.append(self.robot(status))
+        rows.append(self.progress(status.t_host_ns))
+        change = self.course.change()
+        rows.append(Shown("mounted", words_of(self.course.mounted)))
+        if change is not None:
+            rows.append(Shown("change", f"mount {words_of(change)}; then press Enter", True))
+        rows.append(Shown("last", self.last or "nothing yet"))
+        return rows
+
+    def line(self, status: Status, clock: OnlineEstimate | None) -> str:
+        """The view on one line, for a log."""
+        rows = [self.travel(drawn=False), self.rates(status), Shown("clock", clock_words(status, clock))]
+        rows += [self.robot(status)] if self._with_robot else []
+        return "; ".join(f"{row.name} {row.text}" for row in (*rows, self.progress(status.t_host_ns)))
+
+    def travel(self, drawn: bool = True) -> Shown:
+        """The LVDT within its travel."""
+        position, half, wrong = self._position()
+        if position is None:
+            return Shown("lvdt", wrong or "no calibrated LVDT", bool(wrong))
+        text = f"{1e3 * position:+.4f} mm"
+        if half is None:
+            return Shown("lvdt", text)
+        text += f" of ±{1e3 * half:.1f} mm"
+        place = round((BAR_CELLS - 1) * (0.5 + 0.5 * max(-1.0, min(1.0, position / half))))
+        bar = "".join("●" if k == place else "┼" if k == BAR_CELLS // 2 else "─" for k in range(BAR_CELLS))
+        alarm = abs(position) > (1.0 - 2.0 * NEAR_END) * half
+        over = " BEYOND ITS TRAVEL" if abs(position) > half else " near its end" if alarm else ""
+        return Shown("lvdt", f"├{bar}┤ {text}{over}" if drawn else text + over, alarm)
+
+    def rates(self, status: Status) -> Shown:
+        """Rates by the box's own stamps, and what was lost anywhere."""
+        counters = status.counters
+        rates = [
+            f"{self._ident.streams[k].name} {1e9 / w.period_ns:.1f} Hz"
+            for k, w in sorted(self._windows.items())
+            if self._ident is not None and w.period_ns
+        ]
+        lost = (counters.lost_frames, counters.overruns_in_box)
+        text = f"{', '.join(rates) or 'no samples'}; {counters.samples} samples, {lost[0]} frames lost"
+        more = (
+            (lost[1], "samples lost in the box"),
+            (counters.restarts, "restarts"),
+            (counters.link_losses, "times unplugged"),
+        )
+        text += "".join(f", {n} {what}" for n, what in more if n)
+        alarm, self._lost = lost != self._lost, lost
+        return Shown("samples", text, alarm or not rates)
+
+    def robot(self, status: Status) -> Shown:
+        """Its link, its rate, the age of its last reading."""
+        age = status.robot_age_s
+        if not status.robot_ok:
+            return Shown("robot", f"lost, last reading {_age(age)}; trying to reach it again", True)
+        times = self._readings
+        rate = (
+            f"{1e9 * (len(times) - 1) / (times[-1] - times[0]):.1f} readings/s"
+            if len(times) > 1 and times[-1] > times[0]
+            else "no readings yet"
+        )
+        late = age is None or age > LATE_S
+        return Shown("robot", f"{rate}, last {_age(age)}", late)
+
+    def progress(self, now_ns: int) -> Shown:
+        """Dwells and lines taken, and whether the robot may move on."""
+        course = self.course
+        parts = [f"{course.taken} of {course.planned}" if course.planned else f"{course.taken}"]
+        if course.planned and course.unplanned:
+            parts.append(f"{course.unplanned} beside the plan")
+        if course.lines or course.planned_lines:
+            parts.append(f"lines {course.lines}" + (f" of {course.planned_lines}" if course.planned_lines else ""))
+        standing = self._dwells.standing_ns(now_ns)
+        if standing is not None:
+            parts.append(f"standing for {standing / 1e9:.1f} s" + (", enough" if self._counted else ""))
+        return Shown("dwells", ", ".join(parts))
+
+
+HELP = " · Enter: mounted as asked · NUMBER or bar=NAME,chuck=NAME,sphere=NAME or line=NAME,target=NAME: mounted · note TEXT · q: end"
+
+
+def clock_words(status: Status, clock: OnlineEstimate | None) -> str:
+    """How well the host knows the box's clock."""
+    if clock is None:
+        return "not known yet" if status.rtt_us is None else f"round trip {status.rtt_us:.0f} µs at best"
+    return f"± {clock.bound_ns / 1000:.0f} µs, round trip {clock.rtt_min_ns / 1000:.0f} µs at best"
+
+
+def _age(age_s: float | None) -> str:
+    return "never" if age_s is None else f"{age_s:.1f} s ago"

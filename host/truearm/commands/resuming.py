@@ -1,0 +1,120 @@
+"""A session in several files: ``session.mcap``, ``session.2.mcap`` …, one for each time that it was recorded on (docs/decisions/0014).
+
+What was recorded is never written to again. Each part is a session of its own, with its own clocks; what is made of one is made of all.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from truearm.errors import InputError, SessionError
+
+if TYPE_CHECKING:
+    from truearm.commands.course import Course
+    from truearm.record.session import Session
+
+SUFFIX = ".mcap"
+SETUP = "setup"  # the metadata record that says what a part belongs to, and how it was recorded
+_PART = re.compile(r"(.+)\.([1-9][0-9]{0,5})")
+
+
+@dataclass(frozen=True)
+class Earlier:
+    """What the parts before say: how to go on, and how far the session had come. ``out``: the next part's file."""
+
+    first: Path
+    out: Path
+    part: int
+    setup: Mapping[str, str]
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    rig_toml: bytes | None = None
+    mounted: dict[str, str] = field(default_factory=dict)
+    dwells: tuple[int | None, ...] = ()  # rows of the plan that were taken, None for a dwell beside it
+    lines: int = 0
+
+
+def session_parts(path: Path) -> list[Path]:
+    """A session's file and those that go on from it, in order; of a later part that alone. Raises SessionError."""
+    found = [int(m[2]) for p in path.parent.glob(f"*{SUFFIX}") if (m := _PART.fullmatch(p.stem)) and m[1] == path.stem]
+    parts = [path.with_name(f"{path.stem}.{number}{SUFFIX}") for number in sorted(found) if number > 1]
+    return [path, *(part for part in parts if _opened(part).metadata.get(SETUP, {}).get("of") == path.name)]
+
+
+def earlier(path: Path) -> Earlier:
+    """What there is of the session that ``path``, one of its parts or the folder that holds nothing else, belongs to.
+
+    A part without its end (the recorder was killed) is read as far as it goes. Raises InputError, SessionError.
+    """
+    first = _first(path)
+    sessions = [_opened(part) for part in session_parts(first)]
+    setup = dict(sessions[0].metadata.get(SETUP, {}))
+    rows: list[dict[str, Any]] = []
+    mounted: dict[str, str] = {}
+    dwells: list[int | None] = []
+    lines = 0
+    for number, session in enumerate(sessions):
+        setup |= session.metadata.get(SETUP, {})
+        for message in session.messages(["/plan", "/events"]):
+            row = _table(message.data)
+            if message.topic == "/plan":
+                rows += [row] * (number == 0)
+            elif row.get("kind") == "mounted":
+                mounted = {k: v for k, v in row.items() if k != "kind" and isinstance(v, str)}
+            elif row.get("kind") == "dwell":
+                dwells.append(row.get("pose"))
+            lines += row.get("kind") == "line"
+    part = int(_number(sessions[-1].path)) + 1
+    out = first.with_name(f"{first.stem}.{part}{SUFFIX}")
+    return Earlier(
+        first, out, part, setup, rows, sessions[0].attachments.get("rig.toml"), mounted, tuple(dwells), lines
+    )
+
+
+def gone_on(course: Course, before: Earlier) -> None:
+    """Count what was taken before."""
+    for pose in before.dwells:
+        if type(pose) is int and 0 <= pose < len(course.rows):
+            course.done.add(pose)
+            course.next = pose + 1
+        else:
+            course.unplanned += 1
+    course.lines += before.lines
+
+
+def _first(path: Path) -> Path:
+    if path.is_dir():
+        firsts = [p for p in sorted(path.glob(f"*{SUFFIX}")) if _number(p) == 1]
+        if len(firsts) != 1:
+            raise InputError(f"--resume {path}: holds {len(firsts)} sessions; name the one to go on with")
+        return firsts[0]
+    if not path.exists():
+        raise InputError(f"--resume {path}: no such file; record a new session with --out")
+    of = _opened(path).metadata.get(SETUP, {}).get("of", "")
+    return path.with_name(Path(of).name) if of and path.with_name(Path(of).name).exists() else path
+
+
+def _number(path: Path) -> int:
+    """1 for a first part."""
+    found = _PART.fullmatch(path.stem)
+    return int(found[2]) if found and path.with_name(found[1] + SUFFIX).exists() else 1
+
+
+def _opened(path: Path) -> Session:
+    from truearm.record.session import open_session
+
+    return open_session(path, allow_damaged=True)
+
+
+def _table(data: bytes) -> dict[str, Any]:
+    try:
+        row = json.loads(data)
+    except (ValueError, RecursionError):
+        row = None
+    if not isinstance(row, dict):
+        raise SessionError("--resume: the session's plan or events are damaged")
+    return row
