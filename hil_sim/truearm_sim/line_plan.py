@@ -13,18 +13,18 @@ from truearm.model.robot import builtin_robot
 from truearm.plan.ballbar import make_site
 from truearm.plan.branches import branch_of
 from truearm.plan.forecast import Known
-from truearm.plan.lines import LinesWanted, candidate_lines
 from truearm.plan.shapes import Sizes
 from truearm.plan.site import Limits, Site
+from truearm.plan.straight import Shape, candidate_lines
 from truearm.plan.way import way_without_bar
 from truearm.types import Floats, Plan, Point, Rig
-from truearm_sim.paths import line_paths
 from truearm_sim.world import DESIGN, ROBOT
 
 MAGNET = "magnet"
 TARGETS = {MAGNET: Point(MAGNET, (0.0, 0.0, 0.10))}
 LENGTH = 0.5  # m
 SPEED = 0.1  # m/s
+JOINT_SPEED = 1.0  # rad/s at most on a line
 
 
 def line_rig(rig: Rig | None = None) -> Rig:
@@ -44,19 +44,10 @@ def drawn_line_plan(
     site = make_site(
         Known(robot.chain, rig, design, robot.free, None, {}), branch_of(robot.chain, None), Limits(), Sizes(), seed
     )
-    wanted = LinesWanted(n_lines, 10, LENGTH, n_candidates=3 * n_lines, seed=seed)
-    found = candidate_lines(site, wanted, np.array(TARGETS[MAGNET].xyz), None)
-    parts = list[Plan]()
-    for q in found[:, [0, -1]]:
-        driven = lines_plan(q, f"l{len(parts) + 1}", speed, back)
-        try:
-            line_paths(driven, robot.chain, design, rig)
-        except PlanError:
-            continue  # its ends lie in one posture, the even turn between them does not
-        parts.append(driven)
-        if len(parts) == n_lines:
-            return plan_file.concatenate(*with_ways(site, parts))
-    raise PlanError(f"only {len(parts)} lines of {1e3 * LENGTH:g} mm can be driven straight; try another seed")
+    point = np.array(TARGETS[MAGNET].xyz)
+    found = candidate_lines(site, Shape(LENGTH, speed=speed), n_lines, point, JOINT_SPEED, seed=seed, least=n_lines)
+    parts = [lines_plan(q, f"l{i}", speed, back) for i, q in enumerate(found.q[:, [0, -1]], start=1)]
+    return plan_file.concatenate(*with_ways(site, parts))
 
 
 def lines_plan(ends: Floats, name: str, speed: float, back: bool) -> Plan:

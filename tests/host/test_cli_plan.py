@@ -9,9 +9,9 @@ from tests.host import plan_bench as bench
 
 from truearm.cli import main
 from truearm.estimate.identify import identify
-from truearm.files.plan import read_plan
+from truearm.files.plan import check_against_rig, read_plan
 from truearm.files.result import RobotFrames, document_of, write_result
-from truearm.files.rig import write_rig
+from truearm.files.rig import read_rig, write_rig
 from truearm.files.table import write_table
 from truearm.plan.forecast import bar_table
 
@@ -57,14 +57,53 @@ def test_plan_measure_identify_plan_again(folder, capsys):
     assert all(p["sigma"] < first[p["name"]] for p in again["parameters"])
 
 
+LINES = ("--robot", "irb120", "--lines", "2", "--candidates", "6", "--length-mm", "200", "--seed", "3")
+
+
 def test_lines_are_planned(folder, capsys):
-    out = folder / "lines.csv"
-    arguments = ["--robot", "irb120", "--rig", str(folder / "rig.toml"), "--lines", "2", "--candidates", "6"]
-    assert main(["plan", "line", *arguments, "--length-mm", "200", "--out", str(out), "--seed", "3"]) == 0
+    """The plan file is for record, the rig with the lines for record and identify, the program drives what the plan says."""
+    out, rig, script = (folder / name for name in ("lines.csv", "lines.toml", "lines.script"))
+    written = ("--out", str(out), "--rig-out", str(rig), "--program", str(script))
+    assert main(["plan", "line", *LINES, "--rig", str(folder / "rig.toml"), *written]) == 0
     said = capsys.readouterr().out
     assert "plan2" in said
     assert "base.x                  not seen" in said
-    assert len(out.read_text().splitlines()) == 1 + 2 * 12
+    assert "2 lines: 6 minutes" in said
+    visits, around = read_plan(out), read_rig(rig)
+    assert visits.line[visits.lines].tolist() == ["plan1", "plan1", "plan2", "plan2"]
+    assert script.read_text().count("movel(") == 4
+    assert list(around.lines) == ["plan1", "plan2"]
+    assert list(around.chucks) == list(bench.RIGS["irb120"].chucks)
+    check_against_rig(visits, around, str(out))
+
+
+def test_lines_with_a_delay_that_is_not_known(folder, capsys):
+    write_rig(folder / "delay.toml", replace(bench.RIGS["irb120"], time_offset_sigma=None))
+    assert main(["plan", "line", *LINES, "--rig", str(folder / "delay.toml")]) == 0
+    (said,) = [line for line in capsys.readouterr().out.splitlines() if "time_offset" in line and "seen" not in line]
+    assert said.split()[-1] == "ms"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (["--minutes", "5"], "give a budget"),
+        (["--speed-mm-s", "nan"], "--speed-mm-s"),
+        (["--target", "x"], "the rig has none"),
+        (["--region", "5000:5001,0:1,0:1"], "only 0 lines of 200 mm fit where the arm reaches; make them shorter, slower"),
+        (["--rig-out", "-"], "-: is no file name"),
+        (["--rig-out", "rig.toml"], "rig.toml"),
+        (["--out", "two.csv", "--rig-out", "two.csv"], "two.csv"),
+    ],
+)
+def test_what_is_wrong_with_lines_is_said_in_one_line(folder, capsys, monkeypatch, change, message):
+    monkeypatch.chdir(folder)
+    before = (folder / "rig.toml").read_bytes()
+    assert main(["plan", "line", *LINES, "--rig", "rig.toml", *change]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert message in said[0]
+    assert (folder / "rig.toml").read_bytes() == before
 
 
 @pytest.mark.parametrize(

@@ -1,22 +1,33 @@
 """Plans of lines: inside the workspace and the device's reach, where the error is large, and foretold as identified."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from tests.host import plan_bench as bench
+from tests.host.controllers import Controller
+from tests.host.rapid_machine import run_rapid
+from tests.host.urscript_machine import run_urscript
 
 from truearm.errors import PlanError
 from truearm.estimate.identify import identify
-from truearm.model.chain import point_forward
-from truearm.plan.lines import LinesWanted, a_priori, candidate_lines, driven_lines, line_rows, lines_csv, plan_lines
+from truearm.files.plan import format_plan, parse_plan
+from truearm.model.chain import forward, point_forward
+from truearm.plan.forecast import forecast
+from truearm.plan.lines import SETUP, LinesWanted, line_rows, plan_lines
+from truearm.plan.programs import program
 from truearm.plan.region import Region
+from truearm.plan.stops import SETTLE, Signals, Task
+from truearm.plan.straight import Shape, a_priori, candidate_lines, driven_lines
 from truearm.plan.way import Pace
 from truearm.types import NullDirection, Point
 
 POINT = np.array([0.03, -0.02, 0.12])
-WANTED = LinesWanted(n_lines=4, n_points=9, length=0.35, n_candidates=24)
+SHAPE = Shape(length=0.35, n_points=9, speed=0.08)
+WANTED = LinesWanted(n_lines=4, shape=SHAPE, n_candidates=24)
 NAME = "irb120"
+PACE = Pace()
 
 
 @pytest.fixture(scope="module")
@@ -27,32 +38,101 @@ def known():
 
 @pytest.fixture(scope="module")
 def planned(known):
-    return plan_lines(bench.site(NAME), known, WANTED, Pace(), target="ball")
+    return plan_lines(bench.site(NAME), known, WANTED, PACE, target="ball")
+
+
+def places(q):
+    return point_forward(bench.known(NAME).chain, bench.known(NAME).params, q, POINT)
 
 
 def test_points_lie_evenly_on_straight_lines_of_the_length_asked_for(planned):
-    assert planned.q.shape == (4, 9, 6)
-    for q in planned.q:
-        p = point_forward(bench.known(NAME).chain, bench.known(NAME).params, q, POINT)
-        steps = np.diff(p, axis=0)
-        # each point is within 1e-8 m of its place
-        np.testing.assert_allclose(steps, np.broadcast_to((p[-1] - p[0]) / 8, (8, 3)), atol=3e-8)
+    assert planned.lines.q.shape == (4, 19, 6)
+    for q in planned.lines.q:
+        p = places(q)
+        # each place is within 1e-8 LEVERs of where it should be
+        np.testing.assert_allclose(np.diff(p, axis=0), np.broadcast_to((p[-1] - p[0]) / 18, (18, 3)), atol=3e-8)
         assert np.linalg.norm(p[-1] - p[0]) == pytest.approx(0.35, abs=3e-8)
 
 
-def test_the_whole_way_along_a_line_keeps_to_limits_and_sensors(planned):
+def test_joint_velocities_are_those_of_a_constant_speed(planned):
+    """Against differences of the places before and after: at 80 mm/s a place every 19.4 mm is one every 0.243 s."""
+    step = 0.35 / 18 / 0.08
+    for q, rate in zip(planned.lines.q, planned.lines.q_rate, strict=True):
+        differences = (q[2:] - q[:-2])[::2] / (2.0 * step)
+        # what differences leave out is of third order; a twentieth of the largest velocity for lines this long
+        np.testing.assert_allclose(rate, differences, atol=0.05 * np.abs(rate).max())
+        ahead = places(q[1::2] + 1e-6 * rate) - places(q[1::2])
+        np.testing.assert_allclose(np.linalg.norm(ahead, axis=1) / 1e-6, 0.08, rtol=1e-4)
+        assert np.abs(rate).max() <= PACE.joint_speed
+
+
+@pytest.fixture(scope="module", params=[".script", ".mod"])
+def controller(planned, request):
+    """One that drove the program of the plan."""
+    known = bench.known(NAME)
+    controller = Controller(known.chain, known.params)
+    task = Task("lines", 0.0, Signals(0, 1), tuple(POINT.tolist()))
+    {".script": run_urscript, ".mod": run_rapid}[request.param](program(planned.stops, request.param, task), controller)
+    return controller
+
+
+def test_a_program_drives_every_line_there_and_back_at_constant_speed_with_its_output_on(planned, controller):
+    moves = [move for move in controller.moves if move.kind == "line"]
+    assert len(moves) == 2 * len(planned.devices)
+    for i, move in enumerate(moves):
+        q = planned.lines.q[i // 2][:: 1 if i % 2 == 0 else -1]
+        # 1e-6 rad or 1e-5 deg as written
+        np.testing.assert_allclose(move.path[[0, -1]], q[[0, -1]], atol=1e-6)
+        assert move.speed == pytest.approx(0.08)
+        p = places(move.path)
+        steps = np.linalg.norm(np.diff(p, axis=0), axis=1)
+        np.testing.assert_allclose(steps / np.diff(np.linspace(move.t0, move.t1, len(p))), 0.08, rtol=1e-6)
+        off = p - p[0] - np.outer((p - p[0]) @ (p[-1] - p[0]), p[-1] - p[0]) / ((p[-1] - p[0]) @ (p[-1] - p[0]))
+        assert np.abs(off).max() < 1e-7
+        # where the plan has the arm in between, the controller has it too
+        np.testing.assert_allclose(move.path[::3], q, atol=1e-6)
+    assert len(controller.held()) == len(moves)
+    for (t0, t1), move in zip(controller.held(), moves, strict=True):
+        assert t0 <= move.t0 < move.t1 <= t1
+        assert controller.moves_within(t0, t1) == [move]
+    others = [move for move in controller.moves if move.kind == "joints"]
+    vias = planned.visits.q[planned.visits.move == "via"]
+    np.testing.assert_allclose([move.q for move in others], vias, atol=1e-6)
+    assert [text for _, text in controller.said if text.startswith("Put")] == [
+        f"Put the line device along line {name}" for name in planned.devices
+    ]
+    # from the operator's minutes: all but placing the devices, and waiting for the box
+    seconds = controller.t - 2 * 0.03 * len(moves)
+    assert seconds == pytest.approx(60.0 * planned.minutes - 4 * SETUP - len(moves) * SETTLE, abs=2.0)
+
+
+def test_the_whole_way_keeps_to_the_limits(controller):
+    """As a controller of its own drives it, line by line and between them."""
     lower, upper = np.array([(j.lower, j.upper) for j in bench.known(NAME).chain.joints]).T
-    for line in planned.q:
-        q = np.concatenate([a + np.linspace(0, 1, 20)[:, None] * (b - a) for a, b in zip(line[:-1], line[1:])])  # noqa: RUF007
+    here = None
+    for move in controller.moves:
+        q = move.path
+        if move.kind == "joints":
+            here = move.q if here is None else here
+            q = here + np.linspace(0.0, 1.0, 60)[:, None] * (move.q - here)
+        here = move.q
         assert (q > lower + bench.LIMITS.joint_margin).all()
         assert (q < upper - bench.LIMITS.joint_margin).all()
-        assert bench.condition(NAME, q).min() > bench.LIMITS.singular_value
-        arm = bench.arm_points(NAME, q)
-        assert arm[..., 2].min() > bench.SIZES.link
-        p = point_forward(bench.known(NAME).chain, bench.known(NAME).params, q, POINT)
-        u = (p[-1] - p[0]) / np.linalg.norm(p[-1] - p[0])
-        off = (p - p[0]) - ((p - p[0]) @ u)[:, None] * u
-        assert np.linalg.norm(off, axis=1).max() < 0.0075
+        assert bench.arm_points(NAME, q)[..., 2].min() > bench.SIZES.link
+        if move.kind == "line":
+            assert bench.condition(NAME, q).min() > bench.LIMITS.singular_value
+
+
+def test_the_plan_file_is_the_programs_rows(planned):
+    again = parse_plan(format_plan(planned.visits), "lines.csv")
+    assert len(again) == len(planned.stops)
+    np.testing.assert_array_equal(again.q, planned.visits.q)
+    assert again.line[again.lines].tolist() == [name for name in planned.devices for _ in range(2)]
+    assert set(again.target[again.lines]) == {"ball"}
+    np.testing.assert_allclose(again.speed[again.lines], 0.08)
+    where = np.flatnonzero(again.lines)[::2]
+    assert (again.move[where - 1] == "via").all()  # from where a line is driven
+    np.testing.assert_array_equal(again.q[where - 1], again.q[where + 1])  # and back
 
 
 def test_the_true_robot_stays_within_the_transverse_sensors(planned):
@@ -63,7 +143,7 @@ def test_the_true_robot_stays_within_the_transverse_sensors(planned):
     out = 0
     for _ in range(200):
         params = chain.params_nominal + sigma * rng.standard_normal(sigma.size)
-        p = point_forward(chain, params, planned.q[0], POINT)
+        p = point_forward(chain, params, planned.lines.q[0], POINT)
         middle = p - p.mean(axis=0)
         u = np.linalg.svd(middle)[2][0]
         off = np.linalg.norm(middle - (middle @ u)[:, None] * u, axis=1).max()
@@ -71,51 +151,90 @@ def test_the_true_robot_stays_within_the_transverse_sensors(planned):
     assert out < 0.05 * 200
 
 
-def test_lines_lie_where_the_error_is_large(planned, known):
+def test_lines_lie_where_the_error_is_large(planned):
     site = bench.site(NAME)
-    every = a_priori(site, candidate_lines(site, WANTED, POINT, None), POINT)
+    every = a_priori(site, candidate_lines(site, SHAPE, 24, POINT, PACE.joint_speed).points, POINT)
     assert planned.error.min() >= np.median(every) - 1e-12
 
 
 def test_foretold_is_what_identification_reports(known):
-    wanted = WANTED._replace(n_lines=8, n_points=12)
-    planned = plan_lines(bench.site(NAME), known, wanted, Pace(), target="ball")
+    """With a delay that is not known: there and back tells it."""
+    known = replace(known, rig=replace(known.rig, time_offset_sigma=None))
+    wanted = WANTED._replace(n_lines=8, shape=SHAPE._replace(n_points=12))
+    planned = plan_lines(bench.site(NAME), known, wanted, PACE, target="ball")
     rng = np.random.default_rng(2)
     sigma = np.array([{"m": 1e-3, "rad": 4e-3, "1": 0.0}[p.unit] for p in known.chain.parameters]) * known.free
     truth = replace(known, params=known.params + sigma * rng.standard_normal(sigma.size))
-    table, _ = line_rows(truth, planned.q, "ball", POINT)
+    table, _ = line_rows(truth, planned.lines, list(planned.devices), "ball")
     cov = np.array(planned.devices["plan1"].sensor_cov)
     table = replace(table, xyz=table.xyz + rng.standard_normal(table.xyz.shape) * np.sqrt(np.diag(cov)))
-    found = identify(known.chain, replace(known.rig, lines=planned.devices), table, free=known.free)
+    found = identify(known.chain, planned.rig, table, free=known.free)
     told = planned.forecast
     assert found.rank == told.rank
     # parameters with small weights in a direction come and go with the values that they have
     assert [d.names[0] for d in found.null_space] == [d.names[0] for d in told.null_space]
     assert told.null_space[:3] == tuple(NullDirection((f"base.{k}",), (1.0,)) for k in "xyz")
     seen = found.free & np.isfinite(found.sigma)
-    seen[found.n_robot_parameters :] = False
-    ratio = told.sigma[seen] / found.sigma[seen]
-    assert ratio.min() > 0.9
-    assert ratio.max() < 1.1
+    clock = found.parameter_names.index("time_offset")
+    seen[found.n_robot_parameters : clock] = seen[clock + 1 :] = False
+    # in 0.1 mm / 80 mm/s = 1.25 ms the target goes as far as one reading errs; there are 192 of them
+    assert 1.25e-3 / np.sqrt(192) * 0.9 < told.sigma[clock] < 1.25e-3 / np.sqrt(192) * 3.0
+    # From the design, 1 mm and 4 mrad from this robot: of four robots the ratio was 0.83 to 1.08. From what was identified, as
+    # a second plan is made, nothing but the noise is between the two: 0.1 % in the mean, a few times that at worst.
+    again = forecast(replace(known, rig=planned.rig, params=found.value[: found.n_robot_parameters]), table)
+    for foretold, off in ((told, 0.2), (again, 0.02)):
+        ratio = foretold.sigma[seen] / found.sigma[seen]
+        assert ratio.min() > 1.0 - off
+        assert ratio.max() < 1.0 + off
     assert told.relative
+
+
+def test_a_budget_in_minutes_is_kept(known):
+    site = bench.site(NAME)
+    wanted = WANTED._replace(n_lines=None, minutes=10.0, n_candidates=12)
+    found = plan_lines(site, known, wanted, PACE, target="ball")
+    # three minutes each to place the device; a quarter of a minute to drive there and back
+    assert len(found.devices) == 3
+    assert found.minutes <= 10.0
+    with pytest.raises(PlanError, match="minutes are too few"):
+        plan_lines(site, known, wanted._replace(minutes=3.0), PACE, target="ball")
+    for budget in ({"n_lines": None, "minutes": None}, {"n_lines": 3, "minutes": 9.0}):
+        with pytest.raises(PlanError, match="budget"):
+            plan_lines(site, known, wanted._replace(**budget), PACE, target="ball")
+
+
+def test_lines_that_were_measured_keep_their_names(known, planned):
+    """A second plan counts the first one's rows and calls its own lines otherwise."""
+    names = list(planned.devices)
+    table, _ = line_rows(known, planned.lines, names, "ball")
+    more = plan_lines(
+        bench.site(NAME), replace(known, measured=table), WANTED._replace(n_lines=2, seed=1), PACE, target="ball"
+    )
+    assert list(more.devices) == ["plan5", "plan6"]
+    assert set(more.rig.lines) == {*names, *more.devices}
+    assert more.forecast.n_rows == len(table) + 2 * 2 * 9
+    assert more.forecast.rank >= planned.forecast.rank
 
 
 def test_points_out_of_reach_are_not_a_number():
     site = bench.site(NAME)
     q = np.array([[0.1, 0.2, 0.1, 0.3, 0.8, 0.1]])
-    p = point_forward(site.arm.chain, site.arm.params, q, POINT)
-    far = driven_lines(site, q, p, np.array([[1.0, 0.0, 0.0]]), np.array([-2.0, 0.0, 2.0]), POINT)
+    far = driven_lines(site, q, np.array([[4.0, 0.0, 0.0]]), np.zeros((1, 3)), 5, POINT)
     assert np.isnan(far).all()
 
 
-def test_the_csv_has_every_point(planned):
-    rows = [line.split(",") for line in lines_csv(planned).splitlines()]
-    assert rows[0] == ["pose", "line", "x_mm", "y_mm", "z_mm", *(f"q{i}_rad" for i in range(1, 7))]
-    np.testing.assert_array_equal([[float(v) for v in row[5:]] for row in rows[1:]], planned.q.reshape(-1, 6))
-    assert [row[1] for row in rows[1::9]] == ["plan1", "plan2", "plan3", "plan4"]
+def test_the_tool_turns_evenly():
+    site, known = bench.site(NAME), bench.known(NAME)
+    q = np.array([[0.1, 0.2, 0.1, 0.3, 0.8, 0.1]])
+    turn = np.array([[0.2, -0.3, 0.1]])
+    (line,) = driven_lines(site, q, np.array([[0.0, 0.1, 0.0]]), turn, 5, POINT)
+    rot = forward(known.chain, known.params, line)[:, :3, :3]
+    for before, after in pairwise(rot):
+        step = after @ before.T
+        assert np.arccos((np.trace(step) - 1) / 2) == pytest.approx(np.linalg.norm(turn) / 4, abs=1e-7)
 
 
-def test_a_workspace_too_small_is_said(known):
+def test_a_workspace_too_small_is_said():
     nowhere = Region(np.array([0.3, 0.0, 0.3]), np.array([0.3001, 0.0001, 0.3001]))
     with pytest.raises(PlanError, match="lines of 350 mm fit"):
-        candidate_lines(bench.site(NAME), WANTED, POINT, nowhere)
+        candidate_lines(bench.site(NAME), SHAPE, 4, POINT, PACE.joint_speed, nowhere, least=4)

@@ -20,7 +20,8 @@ from truearm.report.words import kind_name, proposal
 
 Document = Mapping[str, Any]
 
-BORDER = {"m": ("mm", 1e3, 4), "rad": ("deg", 180.0 / math.pi, 5), "1": ("", 1.0, 6)}  # unit, factor, decimals
+# unit, factor, decimals
+BORDER = {"m": ("mm", 1e3, 4), "rad": ("deg", 180.0 / math.pi, 5), "1": ("", 1.0, 6), "s": ("ms", 1e3, 4)}
 MAX_DIRECTIONS = 6
 MAX_TERMS = 4
 SMALLEST_WEIGHT = 0.005  # below it "0.00" would be shown

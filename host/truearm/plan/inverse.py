@@ -64,11 +64,11 @@ def inverse(arm: Arm, poses: Floats) -> Floats:
     """Joint vectors (m, j) of end poses (m, 4, 4); NaN where none was found that is good."""
     q = arm.q_seeds[arm.seeds.query(_features(poses))[1]]
     for _ in range(ITERATIONS):
-        error, jacobian = _pose_error(arm, poses, q)
+        error, jacobian = pose_error(arm, poses, q)
         normal = jacobian @ jacobian.swapaxes(-1, -2) + DAMPING**2 * np.eye(6)
         step = (jacobian.swapaxes(-1, -2) @ np.linalg.solve(normal, error[..., None]))[..., 0]
         q = q + np.clip(step, -0.4, 0.4)
-    error, jacobian = _pose_error(arm, poses, q)
+    error, jacobian = pose_error(arm, poses, q)
     good = np.all((q > arm.branch.lower) & (q < arm.branch.upper), axis=-1) & (np.abs(error).max(axis=-1) < TOLERANCE)
     good &= np.linalg.svd(jacobian, compute_uv=False)[:, -1] > MIN_SINGULAR_VALUE
     good &= (np.hypot(poses[:, 0, 3], poses[:, 1, 3]) > arm.branch.clearance) & (poses[:, 2, 3] > arm.branch.height)
@@ -80,7 +80,7 @@ def _features(poses: Floats) -> Floats:
     return np.concatenate([poses[..., :3, 3] / LEVER, poses[..., :3, 2], 0.5 * poses[..., :3, 0]], axis=-1)
 
 
-def _pose_error(arm: Arm, poses: Floats, q: Floats) -> tuple[Floats, Floats]:
+def pose_error(arm: Arm, poses: Floats, q: Floats) -> tuple[Floats, Floats]:
     """Error (m, 6) and Jacobian (m, 6, j), positions in LEVERs."""
     here = forward(arm.chain, arm.params, q)
     turn = Rotation.from_matrix(poses[:, :3, :3] @ here[:, :3, :3].swapaxes(-1, -2)).as_rotvec()
