@@ -128,13 +128,15 @@ class Board:
 
     # -- the link
 
-    def receive(self, buf):
+    def receive(self, buf, stamp):
         n = 0
         while n < len(buf):
             for _ in self._poll.ipoll(0):
                 break
             else:
                 break
+            if n == 0:
+                _now(stamp)
             self._stdin.readinto(self._byte)
             buf[n] = self._byte[0]
             n += 1
@@ -163,9 +165,9 @@ class Board:
         sys.stdout.buffer.write(b"\0")
         time.sleep_ms(100)  # for the host to fetch it: a reset follows
 
-    def idle(self):
+    def idle(self, us):
         """Sleep until a byte comes, at most IDLE_MS. machine.idle() would not sleep at all after a step of more than its 1 ms."""
-        for _ in self._poll.ipoll(IDLE_MS):
+        for _ in self._poll.ipoll(min(IDLE_MS, us // 1000)):
             break
 
     # -- sensors and signals

@@ -84,6 +84,7 @@ golden(
 golden("data-mag-full", array(16, u32(5), 1, u64(52), u64(2**33), u32(983040), typed(78, flights(52, 0)), 4))
 golden("data-mag-one-sample", array(16, u32(6), 1, u64(104), u64(2**33), u32(200000), typed(78, flights(1, 0)), 0))
 golden("event-rising", array(17, u32(9), 1, u64(5_000_000_123), 1))
+golden("event-output-falling", array(17, u32(10), 2, u64(4_294_967_295), 0))
 BEAT = (70000, 0, 3, 26, 1, 900, 4500, 151000, 31250, 1, 1)
 golden("heartbeat", array(18, u32(10), u32(0xDEADBEEF), u64(10**9), *BEAT, 1, 2, 2**30 - 1))
 golden("heartbeat-1.0", array(18, u32(10), u32(0xDEADBEEF), u64(10**9), *BEAT))

@@ -4,7 +4,8 @@
     uid, boot_id (4 bytes), reset_cause, ring_slots, config_path, error_path
     now(buf)                  8 bytes, big endian: microseconds since boot. Never steps, never wraps.
     ticks(), ticks_diff(a, b) microseconds for durations, small integers
-    receive(buf) → n          bytes that came over the link, at most len(buf)
+    receive(buf, stamp) → n   bytes that came over the link, at most len(buf). If any: stamp (8 bytes) is a time, as now's, at which the first of
+                              them was there already
     send(buf, at, n) → taken  of buf[at:at + n], 0 … n
     adc, mag                  the sources of samples, see below
     configure(settings)       the configuration (config.DEFAULT shows one) is in force from now on: gains, blanking and time-out, the
@@ -17,7 +18,7 @@
     led(code)                 what the LED shows from now on: health.IDLE, STREAMING, HOST_GONE or FAULT
     self_test(settings) → dict  measurements by name, integers in the units of selftest.LIMITS; what cannot be measured is left out.
                               Never while sampling. May take a second, in which it feeds the watchdog itself
-    idle()                    nothing to do: wait for an interrupt, at most some milliseconds
+    idle(us)                  nothing to do: wait for an interrupt, at most some milliseconds and at most so many microseconds
     console(text), reset()    the way out of an exception; reset() lets the link take what was sent, as boot_loader() does
     to_repl(), boot_loader()  the ways out by command; to_repl() returns, and then main ends
     heap_free(), temperature_mdegc()
@@ -48,6 +49,7 @@ import gc
 import io
 import sys
 
+from truearm_wire.fast import copy
 from truearm_wire.frame import Splitter
 from truearm_wire.messages import BOOT_LOADER, COUNTER, EVENT, RESET
 
@@ -58,6 +60,7 @@ from .ring import Events, Ring
 from .settings import Settings
 from .storage import keep_error
 from .stream import Streams
+from .toggle import Toggle
 
 EDGES_A_STEP = 8  # a line that nobody terminated may have edges faster than they can be handled
 
@@ -75,10 +78,14 @@ class Box:
         self._rx = bytearray(64)
         self._rx_at = 0
         self._rx_end = 0
-        self._t1 = bytearray(8)
+        self._rx_begun = 0  # a frame that begins before this place began with the first byte
+        self._t_first = bytearray(8)  # a time at which that was there
+        self._t_read = bytearray(8)  # at which all of them were
+        self._t1 = bytearray(8)  # at which the frame under way had begun
         self._edge = bytearray(6)
         self._t_edge = bytearray(8)
         self._events = Events()
+        self.toggle = Toggle(board)
         self._now = bytearray(8)
         self._sending_block = False
         self.ended = False  # the host asked for MicroPython's prompt
@@ -89,6 +96,8 @@ class Box:
         start = self._board.ticks()
         self._board.alive()
         busy = self.streams.pull()
+        if self.toggle.step(self.streams.running, self.settings.trigger_ms):
+            busy = True
         if self._keep_edges():
             busy = True
         if self.link.pump():
@@ -131,19 +140,26 @@ class Box:
         return self.commands.send_deferred()
 
     def _receive(self):
-        """Read what came until a frame is whole, and handle it."""
+        """Read what came until a frame is whole, and handle it.
+
+        A request left its host before its first byte was there. Of what is read at once only the first byte's time is known: a
+        frame that begins with it, or behind a delimiter that ends nothing, has that for its t1; one that begins further on may have been sent later.
+        """
         while True:
             while self._rx_at < self._rx_end:
                 byte = self._rx[self._rx_at]
                 self._rx_at += 1
+                if byte and self._splitter.n == 0:
+                    copy(self._t1, 0, self._t_first if self._rx_at <= self._rx_begun else self._t_read, 0, 8)
                 if self._splitter.push(byte):
                     self.commands.handle(self._splitter.buf, 1, self._splitter.end, self._t1)
                     return True
-            self._rx_end = self._board.receive(self._rx)
+            self._rx_end = self._board.receive(self._rx, self._t_first)
             self._rx_at = 0
             if self._rx_end == 0:
                 return False
-            self._board.now(self._t1)
+            self._board.now(self._t_read)
+            self._rx_begun = 2 if self._rx[0] == 0 and self._splitter.n == 0 else 1
 
     def _keep_edges(self):
         """Edges get their full time at once: later their stamps could have wrapped. Returns whether more may wait."""
@@ -179,7 +195,7 @@ def run(board):
         box = Box(board)
         while not box.ended:
             if not box.step():
-                board.idle()
+                board.idle(box.toggle.wait())
     except Exception as e:
         box = None
         gc.collect()  # telling of it takes memory, which may be what is lacking

@@ -93,7 +93,7 @@ class Commands:
         link.send()
 
     def handle(self, buf, start, end, t1):
-        """Answer the frame whose payload is buf[start:end] and whose last byte was read at device time t1."""
+        """Answer the frame whose payload is buf[start:end] and whose beginning was there at device time t1."""
         if not self._usual_sync(buf, start, end, t1):
             self._unusual(buf, start, end, t1)
 

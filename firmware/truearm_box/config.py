@@ -11,6 +11,8 @@ GAINS = (1, 2, 4, 8, 16, 32, 64, 128)
 TICK_NS = 8
 PERIOD_MIN_NS = 100000
 PERIOD_MAX_NS = 1000000000
+TRIGGER_MIN_MS = 10
+TRIGGER_MAX_MS = 16000  # a 65536th part of it, times 65535, is a small integer
 REARM_NS = 10000  # between the time-out and the next interrogation
 DEFAULT = {
     "version": VERSION,
@@ -31,6 +33,7 @@ DEFAULT = {
         "date": "",
     },
     "debounce_us": [0, 0],
+    "trigger_ms": [0, 0],
     "watchdog_ms": 2000,
 }
 
@@ -63,6 +66,7 @@ def check(config):
     debounce = config.get("debounce_us")
     if not isinstance(debounce, list) or len(debounce) != 2 or not all(_within(us, 0, 1000000) for us in debounce):
         raise ValueError("debounce_us is two times of 0 to 1000000")
+    _check_trigger(config.get("trigger_ms", DEFAULT["trigger_ms"]))
     if config.get("watchdog_ms") != 0 and not _within(config.get("watchdog_ms"), 100, 8000):
         raise ValueError("watchdog_ms is 0 or 100 to 8000")
     return config
@@ -121,6 +125,15 @@ def _check_calibration(channel):
     for key in ("unit", "serial", "date"):
         if not isinstance(calibration.get(key), str):
             raise ValueError("the calibration of %s needs %s as text" % (channel["name"], key))
+
+
+def _check_trigger(limits):
+    if not isinstance(limits, list) or len(limits) != 2 or not all(_is_int(ms) for ms in limits):
+        raise ValueError("trigger_ms is two times")
+    if limits != [0, 0] and not TRIGGER_MIN_MS <= limits[0] < limits[1] <= TRIGGER_MAX_MS:
+        raise ValueError(
+            "trigger_ms is [0, 0] or two times, %d to %d, the second longer" % (TRIGGER_MIN_MS, TRIGGER_MAX_MS)
+        )
 
 
 def _check_magnetostrictive(sensor):

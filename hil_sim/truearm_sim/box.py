@@ -25,7 +25,7 @@ from .micropython import Interpreter
 
 HEAP_KIB = 237  # free heap of MicroPython 1.25 on an RP2040, for the chip's 32-bit words
 GRANT = struct.Struct(">cBHHQiBBHQHQ")
-ANSWER = struct.Struct(">cBBHIHHBH")
+ANSWER = struct.Struct(">cBBHIHHBHI")
 RECORD = 20  # bytes a sample of the converter takes in a grant: stamp and four counts
 MAG_RECORD = 8  # a sample of the magnetostrictive head: stamp and ticks
 SAMPLES_MAX = 112  # of each
@@ -53,6 +53,9 @@ class BoxDied(LinkError):
     """The firmware's process ended; the text is what it wrote to standard error."""
 
 
+LATER_US = 1 << 29  # nothing is due
+
+
 @dataclass(frozen=True)
 class Answer:
     """What the box did in one grant.
@@ -76,6 +79,8 @@ class Answer:
         None,
         None,
     )  # device time of sample 0 of each stream since the latest start
+    wake_us: int = LATER_US  # from now: the firmware wants to run then, whatever comes
+    toggles: tuple[tuple[int, bool], ...] = ()  # edges of its trigger output: device time [ns], level
 
     @property
     def reset(self) -> bool:
@@ -191,7 +196,9 @@ class BoxProcess:
         return self._answer()
 
     def _answer(self) -> Answer:
-        magic, flags, led, osr, mag_period_ns, watchdog_ms, rx_room, starts, n = ANSWER.unpack(self._read(ANSWER.size))
+        magic, flags, led, osr, mag_period_ns, watchdog_ms, rx_room, starts, n, wake_us = ANSWER.unpack(
+            self._read(ANSWER.size)
+        )
         if magic != b"D":
             raise BoxDied("the firmware wrote to standard output: " + repr(magic))
         return Answer(
@@ -207,6 +214,7 @@ class BoxProcess:
             led=led,
             alive=bool(flags & 16),
             watchdog_ms=watchdog_ms,
+            wake_us=wake_us,
         )
 
     def _read(self, n: int) -> bytes:

@@ -42,7 +42,6 @@ QUERY = struct.Struct("<BHQQQ")
 CLOSED, STALLED = 1, 2  # flags of a grant
 SAMPLING, RESET, BOOT_LOADER, POWER_CUT = 1, 2, 4, 8  # flags of an answer
 ANY_ROOM = 0xFFFF  # what a link that is never full says it takes; USB then takes all
-OUTPUT_LINE = 2
 SETTLING = 6  # conversions after a start that the driver does not hand out (firmware/drivers/ads131m04.py)
 _FAULTS: dict[int, dict[str, Any]] = {
     CRASH: {"pico": "crash"},
@@ -101,7 +100,6 @@ class ChipBox:
         }
         self._signals = boot.signals
         self.host_gone = False
-        self.output_edges: list[Edge] = []  # of the box's trigger output so far, device time
         self._output = False
         self._first_ns: list[int | None] = [None, None]
         self._stderr = tempfile.TemporaryFile()
@@ -168,13 +166,14 @@ class ChipBox:
     def _answer(self) -> Answer:
         flags, cause, _now_ns, n_tx, n_edges = ANSWER.unpack(self._read(ANSWER.size))
         tx = self._read(n_tx)
-        for _ in range(n_edges):
-            level, t_ns = EDGE_OUT.unpack(self._read(EDGE_OUT.size))
-            self._output = bool(level)
-            self.output_edges.append(Edge(t_ns, OUTPUT_LINE, self._output))
+        edges = [EDGE_OUT.unpack(self._read(EDGE_OUT.size)) for _ in range(n_edges)]
+        toggles = tuple((t_ns, bool(level)) for level, t_ns in edges)
+        self._output = toggles[-1][1] if toggles else self._output
         end = "boot loader" if flags & BOOT_LOADER else _ENDS[cause] if flags & (RESET | POWER_CUT) else ""
         first_ns = (self._first_ns[0], self._first_ns[1])
-        return Answer(tx, bool(flags & SAMPLING), 0, end, RX_MAX, output=self._output, first_ns=first_ns)
+        return Answer(
+            tx, bool(flags & SAMPLING), 0, end, RX_MAX, output=self._output, first_ns=first_ns, toggles=toggles
+        )
 
     def _write(self, data: bytes) -> None:
         assert self._process.stdin is not None

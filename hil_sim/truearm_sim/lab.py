@@ -19,7 +19,7 @@ from truearm.errors import LinkClosed, LinkError
 from .simbox import SimulatedBox
 from .world import World
 
-STEP_NS = 200_000_000  # the box runs at least this often
+STEP_NS = 200_000_000  # the box runs at least this often, and whenever it wants to
 ROBOT_AHEAD_NS = 1_000_000_000  # the robot's lines are computed by the second
 HOST_AT_START_NS = 12_345_678_901_234
 UTC_NS = 1_767_225_600_000_000_000  # 2026-01-01T00:00:00Z: the virtual lab's calendar
@@ -50,15 +50,20 @@ FROM_ROBOT = Latency(300e3, 200e3, 20e6, 0.005)
 class Lab:
     """Box and robot in virtual time; ``box_link``, ``robot_link`` and ``clock`` are what the recorder is given."""
 
-    def __init__(self, world: World, box: SimulatedBox, seed: int = 0) -> None:
+    def __init__(self, world: World, box: SimulatedBox, seed: int = 0, step_ns: int = STEP_NS) -> None:
+        """``step_ns``: a box that sets its trigger output in the course of a step (the chip's) needs steps shorter than the
+        robot's link takes (0.3 ms), or readings of it arrive before it is known what the robot saw."""
         self.world = world
         self.box = box
+        self._step_ns = step_ns
         self.now_ns = 0
         self._rng = np.random.default_rng((seed, 1))
         self._to_box: list[tuple[int, int, bytes]] = []  # heap of (arrival, order, bytes)
         self._order = 0
         self._next_step_ns = 0
-        self._arrivals: dict[str, deque[tuple[int, bytes]]] = {"box": deque(), "robot": deque()}
+        # arrival, sent, bytes
+        self._arrivals: dict[str, deque[tuple[int, int, bytes]]] = {"box": deque(), "robot": deque()}
+        self._edges_seen = 0  # of the box's output, by the robot
         self._last_ns = {"box": 0, "robot": 0, "to box": 0}
         self._robot_until_ns = 0
         self.clock = VirtualClock(self)
@@ -77,7 +82,7 @@ class Lab:
             raise LinkClosed("the robot's program has ended")
         found = []
         while arrivals and arrivals[0][0] <= self.now_ns:
-            t_ns, data = arrivals.popleft()
+            t_ns, _, data = arrivals.popleft()
             found.append((self.host_ns(t_ns), data))
         return found
 
@@ -96,6 +101,8 @@ class Lab:
         times = [self._next_step_ns]
         if self._to_box:
             times.append(self._to_box[0][0])
+        if self.box.wake_ns is not None:
+            times.append(self.box.wake_ns)
         if self._arrivals[which]:
             times.append(self._arrivals[which][0][0])
         return max(min(times), self.now_ns)
@@ -105,23 +112,37 @@ class Lab:
         rx = b""
         while self._to_box and self._to_box[0][0] <= t_ns:
             rx += heapq.heappop(self._to_box)[2]
-        if rx or t_ns >= self._next_step_ns:
+        wanted = self.box.wake_ns is not None and t_ns >= self.box.wake_ns
+        if rx or wanted or t_ns >= self._next_step_ns:
             for tx in self.box.advance(t_ns, rx):
                 at = self._in_order("box", t_ns + FROM_BOX.draw(self._rng))
-                self._arrivals["box"].append((at, tx))
+                self._arrivals["box"].append((at, t_ns, tx))
+            if self.world.robot_input is not None:
+                self._forget_readings()
         if t_ns >= self._next_step_ns:
-            self._next_step_ns = t_ns + STEP_NS
-            while self._robot_until_ns <= self._next_step_ns:
-                self._robot_speaks()
+            self._next_step_ns = t_ns + self._step_ns
+        while self._robot_until_ns <= self._next_step_ns:
+            self._robot_speaks()
+
+    def _forget_readings(self) -> None:
+        """Readings that were made ahead of an edge of the box's output: what they say of the robot's input is wrong."""
+        new = self.box.output_edges[self._edges_seen :]
+        self._edges_seen += len(new)
+        readings = self._arrivals["robot"]
+        if not new:
+            return
+        while readings and readings[-1][1] >= new[0][0]:
+            self._robot_until_ns = readings.pop()[1] - 1000  # it was rounded, and is to come again
+        self._last_ns["robot"] = readings[-1][0] if readings else self.now_ns
 
     def _robot_speaks(self) -> None:
         """The controller's next lines, each with a delay of its own."""
         since_ns = self._robot_until_ns
         self._robot_until_ns += ROBOT_AHEAD_NS
-        times_ns, lines = self.world.robot_lines(since_ns, self._robot_until_ns)
+        times_ns, lines = self.world.robot_lines(since_ns, self._robot_until_ns, self.box.output_at)
         for sent_ns, line in zip(times_ns, lines, strict=True):
             at = self._in_order("robot", int(sent_ns) + FROM_ROBOT.draw(self._rng))
-            self._arrivals["robot"].append((at, line))
+            self._arrivals["robot"].append((at, int(sent_ns), line))
 
     def _in_order(self, stream: str, t_ns: int) -> int:
         """A byte stream keeps its order: nothing arrives before what was sent earlier."""

@@ -13,7 +13,7 @@ rest; before the first drive along another line the robot waits for the operator
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -39,6 +39,9 @@ RING_HZ = 9.0
 RING_DECAY = 0.05  # s
 RING_SHARE = 0.1  # of the deflection that the peak acceleration would cause: the quintic ends softly
 SETTLED = 10.0 * RING_DECAY  # s; what is left then moves the endpoint by at most 30 nm
+
+
+Inputs = Callable[[Floats], NDArray[np.int64]]
 
 
 class States(NamedTuple):
@@ -226,8 +229,11 @@ class Controller:
         t_robot, numbers = self.ticks(t0, t1)
         return t_robot, self._read(self.clock.true(t_robot) - self.delay, numbers)
 
-    def states(self, t0: float, t1: float) -> States:
-        """What the controller says of the readings with t0 ≤ true time < t1, any chunks alike."""
+    def states(self, t0: float, t1: float, inputs: Inputs | None = None) -> States:
+        """What the controller says of the readings with t0 ≤ true time < t1, any chunks alike.
+
+        ``inputs``: its digital inputs as bits (k,) at true times (k,), all 0 without.
+        """
         t_robot, numbers = self.ticks(t0, t1)
         t = self.clock.true(t_robot)
         late = t - self.delay
@@ -240,22 +246,24 @@ class Controller:
             q_cmd=self.q_commanded(late),
             qd=(self.q_driven(after) - self.q_driven(before)) / VELOCITY_S,
             qd_cmd=(self.q_commanded(after) - self.q_commanded(before)) / VELOCITY_S,
-            inputs=np.zeros(t.size, dtype=np.int64),
+            inputs=np.zeros(t.size, dtype=np.int64) if inputs is None else inputs(t),
         )
 
-    def reading_lines(self, t0: float, t1: float) -> tuple[Floats, list[bytes]]:
+    def reading_lines(self, t0: float, t1: float, inputs: Inputs | None = None) -> tuple[Floats, list[bytes]]:
         """True times (k,) [s] and JSON lines, each ending with a line feed, as the controller sends them.
 
-        ``t`` is controller time [s], ``seq`` counts from the start, ``q`` is measured, ``q_cmd`` commanded [rad].
+        ``t`` is controller time [s], ``seq`` counts from the start, ``q`` is measured, ``q_cmd`` commanded [rad]. With
+        ``inputs`` (see ``states``) they are there too.
         """
         t_robot, numbers = self.ticks(t0, t1)
         t = self.clock.true(t_robot)
         measured, commanded = self._read(t - self.delay, numbers), self.q_commanded(t - self.delay)
         j = measured.shape[1]
         # Digits enough for the readings' step to be seen in differences of differences of what is printed.
-        line = '{"t":%.6f,"seq":%d,"q":[' + ",".join(["%.12f"] * j) + '],"q_cmd":[' + ",".join(["%.9f"] * j) + "]}\n"
-        rows = zip(t_robot.tolist(), numbers.tolist(), measured.tolist(), commanded.tolist(), strict=True)
-        return t, [(line % (when, number, *q, *q_cmd)).encode() for when, number, q, q_cmd in rows]
+        line = '{"t":%.6f,"seq":%d,"q":[' + ",".join(["%.12f"] * j) + '],"q_cmd":[' + ",".join(["%.9f"] * j) + "]%s}\n"
+        more = [""] * t.size if inputs is None else [f',"inputs":{bits}' for bits in inputs(t).tolist()]
+        rows = zip(t_robot.tolist(), numbers.tolist(), measured.tolist(), commanded.tolist(), more, strict=True)
+        return t, [(line % (when, number, *q, *q_cmd, rest)).encode() for when, number, q, q_cmd, rest in rows]
 
 
 def new_pairing(plan: Plan) -> NDArray[np.bool_]:

@@ -173,7 +173,7 @@ def serve(
             t_ns = sent_until_ns + longest_step_ns
         for tx in box.advance(t_ns, box_port.receive(), box_port.room()):
             box_port.send(tx)
-        _report(world, robot_port, sent_until_ns, t_ns)
+        _report(world, box, robot_port, sent_until_ns, t_ns)
         sent_until_ns = t_ns
         if t_ns > world.robot_end_ns:
             robot_port.drop()
@@ -182,10 +182,10 @@ def serve(
         time.sleep(TICK_S)
 
 
-def _report(world: World, robot_port: Port | RtdeServer, since_ns: int, until_ns: int) -> None:
+def _report(world: World, box: SimulatedBox, robot_port: Port | RtdeServer, since_ns: int, until_ns: int) -> None:
     """Tell the robot's client the readings between two true times."""
     if isinstance(robot_port, Port):
-        _, lines = world.robot_lines(since_ns, until_ns)
+        _, lines = world.robot_lines(since_ns, until_ns, box.output_at)
         robot_port.send(b"".join(lines) if robot_port.client else b"")
     else:
-        robot_port.report(world.robot_states(since_ns, until_ns))
+        robot_port.report(world.robot_states(since_ns, until_ns, box.output_at))

@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truearm.types import Floats
 
@@ -100,6 +101,8 @@ class SimulatedBox:
         self._stalled_until_ns = 0
         self._short_write = False
         self.output = False  # level of its trigger output
+        self.output_edges: list[tuple[int, bool]] = []  # of that so far: true time [ns], level
+        self.wake_ns: int | None = None  # true time at which its firmware wants to run again, whatever comes
         self.led = 0
         self.first_ns: tuple[int | None, int | None] = (None, None)  # lab's device clock at sample 0 of each stream
 
@@ -117,6 +120,12 @@ class SimulatedBox:
         reading = 1e-6 * device_us + 1e-9 * self.boot_device_ns
         true: Floats = self._world.clocks.device.true(reading)
         return true
+
+    def output_at(self, t: Floats) -> NDArray[np.bool_]:
+        """Level (m,) of its trigger output at true times (m,) [s] up to now."""
+        times = 1e-9 * np.array([t_ns for t_ns, _ in self.output_edges])
+        levels = np.array([False, *(level for _, level in self.output_edges)])
+        return np.asarray(levels[np.searchsorted(times, t, side="right")])
 
     def advance(self, t_ns: int, rx: bytes = b"", tx_room: int = 0xFFFF) -> Iterator[bytes]:
         """Let the box run up to true time ``t_ns``; yields the bytes it sent, step by step."""
@@ -136,7 +145,7 @@ class SimulatedBox:
         for answer in self._hardware.advance(
             self.device_us(t_ns), rx, self._due_edges(t_ns), room, flags, TEMPERATURE_MDEGC
         ):
-            self._note(answer)
+            self._note(answer, t_ns)
             sent += len(answer.tx)
             yield self._damage(answer.tx, fault)
             fault = None
@@ -174,6 +183,8 @@ class SimulatedBox:
 
     def _power_off(self, t_ns: int, cause: int) -> None:
         self._switch_off()
+        if self.output:
+            self._toggled(t_ns, False)
         self._cause = cause
         self._boot_at_ns = t_ns + self._boot_ns
 
@@ -181,7 +192,8 @@ class SimulatedBox:
         if self._hardware is not None:
             self._hardware.close()
             self._hardware = None
-        self._sampling = self.output = False
+        self._sampling = False
+        self.wake_ns = None
         self._stalled_until_ns = 0
 
     # -- inputs and outputs
@@ -196,8 +208,16 @@ class SimulatedBox:
         timed = [Edge(self._device_ns(edge.t_ns), edge.line, edge.rising) for edge in due]
         return [edge for edge in timed if edge.t_ns >= 0]
 
-    def _note(self, answer: Answer) -> None:
-        self._sampling, self.output, self.led = answer.sampling, answer.output, answer.led
+    def _toggled(self, t_ns: int, level: bool) -> None:
+        self.output = level
+        self.output_edges.append((t_ns, level))
+
+    def _note(self, answer: Answer, t_ns: int) -> None:
+        self._sampling, self.led = answer.sampling, answer.led
+        for device_ns, level in answer.toggles:
+            self._toggled(self._world.device_clock.to_true_ns(self.boot_device_ns + device_ns), level)
+        wake_us = self.device_us(t_ns) + max(1, answer.wake_us)
+        self.wake_ns = self._world.device_clock.to_true_ns(self.boot_device_ns + 1000 * wake_us) + 1
         if answer.sampling:
             adc, mag = (None if first is None else self.boot_device_ns + first for first in answer.first_ns)
             self.first_ns = adc, mag

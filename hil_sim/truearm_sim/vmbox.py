@@ -52,6 +52,7 @@ class VmBox:
         self._rx = b""
         self._rx_room = RX_MAX
         self._fed_us = 0  # when the firmware last fed its watchdog
+        self._output = False
 
     def advance(
         self, device_us: int, rx: bytes, edges: Sequence[Edge], tx_room: int, flags: int, temperature_mdegc: int
@@ -115,7 +116,9 @@ class VmBox:
             self._mag = None
             if answer.mag_sampling:
                 self._mag = Feed(device_us * 1000 + answer.mag_period_ns, answer.mag_period_ns)
-        answer = replace(answer, first_ns=(_first_ns(self._adc), _first_ns(self._mag)))
+        toggles = ((1000 * device_us, answer.output),) if answer.output != self._output else ()
+        self._output = answer.output
+        answer = replace(answer, first_ns=(_first_ns(self._adc), _first_ns(self._mag)), toggles=toggles)
         if not answer.sampling:
             self._adc = self._mag = None
         if answer.alive:

@@ -24,7 +24,7 @@ from truearm_sim.arm import Arm
 from truearm_sim.clocks import Clock, Clocks, draw_clocks
 from truearm_sim.line_device import REACH, Flaws, LineDevices, Placement, place_devices, written_down
 from truearm_sim.paths import line_paths
-from truearm_sim.robot import SPEED, Controller, States
+from truearm_sim.robot import SPEED, Controller, Inputs, States
 
 ROBOT, DESIGN, TRUTH = "puma560", "design", "optimised"
 REPEATABILITY = 84e-6  # m
@@ -33,7 +33,11 @@ NO_POINT = Point("", (math.nan, math.nan, math.nan))
 MAG_PERIOD_NS = 983_040  # 1017 Hz
 MAG_STROKE = (0.05, 0.55)  # m, of the magnetostrictive sensor where no lines are driven
 MAG_MIDDLE = 0.30
+TRIGGER_MS = (300, 1300)  # between edges to the robot's input
 MAG_Y = 0.15  # m, of the sensor's middle in the base frame
+
+
+Level = Callable[[Floats], NDArray[np.bool_]]
 
 
 def standard_rig() -> Rig:
@@ -96,12 +100,16 @@ class World:
         arm: Arm | None = None,
         robot_delay_s: float = 0.0,
         flaws: Flaws | None = None,
+        robot_input: int | None = None,
+        trigger_ms: tuple[int, int] = TRIGGER_MS,
     ) -> None:
         """``params`` (p,): the true robot, Table II's optimised values by default; ``clocks``: drawn from the seed.
 
         ``mag_period_ns``: how often the box is configured to read its magnetostrictive sensor, 0: never; default: MAG_PERIOD_NS
         where lines are driven. A share ``lost_stops`` of its shots has no stop pulse. ``arm``: a stiff one by default.
         ``robot_delay_s``: how late the robot's readings are. ``flaws``: what the line device does beside what it says.
+        ``robot_input``: the digital input of the controller that the box's trigger output is wired to, which then is configured to be
+        toggled every ``trigger_ms``; None: not at all.
         Raises PlanError when the plan names something that the rig does not have, and for a line that cannot be driven.
         """
         robot = builtin_robot(ROBOT)
@@ -130,6 +138,8 @@ class World:
         self._settled_length = self._distance(self.controller.q_rest, pose) + self._scatter[pose]
         self._mag_period_ns = (MAG_PERIOD_NS if paths else 0) if mag_period_ns is None else mag_period_ns
         self._lost_stops = lost_stops
+        self.robot_input = robot_input
+        self._trigger_ms = trigger_ms if robot_input is not None else (0, 0)
         self._kept: dict[str, tuple[tuple[int, ...], NDArray[Any]]] = {}
 
     @property
@@ -247,14 +257,25 @@ class World:
         position = self.magnet_position(self.clocks.device.true(1e-9 * device_ns))
         return sensors.flight_times(position / (1.0 + self._flaws.sound), self._lost_stops, self.seed, block)
 
-    def robot_lines(self, t0_ns: int, t1_ns: int) -> tuple[NDArray[np.int64], list[bytes]]:
-        """True times of sending (m,) [ns] and lines of the robot's socket with t0 ≤ true time < t1; none after its end."""
-        t, lines = self.controller.reading_lines(1e-9 * t0_ns, 1e-9 * min(t1_ns, self.robot_end_ns))
+    def robot_lines(self, t0_ns: int, t1_ns: int, level: Level | None = None) -> tuple[NDArray[np.int64], list[bytes]]:
+        """True times of sending (m,) [ns] and lines of the robot's socket with t0 ≤ true time < t1; none after its end.
+
+        ``level``: of the wire to the controller's digital input, at true times.
+        """
+        t, lines = self.controller.reading_lines(
+            1e-9 * t0_ns, 1e-9 * min(t1_ns, self.robot_end_ns), self._inputs(level)
+        )
         return np.rint(1e9 * t).astype(np.int64), lines
 
-    def robot_states(self, t0_ns: int, t1_ns: int) -> States:
+    def robot_states(self, t0_ns: int, t1_ns: int, level: Level | None = None) -> States:
         """The same readings as numbers."""
-        return self.controller.states(1e-9 * t0_ns, 1e-9 * min(t1_ns, self.robot_end_ns))
+        return self.controller.states(1e-9 * t0_ns, 1e-9 * min(t1_ns, self.robot_end_ns), self._inputs(level))
+
+    def _inputs(self, level: Level | None) -> Inputs | None:
+        if level is None or self.robot_input is None:
+            return None
+        bit = 1 << self.robot_input
+        return lambda t: np.where(level(t), bit, 0).astype(np.int64)
 
     @property
     def robot_end_ns(self) -> int:
@@ -281,5 +302,6 @@ class World:
             "channels": channels,
             "magnetostrictive": sensors.magnetostrictive(self._mag_period_ns),
             "debounce_us": [0, 0],
+            "trigger_ms": list(self._trigger_ms),
             "watchdog_ms": 2000,
         }

@@ -6,4 +6,4 @@ messages  the layout of every frame, encode and decode
 frame     payload ↔ frame, and the splitter of a byte stream
 """
 
-PROTOCOL = (1, 1)
+PROTOCOL = (1, 2)

@@ -9,13 +9,14 @@ thing with grants given by the wall clock. (The parent's half is truearm_sim/box
             n_adc:u16  index_adc:u64  n_mag:u16  index_mag:u64
             then rx bytes, samples of the converter (stamp:u32, 4 x i32 little endian), of the magnetostrictive head (stamp:u32,
             ticks:i32 little endian), edges (line, rising, stamp:u32); 4096 bytes at most
-    answer  "D" flags  led:u8  osr:u16  mag_period:u32  watchdog_ms:u16  rx_room:u16  starts:u8  n_tx:u16, then
-            tx bytes
+    answer  "D" flags  led:u8  osr:u16  mag_period:u32  watchdog_ms:u16  rx_room:u16  starts:u8  n_tx:u16
+            wake:u32, then tx bytes
 
 All big endian but the samples. Flags of a grant: 1 the firmware stalls (gets the samples, does not run), 2 the next block
 raises an exception, 4 quit. `fault` is of the last converter sample: 1 its CRC was wrong, 2 the reset bit was set. Flags of an
 answer: 1 the converter samples, 2 reset, 4 the magnetostrictive head samples, 8 the trigger output is high, 16 the firmware fed its
-watchdog, 32 it left for the prompt, 64 for the boot loader. `rx_room` is flow control, as USB has: the parent keeps what would not fit.
+watchdog, 32 it left for the prompt, 64 for the boot loader. `rx_room` is flow control, as USB has: the parent keeps what would not fit. `wake`: so many microseconds from now the firmware wants to run
+again, whatever comes; a real one runs all the time.
 """
 
 import gc
@@ -26,7 +27,7 @@ from truearm_wire.fast import add, copy
 from truearm_wire.messages import COUNTER, FLAG_CONVERTER, FLAG_MISSING_STOP
 
 GRANT = 40
-ANSWER = 16
+ANSWER = 20
 MESSAGE_MAX = 4096  # what a pipe passes in one piece
 TX_MAX = 16384
 RX_MAX = 1024
@@ -35,6 +36,7 @@ EDGE = 6
 EDGES = 64  # that the board holds
 STAMP = 4
 TICK_NS = 8
+LATER = 1 << 29  # µs: nothing is due
 
 RESET, OUTPUT, ALIVE, PROMPT, BOOT_LOADER = 2, 8, 16, 32, 64
 
@@ -196,13 +198,16 @@ class Board:
         self._flags = 0
         self._led = 0
         self._watchdog_ms = 0
+        self._wake = LATER
         self._wait()
 
     # -- grants
 
-    def idle(self):
+    def idle(self, us):
         """Answer, and wait for the next grant."""
+        self._wake = us
         self._answer()
+        self._wake = LATER  # a firmware that stands still wants nothing
         self._wait()
 
     def _wait(self):
@@ -228,6 +233,8 @@ class Board:
         tx[13] = self.adc.starts
         tx[14] = self._tx_n >> 8
         tx[15] = self._tx_n & 255
+        for i in range(4):
+            tx[16 + i] = self._wake >> (24 - 8 * i) & 255
         _write(tx, ANSWER + self._tx_n)
         self._tx_n = 0
         self._flags &= OUTPUT
@@ -294,8 +301,10 @@ class Board:
     def ticks_diff(self, a, b):
         return (a - b) & 0x3FFFFFFF
 
-    def receive(self, buf):
+    def receive(self, buf, stamp):
         n = min(self._rx_n, len(buf))
+        if n:
+            self.now(stamp)
         for i in range(n):
             buf[i] = self._rx[self._rx_first]
             self._rx_first = (self._rx_first + 1) % RX_MAX

@@ -126,6 +126,13 @@ def _show_unknown(value: Any) -> str:
 _TOP = (
     _Key("osr", "osr", _show, _integer),
     _Key("debounce_us", "debounce_us", _show, _integers, "of trigger inputs 0 and 1; 0: off"),
+    _Key(
+        "trigger_ms",
+        "trigger_ms",
+        _show,
+        _integers,
+        "between edges of the trigger output, shortest and longest; [0, 0]: none",
+    ),
     _Key("watchdog_ms", "watchdog_ms", _show, _integer, "0: off"),
 )
 _CHANNEL = (

@@ -30,9 +30,16 @@ def check(config: dict[str, Any]) -> dict[str, Any]:
     debounce = config.get("debounce_us")
     both = isinstance(debounce, list) and len(debounce) == 2 and all(_within(us, 0, 1_000_000) for us in debounce)
     _need(both, "debounce_us must be two whole numbers, 0 to 1000000")
+    _check_trigger(config.get("trigger_ms", [0, 0]))
     watchdog = config.get("watchdog_ms")
     _need(_within(watchdog, 0, 0) or _within(watchdog, 100, 8000), "watchdog_ms must be 0, or 100 to 8000")
     return config
+
+
+def _check_trigger(limits: Any) -> None:
+    two = isinstance(limits, list) and len(limits) == 2 and all(type(ms) is int for ms in limits)
+    right = two and (limits == [0, 0] or 10 <= limits[0] < limits[1] <= 16_000)
+    _need(right, "trigger_ms must be [0, 0], or two whole numbers, 10 to 16000, the second the longer")
 
 
 def _check_channel(channel: Mapping[str, Any]) -> None:
