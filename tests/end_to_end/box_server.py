@@ -64,6 +64,9 @@ class BootDrive:
             self._show(t_ns)
         return self.box.advance(t_ns, rx, tx_room)
 
+    def output_at(self, t):
+        return self.box.output_at(t)
+
     def _show(self, t_ns):
         info = self._folder / "INFO_UF2.TXT"
         if not self._shown:
