@@ -115,7 +115,7 @@ class Rig:
     A rig without ``lines`` takes any line that a row names, with ``line_sigma`` [m] along the device's x, y, z (Renders
     1991, III-C); with some, it must have them all. ``line_placement``: how a line without a pose is first placed,
     "least_squares" by all its points or "two_point" by its first two. ``time_offset`` τ [s]: the joints were truly at
-    q(t) = q_reading(t + τ); ``time_offset_sigma`` as a Device's sigma. ``joint_cov`` S_q [rad², m²] is the covariance
+    q(t) = q_reading(t + τ), of which only rows with velocities tell; ``time_offset_sigma`` as a Device's sigma. ``joint_cov`` S_q [rad², m²] is the covariance
     of the joint readings, j×j, empty for none.
     """
 
@@ -131,7 +131,7 @@ class Rig:
     trackers: Mapping[str, Device] = field(default_factory=dict)
     planes: Mapping[str, Plane] = field(default_factory=dict)
     time_offset: float = 0.0
-    time_offset_sigma: float | None = 0.0
+    time_offset_sigma: float | None = None
     joint_cov: Matrix = ()
     sockets: Mapping[tuple[str, str], Point] = field(default_factory=dict)  # by place and socket
 
@@ -149,7 +149,8 @@ class ObservationTable:
     of a ball-bar row, the distance from the flat of a plane row (NaN: touched, 0), NaN for other kinds. ``xyz`` [m]: the
     measured point of a line, position or pose row in the device's axes; ``rotation`` [rad]: the measured rotation vector
     of a pose row; ``q_rate``: the joints' velocities, NaN where the robot stood or nobody measured. ``sigma`` [m]: the
-    standard deviation of each coordinate, NaN where the rig's figure is to be used. The identifier columns hold ""
+    standard deviation of each coordinate, NaN where the rig's figure is to be used; ``xyz_sigma`` [m]: of this point's own
+    noise along the device's axes, beside that figure, NaN for none. The identifier columns hold ""
     where a row has none. ``rig`` says which of several rigs a row belongs to, ``source`` where a row comes from, for
     messages ("poses.csv row 17"). Columns that are not given are filled with NaN or "".
     """
@@ -166,6 +167,7 @@ class ObservationTable:
     shell: Strings  # (n,)
     source: Strings  # (n,)
     xyz: Floats = field(default_factory=_absent)  # (n, 3)
+    xyz_sigma: Floats = field(default_factory=_absent)  # (n, 3)
     rotation: Floats = field(default_factory=_absent)  # (n, 3)
     q_rate: Floats = field(default_factory=_absent)  # (n, j) rad/s or m/s
     target: Strings = field(default_factory=_absent)  # (n,)
@@ -178,7 +180,7 @@ class ObservationTable:
         if self.q.ndim != 2:
             raise ValueError(f"q must be (n, j), is {self.q.shape}")
         n = self.q.shape[0]
-        wide = {"q": self.q.shape, "q_rate": self.q.shape, "xyz": (n, 3), "rotation": (n, 3)}
+        wide = {"q": self.q.shape, "q_rate": self.q.shape, **dict.fromkeys(("xyz", "xyz_sigma", "rotation"), (n, 3))}
         for name in self.__dataclass_fields__:
             shape = wide.get(name, (n,))
             if getattr(self, name) is None:

@@ -100,6 +100,7 @@ def tables(draw: st.DrawFn) -> ObservationTable:
         shell=identifier(*every),
         source=np.array([f"t.csv row {i + 2}" for i in range(n)]),
         xyz=np.where(pointed, matrix(st.floats(-100.0, 100.0), 3), math.nan),
+        xyz_sigma=np.where(pointed & moving, matrix(st.floats(1e-9, 0.1), 3), math.nan),
         rotation=np.where(kind[:, None] == "pose", matrix(st.floats(-6.0, 6.0), 3), math.nan),
         q_rate=np.where(moving, matrix(angles, joints), math.nan),
         target=identifier("line", "position", "pose", "plane"),

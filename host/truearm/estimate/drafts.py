@@ -231,7 +231,10 @@ def _device_numbers(scope: Scope, called: tuple[str, str], device: Device, xyz: 
 
 
 def _device_cov(scope: Scope, rows: Indices, devices: Sequence[Device], which: Indices) -> Floats:
-    """(n, 3) variances, or (n, 3, 3) where a device's axes are correlated; a row's own sigma comes before the device's."""
+    """(n, 3) variances, or (n, 3, 3) where a device's axes are correlated.
+
+    A row's own sigma comes before the device's, its point's own noise on top of either.
+    """
     cov = []
     for device in devices:
         matrix = np.array(device.sensor_cov, dtype=float)
@@ -244,6 +247,7 @@ def _device_cov(scope: Scope, rows: Indices, devices: Sequence[Device], which: I
     own = ~np.isnan(scope.table.sigma[rows])
     sigma = _sigma(scope, rows, np.ones((len(rows), 3)))
     full[own] = sigma[own, :1, None] ** 2 * np.eye(3)
+    full += np.nan_to_num(scope.table.xyz_sigma[rows], nan=0.0)[:, :, None] ** 2 * np.eye(3)
     variances = np.diagonal(full, axis1=1, axis2=2)
     return variances.copy() if np.array_equal(full, variances[:, :, None] * np.eye(3)) else full
 

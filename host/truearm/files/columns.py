@@ -12,13 +12,13 @@ from truearm.errors import TableError
 UNITS = {
     "q": ("rad", "deg", "m", "mm"),
     "qd": ("rad_s", "deg_s", "m_s", "mm_s"),
-    **dict.fromkeys(("length", "sigma", "x", "y", "z"), ("m", "mm")),
+    **dict.fromkeys(("length", "sigma", "x", "y", "z", "sx", "sy", "sz"), ("m", "mm")),
     **dict.fromkeys(("rx", "ry", "rz"), ("rad", "deg")),
 }
 IDS = ("bar", "chuck", "sphere", "socket", "place", "shell", "target", "line", "tracker", "plane", "rig")
 MEASURED_X = ("x_m", "x_mm")  # the only titles in x_… that are not the user's own
 
-_QUANTITY = re.compile(r"(qd?[1-9][0-9]{0,2}|length|sigma|r?[xyz])(?:_(\w*))?")
+_QUANTITY = re.compile(r"(qd?[1-9][0-9]{0,2}|length|sigma|[rs]?[xyz])(?:_(\w*))?")
 
 
 class Column(NamedTuple):

@@ -81,7 +81,7 @@ def parse_rig(text: str, name: str) -> Rig:
         trackers=_named(_entries(data, "tracker", name), device),
         planes=_named(_entries(data, "plane", name), plane),
         time_offset=within(number(offset, "time_offset", name) * seconds, -LARGEST, "time_offset", name),
-        time_offset_sigma=sigma_or_unknown(data, "time_offset_sigma", name, 0.0, SECONDS),
+        time_offset_sigma=sigma_or_unknown(data, "time_offset_sigma", name, "unknown", SECONDS),
         joint_cov=joint_cov(data, name),
         sockets=_sockets(_entries(data, "socket", name)),
     )

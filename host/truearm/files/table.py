@@ -11,7 +11,7 @@ import csv
 import io
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,9 +36,9 @@ NEEDS = {
 MAY = {
     "ball_bar": (),
     "seat": ("sphere",),
-    "line": ("target",),
-    "position": ("target",),
-    "pose": ("target",),
+    "line": ("target", "spread"),
+    "position": ("target", "spread"),
+    "pose": ("target", "spread"),
     "plane": ("target", "length"),
 }
 ANY = ("place", "shell", "rig")
@@ -46,8 +46,9 @@ TITLES = {
     "length": "length_mm or length_m",
     "point": "x_mm, y_mm, z_mm (or _m)",
     "turn": "rx_rad, ry_rad, rz_rad (or _deg)",
+    "spread": "sx_mm, sy_mm, sz_mm (or _m)",
 }
-POINT, TURN = ("x", "y", "z"), ("rx", "ry", "rz")
+POINT, SPREAD, TURN = ("x", "y", "z"), ("sx", "sy", "sz"), ("rx", "ry", "rz")
 # Beyond these a column is in another unit than its name says: ten turns of a joint, a room, a decimetre of noise.
 LARGEST = {"rad": 20.0 * math.pi, "m": 100.0}
 LARGEST_SIGMA = 0.1
@@ -75,8 +76,11 @@ def parse_table(text: str, name: str, joint_units: Sequence[str] | None = None) 
     value = numbers(rows, columns.get("length"), name, LARGEST["m"])
     sigma = numbers(rows, columns.get("sigma"), name, LARGEST_SIGMA, positive=True)
     xyz = together([numbers(rows, columns.get(k), name, LARGEST["m"]) for k in POINT], rows, "x, y and z", name)
+    spread = [numbers(rows, columns.get(k), name, LARGEST_SIGMA, positive=True) for k in SPREAD]
+    xyz_sigma = together(spread, rows, "sx, sy and sz", name)
     turn = together([numbers(rows, columns.get(k), name, LARGEST_TURN) for k in TURN], rows, "rx, ry and rz", name)
     measured = {"length": ~np.isnan(value), "point": ~np.isnan(xyz[:, 0]), "turn": ~np.isnan(turn[:, 0])}
+    measured["spread"] = ~np.isnan(xyz_sigma[:, 0])
     _check_kinds(rows, kind, {**ids, **measured}, name)
     _check_lengths(rows, (kind == "ball_bar") & (value <= 0.0), columns.get("length"), name)
     q = np.stack(
@@ -85,7 +89,8 @@ def parse_table(text: str, name: str, joint_units: Sequence[str] | None = None) 
     rates = [numbers(rows, rate, name, LARGEST[base_unit(rate.unit)]) for rate in rate_columns(columns, joints, name)]
     q_rate = together(rates, rows, "the velocities of all joints", name) if rates else np.full_like(q, np.nan)
     source = np.array([f"{name} row {row.number}" for row in rows])
-    return ObservationTable(q, kind, value, sigma, source=source, xyz=xyz, rotation=turn, q_rate=q_rate, **ids)
+    table = ObservationTable(q, kind, value, sigma, source=source, xyz=xyz, rotation=turn, q_rate=q_rate, **ids)
+    return replace(table, xyz_sigma=xyz_sigma)
 
 
 def _kinds(rows: list[Row], column: Column, name: str) -> np.ndarray:
@@ -195,6 +200,7 @@ def _number_columns(table: ObservationTable, joint_units: Sequence[str]) -> dict
     joints = {f"q{i}_{unit}": table.q[:, i - 1] for i, unit in enumerate(joint_units, start=1)}
     others = {"length_m": table.value, "sigma_m": table.sigma}
     others |= {f"{k}_m": table.xyz[:, i] for i, k in enumerate(POINT)}
+    others |= {f"{k}_m": table.xyz_sigma[:, i] for i, k in enumerate(SPREAD)}
     others |= {f"{k}_rad": table.rotation[:, i] for i, k in enumerate(TURN)}
     others |= {f"qd{i}_{unit}_s": table.q_rate[:, i - 1] for i, unit in enumerate(joint_units, start=1)}
     return joints | {title: column for title, column in others.items() if not np.isnan(column).all()}

@@ -29,8 +29,10 @@ from truearm.sensors.joints import MAX_JOINTS
 from truearm.types import Floats
 from truearm.types import Plan as PlanFile
 
-FITTINGS = ("bar", "chuck", "sphere", "shell")
 REQUIRED = ("bar", "chuck", "sphere")  # what an observation of the ball-bar must name
+LINE = ("line", "target")  # what is mounted while a line is driven
+NAMED = (*REQUIRED, *LINE)
+FITTINGS = (*NAMED, "shell")
 MOVES = PlanFile.MOVES
 MAX_NAME = 64
 REPEAT = 0.25
@@ -39,7 +41,7 @@ BACK = 1.125
 
 @dataclass(frozen=True)
 class Plan:
-    """The poses at which the ball-bar is read, in their order: q (p, j) and what is mounted at each."""
+    """The poses at which the ball-bar is read, or the ends of lines, in their order: q (p, j) and what is mounted at each."""
 
     q: Floats
     mounted: tuple[dict[str, str], ...]
@@ -51,8 +53,6 @@ class Row(NamedTuple):
     q: list[float]
     mounted: dict[str, str]  # of FITTINGS
     move: str
-    line: str
-    target: str
 
 
 @dataclass
@@ -88,8 +88,7 @@ class Marks:
         if not numbers or move not in MOVES or (self.rows and len(self.rows[0].q) != len(q or [])):
             self.malformed += 1
             return
-        line, target = (_named(document, key) for key in ("line", "target"))
-        self.rows.append(Row([float(value) for value in q or []], _fittings(document), move, line, target))
+        self.rows.append(Row([float(value) for value in q or []], _fittings(document), move))
 
     @property
     def dwells(self) -> list[int]:
@@ -102,6 +101,11 @@ class Marks:
         if not poses:
             return None
         return Plan(np.array([row.q for row in poses]), tuple(row.mounted for row in poses))
+
+    @property
+    def names_lines(self) -> bool:
+        """Whether a line was planned or said to be mounted."""
+        return any(row.move == "line" for row in self.rows) or any("line" in said for _, said in self.mountings)
 
     def mounted_at(self, t_host_ns: int) -> dict[str, str]:
         """What was said to be mounted at a time; empty before the first word."""
@@ -166,7 +170,7 @@ def _near_pairs(q: Floats, plan: Plan, tolerance: float, said: Sequence[Mapping[
 
 
 def _contradict(said: Mapping[str, str], planned: Mapping[str, str]) -> bool:
-    return any(said.get(key) and planned.get(key) and said[key] != planned[key] for key in REQUIRED)
+    return any(said.get(key) and planned.get(key) and said[key] != planned[key] for key in NAMED)
 
 
 def _ways(pairs: Sequence[_Pair], closeness: Sequence[float], poses: int) -> tuple[list[float], list[int]]:
@@ -204,10 +208,11 @@ def _ambiguous(pairs: list[_Pair], plan: Plan) -> dict[int, tuple[str, ...]]:
     backward = [_Pair(pair.dwell, poses - 1 - pair.pose, 0.0) for pair in reversed(pairs)]
     beginning = _ways(backward, exact, poses)[0][::-1]
     greatest = max(ending, default=0.0)
+    keys = [key for key in NAMED if any(mounted.get(key) for mounted in plan.mounted)]
     suits: dict[int, dict[str, None]] = {}
     for pair, end, begin in zip(pairs, ending, beginning, strict=True):
         if end + begin - 1.0 == greatest:
-            fittings = " ".join(plan.mounted[pair.pose].get(key, "?") for key in REQUIRED)
+            fittings = " ".join(plan.mounted[pair.pose].get(key) or "?" for key in keys)
             suits.setdefault(pair.dwell, {})[fittings] = None
     return {dwell: tuple(fittings) for dwell, fittings in suits.items() if len(fittings) > 1}
 
@@ -221,10 +226,5 @@ def _document(data: bytes) -> dict[str, Any] | None:
 
 
 def _fittings(document: Mapping[str, Any]) -> dict[str, str]:
-    named = {key: _named(document, key) for key in FITTINGS}
-    return {key: value for key, value in named.items() if value}
-
-
-def _named(document: Mapping[str, Any], key: str) -> str:
-    value = document.get(key)
-    return value[:MAX_NAME] if isinstance(value, str) else ""
+    named = {key: document.get(key) for key in FITTINGS}
+    return {key: str(value)[:MAX_NAME] for key, value in named.items() if isinstance(value, str) and value}

@@ -1,12 +1,13 @@
 """A session's messages → observations (hops 4 and 5), in two passes whose memory does not grow with the samples.
 
-The first pass (``survey``) accounts for every frame, gathers the clock exchanges and what the robot said, and finds the dwells.
-The second (``observations``) takes the samples of one dwell after another. A dwell gives one observation or says why not.
+The first pass (``survey``) accounts for every frame, gathers the clock exchanges and what the robot said, and finds the dwells
+and the legs. The second (``observations``) takes the samples of one dwell and one leg after another. A dwell gives one
+observation, a leg along a line device many, or they say why not.
 """
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from itertools import chain, islice
@@ -21,10 +22,15 @@ from truearm.sync.device_clock import DeviceClock
 from truearm.sync.dwell import Dwell, DwellRules, find_dwells
 from truearm.sync.gather import gather
 from truearm.sync.joints import JointReader, JointStream
+from truearm.sync.legs import Leg, find_legs
+from truearm.sync.line_pairing import passes_of
 from truearm.sync.losses import Losses
 from truearm.sync.measure import LEARNT, Sensing, measured, usual_noise, without_noisy
+from truearm.sync.motion import Heard, Listener
 from truearm.sync.pairing import REQUIRED, Marks, Plan, match_plan, nearest_pose
+from truearm.sync.passes import WANTED, LineRules, Pass, measure
 from truearm.sync.streams import StreamReport
+from truearm.sync.table import table_of
 from truearm.types import Message, ObservationTable, Rig
 
 Messages = Callable[[Collection[str] | None], Iterator[Message]]
@@ -42,16 +48,18 @@ class Survey:
     clock_reports: tuple[ClockReport, ...]
     joints: JointStream
     dwells: tuple[Dwell, ...]
+    legs: tuple[Leg, ...]  # () where no line was planned or mounted
     marks: Marks
     box_topics: frozenset[str]
 
 
 @dataclass(frozen=True)
 class SyncResult:
-    """Observations and how they came about. The table's rows are the dwells without a reason, in order."""
+    """Observations and how they came about. The table's rows are the dwells without a reason, in order, then the passes' rows."""
 
     table: ObservationTable
     dwells: tuple[Dwell, ...]
+    passes: tuple[Pass, ...]
     survey: Survey
     samples_seen: int
     samples_used: int
@@ -70,6 +78,11 @@ class SyncResult:
     def reasons(self) -> dict[str, int]:
         """How many dwells were rejected, by reason."""
         return dict(Counter(dwell.reason for dwell in self.dwells if dwell.reason))
+
+    @property
+    def pass_reasons(self) -> dict[str, int]:
+        """How many passes were rejected, by reason."""
+        return dict(Counter(one.reason for one in self.passes if one.reason))
 
 
 def survey(messages: Messages, ident: Ident | None = None, rules: DwellRules | None = None) -> Survey:
@@ -97,6 +110,7 @@ def survey(messages: Messages, ident: Ident | None = None, rules: DwellRules | N
         clock_reports=tuple(report for _, report in fits.values()),
         joints=joints,
         dwells=tuple(_on_host(dwell, joints) for dwell in find_dwells(joints, rules or DwellRules())),
+        legs=tuple(find_legs(joints)) if marks.names_lines else (),
         marks=marks,
         box_topics=frozenset(topics),
     )
@@ -110,33 +124,62 @@ def observations(
     name: str = "session",
     channel: str = "lvdt",
     found: Survey | None = None,
+    line_rules: LineRules | None = None,
 ) -> SyncResult:
-    """Observations of the ball-bar on ``channel``; ``messages`` is called twice, once if ``found`` is its survey.
+    """Observations of the ball-bar on ``channel`` and of a line device; ``messages`` is called twice, once if ``found`` is its survey.
 
-    ``name`` stands for the session in the table's ``source``. Raises RigError where a dwell's bar, chuck or sphere is
-    not in the rig, SessionError where the box has no such channel or no calibration of it.
+    ``name`` stands for the session in the table's ``source``. Raises RigError where a dwell's bar, chuck or sphere, a line
+    or its target is not in the rig, SessionError where the box has no such channel or no calibration of it.
     """
-    rules = rules or DwellRules()
+    rules, line_rules = rules or DwellRules(), line_rules or LineRules()
     found = found or survey(messages, ident, rules)
     dwells = _pair(found, rig, rules)
+    passes: list[Pass | None] = list(passes_of(found.legs, found.marks, rig, line_rules.pose_tolerance))
+    legs = [(i, one.leg) for i, one in enumerate(passes) if one and one.reason not in ("too long", "ambiguous")]
+
+    def over(legs_over: list[Heard]) -> None:
+        for heard in legs_over:
+            one = passes[heard.index]
+            passes[heard.index] = one and measure(one, heard, found.clocks, found.joints, line_rules)
+
+    listener = Listener(legs, WANTED, found.joints)
+    blocks = _blocks(messages, found.box_topics, ident, listener if legs else None, over)
     good = sorted((d.start_host_ns, d.end_host_ns, i) for i, d in enumerate(dwells) if not d.reason)
-    intervals = _disjoint([(i, start, end) for start, end, i in good])
-    several = gather(_blocks(messages, found.box_topics, ident), found.clocks, intervals, channel)
-    first = list(islice(several, LEARNT))
-    sensing = Sensing(rules, found.joints, bool(found.clocks), usual_noise(first))
-    for taken in chain(first, several):
-        dwell = dwells[taken.dwell]
-        dwells[taken.dwell] = measured(dwell, taken, rig.bars[dwell.mounted["bar"]], sensing)
+    if good:
+        intervals = _disjoint([(i, start, end) for start, end, i in good])
+        several = gather(blocks, found.clocks, intervals, channel)
+        first = list(islice(several, LEARNT))
+        sensing = Sensing(rules, found.joints, bool(found.clocks), usual_noise(first))
+        for taken in chain(first, several):
+            dwell = dwells[taken.dwell]
+            dwells[taken.dwell] = measured(dwell, taken, rig.bars[dwell.mounted["bar"]], sensing)
+    elif legs:
+        deque(blocks, maxlen=0)
+    over(listener.rest())
     dwells = without_noisy(dwells)
-    used = sum(dwell.n_samples for dwell in dwells if not dwell.reason)
-    return SyncResult(_table(dwells, found.joints, name), tuple(dwells), found, found.losses.samples, used)
+    driven = tuple(one for one in passes if one is not None)
+    used = sum(dwell.n_samples for dwell in dwells if not dwell.reason) + sum(one.n_samples for one in driven)
+    table = table_of(dwells, driven, len(found.joints.step), name)
+    return SyncResult(table, tuple(dwells), driven, found, found.losses.samples, used)
 
 
-def _blocks(messages: Messages, topics: Collection[str], ident: Ident | None) -> Iterator[tuple[Block, Ident]]:
+def _blocks(
+    messages: Messages,
+    topics: Collection[str],
+    ident: Ident | None,
+    listener: Listener | None,
+    over: Callable[[list[Heard]], None],
+) -> Iterator[tuple[Block, Ident]]:
+    """All blocks in log order; the ``listener`` hears them too, and the robot, and ``over`` takes the legs that are over."""
     reader = BoxReader(ident, keep_exchanges=False)
-    for message in messages(topics):
+    for message in messages(topics if listener is None else {*topics, "/robot/joints"}):
+        if listener is not None and message.topic == "/robot/joints":
+            over(listener.line(message))
+            continue
         block = reader.feed(message)
         if block is not None and reader.segment.ident is not None:
+            if listener is not None:
+                over(listener.block(block, reader.segment.ident))
             yield block, reader.segment.ident
 
 
@@ -199,25 +242,3 @@ def _check_rig(mounted: dict[str, str], rig: Rig) -> None:
         if mounted[key] not in known:
             names = ", ".join(sorted(known)) or "none"
             raise RigError(f"the session names {key} {mounted[key]!r}, which the rig does not have (it has {names})")
-
-
-def _table(dwells: list[Dwell], joints: JointStream, name: str) -> ObservationTable:
-    rows = [(i, dwell) for i, dwell in enumerate(dwells, start=1) if not dwell.reason]
-    empty = np.full(len(rows), "", dtype=np.str_)
-
-    def words(key: str) -> np.ndarray[tuple[int, ...], np.dtype[np.str_]]:
-        return np.array([dwell.mounted.get(key, "") for _, dwell in rows], dtype=np.str_)
-
-    return ObservationTable(
-        q=np.array([dwell.q for _, dwell in rows]).reshape(len(rows), len(joints.step)),
-        kind=np.array(["ball_bar"] * len(rows), dtype=np.str_),  # np.full would keep one letter
-        value=np.array([dwell.value for _, dwell in rows], dtype=np.float64),
-        sigma=np.array([dwell.sigma for _, dwell in rows], dtype=np.float64),
-        bar=words("bar"),
-        chuck=words("chuck"),
-        sphere=words("sphere"),
-        socket=empty,
-        place=empty,
-        shell=words("shell"),
-        source=np.array([f"{name} dwell {i}" for i, _ in rows], dtype=np.str_),
-    )
