@@ -6,7 +6,7 @@ import select
 import socket
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import SimpleNamespace
 
 from record_box import Box, Lab
@@ -67,7 +67,7 @@ def serve_robot(seconds):
 
     def serve():
         peer, _ = listener.accept()
-        with peer, listener:
+        with peer, listener, suppress(OSError):  # of a recorder that was killed
             end = time.monotonic() + seconds
             seq = 0
             while time.monotonic() < end:

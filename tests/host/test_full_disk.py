@@ -12,7 +12,8 @@ import sys
 
 import pytest
 from record_files import received
-from test_record_command import RIG, box_on_a_socket, posix
+from record_real import box_on_a_socket
+from test_record_command import RIG, posix
 from test_session import written
 
 from truearm.record.session import open_session

@@ -13,6 +13,7 @@ import struct
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mutations import is_clear
 from ros_bags import joint_state, write_bag
 
 from truearm.errors import InputError, LinkClosed, LinkError
@@ -63,12 +64,6 @@ class Played:
 
     def close(self):
         pass
-
-
-def is_clear(error, begins=""):
-    """One line that says where."""
-    assert "\n" not in str(error)
-    assert str(error).startswith(begins)
 
 
 def cut(rng, data):

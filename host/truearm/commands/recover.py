@@ -63,8 +63,8 @@ def _write(path: Path, opened: Session, out: Path, said: dict[str, str]) -> Reco
         with tempfile.TemporaryDirectory(prefix=".truearm-", dir=out.parent) as folder:
             partial = Path(folder) / "session.mcap"
             found = recover_session(opened, partial, said)
-            if not found.topics:
-                raise SessionError(f"{path}: holds no message that could be saved")
+            if not found.topics and not opened.metadata:
+                raise SessionError(f"{path}: holds nothing that could be saved")
             os.replace(partial, out)
     except (OSError, WriteError) as exc:
         raise WriteError(f"{out}: cannot be written: {exc.strerror}; {path} is as it was", exc.strerror or "") from exc
@@ -77,7 +77,7 @@ def lines(found: Recovered) -> list[str]:
 
     messages = sum(account.saved for account in found.topics.values())
     said = [f"saved  {messages} messages of {found.seconds:.1f} s, {_named(found.attachments, 'attachment')}"]
-    width = max(len(topic) for topic in found.topics)
+    width = max((len(topic) for topic in found.topics), default=0)
     for topic, account in found.topics.items():
         lost = f", {account.lost} lost" if account.lost else ""
         said.append(f"         {one_line(topic):<{width}}  {account.saved}{lost}")

@@ -1,0 +1,52 @@
+"""Long recordings in real time over a pseudo-terminal while other processes load the machine: nothing lost, or lost and counted."""
+
+import subprocess
+import sys
+
+import pytest
+from tests.end_to_end.conftest import truearm
+from tests.end_to_end.test_real_time import Simulator
+
+from truearm.commands.inspect import ident_of
+from truearm.record.session import open_session
+from truearm.sync.blocks import BoxReader
+
+pytestmark = pytest.mark.soak
+LOAD = "while True: sum(k * k for k in range(100_000))"
+
+
+@pytest.fixture
+def load():
+    """Another process that never rests."""
+    process = subprocess.Popen([sys.executable, "-c", LOAD])
+    yield
+    process.kill()
+    process.wait()
+
+
+@pytest.mark.parametrize(("rate", "seconds", "poses"), [(1000, 600, 90), (4000, 60, 18)])
+@pytest.mark.usefixtures("load")
+def test_everything_is_there_or_counted(tmp_path, rate, seconds, poses):
+    """Every sample that the box took, by its own count, is in the file or in the account of losses."""
+    simulator = Simulator(tmp_path, "--pty", "--poses", str(poses))
+    try:
+        done = truearm(*simulator.record, "--rate", rate, "--duration", seconds, timeout_s=seconds + 60)
+    finally:
+        simulator.stop()
+    assert done.returncode == 0, done.stderr
+    session = open_session(tmp_path / "session.mcap")
+    reader, taken, begin_us = BoxReader(ident_of(session)), 0, None
+    for message in session.messages():
+        block = reader.feed(message)
+        if block is not None:
+            taken, end_us = block.data.n0 + block.n, block.data.t0_us + block.n * block.data.period_ns / 1000
+            begin_us = block.data.t0_us if begin_us is None else begin_us
+    losses = reader.losses()
+    print(f"{rate} Hz, {seconds} s: {losses}")
+    assert losses.samples + losses.samples_lost + losses.samples_overrun == taken
+    # the box's own time, which counts without the samples, to half a period and its microseconds
+    period_us = reader.streams()[0].period_ns / 1000
+    assert taken == pytest.approx((end_us - begin_us) / period_us, abs=0.6)
+    assert (end_us - begin_us) / 1e6 == pytest.approx(seconds, abs=1.0)
+    assert losses.restarts == losses.frames_malformed == 0
+    assert losses.samples_lost + losses.samples_overrun < 1e-3 * taken  # on a machine that is not wholly overloaded
