@@ -1,7 +1,52 @@
-"""What the recorder's tests share."""
+"""What the tests of the host share."""
 
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
 import pytest
+from command_line import Outcome, Run
+from identify_bench import SIGMA, exact_lengths
 from record_box import Lab
+
+from truearm import cli
+from truearm.files.rig import write_rig
+from truearm.files.table import write_table
+from truearm.types import ObservationTable, Rig
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    """The real main() with arguments; what it returns and prints."""
+
+    def call(*arguments: object) -> Outcome:
+        code = cli.main([str(a) for a in arguments])
+        captured = capsys.readouterr()
+        return Outcome(code, captured.out, captured.err)
+
+    return call
+
+
+@pytest.fixture(scope="session")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a good table and a good rig."""
+    folder = tmp_path_factory.mktemp("identify")
+    table, rig = exact_lengths(90)
+    write_table(folder / "poses.csv", table, ("rad",) * 6)
+    write_rig(folder / "rig.toml", rig)
+    return folder
+
+
+@pytest.fixture
+def good(files: Path) -> list[object]:
+    """An identification that must succeed."""
+    return ["identify", files / "poses.csv", "--robot", "puma560", "--rig", files / "rig.toml"]
+
+
+@pytest.fixture(scope="session")
+def noisy() -> tuple[ObservationTable, Rig]:
+    table, rig = exact_lengths(180)
+    return replace(table, value=table.value + np.random.default_rng(6).normal(0.0, SIGMA, 180)), rig
 
 
 @pytest.fixture

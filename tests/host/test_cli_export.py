@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from puma_bench import CHAIN, DESIGN, TRUTH
 
-from truearm import cli
 from truearm.correct.inverse import inverse
 from truearm.estimate.identify import identify
 from truearm.files.result import read_result
@@ -18,16 +17,6 @@ from truearm.model.chain import forward
 from truearm.types import ObservationTable
 
 MUKCA = Path(__file__).parents[1] / "data" / "mukca"
-
-
-@pytest.fixture
-def run(capsys):
-    def call(*arguments):
-        code = cli.main([str(a) for a in arguments])
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return call
 
 
 @pytest.fixture(scope="module")

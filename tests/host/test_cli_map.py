@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from puma_bench import CHAIN, DESIGN, TRUTH
 
-from truearm import cli
 from truearm.correct.error_map import ErrorMap, best_region, error_map
 from truearm.correct.pair import Pair
 from truearm.errors import RobotError
@@ -29,16 +28,6 @@ def estimate():
 @pytest.fixture(scope="module")
 def result(tmp_path_factory, estimate):
     return correct_bench.write(tmp_path_factory.mktemp("map") / "result.json", estimate)
-
-
-@pytest.fixture
-def run(capsys):
-    def call(*arguments):
-        code = cli.main([str(a) for a in arguments])
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return call
 
 
 def test_cells_hold_what_the_formula_says(result, tmp_path, run):

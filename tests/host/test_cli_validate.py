@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from puma_bench import CHAIN, DESIGN, PAIRS, RIG, SIGMA, TRUTH, lengths, table
 
-from truearm import cli
 from truearm.files.rig import write_rig
 from truearm.files.table import write_table
 
@@ -23,16 +22,6 @@ def folder(tmp_path_factory):
     correct_bench.write(folder / "result.json", correct_bench.identified())
     write_rig(folder / "rig.toml", RIG)
     return folder
-
-
-@pytest.fixture
-def run(capsys):
-    def call(*arguments):
-        code = cli.main([str(a) for a in arguments])
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return call
 
 
 def measured(path, truth, n=180, seed=9):

@@ -4,15 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from device_bench import TARGETS, join, joints_at, rows, tracked
+from device_bench import TARGETS, join, joints_at, rows, touches, tracked
 from puma_bench import CHAIN, CHUCKS, FREE, RIG, SIGMA, SPHERES, random_poses, random_table, shell_table
 
+from truearm.estimate import prediction
 from truearm.estimate.identify import identify
 from truearm.estimate.prediction import MOST_POSES, orientation_residuals, predicted_point_error
 from truearm.estimate.uncertainty import predicted_error
 from truearm.model.chain import point_forward, point_jacobians
 from truearm.observe.rotation import rotation, rotation_vector
-from truearm.types import Device, Rig
+from truearm.types import Device, Plane, Rig
 
 SENSOR = ((1e-8, 0.0, 0.0), (0.0, 1e-8, 0.0), (0.0, 0.0, 1e-8))  # m²: 0.1 mm each axis
 TURN = 2e-4  # rad
@@ -69,6 +70,20 @@ def test_two_sockets_do_not_say_how_far_they_are_apart():
     estimate = identify(CHAIN, rig, table, free=FREE)
     assert set(table.place) == {"a", "b"}
     assert predicted_point_error(CHAIN, rig, table, estimate) is None
+
+
+def test_flats_alone_do_not_determine_the_tool(monkeypatch):
+    """What moves the tool is seen, if only just: to first order it would be off by some 100 m, which means nothing."""
+    normals = {"top": (0.0, 0.05, 1.0), "front": (1.0, 0.1, 0.2), "side": (0.1, 1.0, 0.3)}
+    flats = {name: Plane(name, (0.45, 0.0, 0.3), normal, 2e-5) for name, normal in normals.items()}
+    rng = np.random.default_rng(5)
+    table = join(*(touches(flat, 40, rng) for flat in flats.values()))
+    table = replace(table, value=table.value + 2e-5 * rng.normal(size=len(table)))
+    rig = Rig(targets={"ball": TARGETS["ball"]}, planes=flats)
+    estimate = identify(CHAIN, rig, table, free=FREE, max_iterations=5)
+    assert predicted_point_error(CHAIN, rig, table, estimate) is None
+    monkeypatch.setattr(prediction, "FIRST_ORDER", np.inf)
+    assert predicted_point_error(CHAIN, rig, table, estimate).rms > 10.0
 
 
 def test_a_tracker_anywhere_sees_the_tool_but_not_the_base():

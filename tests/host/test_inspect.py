@@ -9,7 +9,6 @@ import pytest
 from mcap.reader import SeekingReader
 from sync_stream import PERIOD_NS, RIG, ident_document, session
 
-from truearm import cli
 from truearm.commands.inspect import shown
 from truearm.commands.session import observations_of_session
 from truearm.errors import SessionError
@@ -19,18 +18,6 @@ from truearm.record.session_writer import SessionWriter
 from truearm.types import Message
 
 EVIL = b'Traceback:\r\n  File "\x1b]0;owned\x07\x1b[2J\xff\x9b31m"\r\nline two\n'
-
-
-@pytest.fixture
-def run(capsys):
-    """The real main(): exit code, standard output, standard error."""
-
-    def call(*arguments):
-        code = cli.main([str(a) for a in arguments])
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return call
 
 
 @pytest.fixture(scope="module")

@@ -15,8 +15,8 @@ from truearm.model.chain import Chain, point_forward
 from truearm.types import Estimate, Floats, ObservationTable, PredictedError, Rig
 
 UNPREDICTED = (
-    "How far the tool may be off at a pose cannot be said: changes of the parameters that these observations do not see would "
-    "move it. The residuals say how well the observations are predicted."
+    "How far the tool may be off at a pose is not determined: changes of the parameters that these observations do not see, or hardly, "
+    "would move it. The residuals say how well the observations are predicted."
 )
 
 

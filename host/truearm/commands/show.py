@@ -191,7 +191,9 @@ def predicted(document: Document) -> list[str]:
         if entry["rms_rotation_deg"] is not None
     ]
     error = document["predicted_error"]
-    if error is not None:
+    if error is None:
+        lines.append("How far the tool may be off is not determined: what is not seen, or hardly, would move it.")
+    else:
         where = " (the base's own place apart)" if error["relative"] else ""
         lines.append(
             f"By these sigmas the tool errs by {_mm(error['rms_mm'])} mm RMS over {error['n']} poses{where}, at most "

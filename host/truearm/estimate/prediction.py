@@ -7,6 +7,10 @@ variance in P, and need none where they move no point. Two cases are told apart 
 - J·N moves all points as one body. Then the observations (seats in sockets, a line device or tracker anywhere) do not
   say where the base stands, which nobody asked them. That motion, B = ∂points/∂(twist of the base), is projected out of J.
 - It moves them among each other. Then no figure would be honest, and there is none.
+
+Nor is there one where the first order says nothing any more. A point that may be off by a part f of its distance from the base may have
+turned by an angle f, and what the linearisation leaves out is f/2 of what it says: above FIRST_ORDER the observations do not
+determine where the tool is (flats alone, say, see a combination of turns with σ of many turns).
 """
 
 from __future__ import annotations
@@ -22,6 +26,7 @@ from truearm.observe.pose import WIDTH, PoseRows
 from truearm.types import Estimate, Floats, ObservationTable, PredictedError, Rig
 
 MOST_POSES = 500  # of a large table an even choice: the Jacobian, 1500 × 54, is then 0.6 MB
+FIRST_ORDER = 0.2  # of the farthest point's distance from the base: a tenth of the figure is then left out
 MOVES = 1e-6  # m by a direction whose largest weight is 1; directions come out of an SVD with 1e-10
 
 
@@ -30,7 +35,8 @@ def predicted_point_error(
 ) -> PredictedError | None:
     """Expected error of the point that the rows measure (sphere or target), over their poses.
 
-    None where directions that the observations cannot see move the points, other than all as one body.
+    None where directions that the observations cannot see move the points, other than all as one body, or where the error would be so
+    large that it is not determined.
     """
     rows = np.unique(np.linspace(0, len(table) - 1, min(len(table), MOST_POSES)).astype(int))
     params = estimate.value[: estimate.n_robot_parameters]
@@ -46,6 +52,8 @@ def predicted_point_error(
     covariance = estimate.covariance[: params.size, : params.size]
     variance = np.maximum(np.einsum("np,np->n", flat @ covariance, flat), 0.0).reshape(-1, 3).sum(axis=1)
     worst = int(np.argmax(variance))
+    if variance[worst] > (FIRST_ORDER * np.linalg.norm(points, axis=-1).max()) ** 2:
+        return None
     return PredictedError(
         rms=float(np.sqrt(variance.mean())),
         largest=math.sqrt(variance[worst]),

@@ -1,0 +1,32 @@
+"""The command line as the tests call it."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import NamedTuple
+
+
+class Outcome(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+Run = Callable[..., Outcome]  # the fixture `run`: the real main() with arguments
+
+
+def process(*arguments: object) -> Outcome:
+    """The command as the shell starts it."""
+    command = [sys.executable, "-m", "truearm", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    return Outcome(done.returncode, done.stdout, done.stderr)
+
+
+def told(outcome: Outcome, message: str) -> None:
+    """Exit code 2, nothing on stdout, one line on stderr that holds the message."""
+    assert (outcome.code, outcome.out) == (2, "")
+    assert outcome.err.startswith("truearm: ")
+    assert outcome.err.count("\n") == 1
+    assert outcome.err.endswith("\n")
+    assert message in outcome.err
+    assert "Traceback" not in outcome.err

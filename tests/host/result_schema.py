@@ -1,0 +1,75 @@
+"""docs/result-format.md, as far as a machine can hold it."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+HELD_OUT_KEYS = {"rms_mm", "mean_mm", "max_mm", "n", "n_settled", "n_left_out"}
+
+
+SCALARS: dict[str, type | tuple[type, ...]] = {
+    "format": str,
+    "format_version": int,
+    "truearm_version": str,
+    "status": str,
+    "message": str,
+    "solver": str,
+    "loss": str,
+    "prior": str,
+    "iterations": int,
+    "n_observations": int,
+    "n_free": int,
+    "rank": int,
+    "rank_gap": (float, type(None)),
+    "rms_before_mm": float,
+    "rms_after_mm": float,
+    "chi2_reduced": (float, type(None)),
+    "chi2_freedom": float,
+    "relabelling_search": str,
+}
+PARAMETER = {
+    "name": str,
+    "unit": str,
+    "nominal": float,
+    "value": float,
+    "sigma": (float, type(None)),
+    "free": bool,
+    "seen": bool,
+    "of": str,
+}
+LISTS = {
+    *("inputs", "observations", "free", "null_space", "rms_history_mm", "held_out_by", "parameters"),
+    *("suggested_free", "additions", "relabellings", "chi2_band", "suspect", "hardly_seen"),
+}
+OBJECTS = {"robot", "held_out", "held_out_before", "covariance", "observability", "predicted_error"}
+KIND_RMS = {"rms_before_mm", "rms_after_mm", "rms_held_out_mm", "rms_rotation_deg"}
+
+
+def check_schema(result: dict[str, Any]) -> None:
+    """docs/result-format.md, as far as a machine can hold it."""
+    assert set(result) == {*SCALARS, *LISTS, *OBJECTS}
+    for key, kind in SCALARS.items():
+        assert isinstance(result[key], kind), key
+    for parameter in result["parameters"]:
+        assert set(parameter) == set(PARAMETER)
+        assert all(isinstance(parameter[key], kind) for key, kind in PARAMETER.items()), parameter
+        assert parameter["unit"] in ("m", "rad", "1")
+        assert (parameter["sigma"] is None) == (not parameter["seen"])
+    free = [p["name"] for p in result["parameters"] if p["free"]]
+    assert result["free"] == result["covariance"]["names"] == free
+    assert np.array(result["covariance"]["matrix"], dtype=float).shape == (len(free), len(free))
+    unseen = {name for direction in result["null_space"] for name in direction["names"]}
+    assert unseen == {p["name"] for p in result["parameters"] if p["free"] and not p["seen"] and p["of"] == "robot"}
+    for direction in result["null_space"]:
+        assert max(map(abs, direction["weights"])) == pytest.approx(1.0)
+    assert len(result["suggested_free"]) == result["rank"]
+    assert set(result["suggested_free"]) <= set(free)
+    assert set(result["observability"]) == {"o1", "o2", "o3", "o4"}
+    assert len(result["chi2_band"]) == 2
+    for entry in result["observations"]:
+        assert set(entry) == {"rig", "kind", "fitted", "held_out", "chucks", "spheres", "places", *KIND_RMS}
+    predicted = result["predicted_error"]
+    assert predicted is None or set(predicted) == {"rms_mm", "max_mm", "at", "n", "relative"}
+    for key in ("held_out", "held_out_before"):
+        assert result[key] is None or set(result[key]) == HELD_OUT_KEYS

@@ -1,0 +1,118 @@
+"""What ``truearm identify`` says of bad input, and of --help."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from command_line import Outcome, Run, process, told
+
+from truearm.commands.identify import Loss, Solver
+from truearm.estimate.identify import SOLVERS
+from truearm.estimate.robust import LOSSES
+from truearm.model.robot import builtin_names
+
+HEADER = "kind,q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad,length_mm,bar,chuck,sphere"
+ROW = "ball_bar,0,0,0,0,0,0,460,b,c0,s0"
+BAD_TABLES = {
+    "unknown column": (HEADER.replace("chuck", "chukc"), ROW, "did you mean chuck?"),
+    "no unit": (HEADER.replace("length_mm", "length"), ROW, "name it length_m or length_mm"),
+    "joint without unit": (HEADER.replace("q3_rad", "q3"), ROW, "name it q3_rad or q3_deg"),
+    "NaN": (HEADER, ROW.replace("460", "nan"), "row 2 column length_mm: nan is not a finite number"),
+    "joint count": (HEADER.replace("q6_rad,", ""), ROW.replace("0,", "", 1), "5 joint columns, the robot has 6"),
+    "unknown chuck": (
+        HEADER,
+        ROW.replace("c0", "c9"),
+        "row 2 column chuck: 'c9' is not in the rig (it has c0, c1, c2)",
+    ),
+    "no rows": (HEADER, "", "no rows"),
+    "ragged": (HEADER, ROW + ",1", "has 12 cells, the header has 11"),
+}
+
+
+@pytest.mark.parametrize(("header", "row", "message"), BAD_TABLES.values(), ids=BAD_TABLES.keys())
+def test_bad_tables(run: Run, good: list[object], tmp_path: Path, header: str, row: str, message: str) -> None:
+    (tmp_path / "t.csv").write_text(f"{header}\n{row}\n")
+    told(run("identify", tmp_path / "t.csv", *good[2:]), message)
+
+
+BAD_ARGUMENTS = {
+    "no such option": (["--nonsense"], "--nonsense"),
+    "no number": (["--max-iterations", "many"], "--max-iterations"),
+    "below its range": (["--max-iterations", "0"], "--max-iterations"),
+    "no such prior": (["--prior", "strong"], "'--prior': 'strong' is not one of"),
+    "no such solver": (["--solver", "magic"], "renders-1991"),
+    "no such loss": (["--loss", "l1"], "cauchy"),
+    "a loss for a solver without": (["--solver", "recursive", "--loss", "huber"], "lm and map; recursive has no"),
+    "a prior for a solver without": (["--solver", "ls", "--prior", "weak"], "which knows no prior"),
+    "a wide prior for it": (["--solver", "ls", "--prior", "wide"], "which knows no prior"),
+    "no such robot": (["--robot", "puma561"], "puma560, ulb"),
+    "no such robot file": (["--robot", "none.urdf"], "none.urdf: no such file"),
+    "tip of no URDF": (["--tip", "ball"], "--base and --tip"),
+    "no such group": (["--hold-out", "shell=s99"], "there is inner, outer"),
+    "every group": (["--hold-out", "inner", "--hold-out", "outer"], "nothing would be left"),
+    "no such parameter": (["--free", "link9.*"], "--free link9.*: matches no parameter"),
+    "no such folder": (["--out", "/none/result.json"], "does not exist"),
+    "a folder": (["--out", "/"], "is a directory"),
+    "line breaks in a name": (["--out", "a\nb\x1b[31m/r.json"], "a b\\x1b[31m"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "message"), BAD_ARGUMENTS.values(), ids=BAD_ARGUMENTS.keys())
+def test_bad_arguments(run: Run, good: list[object], arguments: list[str], message: str) -> None:
+    told(run(*good, *arguments), message)
+
+
+def test_a_rig_that_is_not_there(run: Run, good: list[object]) -> None:
+    told(run(*good[:4], "--rig", "none.toml"), "none.toml: no such file")
+    told(run(*good[:4], "--rig", "mon=none.toml"), "none.toml: no such file")
+    told(run(*good[:4], "--rig", "a\nb\x1b[31m.toml"), "a b\\x1b[31m.toml")
+
+
+def test_bad_input_as_the_shell_sees_it(good: list[object], tmp_path: Path) -> None:
+    told(process("identify", tmp_path / "none.csv", *good[2:]), "none.csv: no such file")
+    told(process("identify", tmp_path, *good[2:]), "is a directory")
+    told(process("identify"), "Missing argument")
+    told(process("sing"), "sing")
+    (tmp_path / "t.csv").write_bytes(b"\x89MCAP0\r\n\0\0")
+    told(process("identify", tmp_path / "t.csv", *good[2:]), "is not UTF-8")
+
+
+def test_help_and_version_and_no_command_are_no_errors(run: Run) -> None:
+    assert "Example: truearm demo" in run("--help").out
+    assert "Example:" in run("identify", "--help").out
+    assert run().code == 0
+    assert run("--version").out.startswith("truearm ")
+
+
+def test_help_names_what_there_is(run: Run) -> None:
+    """The names are written out in the command, since --help must not import what knows them."""
+    words = set(re.findall(r"[\w-]+", run("identify", "--help").out))
+    assert {*builtin_names(), *SOLVERS, *LOSSES} <= words
+    assert [s.value for s in Solver] == list(SOLVERS)
+    assert [loss.value for loss in Loss] == list(LOSSES)
+
+
+def test_help_imports_nothing_slow() -> None:
+    code = "import sys, truearm.cli; truearm.cli.main(['--help']); print({'numpy', 'scipy'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert done.stdout.splitlines()[-1] == "set()"
+
+
+def test_interruption_is_one_line_and_130(run: Run, good: list[object], monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("truearm.estimate.identify.identify", interrupted)
+    assert run(*good) == Outcome(130, "", "truearm: interrupted\n")
+
+
+def test_a_reader_that_leaves_is_no_traceback(good: list[object]) -> None:
+    command = [sys.executable, "-m", "truearm", *map(str, good), "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        assert child.stderr is not None
+        child.stdout.close()
+        assert child.stderr.read() == b""
+    assert child.returncode == 1

@@ -1,0 +1,152 @@
+"""What ``truearm identify`` writes: the result file, its schema, the page; and what it does not write over."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import Run, told
+from identify_bench import MUKCA, ROOT, SIGMA, identified
+from result_schema import KIND_RMS, LISTS, OBJECTS, PARAMETER, SCALARS, check_schema
+
+from truearm import cli
+from truearm.files.result import parse_result, read_result
+from truearm.files.robot import load_robot
+from truearm.types import ObservationTable, Rig
+
+
+def test_the_result_file_is_the_json_output_and_keeps_to_its_schema(
+    run: Run, good: list[object], tmp_path: Path
+) -> None:
+    out = tmp_path / "result.json"
+    outcome = run(*good, "--all-free", "--hold-out", "0.2", "--json", "--out", out)
+    assert out.read_text() == outcome.out
+    result = json.loads(outcome.out, parse_constant=pytest.fail)
+    check_schema(result)
+    check_schema(json.loads(run(*good, "--json").out))
+    assert [(i["role"], i["name"], len(i["sha256"])) for i in result["inputs"]] == [
+        ("observations", "poses.csv", 64),
+        ("rig", "rig.toml", 64),
+    ]
+    assert str(tmp_path) not in outcome.out
+
+
+def test_the_result_is_read_back(run: Run, good: list[object], tmp_path: Path) -> None:
+    run(*good, "--all-free", "--out", tmp_path / "r.json")
+    stored = read_result(tmp_path / "r.json")
+    document = json.loads((tmp_path / "r.json").read_text())
+    assert stored.robot.name == "puma560"
+    assert stored.parameter_names == load_robot("puma560").chain.parameter_names
+    assert stored.value.tolist() == [p["value"] for p in document["parameters"]]
+    assert int(np.isnan(stored.sigma).sum()) == sum(p["sigma"] is None for p in document["parameters"])
+    assert stored.covariance.shape == (54, 54)
+    assert stored.of_robot.all()
+
+
+def test_every_field_is_documented() -> None:
+    text = (ROOT / "docs" / "result-format.md").read_text()
+    nested = {
+        "chucks",
+        "spheres",
+        "places",
+        "role",
+        "sha256",
+        "base_frame",
+        "end_frame",
+        "joint_units",
+        "fitted",
+        "weights",
+        "matrix",
+        "units",
+        *("source", "distance", "weight", "was", "fits", "rows", "o1", "o4"),
+        *KIND_RMS,
+        *("max_mm", "at", "relative"),
+    }
+    for field in {*SCALARS, *PARAMETER, *LISTS, *nested, *OBJECTS}:
+        assert f"`{field}`" in text, field
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: d.pop("parameters"), "field 'parameters' is missing"),
+        (lambda d: d.update(format="other"), "is no result"),
+        (lambda d: d.update(format_version=99), "format version 99"),
+        (lambda d: d["parameters"][0].update(value="1"), "not a number"),
+        (lambda d: d["parameters"][0].update(free=1), "not true or false"),
+        (lambda d: d["covariance"]["matrix"].pop(), "wrong type or shape"),
+        (lambda d: d.update(robot=[]), "wrong type or shape"),
+    ],
+)
+def test_damaged_results_are_told(
+    run: Run, good: list[object], change: Callable[[dict[str, Any]], object], message: str
+) -> None:
+    document = json.loads(run(*good, "--json").out)
+    change(document)
+    with pytest.raises(cli.TruearmError, match=message):
+        parse_result(json.dumps(document), "r.json")
+    for text in ("", "[]", "{", '{"a": NaN}', "[" * 100_000, "1" * 5000):
+        with pytest.raises(cli.TruearmError, match=r"r\.json: is"):
+            parse_result(text, "r.json")
+
+
+def test_outputs_over_inputs_and_inputs_twice_are_refused(run: Run, tmp_path: Path) -> None:
+    table = tmp_path / "rows.csv"
+    table.write_bytes((MUKCA / "panda_3.csv").read_bytes())
+    before = table.read_bytes()
+    good = ["identify", table, "--robot", MUKCA / "panda.urdf", "--tip", "ball_link", "--rig", MUKCA / "rig.toml"]
+    mine = tmp_path / "mine.json"
+    mine.write_text('{"my": "notes"}')
+    for more, text in (
+        (["--out", table], "is also read"),
+        (["--save-table", table], "is also read"),
+        (["--out", tmp_path / "x", "--save-table", tmp_path / "x"], "two outputs in one file"),
+        (["--out", mine], "nothing that truearm wrote"),
+        ([table], "is given twice"),
+    ):
+        outcome = run(*map(str, [*good, *more]))
+        assert (outcome.code, text in outcome.err, len(outcome.err.splitlines())) == (2, True, 1), outcome
+    assert table.read_bytes() == before
+    assert mine.read_text() == '{"my": "notes"}'
+
+
+def test_the_page_tells_what_the_result_tells(run: Run, tmp_path: Path, noisy: tuple[ObservationTable, Rig]) -> None:
+    table, rig = noisy
+    value = table.value.copy()
+    value[70] += 20 * SIGMA
+    options = ["--solver", "map", "--loss", "huber", "--hold-out", "outer", "--report", tmp_path / "r.html"]
+    result, text = identified(run, tmp_path, replace(table, value=value), rig, *options)
+    page = (tmp_path / "r.html").read_text()
+    assert "<h1>Calibration of puma560</h1>" in page
+    assert '<p class="subtitle">t.csv</p>' in page
+    assert "t.csv row 72" in page
+    assert "huber: rows far from all others count less" in page
+    assert "wide: nominal to 10 mm" in page
+    assert f"<code>truearm identify {tmp_path / 't.csv'} --robot puma560" in page
+    predicted = result["predicted_error"]
+    assert (predicted["n"], predicted["relative"]) == (180, False)
+    assert 0.0 < predicted["rms_mm"] < predicted["max_mm"]
+    assert f"By these sigmas the tool errs by {predicted['rms_mm']:.4f} mm RMS over 180 poses, at most" in text
+    assert "Solved by map with a wide prior of the robot, huber loss." in text
+    o1 = result["observability"]["o1"]
+    assert f"Observability of {len(result['suggested_free'])} parameters: O1 {o1:.3g}" in text
+    (entry,) = result["observations"]
+    assert entry["rms_after_mm"] == pytest.approx(result["rms_after_mm"])
+    assert entry["rms_held_out_mm"] == pytest.approx(result["held_out"]["rms_mm"])
+    assert entry["rms_rotation_deg"] is None
+
+
+def test_the_page_replaces_a_page_but_nothing_else(run: Run, good: list[object], tmp_path: Path) -> None:
+    page, diary = tmp_path / "r.html", tmp_path / "diary.html"
+    diary.write_text("<!DOCTYPE html><p>Dear diary</p>")
+    for _ in range(2):
+        assert run(*good, "--report", page).code == 0
+    told(run(*good, "--report", diary), "nothing that truearm wrote")
+    new = tmp_path / "new"
+    told(run(*good, "--report", new, "--out", new), "two outputs in one file")
+    told(run(*good, "--report", good[1]), "is also read")
+    told(run(*good, "--report", tmp_path / "none" / "r.html"), "does not exist")
+    assert diary.read_text() == "<!DOCTYPE html><p>Dear diary</p>"
