@@ -37,6 +37,7 @@ SOLVERS: Mapping[str, Solver] = {
     "ls": ls.solve,
 }
 WITH_LOSS = ("lm", "map")
+FROM_RIG = ("lm",)  # begins with the rig fitted to the nominal robot
 DAMPINGS = ("scaled", "plain")
 Progress = Callable[[int, float], None]  # iteration, RMS of the residuals [m]
 
@@ -89,7 +90,8 @@ def identify(
 
     x_before, before = _before(problem, max_iterations)
     options = Options(max_iterations, loss, damping == "plain", on_step)
-    found = SOLVERS[solver](problem, columns, problem.start, options)
+    # To find the robot and a far-off rig at once is a curved valley; from a rig that has a prior the mode is nearer (decision 19).
+    found = SOLVERS[solver](problem, columns, x_before if solver in FROM_RIG else problem.start, options)
     x, information = found.x, found.information
     parts = spectrum(information.root)
     fit_quality = goodness(*of_data(problem, columns, found), prior_shares(half(parts), found.prior_sigma))

@@ -10,8 +10,9 @@ over the singular values that are seen (``information.seen``) only: along direct
 so a model with redundant parameters (54 where 36 can be seen) converges like one without. ``plain`` takes D = I, the
 paper's own λI, with λ counted in s_max², which makes it independent of the noise's unit but not of the parameters'.
 
-λ falls by 10 to 1000 after a step, the more the better the linearised problem foretold it, and grows by 10 after a
-step that did not reduce χ². The end: what the linearised problem still promises, ‖Uᵀz‖, is below 1e-6 of ‖f‖ (then x
+λ falls by 1000 after a step that the linearised problem foretold to 10 % and that was not refused at a smaller λ before; else it follows
+Nielsen's rule (1999, Damping Parameter in Marquardt's Method, IMM-REP-1999-05), λ · max(1/3, 1 − (2ρ − 1)³) with ρ the part of the foretold gain that came, so that in a
+curved valley it settles at the largest step that pays (docs/decisions/0019-damping.md compares). It grows by 4 after a step that did not reduce χ². The end: what the linearised problem still promises, ‖Uᵀz‖, is below 1e-6 of ‖f‖ (then x
 is within some 1e-5 σ of the minimum), or below 1e-10 a residual (data without noise), or the step is rounding.
 
 Where weights depend on x (joint noise, information.py), x is compared with x + Δ under the weights of x: with each
@@ -31,6 +32,8 @@ from truearm.types import Floats
 DAMPING_START = 1e-4
 DAMPING_MIN = 1e-14
 DAMPING_MAX = 1e10
+REFUSED = 4.0  # Rosenbrock's valley needs a quarter of the linearisations that 10 needs, with the rule above
+STRAIGHT = 1e-3
 RELATIVE_END = 1e-6
 ABSOLUTE_END = 1e-10
 STEP_END = 1e-14
@@ -79,6 +82,7 @@ def minimise(
             parts = _unscaled(here.root)
             promised = promise(parts, here.rhs)
         unit = parts.singular[0] ** 2 if plain else 1.0
+        refused = False
         while True:
             delta, foretold = step(parts, promised, damping * unit)
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -86,11 +90,12 @@ def minimise(
                 chi2 = there.chi2 if cost is None else cost(x + delta, x)
             if chi2 < here.chi2:  # False for a step so wild that χ² is no number
                 break
-            damping = max(damping * 10.0, DAMPING_MIN if damping else DAMPING_START)
+            refused = True
+            damping = max(damping * REFUSED, DAMPING_MIN if damping else DAMPING_START)
             if damping > DAMPING_MAX:
                 return Minimum(x, "stalled", "no step reduces the residuals", iteration, here)
         gain = (here.chi2 - chi2) / foretold
-        damping *= 1e-3 if gain > 0.9 else 0.1 if gain > 0.25 else 1.0
+        damping *= STRAIGHT if gain > 0.9 and not refused else max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
         damping = max(damping, DAMPING_MIN) if damping else 0.0
         x, here = x + delta, there
         if on_step is not None:
