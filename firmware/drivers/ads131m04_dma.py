@@ -19,13 +19,7 @@ ns and low for 48; DOUT is valid 20 ns after the rising edge and is read as it w
 synchroniser), so pins and wires may take 28 ns. CS falls 64 ns before SCLK rises first and stays high for more than 40 ns. A frame takes
 17 µs, more than half of the shortest period (30.72 µs) but never into the next conversion.
 
-What the CPU does: `survey` looks at frames in the order of the ring, `unload` hands them out. A frame is handed out only if its CRC is
-right, STATUS says that the converter is configured and the data are new, and DRDY came a period after the one before.
-**A frame that is not is dropped**: the index jumps (the wire shows the gap), FLAG_CONVERTER is set in the next block. A wrong value is never
-handed out. Indices come from the stamps: a sample's index is that of the last one and the number of periods between, so they tell the
-time whatever was lost and why. A converter that was reset (RESET in STATUS, other registers) or has fallen silent is set up anew: 5 to 30 ms
-are lost, and conversions are then at other times, so t0 jumps by a part of a period more than n0 tells. Should the loop stand
-still for longer than the rings hold, that is seen by the number and half a ring is skipped; more than 17 minutes would confuse it.
+ads131m04_survey.py says what the CPU does with them.
 
 Rings (32 KiB with what aligning takes): 16 KiB of frames hold 681 conversions, that is 669 ms at 1017 Hz, 167 ms at 4069 Hz and 21 ms at 32.55 kHz; 4 KiB of stamps.
 """
@@ -34,146 +28,38 @@ Rings (32 KiB with what aligning takes): 16 KiB of frames hold 681 conversions, 
 
 from array import array
 
-from truearm_wire.fast import add, copy, micropython, ptr8, ptr16, ptr32
+from truearm_wire.fast import add, copy, micropython, ptr32
 from truearm_wire.messages import COUNTER, FLAG_CONVERTER
 
 from .ads131m04 import CLOCK_WORD, SETTLING, TABLE, Registers, gain_word, osr_code
+from .ads131m04_survey import (
+    ALIVE,
+    BROKEN,
+    CRC_ERRORS,
+    EVENTS,
+    FIRST,
+    FRAMES,
+    JUMP,
+    LATEST,
+    LONGEST,
+    LOST_CONVERTER,
+    OSR6,
+    READ,
+    RECORD,
+    SEEN,
+    SHORTEST,
+    SILENCE,
+    STAMPS,
+    SURVEY,
+    number_now,
+    survey,
+    unload,
+)
 from .registers import address, aligned, arm, drain, halt, poke
 
 CHANNELS = 4
-SAMPLE = 4 * CHANNELS
-RECORD = 24  # bytes of a frame in the ring: six words, the 24 bits in the lower three bytes
-FRAMES = 1 << 14  # bytes of the ring
-STAMPS = 1 << 10  # stamps, more than frames fit
-HOLDS = FRAMES // RECORD - 1  # conversions behind LATEST that are whole
-FAR = HOLDS - 41  # so far behind, half a ring is skipped: 32.55 kHz goes on for 1.2 ms while `survey` looks
 BITS = 143  # of a frame, less one: what the state machine counts down
 NAIVE_BLOCKS = 2  # a caller that does not ask `broken` waits at most so many blocks at a gap
-
-# words of the survey; counts and times modulo 2^30, so that they are small integers on the chip
-LATEST = 0  # number of the newest conversion, from 1 on, written by DMA: those before it are whole in the ring
-READ = 1  # number of the oldest frame not handed out
-SEEN = 2  # frames from READ on that are good and follow one another
-BROKEN = 3  # 1: a frame that does not follow comes after them
-STAMP = 4  # time of the last sample handed out
-FIRST = 5  # 1: none was yet
-JUMP = 6  # periods without a sample before the one at READ
-LOST_CONVERTER = 7  # 1: it must be set up anew
-EVENTS = 8  # frames dropped and resets since FLAG_CONVERTER was last asked
-CRC_ERRORS = 9
-OSR6 = 10  # 25 periods in µs: a period is 0.24 µs · oversampling
-SHORTEST = 11  # interval of stamps, µs: a period less the fraction and 1 µs of lateness of the one before
-LONGEST = 12
-SILENCE = 13  # µs without a sample after which the converter is set up anew
-ALIVE = 14  # time of the last good conversion, or of the last attempt to get one
-SURVEY = 15
-
-
-@micropython.viper
-def survey(s: ptr32, ring: ptr32, stamps: ptr32, timer: ptr32, table: ptr16, want: int) -> int:
-    """Look at frames until `want` good ones in a row are known. Returns how many are.
-
-    Stops at LOST_CONVERTER. 31 µs and 10 µs a frame on the emulated chip; `take` of 13 needs 0.4 ms in all.
-    """
-    latest = s[0] & 0x3FFFFFFF
-    if (latest - s[1]) & 0x3FFFFFFF > 640 and (latest - s[1]) & 0x20000000 == 0:
-        s[1] = (latest - 340) & 0x3FFFFFFF
-        s[2] = 0
-        s[3] = 0
-    while s[2] < want and s[3] == 0 and s[7] == 0:
-        number = (s[1] + s[2]) & 0x3FFFFFFF
-        ahead = (latest - number) & 0x3FFFFFFF
-        if ahead == 0 or ahead & 0x20000000:
-            break
-        at = number * 6 & 4095
-        crc = 0xFFFF
-        i = 0
-        while i < 5:
-            word = ring[at]
-            crc = (crc << 8 & 0xFF00) ^ table[crc >> 8 ^ (word >> 16 & 255)]
-            crc = (crc << 8 & 0xFF00) ^ table[crc >> 8 ^ (word >> 8 & 255)]
-            crc = (crc << 8 & 0xFF00) ^ table[crc >> 8 ^ (word & 255)]
-            at = (at + 1) & 4095
-            i += 1
-        status = ring[number * 6 & 4095] >> 8 & 0xFFFF
-        worth = 0
-        if crc != ring[at] >> 8 & 0xFFFF:
-            worth = 1
-        elif status & 0xBF00 != 0x0100:
-            worth = 2
-        elif status & 15 != 15:
-            worth = 3
-        stamp = stamps[number & 1023] & 0x3FFFFFFF
-        jump = 0
-        if worth == 0 and s[2]:
-            interval = (stamp - stamps[(number - 1) & 1023]) & 0x3FFFFFFF
-            if interval < s[11] or interval > s[12]:
-                jump = 1
-        elif worth == 0 and s[5] == 0:
-            interval = (stamp - s[4]) & 0x3FFFFFFF
-            jump = interval // s[10] * 25 + (interval % s[10] * 25 + s[10] // 2) // s[10] - 1
-            if jump < 0:
-                worth = 3
-        if s[2]:
-            if worth or jump:
-                s[3] = 1
-            else:
-                s[2] = s[2] + 1
-        elif worth:
-            s[1] = (number + 1) & 0x3FFFFFFF
-            s[8] = (s[8] + 1) & 0x3FFFFFFF
-            if worth == 2:
-                s[7] = 1
-            else:
-                s[9] = (s[9] + 1) & 0x3FFFFFFF
-        else:
-            s[6] = jump
-            s[2] = 1
-        if worth == 0:
-            s[14] = stamp
-    if s[2] < want and (timer[0] - s[14]) & 0x3FFFFFFF > s[13]:
-        if s[2]:
-            s[3] = 1
-        else:
-            s[7] = 1
-    return s[2]
-
-
-@micropython.viper
-def unload(s: ptr32, ring: ptr32, stamps: ptr32, n: int, dst: ptr8, at: int, stamp: ptr8) -> int:
-    """Move n frames from READ on to dst[at:], the first one's time to stamp. Returns 0 if the ring was lapped meanwhile."""
-    first = stamps[s[1] & 1023]
-    last = stamps[(s[1] + n - 1) & 1023]
-    i = 0
-    while i < n:
-        k = (s[1] + i) * 6 + 1
-        end = k + 4
-        while k < end:
-            word = ring[k & 4095]
-            dst[at] = word & 255
-            dst[at + 1] = word >> 8 & 255
-            dst[at + 2] = word >> 16 & 255
-            dst[at + 3] = 255 if word & 0x800000 else 0
-            at += 4
-            k += 1
-        i += 1
-    if (s[0] - s[1]) & 0x3FFFFFFF > 681:
-        return 0
-    stamp[0] = first >> 24 & 255
-    stamp[1] = first >> 16 & 255
-    stamp[2] = first >> 8 & 255
-    stamp[3] = first & 255
-    s[1] = (s[1] + n) & 0x3FFFFFFF
-    s[2] = s[2] - n
-    s[4] = last & 0x3FFFFFFF
-    s[5] = 0
-    s[6] = 0
-    return 1
-
-
-@micropython.viper
-def _number_now(s: ptr32) -> int:
-    return s[0] & 0x3FFFFFFF
 
 
 @micropython.viper
@@ -404,7 +290,7 @@ class Adc:
     def _give_up(self, n):
         """Drop samples before a gap that nobody asks for; the index jumps over them."""
         s = self._survey
-        if s[BROKEN] and (_number_now(s) - s[READ]) & COUNTER > NAIVE_BLOCKS * n:
+        if s[BROKEN] and (number_now(s) - s[READ]) & COUNTER > NAIVE_BLOCKS * n:
             s[READ] = (s[READ] + s[SEEN]) & COUNTER
             s[SEEN] = 0
             s[BROKEN] = 0
@@ -429,7 +315,7 @@ class Adc:
             self._sync.off()
             self._wait(2)
             self._sync.on()
-            before = _number_now(s)
+            before = number_now(s)
             self._machine.enable_irq(state)
             s[READ] = (before + 1 + SETTLING) & COUNTER
         s[ALIVE] = _time(self._timer)

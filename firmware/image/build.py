@@ -246,11 +246,12 @@ def compile_image(work: Path) -> None:
     """Configure once, then build what changed: firmware.bin in work/cmake."""
     cmake = work / "cmake"
     environ = _environ(work)
-    if not (cmake / "configured").exists() or _read(cmake / "configured") != _board_key():
+    key = f"{_board_key()} {cmake}"  # CMake keeps absolute paths: in a copy of this folder it would build the original's firmware
+    if not (cmake / "configured").exists() or _read(cmake / "configured") != key:
         shutil.rmtree(cmake, ignore_errors=True)
         cmake.mkdir()
         _configure(work, cmake, environ)
-        (cmake / "configured").write_text(_board_key())
+        (cmake / "configured").write_text(key)
     print("image: compiling", flush=True)
     _run(["cmake", "--build", cmake, "-j", str(os.cpu_count())], environ=environ, log=work / "build.log")
 

@@ -16,6 +16,8 @@
 // What the datasheet's timing (tables 6.6 and 6.7, DVDD ≥ 2.7 V) forbids is kept in `violations`. Not modelled: current detection,
 // phase calibration, the DC block filter, global chop, the TIMEOUT.
 
+import { calibrated, crc16, frameWord, settled } from './ads131m04_words.mjs';
+
 export const PINS = { dout: 16, cs: 17, sclk: 18, din: 19, drdy: 20, sync: 21, clkin: 22 };
 
 const ID = 0, STATUS = 1, MODE = 2, CLOCK = 3, GAIN1 = 4, REGMAP_CRC = 0x3e;
@@ -26,28 +28,10 @@ const GCAL_MSB = 0x8000;
 const LOCK = 1 << 15, F_RESYNC = 1 << 14, REG_MAP = 1 << 13, CRC_ERR = 1 << 12, RESET = 1 << 10;
 const REGCRC_EN = 1 << 13, RX_CRC_EN = 1 << 12, ANSI = 1 << 11, PULSE = 1;
 const WORD_BITS = [16, 24, 32, 32];
-const FULL_SCALE = 1 << 23;
-const TEST_SIGNAL = Math.round((0.16 / 1.2) * FULL_SCALE); // 160 mV / gain, behind the amplifier
 const RESET_CLOCKS = 2048, DRDY_HIGH_CLOCKS = 4, READY_CLOCKS = 250;
 const CHANNELS = 4;
 const T = { period: 40, high: 20, low: 20, csToClock: 16, clockToCs: 10, csHigh: 15, propagation: 20 }; // ns
 const CLKIN_NS = { min: 1e9 / 8.4e6, max: 1e9 / 0.3e6 }; // of the high-resolution mode
-
-/** CRC-16 of bytes, from FFFFh: CCITT (1021h) or ANSI (8005h), bit by bit. */
-export function crc16(bytes, polynomial = 0x1021) {
-  let crc = 0xffff;
-  for (const byte of bytes) {
-    for (let bit = 7; bit >= 0; bit--) {
-      const carry = ((crc >> 15) ^ (byte >> bit)) & 1;
-      crc = (crc << 1) & 0xffff;
-      if (carry) crc ^= polynomial;
-    }
-  }
-  return crc;
-}
-
-const clip = (value) => Math.max(-FULL_SCALE, Math.min(FULL_SCALE - 1, Math.round(value)));
-const signed24 = (value) => (value << 8) >> 8;
 
 export class Ads131m04 {
   /** `pico`: setPin, watchPin, pwmClock, clock, chip; `signals`: counts. `pins`: as PINS. */
@@ -247,24 +231,15 @@ export class Ads131m04 {
     const words = this.responseIsLong ? [...this.longResponse] : [this.firstWord(), ...this.channels()];
     const bytes = [];
     const data = !this.responseIsLong;
-    words.forEach((value, i) => bytes.push(...this.word(value, size, data && i > 0)));
+    const extended = ((this.registers[MODE] >> 8) & 3) === 3; // 32 bits by sign, not by zeros
+    words.forEach((value, i) => bytes.push(...frameWord(value, size, data && i > 0, extended)));
     const crc = crc16(bytes, this.registers[MODE] & ANSI ? 0x8005 : 0x1021);
-    bytes.push(...this.word(crc, size, false));
+    bytes.push(...frameWord(crc, size, false));
     if (this.corrupt > 0) {
       this.corrupt--;
       bytes[size + 1] ^= 0x10;
     }
     return bytes;
-  }
-
-  /** Registers stand in the upper 16 bits of a word; data lose their lower bits, or get more by zeros or by sign. */
-  word(value, size, data) {
-    const wide = data ? value & 0xffffff : (value & 0xffff) << 8;
-    const bytes = [(wide >> 16) & 255, (wide >> 8) & 255, wide & 255];
-    if (size === 2) return bytes.slice(0, 2);
-    if (size === 3) return bytes;
-    const extended = data && ((this.registers[MODE] >> 8) & 3) === 3;
-    return extended ? [value & 0x800000 ? 255 : 0, ...bytes] : [...bytes, 0];
   }
 
   firstWord() {
@@ -280,17 +255,9 @@ export class Ads131m04 {
     const conversion = this.conversions[0];
     if (!conversion) return this.last ?? [0, 0, 0, 0];
     const counts = this.signals.counts(conversion.index, conversion.tNs, this.periodNs);
-    const part = this.settled(conversion);
+    const part = conversion.fast ? 1 : settled(conversion.index, this.osr);
     this.last = counts.map((value, c) => this.convert(c, value * part));
     return this.last;
-  }
-
-  /** What of a step has come through the filter: sinc3, above 1024 the mean of its outputs. */
-  settled({ index, fast }) {
-    if (fast) return 1;
-    const r = this.osr / 1024;
-    if (r <= 1) return [1 / 6, 5 / 6][index] ?? 1;
-    return index === 0 ? (r - 1) / r : 1;
   }
 
   /** What shorted inputs give: uniform within ±35 counts, 20 RMS, 2.9 µV. */
@@ -301,12 +268,8 @@ export class Ads131m04 {
 
   convert(c, counts) {
     if (!((this.registers[CLOCK] >> (8 + c)) & 1)) return 0;
-    const [cfg, offsetHigh, offsetLow, gainHigh, gainLow] = this.registers.subarray(CHANNEL + 5 * c, CHANNEL + 5 * c + 5);
     const gain = 1 << ((this.registers[GAIN1] >> (4 * c)) & 7);
-    const input = [counts * gain, this.ownNoise(), TEST_SIGNAL, -TEST_SIGNAL][cfg & 3];
-    const offset = signed24((offsetHigh << 8) | (offsetLow >> 8));
-    const factor = ((gainHigh << 8) | (gainLow >> 8)) / FULL_SCALE;
-    return clip((clip(input) - offset) * factor);
+    return calibrated(counts * gain, this.registers.subarray(CHANNEL + 5 * c, CHANNEL + 5 * c + 5), this.ownNoise());
   }
 
   // -- commands

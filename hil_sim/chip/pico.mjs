@@ -5,7 +5,7 @@ import { Cpu } from './cpu.mjs';
 import { RP2040 } from './emulator.mjs';
 import { PowerCut } from './flash.mjs';
 import * as mends from './mends.mjs';
-import { PioScheduler } from './pio.mjs';
+import { PioScheduler } from './pio_scheduler.mjs';
 import { TEXT, makeRom } from './rom.mjs';
 import { UsbHost } from './usb_host.mjs';
 

@@ -14,9 +14,9 @@
 // Not there, and said so in the log when used: OUT_STICKY, INLINE_OUT_EN and INPUT_SYNC_BYPASS.
 
 import { CYCLE_NS } from './clock.mjs';
-import { AGAIN, AUTOPULL, FOLLOWS, Machine, NEVER, NONE, STALLS } from './pio_machine.mjs';
+import { AGAIN, AUTOPULL, FOLLOWS, NONE, STALLS } from './pio_instructions.mjs';
+import { Machine, NEVER } from './pio_machine.mjs';
 
-const FIRST_IRQ = [7, 9]; // PIO0_IRQ_0 and PIO1_IRQ_0
 const CTRL = 0x00, FSTAT = 0x04, FDEBUG = 0x08, FLEVEL = 0x0c, TXF = 0x10, RXF = 0x20, IRQ = 0x30, IRQ_FORCE = 0x34;
 const SYNC_BYPASS = 0x38, PADOUT = 0x3c, PADOE = 0x40, CFGINFO = 0x44, INSTR_MEM = 0x48, SM = 0xc8, INTR = 0x128;
 const SM_STRIDE = 0x18;
@@ -373,45 +373,5 @@ export class Pio {
     } else if (next !== FOLLOWS) machine.pc = next;
     if (this.irqSet | this.irqClear) this.takeFlags(this.now());
     if (this.outputAt !== NEVER) this.outputAt = this.now() + 1;
-  }
-}
-
-/** Both blocks, in the place of rp2040js's. `nextNs`: when step() is to be called next. */
-export class PioScheduler {
-  constructor(chip, clock) {
-    this.clock = clock;
-    this.chip = chip;
-    this.nextNs = NEVER;
-    this.inputs = chip.gpioValues;
-    this.blocks = [];
-    for (const [index, irq] of FIRST_IRQ.entries()) this.blocks.push(new Pio(chip, index, irq, this));
-    chip.pio = this.blocks;
-    chip.peripherals[0x50200] = this.blocks[0];
-    chip.peripherals[0x50300] = this.blocks[1];
-  }
-
-  update() {
-    const [first, second] = this.blocks;
-    this.nextNs = CYCLE_NS * (first.due < second.due ? first.due : second.due);
-  }
-
-  step() {
-    const cycle = Math.floor(this.nextNs / CYCLE_NS);
-    for (const block of this.blocks) {
-      if (block.due > cycle) continue;
-      block.advance(cycle);
-    }
-    this.update();
-  }
-
-  /** The levels of all pins, in one word, are others from now on. An edge of the clock samples what was before it. */
-  pinsChanged(inputs) {
-    const changed = inputs ^ this.inputs;
-    this.inputs = inputs;
-    const shows = Math.floor(this.clock.nanos / CYCLE_NS) + 2;
-    for (const block of this.blocks) {
-      block.pads = inputs;
-      if (changed & block.seen) block.pinsChange(changed & block.seen, inputs, shows);
-    }
   }
 }

@@ -9,8 +9,8 @@ from array import array
 
 sys.path.insert(0, sys.argv[1] + "/protocol")
 sys.path.insert(0, sys.argv[1] + "/firmware")
-from drivers import ads131m04
-from drivers import ads131m04_dma as dma
+from drivers import ads131m04, ads131m04_survey
+from truearm_wire.messages import COUNTER
 
 OSR = 4096
 PERIOD_US = 983.04
@@ -30,17 +30,17 @@ class Rings:
     """What the DMA channels would have written by the time that conversion `latest` ended."""
 
     def __init__(self, first=1, start_us=1000):
-        self.ring = array("I", bytes(dma.FRAMES))
-        self.stamps = array("I", bytes(4 * dma.STAMPS))
+        self.ring = array("I", bytes(ads131m04_survey.FRAMES))
+        self.stamps = array("I", bytes(4 * ads131m04_survey.STAMPS))
         self.timer = array("I", [0])
-        self.s = array("I", bytes(4 * dma.SURVEY))
-        self.s[dma.READ] = first
-        self.s[dma.FIRST] = 1
-        self.s[dma.OSR6] = 6 * OSR
-        self.s[dma.SHORTEST] = OSR * 6 // 25 - 1
-        self.s[dma.LONGEST] = OSR * 6 // 25 + 2
-        self.s[dma.SILENCE] = 50000
-        self.s[dma.ALIVE] = start_us & dma.COUNTER
+        self.s = array("I", bytes(4 * ads131m04_survey.SURVEY))
+        self.s[ads131m04_survey.READ] = first
+        self.s[ads131m04_survey.FIRST] = 1
+        self.s[ads131m04_survey.OSR6] = 6 * OSR
+        self.s[ads131m04_survey.SHORTEST] = OSR * 6 // 25 - 1
+        self.s[ads131m04_survey.LONGEST] = OSR * 6 // 25 + 2
+        self.s[ads131m04_survey.SILENCE] = 50000
+        self.s[ads131m04_survey.ALIVE] = start_us & COUNTER
         self.start_us = start_us
         self.first = first
         self.number = first
@@ -53,22 +53,22 @@ class Rings:
             if broken:
                 words[2] ^= 1
             for i in range(6):
-                self.ring[(self.number * 6 + i) % (dma.FRAMES // 4)] = words[i]
+                self.ring[(self.number * 6 + i) % (ads131m04_survey.FRAMES // 4)] = words[i]
             us = self.start_us + int((self.number - self.first + 1) * PERIOD_US) + self.late_us
-            self.stamps[self.number % dma.STAMPS] = us & 0xFFFFFFFF
+            self.stamps[self.number % ads131m04_survey.STAMPS] = us & 0xFFFFFFFF
             self.timer[0] = us & 0xFFFFFFFF
             self.number += 1
-            self.s[dma.LATEST] = self.number & 0xFFFFFFFF
+            self.s[ads131m04_survey.LATEST] = self.number & 0xFFFFFFFF
         return self
 
     def look(self, want=64):
-        return dma.survey(self.s, self.ring, self.stamps, self.timer, ads131m04.TABLE, want)
+        return ads131m04_survey.survey(self.s, self.ring, self.stamps, self.timer, ads131m04.TABLE, want)
 
     def unload(self, n):
         """(numbers of the samples, stamp), or None if the ring was lapped."""
         dst = bytearray(16 * n + 3)
         stamp = bytearray(4)
-        if not dma.unload(self.s, self.ring, self.stamps, n, dst, 3, stamp):
+        if not ads131m04_survey.unload(self.s, self.ring, self.stamps, n, dst, 3, stamp):
             return None
         values = array("i", bytes(dst[3:]))
         for k in range(n):
@@ -87,7 +87,13 @@ def expect(what, got, wanted):
 
 
 def check_survey():
-    literals = (dma.HOLDS, dma.FAR, dma.FRAMES // 4 - 1, dma.STAMPS - 1, dma.COUNTER)
+    literals = (
+        ads131m04_survey.HOLDS,
+        ads131m04_survey.FAR,
+        ads131m04_survey.FRAMES // 4 - 1,
+        ads131m04_survey.STAMPS - 1,
+        COUNTER,
+    )
     expect("the numbers that survey and unload spell out", literals, (681, 640, 4095, 1023, 0x3FFFFFFF))
     rings = Rings().convert(20)
     expect("whole frames", rings.look(), 20)
@@ -96,28 +102,32 @@ def check_survey():
     expect("the rest", (rings.look(), rings.unload(7)), (7, (list(range(14, 21)), 14762)))
 
     rings = Rings().convert(5).convert(2, broken=True).convert(5)
-    expect("before a wrong CRC", (rings.look(), rings.s[dma.BROKEN], rings.s[dma.CRC_ERRORS]), (5, 1, 0))
+    expect(
+        "before a wrong CRC",
+        (rings.look(), rings.s[ads131m04_survey.BROKEN], rings.s[ads131m04_survey.CRC_ERRORS]),
+        (5, 1, 0),
+    )
     rings.unload(5)
-    rings.s[dma.BROKEN] = 0
-    expect("after it", (rings.look(), rings.s[dma.JUMP], rings.s[dma.CRC_ERRORS]), (5, 2, 2))
+    rings.s[ads131m04_survey.BROKEN] = 0
+    expect("after it", (rings.look(), rings.s[ads131m04_survey.JUMP], rings.s[ads131m04_survey.CRC_ERRORS]), (5, 2, 2))
 
     for status in (0x050F, 0x210F, 0x000F, 0x090F):
         rings = Rings().convert(1, status=status)
-        expect("status %04x" % status, (rings.look(), rings.s[dma.LOST_CONVERTER]), (0, 1))
+        expect("status %04x" % status, (rings.look(), rings.s[ads131m04_survey.LOST_CONVERTER]), (0, 1))
     rings = Rings().convert(1, status=0x0107).convert(1, status=0x410F)
-    expect("data not new; resynchronised", (rings.look(), rings.s[dma.CRC_ERRORS]), (1, 1))
+    expect("data not new; resynchronised", (rings.look(), rings.s[ads131m04_survey.CRC_ERRORS]), (1, 1))
 
     rings = Rings().convert(3).convert(1, delay_us=3 * 983).convert(3)
-    expect("a late edge ends the row", (rings.look(), rings.s[dma.BROKEN]), (3, 1))
+    expect("a late edge ends the row", (rings.look(), rings.s[ads131m04_survey.BROKEN]), (3, 1))
     rings.unload(3)
-    rings.s[dma.BROKEN] = 0
-    expect("and three are missing", (rings.look(), rings.s[dma.JUMP]), (4, 3))
+    rings.s[ads131m04_survey.BROKEN] = 0
+    expect("and three are missing", (rings.look(), rings.s[ads131m04_survey.JUMP]), (4, 3))
     rings = Rings().convert(3).convert(1, delay_us=-900).convert(3, delay_us=0)
     rings.look()
     rings.unload(3)
-    rings.s[dma.BROKEN] = 0
+    rings.s[ads131m04_survey.BROKEN] = 0
     rings.look()
-    expect("an edge out of turn is none", rings.s[dma.CRC_ERRORS], 1)
+    expect("an edge out of turn is none", rings.s[ads131m04_survey.CRC_ERRORS], 1)
 
 
 def check_wraps():
@@ -134,10 +144,10 @@ def wrapped(rings):
         number = rings.first + k
         words = frame(0x010F, [k, -k, 0, 0])
         for i in range(6):
-            rings.ring[(number * 6 + i) % (dma.FRAMES // 4)] = words[i]
-        rings.stamps[number % dma.STAMPS] = rings.start_us + int((k + 1) * PERIOD_US)
-        rings.timer[0] = rings.stamps[number % dma.STAMPS]
-    rings.s[dma.LATEST] = rings.first + 13
+            rings.ring[(number * 6 + i) % (ads131m04_survey.FRAMES // 4)] = words[i]
+        rings.stamps[number % ads131m04_survey.STAMPS] = rings.start_us + int((k + 1) * PERIOD_US)
+        rings.timer[0] = rings.stamps[number % ads131m04_survey.STAMPS]
+    rings.s[ads131m04_survey.LATEST] = rings.first + 13
     return rings.look()
 
 
@@ -147,7 +157,7 @@ def check_lap():
     rings.unload(3)
     rings.convert(2000)
     expect("half a ring is left", rings.look(400), 340)
-    expect("the jump tells how many", rings.s[dma.JUMP], 2000 - 340)
+    expect("the jump tells how many", rings.s[ads131m04_survey.JUMP], 2000 - 340)
     rings = Rings().convert(20)
     rings.look()
     rings.convert(681)
@@ -157,10 +167,14 @@ def check_lap():
 def check_silence():
     rings = Rings().convert(5)
     rings.timer[0] += 50001
-    expect("what is there comes first", (rings.look(), rings.s[dma.BROKEN], rings.s[dma.LOST_CONVERTER]), (5, 1, 0))
+    expect(
+        "what is there comes first",
+        (rings.look(), rings.s[ads131m04_survey.BROKEN], rings.s[ads131m04_survey.LOST_CONVERTER]),
+        (5, 1, 0),
+    )
     rings.unload(5)
-    rings.s[dma.BROKEN] = 0
-    expect("then it is lost", (rings.look(), rings.s[dma.LOST_CONVERTER]), (0, 1))
+    rings.s[ads131m04_survey.BROKEN] = 0
+    expect("then it is lost", (rings.look(), rings.s[ads131m04_survey.LOST_CONVERTER]), (0, 1))
 
 
 class Bus:

@@ -1,7 +1,7 @@
 // Runs PIO scenarios on hil_sim/chip/pio.mjs alone, without a chip around it: JSON on standard input and output, see test_pio.py.
 import fs from 'node:fs';
 import { CYCLE_NS } from '../../hil_sim/chip/clock.mjs';
-import { PioScheduler } from '../../hil_sim/chip/pio.mjs';
+import { PioScheduler } from '../../hil_sim/chip/pio_scheduler.mjs';
 
 /** As much of a chip as a PIO block asks for. */
 function bareChip() {

@@ -5,7 +5,7 @@ import random
 import pytest
 
 from .bench import run_steps
-from .pio_reference import Assembler
+from .pio_assembler import Assembler
 from .test_pio import magnetostrictive
 
 M_PER_S = 0.0254 / 9.05e-6  # 9.05 us/inch

@@ -15,7 +15,8 @@ import pytest
 
 from truearm_sim import node
 
-from .pio_reference import Assembler, Block, Program
+from .pio_assembler import Assembler, Program
+from .pio_reference import Block
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "firmware"))

@@ -5,7 +5,7 @@ import random
 import pytest
 
 from .bench import run_steps
-from .pio_reference import Assembler
+from .pio_assembler import Assembler
 from .test_pio import triggers
 
 SETTLE_NS = 20_000_000  # edges come after the script's start
