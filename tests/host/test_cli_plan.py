@@ -90,7 +90,10 @@ def test_lines_with_a_delay_that_is_not_known(folder, capsys):
         (["--minutes", "5"], "give a budget"),
         (["--speed-mm-s", "nan"], "--speed-mm-s"),
         (["--target", "x"], "the rig has none"),
-        (["--region", "5000:5001,0:1,0:1"], "only 0 lines of 200 mm fit where the arm reaches; make them shorter, slower"),
+        (
+            ["--region", "5000:5001,0:1,0:1"],
+            "only 0 lines of 200 mm fit where the arm reaches; make them shorter, slower",
+        ),
         (["--rig-out", "-"], "-: is no file name"),
         (["--rig-out", "rig.toml"], "rig.toml"),
         (["--out", "two.csv", "--rig-out", "two.csv"], "two.csv"),

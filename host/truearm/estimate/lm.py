@@ -10,9 +10,12 @@ over the singular values that are seen (``information.seen``) only: along direct
 so a model with redundant parameters (54 where 36 can be seen) converges like one without. ``plain`` takes D = I, the
 paper's own λI, with λ counted in s_max², which makes it independent of the noise's unit but not of the parameters'.
 
-λ falls by 1000 after a step that the linearised problem foretold to 10 % and that was not refused at a smaller λ before; else it follows
-Nielsen's rule (1999, Damping Parameter in Marquardt's Method, IMM-REP-1999-05), λ · max(1/3, 1 − (2ρ − 1)³) with ρ the part of the foretold gain that came, so that in a
-curved valley it settles at the largest step that pays (docs/decisions/0019-damping.md compares). It grows by 4 after a step that did not reduce χ². The end: what the linearised problem still promises, ‖Uᵀz‖, is below 1e-6 of ‖f‖ (then x
+λ falls by 1000 after a step that the linearised problem foretold to 10 % and that was not refused at a smaller λ before; else it
+follows Nielsen's rule (1999, Damping Parameter in Marquardt's Method, IMM-REP-1999-05), λ · max(1/3, 1 − (2ρ − 1)³) with ρ
+the part of the foretold gain that came, so that in a curved valley it settles at the largest step that pays
+(docs/decisions/0019-damping.md compares). It grows by 4 after a step that did not reduce χ².
+
+The end: what the linearised problem still promises, ‖Uᵀz‖, is below 1e-6 of ‖f‖ (then x
 is within some 1e-5 σ of the minimum), or below 1e-10 a residual (data without noise), or the step is rounding.
 
 Where weights depend on x (joint noise, information.py), x is compared with x + Δ under the weights of x: with each
