@@ -32,7 +32,7 @@ MIDDLE = 0.55  # m on it, where the middle of a line is put
 REACH = 0.0075  # m, of the transverse sensors either way (Renders II-C: 15 mm in all)
 SETUP = 5e-4  # m, how well the device is centred at either end of the line
 BY_HAND = 0.052  # rad about each axis
-GRAIN = 0.0025  # m
+GRAIN = 0.0075  # m
 _POSES, _ERRORS = 0x11E, 0x6E1  # of their random numbers, beside the seed
 
 

@@ -178,15 +178,18 @@ def test_the_box_shows_the_magnet_where_it_is_at_the_right_moment():
 
 
 def test_drives_have_errors_of_the_declared_size_that_are_not_white():
-    way = np.linspace(0.0, 0.5, 20_001)
+    step, grain = 25e-6, line_device.GRAIN
+    way = np.arange(0.0, 2.0, step)
     errors = np.concatenate([line_device.drive_errors(seed, row, way) for seed in range(20) for row in (1, 2)])
-    assert np.abs(errors.std(axis=0) - 1.0).max() < 0.05  # 8000 grains a column: σ of a standard deviation 0.008
+    # Their integrated correlation length is (4/π)² grains: of n independent numbers σ is known to 1/√(2 n), correlation to 1/√n.
+    n = 2.0 / (grain * (4 / np.pi) ** 2)
+    assert np.abs(errors.std(axis=0) - 1.0).max() < 5 / np.sqrt(2 * 40 * n)
     one = line_device.drive_errors(0, 1, way)
-    near, far = int(0.1 * line_device.GRAIN / 25e-6), int(2 * line_device.GRAIN / 25e-6)
+    near, far = int(0.1 * grain / step), int(2 * grain / step)
     assert np.corrcoef(one[:-near, 0], one[near:, 0])[0, 1] > 0.95
-    assert abs(np.corrcoef(one[:-far, 0], one[far:, 0])[0, 1]) < 5 / np.sqrt(200)
+    assert abs(np.corrcoef(one[:-far, 0], one[far:, 0])[0, 1]) < 5 / np.sqrt(n)
     for other in (line_device.drive_errors(0, 2, way), line_device.drive_errors(1, 1, way)):
-        assert abs(np.corrcoef(one[:, 0], other[:, 0])[0, 1]) < 5 / np.sqrt(200)
+        assert abs(np.corrcoef(one[:, 0], other[:, 0])[0, 1]) < 5 / np.sqrt(n)
     assert np.array_equal(line_device.drive_errors(0, 1, way[100:200]), one[100:200])
 
 
