@@ -163,11 +163,13 @@ def identify(
       truearm identify poses.csv --robot puma560 --rig rig.toml --hold-out shell=s61
     """
     from truearm.commands.inputs import check_files
+    from truearm.commands.resuming import with_parts
     from truearm.commands.rigs import rig_files
     from truearm.files.result import format_document, write_result
 
     _check_solver(solver, loss, prior)
     rigs = rig_files(rig or [])
+    inputs = with_parts(inputs)
     check_files(inputs, robot, rigs, out, save_table, report)
     request = _Request(
         inputs=inputs,

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from truearm.commands.resuming import is_part
 from truearm.commands.rigs import Assigned, session_rigs
 from truearm.commands.session import observations_of_session
 from truearm.errors import InputError
@@ -55,7 +56,13 @@ def observed(
     """The rig, or the rigs by name, and the observations, held against each other."""
     given = {name: read_rig(path) for name, path in files.items()}
     of_session = session_rigs(inputs, given)
-    table = concatenate([_read_input(path, joint_units, of_session.get(path), allow_damaged) for path in inputs])
+    tables = {
+        path: _read_input(path, joint_units, of_session.get(path), allow_damaged, is_part(path, inputs))
+        for path in inputs
+    }
+    table = concatenate([part for part in tables.values() if len(part)] or list(tables.values()))
+    if not len(table):
+        raise InputError(f"{inputs[0]}: no dwell gave an observation; see truearm inspect {inputs[0]}")
     rigs = given | dict(of_session.values())
     if "" in rigs or not rigs:
         one = rigs.get("", Rig())
@@ -81,13 +88,13 @@ def _check_names(table: ObservationTable, rigs: dict[str, Rig], files: dict[str,
 
 
 def _read_input(
-    path: Path, joint_units: tuple[str, ...], assigned: Assigned | None, allow_damaged: bool
+    path: Path, joint_units: tuple[str, ...], assigned: Assigned | None, allow_damaged: bool, part: bool
 ) -> ObservationTable:
     if assigned is None:
         return read_table(path, joint_units)
     name, rig = assigned
-    table = observations_of_session(path, rig, allow_damaged).table
-    if table.q.shape[1] != len(joint_units):
+    table = observations_of_session(path, rig, allow_damaged, may_be_empty=part).table
+    if len(table) and table.q.shape[1] != len(joint_units):
         raise InputError(f"{path}: its robot has {table.q.shape[1]} joints, the robot given has {len(joint_units)}")
     return replace(table, rig=np.full(len(table), name))
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from truearm.commands.resuming import session_parts
 from truearm.commands.terminal import one_line
 from truearm.errors import InputError, SessionError
 from truearm.sensors.joints import parse_reading
@@ -46,10 +47,14 @@ def inspect(
     from truearm.commands.inspect_text import lines
     from truearm.record.session import open_session
 
-    document = describe(open_session(session, allow_damaged))
+    first, *more = [describe(open_session(part, allow_damaged)) for part in session_parts(session)]
     if as_json:
-        typer.echo(json.dumps(document, indent=2, allow_nan=False))
-    else:
+        typer.echo(json.dumps({**first, "parts": more}, indent=2, allow_nan=False))
+        return
+    for line in lines(first):
+        typer.echo(line)
+    for document in more:
+        typer.echo(f"\n{one_line(document['file'])} goes on with it:")
         for line in lines(document):
             typer.echo(line)
 

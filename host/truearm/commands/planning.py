@@ -10,6 +10,7 @@ import numpy as np
 import typer
 
 from truearm.commands.inputs import observed
+from truearm.commands.resuming import with_parts
 from truearm.errors import InputError
 from truearm.files.disk import check_writable, write_atomic
 from truearm.files.plan import write_plan
@@ -210,7 +211,7 @@ def _known(common: Common) -> Known:
     around = with_rig_values(read_rig(common.rig), values)
     table = None
     if common.measured:
-        same, table = observed(list(common.measured), {"": common.rig}, joint_units(loaded.chain), False)
+        same, table = observed(with_parts(list(common.measured)), {"": common.rig}, joint_units(loaded.chain), False)
         if not isinstance(same, Rig):
             raise InputError("--measured: rows of several rigs cannot be planned on; give those of one rig")
     return Known(loaded.chain, around, params, loaded.free, table, values)

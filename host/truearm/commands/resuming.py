@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from truearm.errors import InputError, SessionError
+from truearm.files.disk import same_file
+from truearm.sensors.joints import are_joints
 
 if TYPE_CHECKING:
     from truearm.commands.course import Course
@@ -45,6 +47,27 @@ def session_parts(path: Path) -> list[Path]:
     return [path, *(part for part in parts if _opened(part).metadata.get(SETUP, {}).get("of") == path.name)]
 
 
+def first_stem(path: Path) -> str:
+    """The name of a session's first file without its suffix."""
+    found = _PART.fullmatch(path.stem)
+    return found[1] if found and path.with_name(found[1] + SUFFIX).exists() else path.stem
+
+
+def with_parts(inputs: list[Path]) -> list[Path]:
+    """Inputs with the further parts of each session behind it; one that is given too stays where it stands. Raises SessionError."""
+    found: list[Path] = []
+    for path in inputs:
+        parts = session_parts(path)[1:] if path.suffix.lower() == SUFFIX else []
+        found += [path, *(part for part in parts if not any(same_file(part, other) for other in inputs))]
+    return found
+
+
+def is_part(path: Path, inputs: list[Path]) -> bool:
+    """Whether a file goes on from another of the inputs, or another of them from it."""
+    firsts = {other: other.with_name(f"{m[1]}{SUFFIX}") for other in inputs if (m := _PART.fullmatch(other.stem))}
+    return firsts.get(path) in inputs or path in firsts.values()
+
+
 def earlier(path: Path) -> Earlier:
     """What there is of the session that ``path``, one of its parts or the folder that holds nothing else, belongs to.
 
@@ -62,7 +85,7 @@ def earlier(path: Path) -> Earlier:
         for message in session.messages(["/plan", "/events"]):
             row = _table(message.data)
             if message.topic == "/plan":
-                rows += [row] * (number == 0)
+                rows += [_planned(row, rows, session.path)] * (number == 0)
             elif row.get("kind") == "mounted":
                 mounted = {k: v for k, v in row.items() if k != "kind" and isinstance(v, str)}
             elif row.get("kind") == "dwell":
@@ -100,14 +123,21 @@ def _first(path: Path) -> Path:
 
 def _number(path: Path) -> int:
     """1 for a first part."""
-    found = _PART.fullmatch(path.stem)
-    return int(found[2]) if found and path.with_name(found[1] + SUFFIX).exists() else 1
+    return 1 if first_stem(path) == path.stem else int(path.stem.rpartition(".")[2])
 
 
 def _opened(path: Path) -> Session:
     from truearm.record.session import open_session
 
     return open_session(path, allow_damaged=True)
+
+
+def _planned(row: dict[str, Any], rows: list[dict[str, Any]], path: Path) -> dict[str, Any]:
+    """A row of the plan, with as many joints as those before it."""
+    q = row.get("q")
+    if not are_joints(q) or (rows and len(rows[0]["q"]) != len(q)):
+        raise SessionError(f"--resume {path}: its plan is damaged; give it anew with --plan")
+    return row
 
 
 def _table(data: bytes) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
+from truearm.commands.resuming import first_stem
 from truearm.commands.session import attached_rig, is_session
 from truearm.errors import InputError, RigError
 from truearm.types import Rig
@@ -39,8 +40,8 @@ def rig_files(given: list[str]) -> dict[str, Path]:
 
 
 def session_name(path: Path) -> str:
-    """What a session is called where rigs have names: its file's name without the suffix, fit for a table's column."""
-    return re.sub(r"[^\w-]", "_", path.stem, flags=re.ASCII)[:LONGEST]
+    """What a session is called where rigs have names: its first file's name without the suffix, fit for a table's column."""
+    return re.sub(r"[^\w-]", "_", first_stem(path), flags=re.ASCII)[:LONGEST]
 
 
 def session_rigs(inputs: list[Path], given: Mapping[str, Rig]) -> dict[Path, Assigned]:

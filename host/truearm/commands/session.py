@@ -43,12 +43,14 @@ def messages_of(session: Session) -> Callable[[Collection[str] | None], Iterator
     return lambda topics: session.messages(topics)
 
 
-def observations_of_session(path: Path, rig: Rig | None = None, allow_damaged: bool = False) -> SyncResult:
+def observations_of_session(
+    path: Path, rig: Rig | None = None, allow_damaged: bool = False, may_be_empty: bool = False
+) -> SyncResult:
     """Hops 4 and 5 of a session file. ``rig`` stands in for the one that was recorded.
 
     What is lost of a damaged file is said on stderr, if ``allow_damaged``.
 
-    Raises SessionError for a file that is none or gave no observation, RigError if there is no rig.
+    Raises SessionError for a file that is none or gave no observation (unless it ``may_be_empty``: a part of a session), RigError if there is no rig.
     """
     from truearm.commands.inspect import ident_of
     from truearm.record.salvage import words_of
@@ -64,7 +66,7 @@ def observations_of_session(path: Path, rig: Rig | None = None, allow_damaged: b
     if rig is None:
         raise RigError(f"{path}: was recorded without a rig; give one with --rig")
     result = observations(messages_of(session), rig, ident=ident_of(session), name=path.name)
-    if not len(result.table):
+    if not len(result.table) and not may_be_empty:
         reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(result.reasons.items()))
         raise SessionError(
             f"{path}: no dwell gave an observation ({reasons or 'none was found'}); see truearm inspect {path}"

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from truearm.commands.calibration import Calibration, read_calibration
 from truearm.commands.inputs import check_files, hashed_inputs, observed
+from truearm.commands.resuming import with_parts
 from truearm.commands.rigs import rig_files
 from truearm.commands.terminal import one_line
 from truearm.errors import InputError
@@ -30,6 +31,7 @@ def validation_document(
     """Numbers and verdict. Raises InputError in one line."""
     rigs = rig_files(rig)
     calibration = read_calibration(result, *robot)
+    inputs = with_parts(inputs)
     check_files(inputs, calibration.robot, rigs, None, None)
     of, table = observed(inputs, rigs, calibration.joint_units, damaged)
     before, after = (judge(calibration.chain, of, table, p) for p in (calibration.nominal, calibration.identified))

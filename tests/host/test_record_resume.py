@@ -1,0 +1,145 @@
+"""A session that goes on in further files: what is taken over, what is read as one, and that nothing recorded is touched."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from record_files import events
+from record_real import box_on_a_socket
+from test_record_command import CALIBRATED, RIG
+
+from truearm.cli import main
+from truearm.commands.course import Course
+from truearm.commands.resuming import earlier, first_stem, gone_on, is_part, session_parts, with_parts
+from truearm.files.plan import write_plan
+from truearm.record.links import HostClock
+from truearm.record.session import open_session
+from truearm.record.session_writer import SessionWriter
+from truearm.types import Plan
+
+ROWS = [
+    {"pose": k, "shell": "a", "bar": bar, "chuck": "c1", "sphere": "s1", "q": [0.5 * k, 0.0]}
+    for k, bar in enumerate(("b46", "b46", "b61"))
+]
+
+
+def session(path, *happened, setup=None, rows=ROWS, rig=None):
+    """A file as the recorder leaves it, with these events."""
+    with SessionWriter(path, HostClock(), overwrite=True) as writer:
+        writer.metadata("setup", {"robot": "", "osr": "2048", **(setup or {})})
+        if rig:
+            writer.attach("rig.toml", "application/toml", rig)
+        for row in rows:
+            writer.add_json("/plan", 1, row)
+        for k, (kind, fields) in enumerate(happened):
+            writer.event(kind, 2 + k, **fields)
+    return path
+
+
+class TestEarlier:
+    def test_how_far_it_had_come(self, tmp_path):
+        pairing = {"bar": "b46", "chuck": "c1", "sphere": "s1"}
+        first = session(tmp_path / "s.mcap", ("mounted", pairing), ("dwell", {"pose": 0}), ("dwell", {}), ("line", {}))
+        second = session(
+            tmp_path / "s.2.mcap", ("dwell", {"pose": 1}), ("mounted", {"bar": "b61"}), setup={"of": "s.mcap"}
+        )
+        for path in (first, second, tmp_path):
+            before = earlier(path)
+            assert (before.first, before.out, before.part) == (first, tmp_path / "s.3.mcap", 3)
+            assert before.rows == ROWS
+            assert before.mounted == {"bar": "b61"}
+            assert (before.dwells, before.lines) == ((0, None, 1), 1)
+            assert before.setup["osr"] == "2048"
+        course = Course(before.rows)
+        gone_on(course, before)
+        assert (course.done, course.unplanned, course.lines, course.next) == ({0, 1}, 1, 1, 2)
+
+    def test_a_part_that_was_cut_off(self, tmp_path):
+        """Its recorder was killed: what is whole of it counts."""
+        path = session(tmp_path / "s.mcap", *[("dwell", {"pose": k}) for k in range(2)])
+        path.write_bytes(path.read_bytes()[:-60])
+        assert earlier(path).dwells == (0, 1)
+
+    @pytest.mark.parametrize(
+        ("names", "of", "says"),
+        [
+            ((), "", "no such file"),
+            (("a.mcap", "b.mcap"), ".", "holds 2 sessions"),
+            ((), ".", "holds 0 sessions"),
+        ],
+    )
+    def test_refused(self, tmp_path, capsys, names, of, says):
+        for name in names:
+            session(tmp_path / name)
+        assert main(["record", "--device", "/dev/none", "--resume", str(tmp_path / (of or "none.mcap"))]) == 2
+        assert says in capsys.readouterr().err
+
+    def test_options_that_contradict(self, tmp_path, capsys):
+        path = session(tmp_path / "s.mcap")
+        for options in ([], ["--resume", str(path), "--out", str(tmp_path / "t.mcap")]):
+            assert main(["record", "--device", "/dev/none", *options]) == 2
+            assert "--out FILE for a new session, or --resume FILE" in capsys.readouterr().err
+
+    def test_a_plan_that_is_none(self, tmp_path, capsys):
+        path = session(tmp_path / "s.mcap", rows=[{"q": "x"}])
+        assert main(["record", "--device", "/dev/none", "--resume", str(path)]) == 2
+        assert "its plan is damaged" in capsys.readouterr().err
+
+
+class TestParts:
+    def test_in_order_and_only_its_own(self, tmp_path):
+        first = session(tmp_path / "s.mcap")
+        for number in (10, 2):
+            session(tmp_path / f"s.{number}.mcap", setup={"of": "s.mcap", "part": str(number)})
+        session(tmp_path / "s.3.mcap")  # somebody's own of that name
+        session(tmp_path / "s.x.mcap", setup={"of": "s.mcap"})
+        other = session(tmp_path / "other.mcap")
+        parts = [tmp_path / name for name in ("s.mcap", "s.2.mcap", "s.10.mcap")]
+        assert session_parts(first) == parts
+        assert session_parts(parts[1]) == [parts[1]]
+        assert with_parts([other, first]) == [other, *parts]
+        assert with_parts([first, parts[2]]) == [first, parts[1], parts[2]]
+        assert with_parts([tmp_path / "none.csv", tmp_path / "none.mcap"]) == [
+            tmp_path / "none.csv",
+            tmp_path / "none.mcap",
+        ]
+        assert [is_part(path, [other, *parts]) for path in (other, *parts)] == [False, True, True, True]
+        assert [first_stem(path) for path in (other, *parts)] == ["other", "s", "s", "s"]
+        assert first_stem(tmp_path / "v1.2.mcap") == "v1.2"
+
+    def test_inspect_tells_all_of_them(self, tmp_path, capsys):
+        session(tmp_path / "s.mcap")
+        session(tmp_path / "s.2.mcap", setup={"of": "s.mcap"})
+        assert main(["inspect", str(tmp_path / "s.mcap")]) == 0
+        assert f"{tmp_path / 's.2.mcap'} goes on with it:" in capsys.readouterr().out
+        assert main(["inspect", str(tmp_path / "s.mcap"), "--json"]) == 0
+        (part,) = json.loads(capsys.readouterr().out)["parts"]
+        assert part["file"].endswith("s.2.mcap")
+
+
+def test_recorded_on(tmp_path, capsys):
+    """Plan, rig, rate and what was mounted last come from the first file, which stays as it is to the byte."""
+    out = tmp_path / "s.mcap"
+    (tmp_path / "rig.toml").write_text(RIG)
+    plan = Plan(np.array([[0.1, 0.2]]), *(np.array([name]) for name in ("a", "bar46", "c1", "s1")))
+    write_plan(tmp_path / "plan.csv", plan)
+    given = ["--rig", str(tmp_path / "rig.toml"), "--plan", str(tmp_path / "plan.csv"), "--rate", "2000"]
+    mounted = ["--mounted", "bar=bar46,chuck=c1,sphere=s1"]
+    for options in (["--out", str(out), *given, *mounted], ["--resume", str(out)], ["--resume", str(tmp_path)]):
+        with box_on_a_socket() as (box, device):
+            box.lvdt = CALIBRATED
+            assert main(["record", "--device", device, "--duration", "0.3", *options]) == 0
+        if options[0] == "--out":
+            shutil.copy(out, tmp_path / "copy")
+    assert out.read_bytes() == (tmp_path / "copy").read_bytes()
+    files = session_parts(out)
+    assert [path.name for path in files] == ["s.mcap", "s.2.mcap", "s.3.mcap"]
+    first, *more = [open_session(path) for path in files]
+    for number, part in enumerate(more, start=2):
+        assert part.metadata["setup"] == {"robot": "", "osr": "2048", "of": "s.mcap", "part": str(number)}
+        assert part.attachments == first.attachments
+        assert [m.data for m in part.messages({"/plan"})] == [m.data for m in first.messages({"/plan"})]
+        assert json.loads(part.metadata["box"]["ident"])["streams"][0]["osr"] == 2048
+        assert events(part.path, "mounted") == events(out, "mounted")
+    assert f"{files[2]}: 0.3 s" in capsys.readouterr().out
