@@ -51,7 +51,7 @@ def box_on_a_socket():
 
     def serve():
         peer, _ = listener.accept()
-        with peer:
+        with peer, listener:  # nobody comes a second time
             play(box, lab, peer.fileno(), stop)
 
     thread = threading.Thread(target=serve, daemon=True)

@@ -157,6 +157,7 @@ class _Watch:
     def __init__(self) -> None:
         self._said: set[str] = set()
         self._box_ok = True
+        self._link_losses = 0
         self._robot_ok: bool | None = None
         self._lost = 0
 
@@ -167,9 +168,13 @@ class _Watch:
             if fault not in self._said
         ]
         self._said.update(status.faults)
+        losses = status.counters.link_losses
         if status.box_ok != self._box_ok:
             self._box_ok = status.box_ok
             said.append(_box_words(status))
+        elif status.box_ok and losses > self._link_losses:
+            said.append("warning: the link to the box was lost for a moment")
+        self._link_losses = losses
         if self._robot_ok is not None and status.robot_ok != self._robot_ok:
             said.append(
                 "the robot is back" if status.robot_ok else "warning: the robot was lost; trying to reach it again"
@@ -201,7 +206,9 @@ def shown(view: View, plain: bool) -> Iterator[None]:
         write, close = _descriptor()
         show = _Live(write, typed) if live else _Plain(write)
         stop = threading.Event()
-        thread = threading.Thread(target=_run, args=(view, show, stop, LIVE_S if live else LOOK_S), daemon=True)
+        thread = threading.Thread(
+            target=_run, args=(view, show, stop, LIVE_S if live else LOOK_S), name="view", daemon=True
+        )
         thread.start()
         try:
             yield

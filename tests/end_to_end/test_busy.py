@@ -1,0 +1,157 @@
+"""The recorder's reader keeps up while Python is busy, and whatever happens to the view the recording goes on."""
+
+import os
+import re
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+from tests.end_to_end.conftest import truearm
+
+from truearm.record.links import HostClock, backlog_of
+from truearm.record.ports import BoxPort
+from truearm.record.recorder import record
+from truearm.record.reopening import Reopening
+from truearm.record.session import open_session
+from truearm.record.session_writer import SessionWriter
+from truearm.sync.blocks import BoxReader
+from truearm.sync.clock import fit_clock
+
+OSR = 1024  # 4069 Hz, four channels: 313 blocks a second, 77 kB
+BUSY_S = 2.0
+
+
+@pytest.fixture
+def device(tmp_path):
+    """A simulated box behind a pseudo-terminal, in a process of its own."""
+    command = [
+        sys.executable,
+        "-u",
+        "-m",
+        "truearm",
+        "simulate",
+        "--out",
+        str(tmp_path / "sim"),
+        "--robot-port",
+        "0",
+        "--pty",
+    ]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    for line in process.stdout:
+        if found := re.search(r"truearm record --device (\S+)", line):
+            break
+    assert found, "truearm simulate ended"
+    yield found.group(1)
+    process.terminate()
+    process.wait(timeout=10)
+    process.stdout.close()
+
+
+def test_two_seconds_of_python_lose_nothing(device, tmp_path):
+    """The thread that writes counts in Python for 2 s: the reader's thread has each byte within milliseconds.
+
+    Honest stamps: none is early (a stamp is taken after the read), which every exchange's bounds would show; and those of the
+    busy time are late by what the reader waits for its turn, which Python gives every 0.2 ms, not by the 2 s that the writer is away.
+    """
+    sys.setswitchinterval(2e-4)
+    clock = HostClock()
+    busy = []
+
+    def toil(status):
+        if not busy and status.elapsed_s > 2.0:
+            begin = time.monotonic()
+            busy.append(clock.now_ns())
+            while time.monotonic() - begin < BUSY_S:
+                sum(k * k for k in range(1000))
+            busy.append(clock.now_ns())
+            waiting.append(backlog_of(link).waiting)
+
+    waiting = []
+    path = tmp_path / "s.mcap"
+    link = Reopening(BoxPort(device, clock))
+    try:
+        with SessionWriter(path, clock) as writer:
+            summary = record(link, writer, clock, osr=OSR, duration_s=6.0, progress=toil)
+    finally:
+        link.close()
+        sys.setswitchinterval(5e-3)
+    assert (summary.counters.held_up, summary.counters.lost_frames) == (0, 0)
+    reader = BoxReader()
+    blocks = [
+        block for message in open_session(path).messages() if (block := reader.feed(message)) and block.data.stream == 0
+    ]
+    losses = reader.losses()
+    assert (losses.frames_lost, losses.samples_lost, losses.samples_overrun, losses.console_bytes) == (0, 0, 0, 0)
+    assert len(blocks) == pytest.approx(6.0 * 1e9 / (240 * OSR * 13), rel=0.03)
+    assert waiting[0] > 0.9 * BUSY_S * 1e9 / (240 * OSR * 13) / 4  # it did pile up: a read may bring several blocks
+    fitted = fit_clock(0, reader.segment.exchanges)
+    assert fitted is not None
+    sent_us = np.array([block.data.t0_us + 12 * block.data.period_ns // 1000 for block in blocks])
+    arrived_ns = np.array([block.t_host_ns for block in blocks])
+    host_ns, bound_ns = fitted[0].to_host_ns(sent_us)
+    late_ns = arrived_ns - host_ns
+    toiled = (arrived_ns >= busy[0]) & (arrived_ns <= busy[1])
+    assert toiled.sum() > 0.8 * BUSY_S * 1e9 / (240 * OSR * 13)
+    assert late_ns.min() > -bound_ns.max()
+    quiet, loud = np.median(late_ns[~toiled]), np.median(late_ns[toiled])
+    print(
+        f"late: {quiet / 1e6:.2f} ms at rest, {loud / 1e6:.2f} ms while busy, {late_ns[toiled].max() / 1e6:.1f} ms at most"
+    )
+    # 100 ms is a tenth of what a writer's stamps would be late by on average; a machine under load needs most of it
+    assert loud - quiet < 1e8
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs a pseudo-terminal")
+def test_a_terminal_that_stands_still(device, tmp_path):
+    """Nobody reads what the view writes, as after Ctrl-S: it blocks within a second, the recording does not."""
+    master, slave = os.openpty()
+    out = tmp_path / "s.mcap"
+    environment = {**os.environ, "TERM": "xterm", "COLUMNS": "200", "LINES": "50"}
+    command = [
+        sys.executable,
+        "-m",
+        "truearm",
+        "record",
+        "--device",
+        device,
+        "--rate",
+        "4000",
+        "--duration",
+        "6",
+        "--out",
+        str(out),
+    ]
+    process = subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=slave, env=environment, text=True
+    )
+    os.close(slave)
+    said, _ = process.communicate(timeout=60)
+    taken = os.read(master, 1 << 20)
+    os.close(master)
+    assert process.returncode == 0, said
+    assert b"\x1b[" in taken  # it was live
+    assert len(taken) <= 8192  # what a terminal holds: some views of the two dozen that there would have been
+    assert "0 frames lost" in said
+    reader = BoxReader()
+    for message in open_session(out).messages():
+        reader.feed(message)
+    losses = reader.losses()
+    assert (losses.frames_lost, losses.samples_lost, losses.samples_overrun) == (0, 0, 0)
+
+
+def test_a_view_that_fails(device, tmp_path, monkeypatch, capsys):
+    """An error in the view ends the view."""
+    from truearm.cli import main
+
+    def fail(*_):
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr("truearm.commands.live_state.LiveState.line", fail)
+    out = tmp_path / "s.mcap"
+    assert main(["record", "--device", device, "--duration", "3", "--out", str(out)]) == 0
+    assert "the view failed (ZeroDivisionError: a bug); the recording did not" in capsys.readouterr().err
+    assert truearm("inspect", out).returncode == 0
+    assert not any(thread.name == "view" for thread in threading.enumerate())

@@ -1,0 +1,254 @@
+"""``truearm record`` on a real terminal: the live view, typed lines, Ctrl-C at every state, and which box is meant."""
+
+import fcntl
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import termios
+import threading
+import time
+from contextlib import contextmanager
+from types import SimpleNamespace
+
+import pytest
+from record_files import events
+from record_real import PATIENCE_S, box_on_a_socket
+from test_record_command import CALIBRATED
+
+from truearm.cli import main
+from truearm.record.session import open_session
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs a pseudo-terminal")
+CONTROL_C, CONTROL_Z = b"\x03", b"\x1a"
+RUN = "import sys; from truearm.cli import main; sys.exit(main())"
+
+
+class OnTerminal:
+    """A process whose terminal we are. ``text``: all that it wrote."""
+
+    def __init__(self, *arguments, code=RUN):
+        self.master, slave = os.openpty()
+        fcntl.ioctl(slave, termios.TIOCSWINSZ, b"\x32\0\xc8\0\0\0\0\0")  # 50 lines of 200
+        self.before = termios.tcgetattr(slave)
+
+        def own_terminal():
+            os.setsid()
+            fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+        command = [sys.executable, "-c", code, *map(str, arguments)]
+        self.process = subprocess.Popen(
+            command,
+            stdin=slave,
+            stdout=slave,
+            stderr=slave,
+            preexec_fn=own_terminal,
+            env={**os.environ, "TERM": "xterm"},
+        )
+        self.slave = slave
+        self.text = ""
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def _read(self):
+        while True:
+            try:
+                data = os.read(self.master, 65536)
+            except OSError:
+                return
+            self.text += data.decode("utf-8", "replace")
+
+    def type(self, data):
+        os.write(self.master, data if isinstance(data, bytes) else data.encode())
+
+    def expect(self, pattern):
+        """Wait until the process has written this."""
+        deadline = time.monotonic() + PATIENCE_S
+        while not (found := re.search(pattern, self.text)) and time.monotonic() < deadline:
+            assert self.process.poll() is None or time.sleep(0.3) or re.search(pattern, self.text), self.text
+            time.sleep(0.02)
+        assert found, self.text[-3000:]
+        return found
+
+    def end(self):
+        """The exit code; the terminal must be as it was."""
+        code = self.process.wait(PATIENCE_S)
+        time.sleep(0.1)
+        after = termios.tcgetattr(self.slave)
+        os.close(self.slave)
+        os.close(self.master)
+        self._thread.join(PATIENCE_S)
+        assert after == self.before
+        assert "Traceback" not in self.text
+        return code
+
+
+@contextmanager
+def recording(tmp_path, *options):
+    """A recording that has begun, its box, and its file."""
+    out = tmp_path / "s.mcap"
+    with box_on_a_socket() as (box, device):
+        box.lvdt = CALIBRATED
+        terminal = OnTerminal("record", "--device", device, "--out", out, *options)
+        terminal.expect(r"recording, [1-9]")
+        yield terminal, box, out
+
+
+class TestTyping:
+    def test_what_is_typed_reaches_the_file(self, tmp_path):
+        with recording(tmp_path) as (terminal, box, out):
+            terminal.expect(r"Enter: mounted as asked")
+            terminal.type("bar=b4")
+            terminal.expect(r"> bar=b4")
+            terminal.type("7\x7f6,chuck=c1\r")
+            terminal.expect(r"mounted: bar b46, chuck c1")
+            terminal.type("note a draught from the door\r")
+            terminal.expect(r"noted: a draught")
+            terminal.type("q\r")
+            assert terminal.end() == 0
+        assert not box.streaming
+        assert [kind for kind in events(out) if kind != "dwell"] == ["start", "mounted", "note", "stop"]
+        assert events(out, "mounted")[0]["bar"] == "b46"
+        assert events(out, "stop")[0]["reason"] == "operator"
+        assert "ended: operator" in terminal.text
+
+    def test_plain(self, tmp_path):
+        out = tmp_path / "s.mcap"
+        with box_on_a_socket() as (box, device):
+            box.lvdt = CALIBRATED
+            terminal = OnTerminal("record", "--plain", "--device", device, "--out", out)
+            terminal.expect(
+                r"\d s: lvdt [^\r\n]*; samples adc 1017\.3 Hz; \d+ samples, 0 frames lost; clock [^\r\n]*; dwells 0"
+            )
+            terminal.type("bar=b61\n")
+            terminal.expect(r"mounted: bar b61")
+            terminal.type("q\n")
+            assert terminal.end() == 0
+        assert "\x1b[" not in terminal.text
+
+    def test_control_z_does_not_stop_it(self, tmp_path):
+        with recording(tmp_path) as (terminal, box, out):
+            blocks = box.blocks
+            terminal.type(CONTROL_Z)
+            terminal.expect(r"recording, [3-9]")
+            terminal.type("q\r")
+            assert terminal.end() == 0
+        assert box.blocks > blocks + 30
+        assert len(list(open_session(out).messages({"/box/adc"}))) == box.blocks
+
+    def test_a_terminal_that_is_closed(self, tmp_path):
+        """The window is closed: the file is completed."""
+        with recording(tmp_path) as (terminal, box, out):
+            os.close(terminal.slave)
+            os.close(terminal.master)
+            terminal.process.wait(PATIENCE_S)
+            assert not box.streaming
+        assert events(out, "stop")[0]["reason"] == "interrupted"
+
+
+class TestControlC:
+    def test_while_it_records(self, tmp_path):
+        with recording(tmp_path) as (terminal, box, out):
+            terminal.type("half a li")
+            terminal.type(CONTROL_C)
+            assert terminal.end() == 130
+        assert not box.streaming
+        assert "ended: interrupted" in terminal.text
+        assert len(list(open_session(out).messages({"/box/adc"}))) == box.blocks
+
+    def test_twice(self, tmp_path):
+        with recording(tmp_path) as (terminal, _, out):
+            terminal.type(CONTROL_C)
+            terminal.type(CONTROL_C)
+            assert terminal.end() == 130
+        assert [kind for kind in events(out) if kind != "dwell"] == ["start", "stop"]
+
+    def test_while_the_box_is_away(self, tmp_path):
+        with recording(tmp_path) as (terminal, box, out):
+            box.link.on_write = lambda raw: (_ for _ in ()).throw(OSError)  # play() ends: the connection is closed
+            terminal.expect(r"the link to the box was lost")
+            terminal.type(CONTROL_C)
+            assert terminal.end() == 130
+        assert [kind for kind in events(out) if kind != "dwell"] == ["start", "link-lost", "stop"]
+
+    def test_while_it_asks_which_box(self, tmp_path):
+        terminal = OnTerminal("record", "--out", tmp_path / "s.mcap", code=TWO_BOXES)
+        terminal.expect(r"1 to 2: ")
+        terminal.type(CONTROL_C)
+        assert terminal.end() == 130
+        assert not (tmp_path / "s.mcap").exists()
+
+
+TWO_BOXES = """
+import sys
+from types import SimpleNamespace
+from serial.tools import list_ports
+port = lambda name: SimpleNamespace(device=name, vid=0x2E8A, pid=5, serial_number="E" + name[-1], product="truearm", description="")
+list_ports.comports = lambda: [port("/dev/none1"), port("/dev/none2")]
+from truearm.cli import main
+sys.exit(main())
+"""
+
+
+def port(name, vid=0x2E8A, pid=5, serial="E66"):
+    return SimpleNamespace(device=name, vid=vid, pid=pid, serial_number=serial, product="truearm", description="")
+
+
+class TestWhichBox:
+    def test_the_operator_picks(self, tmp_path):
+        terminal = OnTerminal("record", "--out", tmp_path / "s.mcap", code=TWO_BOXES)
+        terminal.expect(r"1  /dev/none1 \(truearm, serial E1\)\r\n  2  /dev/none2")
+        terminal.type("7\n")
+        terminal.expect(r"1 to 2: 7\r\n1 to 2: ")
+        terminal.type("2\n")
+        assert terminal.end() == 1
+        assert "truearm: /dev/none2: is not there" in terminal.text
+
+    def test_several_and_nobody_to_ask(self, tmp_path, monkeypatch, capsys):
+        ports = [
+            port("/dev/ttyACM1", serial="E2"),
+            port("/dev/ttyS0", None, None, None),
+            port("/dev/ttyACM0", serial="E1"),
+        ]
+        monkeypatch.setattr("truearm.record.ports.list_ports.comports", lambda: ports)
+        assert main(["record", "--out", str(tmp_path / "s.mcap")]) == 2
+        complaint = capsys.readouterr().err
+        assert (
+            "2 boxes are plugged in: /dev/ttyACM0 (truearm, serial E1), /dev/ttyACM1 (truearm, serial E2); name one"
+            in complaint
+        )
+        assert complaint.count("\n") == 1
+
+    def test_none(self, tmp_path, monkeypatch, capsys):
+        monkeypatch.setattr("truearm.record.ports.list_ports.comports", lambda: [port("/dev/ttyS0", None, None, None)])
+        assert main(["record", "--out", str(tmp_path / "s.mcap")]) == 2
+        assert "no box is plugged in: no serial port has a Pico's USB identity. Plug it in" in capsys.readouterr().err
+
+    def test_the_only_one(self, tmp_path, monkeypatch, capsys):
+        monkeypatch.setattr("truearm.record.ports.list_ports.comports", lambda: [port("/dev/none")])
+        assert main(["record", "--out", str(tmp_path / "s.mcap")]) == 1
+        said = capsys.readouterr().err
+        assert "box: /dev/none (truearm, serial E66)" in said
+        assert "/dev/none: is not there" in said
+
+
+class TestChecked:
+    def test_refused_before_anything_is_written(self, tmp_path, capsys):
+        out = tmp_path / "s.mcap"
+        with box_on_a_socket() as (box, device):
+            assert main(["record", "--device", device, "--mounted", "bar=b46", "--out", str(out)]) == 2
+        complaint = capsys.readouterr().err
+        assert "truearm: the box has no channel lvdt (it has c0, c1, c2, c3)" in complaint
+        assert not out.exists()
+        assert 50 not in [command[0] for command in box.commands]
+
+    def test_all_the_same(self, tmp_path, capsys):
+        out = tmp_path / "s.mcap"
+        with box_on_a_socket() as (_, device):
+            options = ["--mounted", "bar=b46", "--unchecked", "--duration", "0.3"]
+            assert main(["record", "--device", device, *options, "--out", str(out)]) == 0
+        assert "warning: the box has no channel lvdt" in capsys.readouterr().err
+        assert json.loads(open_session(out).metadata["box"]["ident"])
