@@ -58,9 +58,38 @@ def write_page(
         prior=prior,
         angle=judged.angle,
         predicted=judged.predicted,
-        notes=() if judged.predicted else (UNPREDICTED,),
+        facts=_driven(table),
+        notes=(*_timing(estimate), *(() if judged.predicted else (UNPREDICTED,))),
     )
     write_atomic(path, render(page))
+
+
+def _driven(table: ObservationTable) -> tuple[tuple[str, str], ...]:
+    """What was measured in motion, as label and value; nothing without lines."""
+    lines = table.kind == "line"
+    moving = lines & np.isfinite(table.q_rate).all(axis=1)
+    if not moving.any():
+        return ()
+    ways = {(name, group) for name, group in zip(table.line[moving], table.shell[moving], strict=True)}
+    names = sorted({str(name) for name, _ in ways})
+    both = sum(sum(name == one for name, _ in ways) > 1 for one in names)
+    return (
+        ("lines driven", f"{', '.join(names[:20])}; {both} of {len(names)} there and back"),
+        ("points on lines", f"{int(moving.sum())} in motion, {int((lines & ~moving).sum())} at rest"),
+    )
+
+
+def _timing(estimate: Estimate) -> list[str]:
+    """How late the joint readings are, a sentence for each rig that has a time offset."""
+    from truearm.report.words import time_offset
+
+    sigma = np.where(np.isfinite(estimate.sigma), estimate.sigma, np.nan)
+    return [
+        time_offset(
+            estimate.parameter_names[i], float(estimate.value[i]), None if np.isnan(sigma[i]) else float(sigma[i])
+        )
+        for i in np.flatnonzero(estimate.free & (np.array(estimate.units) == "s"))
+    ]
 
 
 def longitudes(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Floats:

@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from truearm.commands.terminal import one_line
-from truearm.report.words import kind_name, proposal
+from truearm.report.words import kind_name, proposal, time_offset
 
 Document = Mapping[str, Any]
 
@@ -43,7 +43,7 @@ def show_result(document: Document, out: Path | None) -> None:
     for line in unseen(document):
         console.print(line)
     console.print(_error_table(document))
-    notes = (chi2_notes, suspects, held_out_notes, predicted, seen)
+    notes = (timing, chi2_notes, suspects, held_out_notes, predicted, seen)
     for line in (line for words in notes for line in words(document)):
         console.print(line)
     for line in advice(document, out):
@@ -116,6 +116,8 @@ def parameter_cells(parameter: Mapping[str, Any]) -> tuple[str, ...]:
     """Name, nominal, value, change, sigma and unit of a parameter as text, in mm, deg or 1."""
     unit, factor, decimals = BORDER[parameter["unit"]]
     nominal, value, sigma = (parameter[key] for key in ("nominal", "value", "sigma"))
+    if parameter["unit"] == "s" and sigma is None:
+        value = None  # a time offset that is not seen may be anything
     change = value - nominal if None not in (nominal, value) else None
     numbers = [f"{factor * v:.{decimals}f}" if v is not None else "-" for v in (nominal, value)]
     numbers.append(f"{factor * change:+.{decimals}f}" if change is not None else "-")
@@ -138,7 +140,7 @@ def unseen(document: Document) -> list[str]:
         what = _counted(weak, "combination")
         lines.append(
             f"{what} of parameters {'is' if what[:2] == '1 ' else 'are'} hardly seen, less well than a drawing tells "
-            "(1 mm, 5 mrad, 0.001 of a gain):"
+            "(1 mm, 5 mrad, 0.001 of a gain; 1 ms):"
         )
         lines += _directions(weak, "hardly_seen")
     return lines
@@ -209,6 +211,12 @@ def seen(document: Document) -> list[str]:
         return []
     named = ", ".join(f"{name.upper()} {value:.3g}" for name, value in indices.items())
     return [f"Observability of {_counted(document['suggested_free'], 'parameter')}: {named} (larger is better)."]
+
+
+def timing(document: Document) -> list[str]:
+    """How late the joint readings are, of each rig that has a time offset."""
+    offsets = [p for p in document["parameters"] if p["unit"] == "s" and p["free"]]
+    return [time_offset(one_line(p["name"]), p["value"], p["sigma"]) for p in offsets]
 
 
 def chi2_notes(document: Document) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +14,14 @@ from truearm.estimate import ls, recursive, renders1991
 from truearm.estimate import map as map_
 from truearm.estimate.additions import additions
 from truearm.estimate.fit import fit
-from truearm.estimate.identifiability import hardly_seen, identifiability, observability, suggested_free, told_apart
+from truearm.estimate.identifiability import (
+    hardly_seen,
+    hardly_told,
+    identifiability,
+    observability,
+    suggested_free,
+    told_apart,
+)
 from truearm.estimate.information import Information, half, observe, spectrum, with_prior
 from truearm.estimate.judging import has_freedom
 from truearm.estimate.lm import DAMPING_START
@@ -27,7 +34,7 @@ from truearm.estimate.solution import Options, Solution, Solver, of_data
 from truearm.estimate.uncertainty import goodness, prior_shares
 from truearm.model.chain import Chain
 from truearm.observe.socket_distance import SocketDistanceRows
-from truearm.types import Estimate, Floats, HeldOut, ObservationTable
+from truearm.types import Estimate, Floats, HeldOut, NullDirection, ObservationTable
 
 SOLVERS: Mapping[str, Solver] = {
     "lm": lambda problem, columns, x, options: fit(problem, columns, x, options, DAMPING_START),
@@ -38,6 +45,8 @@ SOLVERS: Mapping[str, Solver] = {
 }
 WITH_LOSS = ("lm", "map")
 FROM_RIG = ("lm",)  # begins with the rig fitted to the nominal robot
+TIME_OFFSET = "time_offset"
+TIME_UNIT_S = 1e-3  # a time offset told to no better than this is hardly seen
 DAMPINGS = ("scaled", "plain")
 Progress = Callable[[int, float], None]  # iteration, RMS of the residuals [m]
 
@@ -103,10 +112,11 @@ def identify(
     weak = hardly_seen(data.root, suggested.size, unit, names)
     only_weak = suggested.all() and len(weak) > 0
     wanting = (told_apart(data.root, suggested.size, unit), unit) if only_weak else (suggested, None)
+    untimed = _untimed(data.root, names)
     known = dict(zip(problem.names, x, strict=True))
     labels = relabellings(chain, rig, table, ~held, free, prior_sigma, _rms(information.residual))
     distance, beyond = standardised(problem, x, columns, half(parts), found.weight)
-    identifiable = _spread(sight.identifiable, columns)
+    identifiable = _spread(sight.identifiable & ~np.isin(names, untimed), columns)
     matrix = np.zeros((x.size, x.size))
     matrix[np.ix_(columns, columns)] = found.covariance
     held_before, error_before = _judge(problem, x_before, rig, table, held)
@@ -147,12 +157,18 @@ def identify(
         suspect=_spread(beyond, ~held),
         observability=observability(data.root, int(free.sum()), suggested, unit, data.n_residuals),
         suggested_free=_spread(suggested, free),
-        hardly_seen=weak,
+        hardly_seen=(*weak, *(NullDirection((name,), (1.0,)) for name in untimed)),
         additions=additions(chain, rig, table.select(~held), names, data.root, known, *wanting),
         relabellings=labels.found,
         relabelling_search=labels.status,
     )
     return replace(estimate, seconds=time.perf_counter() - started)
+
+
+def _untimed(root: Floats, names: Sequence[str]) -> list[str]:
+    """The time offsets that the data hardly tell: their sigma would be a number that means nothing."""
+    offsets = [k for k, name in enumerate(names) if name.rpartition(".")[2] == TIME_OFFSET]
+    return [names[k] for k in offsets if hardly_told(root, k, TIME_UNIT_S)]
 
 
 def _check_choice(solver: str, loss: str, damping: str) -> None:

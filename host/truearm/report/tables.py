@@ -26,10 +26,11 @@ def _parameter_row(estimate: Estimate, i: int) -> str:
     unit, factor, decimals = BORDER.get(estimate.units[i], (estimate.units[i], 1.0, 6))
     nominal, value, sigma = (factor * float(v[i]) for v in (estimate.nominal, estimate.value, estimate.sigma))
     free, seen = bool(estimate.free[i]), bool(estimate.free[i] and estimate.identifiable[i])
+    said = free and (seen or estimate.units[i] != "s")  # a time offset that is not seen may be anything
     cells = [
         number(nominal, decimals),
-        number(value, decimals) if free else ABSENT,
-        number(value - nominal, decimals, sign=True) if free else ABSENT,
+        number(value, decimals) if said else ABSENT,
+        number(value - nominal, decimals, sign=True) if said else ABSENT,
         _sigma(sigma, decimals) if seen else ABSENT,
     ]
     first = i > 0 and _owner(estimate.parameter_names[i]) != _owner(estimate.parameter_names[i - 1])
@@ -81,7 +82,7 @@ def _hardly(directions: Sequence[NullDirection]) -> str:
     one = len(directions) == 1
     words = (
         f"{counted(len(directions), 'combination')} of parameters {'is' if one else 'are'} hardly seen: by the observations "
-        f"alone less well than a drawing tells {'it' if one else 'them'} (1 mm, 5 mrad, 0.001 of a gain)."
+        f"alone less well than a drawing tells {'it' if one else 'them'} (1 mm, 5 mrad, 0.001 of a gain; 1 ms)."
     )
     return f"<p>{words}</p>" + _directions(directions, "by itself")
 

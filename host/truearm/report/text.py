@@ -5,7 +5,12 @@ from __future__ import annotations
 import html
 import math
 
-BORDER = {"m": ("mm", 1e3, 4), "rad": ("deg", 180.0 / math.pi, 5), "1": ("1", 1.0, 6)}  # unit, factor, decimals
+BORDER = {
+    "m": ("mm", 1e3, 4),
+    "rad": ("deg", 180.0 / math.pi, 5),
+    "1": ("1", 1.0, 6),
+    "s": ("ms", 1e3, 4),
+}  # unit, factor, decimals
 ABSENT = "–"
 MINUS = "\u2212"
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")

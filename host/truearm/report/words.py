@@ -40,6 +40,20 @@ OBSERVABILITY = {
 }
 
 
+def time_offset(name: str, value_s: float | None, sigma_s: float | None) -> str:
+    """What was found of the time between the joints and their readings; without a σ it was not seen."""
+    if value_s is None or sigma_s is None:
+        return (
+            f"{name}: how late the joint readings are is not seen; along a line driven one way it cannot be told from the "
+            "line's place. Drive lines there and back."
+        )
+    late = "late" if value_s >= 0.0 else "early"
+    return (
+        f"{name}: the joint readings are {1e3 * abs(value_s):.3f} ms {late} ({1e3 * sigma_s:.2g} ms); the links' shortest "
+        "latencies are part of it."
+    )
+
+
 def kind_name(kind: str) -> str:
     """The name of a kind; a kind of a later version is its own name."""
     return KINDS[kind].name if kind in KINDS else kind
