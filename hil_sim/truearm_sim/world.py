@@ -24,7 +24,7 @@ from truearm_sim.arm import Arm
 from truearm_sim.clocks import Clock, Clocks, draw_clocks
 from truearm_sim.line_device import REACH, Flaws, LineDevices, Placement, place_devices, written_down
 from truearm_sim.paths import line_paths
-from truearm_sim.robot import SPEED, Controller, Inputs, States
+from truearm_sim.robot import SPEED, Controller, Inputs, States, new_pairing
 
 ROBOT, DESIGN, TRUTH = "puma560", "design", "optimised"
 REPEATABILITY = 84e-6  # m
@@ -60,6 +60,12 @@ def _triangle(prefix: str, centre: tuple[float, float, float], radius: float, tu
         x, y = centre[0] + radius * math.cos(angle), centre[1] + radius * math.sin(angle)
         points[f"{prefix}{i + 1}"] = Point(f"{prefix}{i + 1}", (round(x, 6), round(y, 6), centre[2]))
     return points
+
+
+def arrivals(plan: Plan) -> NDArray[np.int64]:
+    """The row (n,) at which the robot came to where it is at each row: it stays where rows repeat."""
+    came = np.concatenate([[True], np.any(np.diff(plan.q, axis=0) != 0.0, axis=1)]) | new_pairing(plan)
+    return np.maximum.accumulate(np.where(came, np.arange(len(plan)), 0))
 
 
 def standard_plan(n_poses: int = 800, seed: int = 0, rig: Rig | None = None) -> Plan:
@@ -123,7 +129,7 @@ class World:
         self._p_chuck = np.array([self.rig.chucks.get(name, NO_POINT).xyz for name in plan.chuck])
         self._p_sphere = np.array([self.rig.spheres.get(name, NO_POINT).xyz for name in plan.sphere])
         self._zero, self._gain, self._travel = np.array([(bar.zero, bar.gain, bar.travel) for bar in bars]).T
-        self._scatter = sensors.repeatability(seed, len(plan)) * [bar.sigma for bar in bars]
+        self._scatter = sensors.repeatability(seed, len(plan))[arrivals(plan)] * [bar.sigma for bar in bars]
         paths = line_paths(plan, self.chain, robot.parameter_sets[DESIGN], self.rig)
         self.controller = Controller.from_plan(
             plan, self.clocks.robot, seed, robot_rate, self._runs_out(plan), arm, paths, robot_delay_s

@@ -18,6 +18,7 @@ import typer
 from truearm import __version__
 from truearm.commands.add_joints import add_joints
 from truearm.commands.box import app as box
+from truearm.commands.characterize import characterize
 from truearm.commands.correct import correct
 from truearm.commands.demo import demo
 from truearm.commands.export import export
@@ -41,6 +42,7 @@ COMMANDS = (
     recover,
     add_joints,
     inspect,
+    characterize,
     export_session,
     identify,
     validate,

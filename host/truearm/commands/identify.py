@@ -48,6 +48,7 @@ class _Request:
     robot: str
     base: str | None
     tip: str | None
+    noise: Path | None
     rigs: dict[str, Path]  # by the name that rows have in their column rig, "" for the one of all rows
     hold_out: list[str]
     seed: int
@@ -88,6 +89,13 @@ def identify(
             metavar="[NAME=]FILE",
             help="Chucks, spheres, bars, sockets, devices (.toml). With a name: for the rows that have it in their "
             "column rig, and for the session of that name, a.mcap's being a (repeatable). Default: each session's own.",
+        ),
+    ] = None,
+    noise: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="What truearm characterize found of joint readings and bars (.toml), in place of the rig's figures.",
         ),
     ] = None,
     hold_out: Annotated[
@@ -170,12 +178,13 @@ def identify(
     _check_solver(solver, loss, prior)
     rigs = rig_files(rig or [])
     inputs = with_parts(inputs)
-    check_files(inputs, robot, rigs, out, save_table, report)
+    check_files([*inputs, *([noise] if noise else [])], robot, rigs, out, save_table, report)
     request = _Request(
         inputs=inputs,
         robot=robot,
         base=base,
         tip=tip,
+        noise=noise,
         rigs=rigs,
         hold_out=hold_out or [],
         seed=seed,
@@ -226,13 +235,15 @@ def _identified(request: _Request) -> dict[str, Any]:
     from truearm.commands.page import judge, write_page
     from truearm.estimate.identify import identify as estimate_parameters
     from truearm.estimate.prior import free_without_gains, weak_prior, wide_prior
+    from truearm.files.noise import read_noise
     from truearm.files.result import RobotFrames, document_of
     from truearm.files.robot import is_urdf, joint_units, load_robot
     from truearm.files.table import write_table
 
     robot = load_robot(request.robot, request.base, request.tip)
     chain, units = robot.chain, joint_units(robot.chain)
-    rig, table = observed(request.inputs, request.rigs, units, request.allow_damaged)
+    noise = None if request.noise is None else read_noise(request.noise)
+    rig, table = observed(request.inputs, request.rigs, units, request.allow_damaged, noise)
     held_out = held_out_rows(table, request.hold_out, request.seed)
     # A URDF says nothing of what to hold; its constants are redundant, which the weak prior settles.
     by_default = free_without_gains(chain) if is_urdf(request.robot) else robot.free
@@ -257,5 +268,5 @@ def _identified(request: _Request) -> dict[str, Any]:
     if request.report is not None:
         write_page(request.report, chain, rig, table, estimate, judged, prior.value, request.command)
     frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, units)
-    files = hashed_inputs(request.inputs, request.robot, *request.rigs.values())
+    files = hashed_inputs(request.inputs, request.robot, *request.rigs.values(), noise=request.noise)
     return document_of(estimate, table, frames, files, request.hold_out, prior.value, *judged)

@@ -12,6 +12,7 @@ from truearm.commands.rigs import Assigned, session_rigs
 from truearm.commands.session import observations_of_session
 from truearm.errors import InputError
 from truearm.files.disk import check_writable, same_file
+from truearm.files.noise import NoiseFile, check_against_rigs, with_noise
 from truearm.files.result import Input, input_of, looks_like_result
 from truearm.files.rig import read_rig
 from truearm.files.robot import robot_file
@@ -51,11 +52,15 @@ def check_files(
 
 
 def observed(
-    inputs: list[Path], files: dict[str, Path], joint_units: tuple[str, ...], allow_damaged: bool
+    inputs: list[Path],
+    files: dict[str, Path],
+    joint_units: tuple[str, ...],
+    allow_damaged: bool,
+    noise: NoiseFile | None = None,
 ) -> tuple[Rig | dict[str, Rig], ObservationTable]:
-    """The rig, or the rigs by name, and the observations, held against each other."""
-    given = {name: read_rig(path) for name, path in files.items()}
-    of_session = session_rigs(inputs, given)
+    """The rig, or the rigs by name, and the observations, held against each other; ``noise`` stands in for the rigs' own."""
+    given = {name: with_noise(read_rig(path), noise) for name, path in files.items()}
+    of_session = {path: (name, with_noise(rig, noise)) for path, (name, rig) in session_rigs(inputs, given).items()}
     tables = {
         path: _read_input(path, joint_units, of_session.get(path), allow_damaged, is_part(path, inputs))
         for path in inputs
@@ -64,8 +69,10 @@ def observed(
     if not len(table):
         raise InputError(f"{inputs[0]}: no dwell gave an observation; see truearm inspect {inputs[0]}")
     rigs = given | dict(of_session.values())
+    if noise is not None:
+        check_against_rigs(noise, rigs)
     if "" in rigs or not rigs:
-        one = rigs.get("", Rig())
+        one = rigs.get("", with_noise(Rig(), noise))
         check_against_rig(table, one)
         return one, table
     _check_names(table, rigs, files)
@@ -99,11 +106,12 @@ def _read_input(
     return replace(table, rig=np.full(len(table), name))
 
 
-def hashed_inputs(inputs: list[Path], robot: str, *rigs: Path) -> list[Input]:
+def hashed_inputs(inputs: list[Path], robot: str, *rigs: Path, noise: Path | None = None) -> list[Input]:
     """Name and SHA-256 of every file that an identification read."""
     file = robot_file(robot)
     return [
         *(input_of("observations", path) for path in inputs),
         *(input_of("rig", rig) for rig in rigs),
+        *([input_of("noise", noise)] if noise else []),
         *([input_of("robot", file)] if file else []),
     ]

@@ -171,7 +171,7 @@ def _dwells(document: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _dwell_table(rows: list[Mapping[str, Any]]) -> Iterator[str]:
-    """All dwells of a short session; of a long one those that were rejected. The file's names have no control characters."""
+    """All dwells of a short session; of a long one those that were rejected."""
     good = sorted(row["settling_s"] for row in rows if not row["reason"])
     if good:
         yield f"  settled after {good[len(good) // 2]:.2f} s in the middle, {good[-1]:.2f} s at most"
@@ -182,9 +182,9 @@ def _dwell_table(rows: list[Mapping[str, Any]]) -> Iterator[str]:
         fittings = " ".join(row[key] for key in ("bar", "chuck", "sphere") if key in row)
         became = f"{row['reason']}: {row['detail']}" if row["detail"] else row["reason"]
         pose = "-" if row["pose"] is None else row["pose"]
-        yield one_line(
+        yield (
             f"  {row['dwell']:>6} {row['t_robot_s']:>10.1f} {row['settling_s']:>10.2f} {row['used_s']:>7.2f} {pose:>5}  "
-            f"{fittings or '-'}{', ' if became else ''}{became}"
+            f"{one_line(fittings) or '-'}{', ' if became else ''}{one_line(became)}"
         )
     if len(shown) > DWELLS:
         yield f"  … {len(shown) - DWELLS} more; --json has all"

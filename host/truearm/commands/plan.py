@@ -70,6 +70,12 @@ InputOption = Annotated[
 OutputOption = Annotated[
     int, typer.Option(min=0, metavar="N", help="Digital output that says 'at rest' or 'on the line' (UR).")
 ]
+ReserveOption = Annotated[
+    float | None,
+    typer.Option(
+        min=0.0, metavar="MM", help="Travel kept for what the model does not know; default 22, 3 with --result."
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the forecast as JSON and nothing else.")]
 
 
@@ -86,12 +92,7 @@ def ballbar(
     result: ResultOption = None,
     measured: MeasuredOption = None,
     branch: BranchOption = None,
-    reserve_mm: Annotated[
-        float | None,
-        typer.Option(
-            min=0.0, metavar="MM", help="Travel kept for what the model does not know; default 22, 3 with --result."
-        ),
-    ] = None,
+    reserve_mm: ReserveOption = None,
     spread_mm: Annotated[
         float, typer.Option(min=0.0, metavar="MM", help="Vary the bar's length about mid-travel, to tell its gain.")
     ] = 0.0,
@@ -176,3 +177,46 @@ def line(
     )  # fmt: skip
     device = LineDevice(lines, length_mm, transverse_mm, speed_mm_s, passes, points, target, rig_out)
     show(plan_line_files(common, device), as_json)
+
+
+@app.command("characterize")
+def characterize(
+    robot: RobotOption,
+    rig: RigOption,
+    bar: Annotated[str | None, typer.Option(metavar="NAME", help="Which bar; default: the rig's first.")] = None,
+    chuck: Annotated[str | None, typer.Option(metavar="NAME", help="Which chuck; default: the rig's first.")] = None,
+    sphere: Annotated[str | None, typer.Option(metavar="NAME", help="Which sphere; default: the rig's first.")] = None,
+    poses: Annotated[int, typer.Option(min=1, max=50, metavar="N", help="Poses that are visited again and again.")] = 4,
+    rounds: Annotated[
+        int, typer.Option(min=2, max=100, metavar="N", help="Times each pose is reached from each of eight sides.")
+    ] = 4,
+    long_s: Annotated[
+        float, typer.Option(min=2.0, max=60.0, metavar="S", help="Long rest at each pose, for the noise.")
+    ] = 20.0,
+    result: ResultOption = None,
+    branch: BranchOption = None,
+    reserve_mm: ReserveOption = None,
+    dwell_s: Annotated[float, typer.Option(min=1.5, metavar="S", help="Rest at a pose.")] = 2.0,
+    seed: SeedOption = 0,
+    out: OutOption = None,
+    program: ProgramOption = None,
+    output_line: OutputOption = 0,
+    input_line: InputOption = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print what is planned as JSON and nothing else.")] = False,
+) -> None:
+    """Plan a short run that tells how well the robot repeats: a few poses, reached from both sides of every joint.
+
+    Record it, then let truearm characterize read the session.
+
+    \b
+    Example:
+      truearm plan characterize --robot puma560 --rig rig.toml --out approaches.csv --program approaches.script
+    """
+    from truearm.commands.planning import Approaches, Common, plan_approaches_files
+    from truearm.commands.planning_text import show_approaches
+
+    common = Common(
+        robot, rig, None, "I", None, 400, result, (), branch, dwell_s, seed, out, tuple(program or ()), output_line, input_line,
+    )  # fmt: skip
+    document = plan_approaches_files(common, Approaches(bar, chuck, sphere, poses, rounds, long_s, reserve_mm), as_json)
+    show_approaches(document, as_json)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,6 +19,7 @@ from truearm.files.result import read_result
 from truearm.files.rig import read_rig, write_rig
 from truearm.files.robot import joint_units, load_robot, robot_file
 from truearm.model.robot import Robot
+from truearm.plan.approaches import ApproachesWanted, plan_approaches
 from truearm.plan.ballbar import Wanted, all_pairings, make_site, plan_ballbar
 from truearm.plan.branches import branch_of
 from truearm.plan.forecast import Forecast, Known, with_rig_values
@@ -25,7 +27,7 @@ from truearm.plan.lines import LinePlan, LinesWanted, plan_lines
 from truearm.plan.programs import check_suffix, program
 from truearm.plan.region import Region, parse_region
 from truearm.plan.shapes import Sizes
-from truearm.plan.site import Limits, Site
+from truearm.plan.site import Limits, Pairing, Site
 from truearm.plan.stops import Signals, Stop, Task
 from truearm.plan.straight import Shape
 from truearm.plan.way import Pace
@@ -78,6 +80,18 @@ class LineDevice(NamedTuple):
     rig_out: Path | None
 
 
+class Approaches(NamedTuple):
+    """Those of ``plan characterize``."""
+
+    bar: str | None
+    chuck: str | None
+    sphere: str | None
+    poses: int
+    rounds: int
+    long_s: float
+    reserve_mm: float | None
+
+
 def plan_ballbar_files(common: Common, given: BallBars, quiet: bool) -> dict[str, Any]:
     """Plan, write what was asked for, and tell what will be known. Raises InputError in one line."""
     _check(common)
@@ -85,8 +99,7 @@ def plan_ballbar_files(common: Common, given: BallBars, quiet: bool) -> dict[str
     if (given.poses is None) == (common.minutes is None):
         raise InputError("give a budget: --poses N or --minutes M")
     known = _known(common)
-    default = DESIGN_RESERVE_MM if common.result is None else RESULT_RESERVE_MM
-    limits = Limits(reserve=1e-3 * (default if given.reserve_mm is None else given.reserve_mm))
+    limits = _limits(common, given.reserve_mm)
     _check_travel(known, limits.reserve, given.spread_mm)
     planned = plan_ballbar(
         _site(common, known, limits),
@@ -138,6 +151,48 @@ def plan_line_files(common: Common, given: LineDevice) -> dict[str, Any]:
         "minutes": planned.minutes,
         "written": _written(common, given.rig_out),
     }
+
+
+def plan_approaches_files(common: Common, given: Approaches, quiet: bool) -> dict[str, Any]:
+    """Plan, write what was asked for, and tell what is planned. Raises InputError in one line."""
+    _check(common)
+    _check_finite(long_s=given.long_s, reserve_mm=given.reserve_mm, dwell_s=common.dwell_s)
+    known = _known(common)
+    limits = _limits(common, given.reserve_mm)
+    pairing = Pairing(
+        _named("bar", given.bar, known.rig.bars),
+        _named("chuck", given.chuck, known.rig.chucks),
+        _named("sphere", given.sphere, known.rig.spheres),
+    )
+    wanted = ApproachesWanted(given.poses, given.rounds, given.long_s, common.candidates, common.seed)
+    say = (lambda _: None) if quiet else _say
+    route = plan_approaches(_site(common, known, limits), pairing, wanted, Pace(dwell=common.dwell_s), say)
+    if common.out is not None:
+        write_plan(common.out, route.visits)
+    _write_programs(common, route.stops)
+    return {
+        "bar": pairing.bar,
+        "chuck": pairing.chuck,
+        "sphere": pairing.sphere,
+        "poses": given.poses,
+        "via_points": int(np.sum(route.pose < 0)),
+        "mounts": route.n_mounts,
+        "minutes": route.minutes,
+        "written": _written(common),
+    }
+
+
+def _named(what: str, given: str | None, have: Iterable[str]) -> str:
+    """One of the rig's names, the first by default."""
+    names = list(have)
+    if (given is None and not names) or (given is not None and given not in names):
+        raise InputError(f"--{what} {given or 'is missing'}: the rig has {', '.join(names) or 'none'}")
+    return names[0] if given is None else given
+
+
+def _limits(common: Common, reserve_mm: float | None) -> Limits:
+    default = DESIGN_RESERVE_MM if common.result is None else RESULT_RESERVE_MM
+    return Limits(reserve=1e-3 * (default if reserve_mm is None else reserve_mm))
 
 
 def _places(planned: LinePlan, known: Known, point: Floats) -> list[dict[str, Any]]:

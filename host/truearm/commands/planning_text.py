@@ -22,6 +22,19 @@ def show(document: Mapping[str, Any], as_json: bool) -> None:
         typer.echo(f"written: {path}")
 
 
+def show_approaches(document: Mapping[str, Any], as_json: bool) -> None:
+    """What ``plan characterize`` planned."""
+    if as_json:
+        typer.echo(json.dumps(document, indent=1))
+        return
+    typer.echo(
+        f"{document['poses']} poses of bar {document['bar']} from {document['chuck']} to {document['sphere']}, "
+        f"{document['via_points']} places to come from, {document['minutes']:.0f} minutes"
+    )
+    for path in document["written"]:
+        typer.echo(f"written: {path}")
+
+
 def _visits(document: Mapping[str, Any]) -> list[str]:
     if "lines" not in document:
         return [

@@ -30,7 +30,7 @@ COUNTED = ("chuck", "sphere", "place")  # how many of these the fitted rows of a
 class Input(NamedTuple):
     """A file that went into an identification: what it was for, its name without folders, its SHA-256."""
 
-    role: str  # "observations" | "rig" | "robot"
+    role: str  # "observations" | "rig" | "noise" | "robot"
     name: str
     sha256: str
 

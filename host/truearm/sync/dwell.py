@@ -110,15 +110,14 @@ def find_dwells(stream: JointStream, rules: DwellRules) -> list[Dwell]:
         for first, last in _runs(quiet, len(bins.n))
         if bins.t_last_s[last - 1] - bins.t_first_s[first] >= SHORTEST_S
     ]
-    rest = _Rest(threshold, resting_variance(bins, runs), np.maximum(1.001 * stream.step, LEAST_MOTION), stream.step)
+    rest = _Rest(resting_variance(bins, runs), np.maximum(1.001 * stream.step, LEAST_MOTION), stream.step)
     return [_dwell(bins, run, rules, rest) for run in runs]
 
 
 @dataclass(frozen=True)
 class _Rest:
-    """How much each joint's readings move at rest: range, variance of a bin's mean, what nobody cares about, step; all (j,)."""
+    """How much each joint's readings move at rest: variance of a bin's mean, what nobody cares about, step; all (j,)."""
 
-    threshold: Floats
     bin_var: Floats
     floor: Floats
     step: Floats
@@ -171,24 +170,21 @@ def _dwell(bins: Bins, run: slice, rules: DwellRules, rest: _Rest) -> Dwell:
     whole = _seconds(bins, used, rules)
     if whole < rules.shortest_s:
         return _of_bins(bins, used, rules, rest.step, stood, "too short", f"{max(0.0, whole):.2f} s")
-    first, late = _settled(bins.mean[used], rest)
+    first, late = _settled(bins, used, rest)
     settled = slice(min(used.start + first, used.stop - 1), used.stop)
-    strays = np.max(bins.high[settled], axis=0) - np.min(bins.low[settled], axis=0)
     if first and _seconds(bins, settled, rules) < rules.shortest_s:
         swing = float(np.ptp(bins.mean[used][:, late]))
         return _of_bins(bins, used, rules, rest.step, stood, "still moving", f"joint {late + 1} by {swing:.2g} rad")
-    if np.any(strays > rest.threshold):
-        late = int(np.argmax(strays / rest.threshold))
-        detail = f"joint {late + 1} by {strays[late]:.2g} rad"
-        return _of_bins(bins, settled, rules, rest.step, stood, "still moving", detail)
     return _of_bins(bins, settled, rules, rest.step, stood)
 
 
-def _settled(means: Floats, rest: _Rest) -> tuple[int, int]:
-    """The first of the bins' means (b, j) from which all joints rest, and the joint that settles last."""
+def _settled(bins: Bins, used: slice, rest: _Rest) -> tuple[int, int]:
+    """The first of these bins from which all joints rest, and the joint that settles last."""
+    means, n = bins.mean[used], bins.n[used]
     if len(means) < LEAST_BLOCKS:
         return 0, 0
-    firsts = [settled_from(means[:, j], rest.bin_var[j], rest.floor[j]).first for j in range(means.shape[1])]
+    fewer = float(np.median(n) / np.min(n))  # a bin cut by the rest of the recording has fewer readings, so more noise
+    firsts = [settled_from(means[:, j], fewer * rest.bin_var[j], rest.floor[j]).first for j in range(means.shape[1])]
     return max(firsts), int(np.argmax(firsts))
 
 

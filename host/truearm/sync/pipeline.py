@@ -146,7 +146,7 @@ def observations(
     blocks = _blocks(messages, found.box_topics, ident, listener if legs else None, over)
     good = sorted((d.start_host_ns, d.end_host_ns, i) for i, d in enumerate(dwells) if not d.reason)
     if good:
-        intervals = _disjoint([(i, start, end) for start, end, i in good])
+        intervals = disjoint([(i, start, end) for start, end, i in good])
         several = gather(blocks, found.clocks, intervals, channel)
         first = list(islice(several, LEARNT))
         sensing = Sensing(rules, found.joints, bool(found.clocks), usual_noise(first))
@@ -188,7 +188,7 @@ def _on_host(dwell: Dwell, joints: JointStream) -> Dwell:
     return replace(dwell, start_host_ns=int(start), end_host_ns=int(end))
 
 
-def _disjoint(intervals: list[tuple[int, int, int]]) -> list[tuple[int, int, int]]:
+def disjoint(intervals: list[tuple[int, int, int]]) -> list[tuple[int, int, int]]:
     """Ascending intervals, none begun before the one before it ended: controller segments may overlap in host time."""
     disjoint: list[tuple[int, int, int]] = []
     for dwell, start, end in intervals:

@@ -19,7 +19,7 @@ from scipy.special import ndtri
 from truearm.sync.statistics import mean_variance
 from truearm.types import Floats
 
-FALSE_ALARM = 1e-3
+FALSE_ALARM = 1e-4  # of seven channels in 7200 dwells, five dwells
 LEAST_BLOCKS = 4
 
 

@@ -1,0 +1,109 @@
+"""``truearm characterize``: how well a robot repeats, and the noise file that ``truearm identify`` uses."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from truearm.errors import InputError, RigError
+
+if TYPE_CHECKING:
+    from truearm.record.session import Session
+    from truearm.types import Rig
+
+BANDS_MM = (0.02, 0.05, 0.1)
+
+
+def characterize(
+    session: Annotated[
+        Path, typer.Argument(metavar="SESSION", help="Session (.mcap) of the run that truearm plan characterize plans.")
+    ],
+    robot: Annotated[
+        str, typer.Option(metavar="ROBOT", help="Built-in robot, robot file (.toml) or URDF; its design will do.")
+    ],
+    base: Annotated[str | None, typer.Option(metavar="LINK", help="First link of a URDF.")] = None,
+    tip: Annotated[str | None, typer.Option(metavar="LINK", help="Last link of a URDF.")] = None,
+    rig: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Chucks, spheres, bars (.toml); default: the session's own.")
+    ] = None,
+    plan: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="What the robot visited (.csv), where the session has no plan.")
+    ] = None,
+    within_mm: Annotated[
+        list[float] | None,
+        typer.Option(
+            min=1e-4, max=100.0, metavar="MM", help="Band to settle in (repeatable); default 0.02, 0.05, 0.1."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the noise file for truearm identify --noise (.toml).")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON and nothing else.")] = False,
+    allow_damaged: Annotated[
+        bool, typer.Option("--allow-damaged", help="Use what is whole of a damaged session.")
+    ] = False,
+) -> None:
+    """Say how well a robot repeats: spread, backlash, settling time, noise of joints and sensor, with their intervals.
+
+    \b
+    Example:
+      truearm characterize approaches.mcap --robot puma560 --out noise.toml
+    """
+    from truearm.commands.characterize_text import lines, remarks
+    from truearm.commands.characterizing import characterized
+    from truearm.commands.terminal import one_line
+    from truearm.files.disk import check_writable, write_atomic
+    from truearm.files.noise import format_noise, looks_like_noise
+    from truearm.files.robot import load_robot, robot_file
+    from truearm.record.session import open_session
+
+    if out == Path("-"):
+        raise InputError("-: is no file name; --json prints to standard output")
+    if out is not None:
+        read = [session, *filter(None, [rig, plan, robot_file(robot)])]
+        check_writable(out, inputs=read, ours=looks_like_noise)
+    loaded = load_robot(robot, base, tip)
+    opened = open_session(session, allow_damaged)
+    bands = sorted({1e-3 * mm for mm in within_mm or BANDS_MM})
+    found, noise = characterized(opened, loaded.chain, _rig(opened, session, rig), bands, _planned(plan))
+    if out is not None:
+        prismatic = any(joint.kind == "prismatic" for joint in loaded.chain.joints)
+        said = list(remarks(found, one_line(session.name)))
+        write_atomic(out, format_noise(noise, said, prismatic))
+    if as_json:
+        sys.stdout.write(json.dumps(_without_nan(found), indent=1, allow_nan=False) + "\n")
+        return
+    for line in lines(found, one_line(session.name)):
+        typer.echo(line)
+    if out is not None:
+        typer.echo(f"\nwritten: {out}, for truearm identify --noise {out}")
+
+
+def _rig(opened: Session, path: Path, given: Path | None) -> Rig:
+    from truearm.commands.session import attached_rig
+    from truearm.files.rig import read_rig
+
+    found = read_rig(given) if given is not None else attached_rig(opened, path)
+    if found is None:
+        raise RigError(f"{path}: was recorded without a rig; give one with --rig")
+    return found
+
+
+def _planned(path: Path | None) -> list[bytes]:
+    """A plan file as the messages that the recorder would have stored."""
+    from truearm.commands.recording import plan_rows
+    from truearm.files.plan import read_plan
+
+    return [] if path is None else [json.dumps(row).encode() for row in plan_rows(read_plan(path))]
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_nan(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(item) for item in value]
+    return None if isinstance(value, float) and value - value != 0.0 else value

@@ -1,0 +1,83 @@
+"""What ``truearm characterize`` prints, from the document that ``--json`` has."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from math import isfinite
+from typing import Any
+
+MM, MRAD, UM, S = (1e3, "mm"), (1e3, "mrad"), (1e6, "µm"), (1.0, "s")
+
+
+def lines(document: Mapping[str, Any], name: str) -> Iterator[str]:
+    """The lines to print; every figure with its interval of 95 %."""
+    of, settling, noise = document["repeatability"], document["settling"], document["noise"]
+    yield (
+        f"{name}: {document['visits']} visits of {document['poses']} poses from {document['sides']} different sides, "
+        f"bar {document['bar']} (in brackets: intervals of 95 %)"
+    )
+    yield ""
+    yield f"repeatability, one side    {_range(of['along_m'], MM)} along the bar, one sigma; three are {3e3 * of['along_m']['value']:.3f} mm"
+    yield f"  less what readings show  {_range(of['unexplained_m'], MM)}"
+    yield ""
+    yield f"{'joint':16} {'backlash/mrad':>24} {'readings differ/mrad':>24} {'spread/mrad':>22} {'S_q/mrad':>20}"
+    columns = ("backlash_si", "reading_difference_si", "reading_spread_si")
+    for j, joint in enumerate(document["joints"]):
+        cells = [_range(of[column][j], MRAD, False) for column in columns]
+        cells.append(_range(noise["joint_sigma_si"][j], MRAD, False))
+        yield f"{joint:16} {cells[0]:>24} {cells[1]:>24} {cells[2]:>22} {cells[3]:>20}"
+    if not of["backlash_explains"]:
+        yield (
+            f"one backlash a joint does not explain how the sides differ (chance {of['misfit_probability']:.1e}): it changes "
+            "with the pose; sigma of the bar below holds what it leaves"
+        )
+    yield ""
+    for band in settling["bands"]:
+        if band["visits"]:
+            yield (
+                f"settled within {1e3 * band['within_m']:g} mm after {_range(band['median_s'], S)} in the middle, "
+                f"{_range(band['share_95_s'], S)} in 95 of 100; {band['visits']} visits"
+            )
+    own = settling["dwells_begin_s"]
+    yield f"dwells begin {own['median']:.2f} s after the joints stand, {own['largest']:.2f} s at most"
+    yield from _noise(document)
+    yield ""
+    declared = 1e3 * noise["declared_bar_sigma_m"]
+    yield f"for identify: sigma of bar {document['bar']} {_range(noise['bar_sigma_m'], MM)}, declared {declared:.3f}; S_q as above"
+
+
+def remarks(document: Mapping[str, Any], name: str) -> Iterator[str]:
+    """What stands at the head of the noise file."""
+    noise = document["noise"]
+    yield f"{name}: {document['visits']} visits of {document['poses']} poses; intervals of 95 %"
+    for joint, sigma in zip(document["joints"], noise["joint_sigma_si"], strict=True):
+        yield f"{joint}: {_range(sigma, MRAD)}"
+    yield f"bar {document['bar']}: {_range(noise['bar_sigma_m'], MM)}"
+
+
+def _noise(document: Mapping[str, Any]) -> Iterator[str]:
+    sensor, readings = document["sensor"], document["readings"]
+    worst = max(readings, key=lambda one: one["reading_si"]["value"])
+    yield (
+        f"joint readings: noise {_range(worst['reading_si'], MRAD)}, step {1e3 * worst['step_si']:.3g} mrad at the noisiest joint; "
+        f"of a dwell's mean {_range(worst['mean_si'], MRAD)} and {1e3 * worst['rounding_si']:.2g} mrad by the step"
+    )
+    yield (
+        f"sensor: a sample {_range(sensor['sample_m'], UM)} every {1e3 * sensor['period_s']:.3g} ms, independent after "
+        f"{_range(sensor['independent_after_s'], (1e3, 'ms'))}"
+    )
+    if sensor["floor"] is not None:
+        yield f"  Allan deviation least {_range(sensor['floor'], UM)} in means over {sensor['floor']['tau_s']:.2g} s"
+
+
+def _range(interval: Mapping[str, float], scale: tuple[float, str], unit: bool = True) -> str:
+    """A figure and its interval in some unit; '-' where nothing is known."""
+    value, low, high = (scale[0] * interval[key] for key in ("value", "low", "high"))
+    if not isfinite(value):
+        return "-"
+    upper = _digits(high) if isfinite(high) else "…"
+    return f"{_digits(value)} ({_digits(low)} to {upper})" + (f" {scale[1]}" if unit else "")
+
+
+def _digits(value: float) -> str:
+    return f"{value:.3f}" if abs(value) >= 0.01 else f"{value:.2g}"

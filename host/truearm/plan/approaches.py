@@ -1,0 +1,145 @@
+"""A short run that tells how well a robot repeats: a few poses, each reached many times from both sides of every joint.
+
+At each pose the robot first rests long, for the noise of sensor and readings. Then it goes a little away and comes back, again
+and again, every joint from a side of its own: the sides of a round are the rows of a Hadamard matrix, so that each joint comes from
+both sides equally often and independently of all others, and what each of them does to the bar can be told from the same
+few visits (Plackett and Burman, Biometrika 33, 1946). The order of a round is drawn anew each time, so that a drift is
+no direction. The bar stays on: how far a joint goes away is what the bar's travel leaves to it.
+
+The poses are those at which the bar says most of every joint: greedily, the largest sum over the joints of the logarithm of
+the squared derivatives of the length summed over the poses.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import hadamard
+
+from truearm.errors import PlanError
+from truearm.model.chain import along, point_forward, trace_point
+from truearm.plan.ballbar import Say
+from truearm.plan.route import Route
+from truearm.plan.shells import candidates
+from truearm.plan.site import Pairing, Site, all_allowed, free_travel
+from truearm.plan.way import Pace, move_seconds, samples, way_with_bar, way_without_bar
+from truearm.types import Floats, Plan
+
+FARTHEST = 0.05  # rad that a joint goes away
+LEAST = 1.5e-3  # rad; nearer, a stop's side could be taken for a swing
+SHARE = 0.9  # of the free travel, that all joints together may use
+SHELL = "characterize"
+
+
+class ApproachesWanted(NamedTuple):
+    """How many poses, rounds of visits to each, and seconds of long rest at each."""
+
+    n_poses: int = 4
+    rounds: int = 4
+    long_s: float = 20.0
+    n_candidates: int = 400
+    seed: int = 0
+
+
+def plan_approaches(
+    site: Site, pairing: Pairing, wanted: ApproachesWanted, pace: Pace, say: Say = lambda _: None
+) -> Route:
+    """The route: via points with the bar on, poses, repeated rows where the rest is long. Raises PlanError."""
+    say("poses that show every joint")
+    found = candidates(site, [pairing], wanted.n_candidates, wanted.seed)
+    derivatives = length_derivatives(site, found.q, pairing)
+    away = [_away(site, q, jac, pairing) for q, jac in zip(found.q, derivatives, strict=True)]
+    reached = np.array([step is not None for step in away])
+    if reached.sum() < wanted.n_poses:
+        raise PlanError(
+            f"only {int(reached.sum())} poses leave the bar room to go away and come back; take fewer --poses, or a "
+            "model with --result, which needs less reserve"
+        )
+    usable = np.flatnonzero(reached)
+    chosen = usable[telling(derivatives[usable], wanted.n_poses)]
+    say("ways between them")
+    rng = np.random.default_rng([wanted.seed, 0xC4A2])
+    stops: list[tuple[Floats, bool, bool]] = []  # joints, whether the bar is read, whether it is put on there
+    for pose in chosen:
+        q, step = found.q[pose], away[pose]
+        assert step is not None
+        if stops:
+            via, mount = _between(site, stops[-1][0], q, pairing, wanted.seed)
+            stops += [(place, False, False) for place in via]
+        else:
+            mount = True
+        long = max(1, round(wanted.long_s / pace.dwell))
+        stops += [(q, True, mount and k == 0) for k in range(long)]
+        for _ in range(wanted.rounds):
+            for signs in rng.permutation(sides(len(q))):
+                stops += [(q + signs * step, False, False), (q, True, False)]
+    return _route(site, stops, pairing, pace)
+
+
+def sides(joints: int) -> Floats:
+    """From which side each joint comes (k, j), ±1: columns of a Hadamard matrix but for its first, which is constant."""
+    order = 1 << int(joints).bit_length()
+    return np.asarray(hadamard(order)[:, 1 : joints + 1], dtype=np.float64)
+
+
+def telling(derivatives: Floats, n: int) -> list[int]:
+    """The n of all poses (p, j) at which the length says most of every joint, greedily."""
+    squared = np.square(derivatives)
+    total = np.full(squared.shape[1], 1e-6)  # m²/rad²: a joint that no pose shows is hopeless, not infinitely wanted
+    chosen: list[int] = []
+    for _ in range(n):
+        gain = np.sum(np.log(total + squared), axis=1)
+        gain[chosen] = -np.inf
+        chosen.append(int(np.argmax(gain)))
+        total = total + squared[chosen[-1]]
+    return chosen
+
+
+def length_derivatives(site: Site, q: Floats, pairing: Pairing) -> Floats:
+    """∂length/∂joints (n, j) of the bar at joints q (n, j)."""
+    _, mounted = pairing.of(site.rig)
+    trace = trace_point(site.arm.chain, site.arm.params, q, mounted.p_sphere)
+    vector = trace.p_base - mounted.p_chuck
+    return np.asarray(along(trace, vector / np.linalg.norm(vector, axis=1, keepdims=True)).jac_joints)
+
+
+def _away(site: Site, q: Floats, jac: Floats, pairing: Pairing) -> Floats | None:
+    """How far each joint (j,) may go away from a pose, whatever the sides; None where the bar leaves too little."""
+    bar, mounted = pairing.of(site.rig)
+    length = np.linalg.norm(
+        point_forward(site.arm.chain, site.arm.params, q[None], mounted.p_sphere)[0] - mounted.p_chuck
+    )
+    free = SHARE * (free_travel(bar, site.limits) - abs(float(length) - bar.zero))
+    step = np.minimum(FARTHEST, np.maximum(free, 0.0) / (len(q) * np.maximum(np.abs(jac), 1e-9)))
+    for _ in range(3):
+        if step.min() < LEAST:
+            return None
+        ways = np.concatenate([samples(q + signs * step, q) for signs in sides(len(q))])
+        if all_allowed(site, ways, pairing, site.limits):
+            return np.asarray(step)
+        step = 0.7 * step
+    return None
+
+
+def _between(site: Site, start: Floats, end: Floats, pairing: Pairing, seed: int) -> tuple[Floats, bool]:
+    """Via points between two poses, and whether the bar comes off on the way."""
+    via = way_with_bar(site, start, end, pairing)
+    if via is not None:
+        return via, False
+    via = way_without_bar(site, start, end, seed)
+    if via is None:
+        raise PlanError("no way between two of the poses is free; try another --seed")
+    return via if len(via) else 0.5 * (start + end)[None], True
+
+
+def _route(site: Site, stops: list[tuple[Floats, bool, bool]], pairing: Pairing, pace: Pace) -> Route:
+    q = np.array([stop[0] for stop in stops])
+    read, mount = (np.array([stop[k] for stop in stops]) for k in (1, 2))
+    pose = np.where(read, np.cumsum(read) - 1, -1)
+    n = int(read.sum())
+    names = (np.full(n, name) for name in (SHELL, pairing.bar, pairing.chuck, pairing.sphere))
+    sphere = np.array(site.rig.spheres[pairing.sphere].xyz)
+    seconds = np.array([0.0, *(move_seconds(site, a, b, sphere, pace) for a, b in pairwise(q))])
+    return Route(Plan(q[read], *names), q, pose, mount, seconds, pace)

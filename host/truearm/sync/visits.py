@@ -1,0 +1,136 @@
+"""What a session says of the way a robot comes to its poses: from which side, how fast it settles, what noise it rests in.
+
+A third pass over the samples, for ``truearm characterize``. From the dwells that gave an observation (``SyncResult``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from truearm.sensors.ident import Ident
+from truearm.sensors.lvdt import bar_length, extension
+from truearm.sync.allan import Allan, allan
+from truearm.sync.blocks import Block, BoxReader
+from truearm.sync.dwell import Dwell
+from truearm.sync.gather import gather
+from truearm.sync.joints import Bins
+from truearm.sync.pipeline import Messages, SyncResult, disjoint
+from truearm.sync.statistics import mean_variance
+from truearm.types import Floats, Rig
+
+LEAST = 5e-4  # rad or m; a joint that moved less has come from nowhere: a swing about its place is no approach
+BACK_BINS = 200  # how far back the last motion is looked for: 10 s
+BEFORE_S = 0.6  # of the approach, looked at with each dwell
+LONG_S = 8.0  # a dwell so long shows slow noise
+FAR = 4.0  # bands; a bar that comes from nearer has not come into the band from outside
+SIGMAS = 6.0  # a band must be wider than so many sigmas of a sample
+
+
+@dataclass(frozen=True)
+class Visits:
+    """The n dwells of a session that gave an observation.
+
+    ``direction`` (n, j): in which each joint moved last, −1 or 1, 0 where it did not. ``settling`` (n, b) [s]: how long after the
+    bar first came within each of the bands of its mean it stayed there for good; NaN where it did not come from outside
+    or the noise is too large for the band. ``mean_var`` (n, j) [rad², m²]: of the mean reading, its correlation counted, its
+    quantisation not. ``spacing_s`` (n,): time between independent samples. ``allan``: of the long dwells, all if none is.
+    """
+
+    dwells: tuple[Dwell, ...]
+    direction: Floats
+    bands: Floats  # (b,) m
+    settling: Floats
+    mean_var: Floats
+    period_s: float
+    spacing_s: Floats
+    allan: Allan
+
+
+def visits(
+    messages: Messages,
+    result: SyncResult,
+    rig: Rig,
+    bands: Sequence[float],
+    ident: Ident | None = None,
+    channel: str = "lvdt",
+) -> Visits:
+    """What the dwells of ``result`` have in common with ``messages``, whose they are. ``bands`` [m] are those of the settling."""
+    used = [dwell for dwell in result.dwells if not dwell.reason]
+    bins = result.survey.joints.bins
+    pieces: list[tuple[int, Floats]] = []
+    settling, spacing, period_s = np.full((len(used), len(bands)), np.nan), np.full(len(used), np.nan), float("nan")
+    before = round(1e9 * BEFORE_S)
+    stood = [d.start_host_ns - round(1e9 * (d.start_s - d.stood_s)) for d in used]
+    wanted = disjoint([(i, stood[i] - before, d.end_host_ns) for i, d in enumerate(used)])
+    for taken in gather(_blocks(messages, result.survey.box_topics, ident), result.survey.clocks, wanted, channel):
+        dwell = used[taken.dwell]
+        if taken.channel is None:
+            continue
+        bar = rig.bars[dwell.mounted["bar"]]
+        begin_ns, counts = taken.longest_piece
+        length = bar_length(extension(counts, taken.channel), bar)
+        period_s = 1e-9 * taken.period_ns
+        for k, band in enumerate(bands):
+            if band > SIGMAS * dwell.noise:
+                settling[taken.dwell, k] = stabilisation_time(length - dwell.value, band, period_s)
+        rest = length[max(0, int(np.ceil((dwell.start_host_ns - begin_ns) / taken.period_ns))) :]
+        pieces.append((taken.dwell, rest))
+        spacing[taken.dwell] = period_s * dwell.n_samples / dwell.n_eff
+    long = [piece for _, piece in pieces if piece.size * period_s >= LONG_S] or [piece for _, piece in pieces]
+    j = len(result.survey.joints.step)
+    direction = np.array([came_from(bins, d) for d in used]).reshape(-1, j) if bins is not None else np.zeros((0, j))
+    mean_var = np.array([_mean_var(bins, d) for d in used]).reshape(-1, j) if bins is not None else np.zeros((0, j))
+    return Visits(tuple(used), direction, np.array(bands), settling, mean_var, period_s, spacing, allan(long, period_s))
+
+
+def _blocks(messages: Messages, topics: Collection[str], ident: Ident | None) -> Iterator[tuple[Block, Ident]]:
+    reader = BoxReader(ident, keep_exchanges=False)
+    for message in messages(topics):
+        block = reader.feed(message)
+        if block is not None and reader.segment.ident is not None:
+            yield block, reader.segment.ident
+
+
+def came_from(bins: Bins, dwell: Dwell) -> Floats:
+    """Direction (j,) of the last motion of each joint before a dwell: −1 or 1, 0 where it did not move or nobody knows."""
+    direction = np.zeros(dwell.q.size)
+    last = dwell.bins[0]
+    while last > 0 and bins.t_first_s[last - 1] >= dwell.stood_s and bins.segment[last - 1] == dwell.segment:
+        last -= 1
+    for k in range(last - 1, max(-1, last - 1 - BACK_BINS), -1):
+        if bins.gap[k + 1] or bins.segment[k] != dwell.segment or np.all(direction):
+            break
+        above, below = bins.high[k] - dwell.q, dwell.q - bins.low[k]
+        new = (direction == 0.0) & (np.maximum(above, below) > LEAST)
+        direction[new] = np.where(above > below, -1.0, 1.0)[new]
+    return direction
+
+
+def stabilisation_time(deviation: Floats, band: float, period_s: float) -> float:
+    """From the first sample (n,) in the band to the one from which all are (ISO 9283, 7.4), after the last far excursion.
+
+    NaN where the samples did not come from outside.
+    """
+    size = np.abs(deviation)
+    farthest = float(np.max(size, initial=0.0))
+    if farthest < FAR * band:
+        return float("nan")
+    coming = int(np.flatnonzero(size >= 0.5 * farthest)[-1])
+    inside = size[coming:] <= band
+    if not inside[-1]:
+        return float("nan")
+    first = int(np.argmax(inside))
+    outside = np.flatnonzero(~inside)
+    return period_s * max(0, int(outside[-1]) + 1 - first)
+
+
+def _mean_var(bins: Bins, dwell: Dwell) -> Floats:
+    """Variance (j,) of the mean reading of a dwell, by the means of its bins."""
+    means = bins.mean[slice(*dwell.bins)]
+    if len(means) < 4:
+        return np.full(means.shape[1], np.nan)
+    deviation = means - np.mean(means, axis=0)
+    return np.array([mean_variance(column)[0] for column in deviation.T])
