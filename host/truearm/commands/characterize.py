@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,7 +14,7 @@ from truearm.errors import InputError, RigError
 
 if TYPE_CHECKING:
     from truearm.record.session import Session
-    from truearm.types import Rig
+    from truearm.types import Message, Rig
 
 BANDS_MM = (0.02, 0.05, 0.1)
 
@@ -55,6 +56,7 @@ def characterize(
     """
     from truearm.commands.characterize_text import lines, remarks
     from truearm.commands.characterizing import characterized
+    from truearm.commands.inspect import ident_of
     from truearm.commands.terminal import one_line
     from truearm.files.disk import check_writable, write_atomic
     from truearm.files.noise import format_noise, looks_like_noise
@@ -69,7 +71,8 @@ def characterize(
     loaded = load_robot(robot, base, tip)
     opened = open_session(session, allow_damaged)
     bands = sorted({1e-3 * mm for mm in within_mm or BANDS_MM})
-    found, noise = characterized(opened, loaded.chain, _rig(opened, session, rig), bands, _planned(plan))
+    around, messages = _rig(opened, session, rig), _with_plan(opened, plan)
+    found, noise = characterized(messages, session.name, loaded.chain, around, bands, ident_of(opened))
     if out is not None:
         prismatic = any(joint.kind == "prismatic" for joint in loaded.chain.joints)
         said = list(remarks(found, one_line(session.name)))
@@ -93,12 +96,22 @@ def _rig(opened: Session, path: Path, given: Path | None) -> Rig:
     return found
 
 
-def _planned(path: Path | None) -> list[bytes]:
-    """A plan file as the messages that the recorder would have stored."""
+def _with_plan(session: Session, path: Path | None) -> Callable[[Collection[str] | None], Iterator[Message]]:
+    """What the session holds, a plan file's rows in place of its own plan."""
     from truearm.commands.recording import plan_rows
     from truearm.files.plan import read_plan
+    from truearm.types import Message
 
-    return [] if path is None else [json.dumps(row).encode() for row in plan_rows(read_plan(path))]
+    if path is None:
+        return lambda topics: session.messages(topics)
+    rows = [Message("/plan", 0, json.dumps(row).encode()) for row in plan_rows(read_plan(path))]
+
+    def messages(topics: Collection[str] | None) -> Iterator[Message]:
+        if topics is None:
+            yield from rows
+        yield from (message for message in session.messages(topics) if message.topic != "/plan")
+
+    return messages
 
 
 def _without_nan(value: Any) -> Any:

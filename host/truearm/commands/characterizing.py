@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from truearm.commands.inspect import ident_of
 from truearm.commands.terminal import one_line
 from truearm.errors import InputError, SessionError
 from truearm.estimate.repeatability import (
@@ -23,35 +22,31 @@ from truearm.estimate.repeatability import (
 )
 from truearm.files.noise import NoiseFile
 from truearm.model.chain import Chain, along, trace_point
-from truearm.record.session import Session
+from truearm.sensors.ident import Ident
 from truearm.sync.dwell import Dwell
 from truearm.sync.pipeline import Messages, observations
 from truearm.sync.visits import Visits, visits
-from truearm.types import Floats, Message, Rig
+from truearm.types import Floats, Rig
 
 LEAST_VISITS = 6
 
 
 def characterized(
-    session: Session, chain: Chain, rig: Rig, bands: Sequence[float], plan: Sequence[bytes] = ()
+    messages: Messages, name: str, chain: Chain, rig: Rig, bands: Sequence[float], ident: Ident | None = None
 ) -> tuple[dict[str, Any], NoiseFile]:
-    """Everything that a session says of how the robot repeats; ``plan``: its rows, where the session has none.
+    """Everything that a session, called ``name``, says of how the robot repeats.
 
     Raises InputError where the session is of another robot or does not hold what is needed.
     """
-    messages = _with_plan(session, plan)
-    ident = ident_of(session)
-    result = observations(messages, rig, ident=ident, name=session.path.name)
+    result = observations(messages, rig, ident=ident, name=name)
     joints = result.survey.joints
     if result.table.q.shape[1] != len(chain.joints):
         raise InputError(
-            f"{session.path}: its robot has {result.table.q.shape[1]} joints, the robot given has {len(chain.joints)}"
+            f"{name}: its robot has {result.table.q.shape[1]} joints, the robot given has {len(chain.joints)}"
         )
     if len(result.table) < LEAST_VISITS:
         reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(result.reasons.items()))
-        raise SessionError(
-            f"{session.path}: {len(result.table)} dwells can be used ({reasons or 'no other was found'})"
-        )
+        raise SessionError(f"{name}: {len(result.table)} dwells can be used ({reasons or 'no other was found'})")
     found = visits(messages, result, rig, bands, ident)
     bar = _usual([dwell.mounted["bar"] for dwell in found.dwells])
     of_bar = np.array([dwell.mounted["bar"] == bar for dwell in found.dwells])
@@ -60,7 +55,7 @@ def characterized(
     sigma = tuple(one.value for one in told.joint_sigma)
     cov = tuple(tuple(s * s if i == k else 0.0 for k in range(len(sigma))) for i, s in enumerate(sigma))
     document = {
-        "session": session.path.name,
+        "session": name,
         "bar": bar,
         "joints": [one_line(joint.name) for joint in chain.joints],
         "dwells": len(found.dwells),
@@ -78,19 +73,6 @@ def characterized(
         },
     }
     return document, NoiseFile(cov, {bar: told.bar_sigma.value})
-
-
-def _with_plan(session: Session, plan: Sequence[bytes]) -> Messages:
-    """What the session holds, the plan before everything else."""
-
-    def messages(topics: Collection[str] | None) -> Iterator[Message]:
-        if plan and (topics is None or "/plan" in topics):
-            yield from (Message("/plan", 0, row) for row in plan)
-        for message in session.messages(topics):
-            if not plan or message.topic != "/plan":
-                yield message
-
-    return messages
 
 
 def _usual(names: list[str]) -> str:
