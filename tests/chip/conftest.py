@@ -4,10 +4,11 @@ import cbor2
 import numpy as np
 import pytest
 
+from tests.wire_frames import command, frames
 from truearm_sim.box import POWER, BoxSetup
 from truearm_sim.chip import ANY_ROOM, ChipBox
 from truearm_sim.hardware import Boot
-from truearm_wire import frame, messages
+from truearm_wire import messages
 from truearm_wire.messages import GET_CONFIG, IDENT, PUT_CONFIG, REPLY
 
 READY_S = 3.2  # the boot window of 2 s, the self-test, the first ident
@@ -23,20 +24,6 @@ class Counting:
 
     def flight_times(self, k0, k1, start_ns, period_ns):
         return 100_000_000 + 8_000 * np.arange(k0, k1, dtype=np.int64)  # a tick more each shot
-
-
-def frames(tx: bytes) -> list[list]:
-    """The frames of sent bytes, decoded; anything else stays bytes."""
-    found = []
-    for run in tx.split(b"\0"):
-        if run:
-            payload = frame.unframe(run)
-            found.append(messages.decode_payload(payload) if payload else run)
-    return found
-
-
-def command(*values) -> bytes:
-    return frame.frame(messages.encode_payload(list(values)))
 
 
 class Chip:

@@ -7,6 +7,7 @@ import cbor2
 import numpy as np
 import pytest
 
+from tests.wire_frames import command
 from truearm_sim.box import COMMAND, WATCHDOG
 from truearm_sim.chip import STORE, make_flash, read_flash
 from truearm_sim.hardware import BAD_CRC, CONVERTER_RESET, CRASH, STALL
@@ -36,7 +37,7 @@ from truearm_wire.messages import (
     names,
 )
 
-from .conftest import MS, command, document, ident
+from .conftest import MS, document, ident
 
 S = 1_000_000
 PERIOD_NS = 983_040

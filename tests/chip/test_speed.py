@@ -4,10 +4,11 @@ import json
 
 import numpy as np
 
+from tests.wire_frames import command
 from truearm_sim.hardware import Edge
 from truearm_wire.messages import CONFIGURE, EVENT, IDENT, IDENTIFY, START, STOP, SYNC_REPLY, SYNC_REQUEST
 
-from .conftest import MS, command
+from .conftest import MS
 from .test_box import blocks, heartbeats, indices
 
 OSR = 1024  # 4069 Hz

@@ -5,26 +5,13 @@ import struct
 import cbor2
 import pytest
 
+from tests.wire_frames import command, frames
 from truearm_sim import micropython
 from truearm_sim.box import BoxProcess, BoxSetup, write_flash
-from truearm_wire import frame, messages
+from truearm_wire import messages
 
 OSR = 4096
 PERIOD_NS = 983040
-
-
-def frames(tx: bytes) -> list[list]:
-    """The frames of sent bytes, decoded; anything else stays bytes."""
-    found = []
-    for run in tx.split(b"\0"):
-        if run:
-            payload = frame.unframe(run)
-            found.append(messages.decode_payload(payload) if payload else run)
-    return found
-
-
-def command(*values: object) -> bytes:
-    return frame.frame(messages.encode_payload(list(values)))
 
 
 def records(index: int, n: int, t_start_us: int = 0) -> bytes:

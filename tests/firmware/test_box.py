@@ -5,7 +5,8 @@ import struct
 
 import pytest
 
-from tests.firmware.conftest import PERIOD_NS, Bench, command, frames, ident_document, real_micropython, records
+from tests.firmware.conftest import PERIOD_NS, Bench, ident_document, real_micropython, records
+from tests.wire_frames import command, frames
 from truearm_sim.box import CRASH, STALL, BoxDied
 from truearm_wire import cbor, frame
 

@@ -8,7 +8,8 @@ import random
 import cbor2
 import pytest
 
-from tests.firmware.conftest import PERIOD_NS, Bench, command, real_micropython, records, shots
+from tests.firmware.conftest import PERIOD_NS, Bench, real_micropython, records, shots
+from tests.wire_frames import command
 from truearm_wire import cbor, frame, messages
 from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, IDENT, REPLY, SYNC_REPLY
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.firmware.conftest import command, frames
+from tests.wire_frames import command, frames
 from truearm_wire.messages import SYNC_REPLY
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "firmware"))

@@ -5,7 +5,8 @@ import json
 import cbor2
 import pytest
 
-from tests.firmware.conftest import Bench, command, flash_folder, frames, ident_document, real_micropython
+from tests.firmware.conftest import Bench, flash_folder, ident_document, real_micropython
+from tests.wire_frames import command, frames
 from truearm_sim.box import CRASH, HEALTHY
 from truearm_wire import messages
 from truearm_wire.messages import ERROR, IDENT, PUT_CONFIG, REPLY

@@ -5,7 +5,8 @@ import struct
 
 import pytest
 
-from tests.firmware.conftest import PERIOD_NS, Bench, command, frames, ident_document, real_micropython, ticks
+from tests.firmware.conftest import PERIOD_NS, Bench, ident_document, real_micropython, ticks
+from tests.wire_frames import command, frames
 from truearm_sim.box import FAULT_CRC, FAULT_RESET, STALL
 from truearm_wire import messages
 from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, REPLY

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from tests.firmware.conftest import command, frames
+from tests.wire_frames import command, frames
 from truearm_wire import messages
 from truearm_wire.messages import ERROR, EVENT, HEARTBEAT, REPLY
 

@@ -1,0 +1,18 @@
+"""Frames of the wire as the tests of the box write and read them."""
+
+from truearm_wire import frame, messages
+
+
+def frames(tx: bytes) -> list[list]:
+    """The frames of sent bytes, decoded; anything else stays bytes."""
+    found = []
+    for run in tx.split(b"\0"):
+        if run:
+            payload = frame.unframe(run)
+            found.append(messages.decode_payload(payload) if payload else run)
+    return found
+
+
+def command(*values: object) -> bytes:
+    """A command's frame."""
+    return frame.frame(messages.encode_payload(list(values)))
