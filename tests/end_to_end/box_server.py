@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from tests.end_to_end.conftest import interpreter
 
+from truearm.cli import main
 from truearm_sim.sensors import SOUND, VOLTS_PER_COUNT
 from truearm_sim.serve import Port, Terminal, serve
 from truearm_sim.simbox import SimulatedBox
@@ -16,6 +17,11 @@ MAG_PERIOD_NS = 983_040  # as the converter's
 NOISE_V = 5e-6
 NOISE_PS = 1800.0
 NOISE = np.random.default_rng(4).standard_normal((65_536, 4))
+
+
+def box(*arguments):
+    """``truearm box`` as an operator types it; the exit code."""
+    return main(["box", *map(str, arguments)])
 
 
 class Stage(World):

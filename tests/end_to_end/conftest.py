@@ -10,6 +10,7 @@ import pytest
 
 from truearm.commands.recording import plan_rows
 from truearm.files.rig import format_rig
+from truearm.record import ports
 from truearm.record.recorder import RecordSummary, record
 from truearm.record.session_writer import SessionWriter
 from truearm.types import Plan, Rig
@@ -99,3 +100,9 @@ def record_session(
 def short_session(tmp_path_factory) -> Recorded:
     """Ninety dwells with each bar at 254 Hz, nothing goes wrong."""
     return record_session(tmp_path_factory.mktemp("session") / "short.mcap", 90, osr=16384)
+
+
+@pytest.fixture
+def no_ports(monkeypatch):
+    """A machine with nothing plugged in."""
+    monkeypatch.setattr(ports.list_ports, "comports", lambda: [])

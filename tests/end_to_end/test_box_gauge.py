@@ -1,0 +1,129 @@
+"""``truearm box gauge`` against a box whose operator moves the sensors."""
+
+import io
+import json
+import re
+import sys
+
+import numpy as np
+import pytest
+from tests.end_to_end.box_server import MAG_PERIOD_NS, Stage, box, served
+
+
+class Operator(io.StringIO):
+    """Standard input of somebody who sets the stage to each reference before typing it."""
+
+    def __init__(self, world, lines, unit=1e-3):
+        super().__init__()
+        self._world, self._lines, self._unit = world, list(lines), unit
+
+    def readline(self, *_):
+        line = self._lines.pop(0) if self._lines else ""
+        if isinstance(line, tuple):  # (where the stage is, what is typed)
+            self._world.position, line = line[0] * self._unit, line[1]
+        return f"{line}\n"
+
+
+def test_an_lvdt_is_calibrated(tmp_path, monkeypatch, capsys):
+    """Typed references, there and back: the bend is found, the box then reads the stage."""
+    monkeypatch.chdir(tmp_path)
+    references = [*np.linspace(-30, 30, 7), *np.linspace(25, -25, 5)]
+    with served() as (device, world, _):
+        lines = [*((mm, f"{mm}") for mm in references), (3.0, "7"), "undo", "seven", "", "y"]
+        monkeypatch.setattr(sys, "stdin", Operator(world, lines))
+        assert box("gauge", "lvdt", "--device", device, "--seconds", "0.3", "--serial", "LV-1") == 0
+        said = capsys.readouterr().out
+        assert "dropped place 13" in said
+        assert "'seven' is no reading of a reference; type a number of mm" in said
+        assert "order 2:" in said.split("← taken")[0].splitlines()[-1]
+        assert "12 places, sigma" in said
+        assert said.splitlines()[-1] == f"store it in the box? [y/N] {device}: stored and in force"
+        assert box("info", "--device", device, "--json") == 0
+        entry = json.loads(capsys.readouterr().out)["streams"][0]["channels"][0]
+    calibration = entry["calibration"]
+    assert (calibration["unit"], calibration["serial"]) == ("m", "LV-1")
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d", calibration["date"])
+    assert calibration["temperature_mdegc"] == 24_500
+    poly = [m * 10.0**e for m, e in calibration["poly"]]
+    volts = np.linspace(-0.75, 0.75, 31)
+    error = np.polynomial.polynomial.polyval(volts, poly) - np.polynomial.polynomial.polyval(volts, Stage.POLY)
+    # 0.3 s are 305 samples of 5 µV or 0.19 µm: a mean is good to 11 nm, and the polynomial too; five times that, and 1 nm of rounding
+    assert np.max(np.abs(error)) <= 5 * 11e-9 + 1e-9
+    page = (tmp_path / "gauge-lvdt.html").read_text()
+    assert "<svg" in page
+    assert "residual [µm]" in page
+    assert "<script" not in page
+
+
+def test_references_from_a_file_and_no_at_the_end(tmp_path, monkeypatch, capsys):
+    table, page = tmp_path / "steps.csv", tmp_path / "page.html"
+    table.write_text("place,reference_um\n1,-20000\n2,-10000\n3,0\n4,10000\n5,20000\n6,30000\n")
+    with served() as (device, world, _):
+        lines = [*((mm, "") for mm in (-20, -10, 0, 10, 20)), "s", "n"]
+        monkeypatch.setattr(sys, "stdin", Operator(world, lines))
+        options = ["--references", table, "--seconds", "0.2", "--out", page, "--order", "1"]
+        assert box("gauge", "lvdt", "--device", device, *options) == 0
+        said = capsys.readouterr().out
+        assert "1 of 6: set -20.0000 mm, then Enter" in said
+        assert "order 1: left-out error" in said
+        assert said.splitlines()[-1].endswith(f"{device}: unchanged")
+        assert box("config", "get", "--device", device) == 0
+        assert 'serial = "sim-lvdt"' in capsys.readouterr().out
+    assert page.exists()
+
+
+def test_a_magnetostrictive_head_is_calibrated(tmp_path, monkeypatch, capsys):
+    """Its velocity of sound and the delay of its electronics, of which the latter takes up where the reference has its zero."""
+    monkeypatch.chdir(tmp_path)
+    world = Stage(mag_period_ns=MAG_PERIOD_NS)
+    with served(world) as (device, _, _):
+        lines = [(mm, f"{mm + 300}") for mm in (-100, -50, 0, 50, 100)]
+        monkeypatch.setattr(sys, "stdin", Operator(world, [*lines, ""]))
+        assert box("gauge", "magnetostrictive", "--device", device, "--seconds", "0.5", "--yes") == 0
+        capsys.readouterr()
+        assert box("config", "get", "--device", device) == 0
+        said = capsys.readouterr().out
+    speed = float(re.search(r"us_per_inch = ([\d.]+)", said)[1])
+    delay = float(re.search(r"delay_us = ([\d.]+)", said)[1])
+    # 500 shots with 5.1 µm of noise over 22.5 µm ticks: the noise leaves up to 2.6 µm of the ticks' steps in a mean (truearm_sim/sensors.py)
+    # and √(5.1² + 22.5²/12)/√500 = 0.4 µm of its own; over 200 mm that turns the slope by no more than 2 · 3 µm / 200 mm
+    assert abs(speed / 9.031 - 1) <= 2 * 3e-6 / 0.2
+    assert abs(delay - 1.5) * 2.812 <= 1e3 * (
+        3e-6 + 0.4 * 6e-6 / 0.2
+    )  # mm/µs; the zero lies 0.4 m beyond the middle, at most
+
+
+def test_places_that_make_no_reading(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    world = Stage(mag_period_ns=MAG_PERIOD_NS)
+    world.magnet = False
+    with served(world) as (device, _, _):
+        monkeypatch.setattr(sys, "stdin", Operator(world, ["1", ""]))
+        assert box("gauge", "magnetostrictive", "--device", device, "--seconds", "0.2") == 2
+        said = capsys.readouterr()
+        assert "stop pulses are missing; is the magnet on the rod?" in said.out
+        assert "0 places were taken; a calibration needs four or more" in said.err
+        world.POLY = (0.0, 1e-3, 0.0)  # 1.5 mm are 1.5 V, beyond the converter
+        monkeypatch.setattr(sys, "stdin", Operator(world, [(1.5, "1.5"), ""]))
+        assert box("gauge", "lvdt", "--device", device, "--seconds", "0.2") == 2
+        assert "at the converter's rail" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "needs one column"),
+        ("reference_mm,reference_um\n1,2\n", "needs one column"),
+        ("reference_mm\n", "has 0 references"),
+        ("reference_mm\none\n", "row 2: 'one' is no reading"),
+        ("a,reference_mm\n1\n", "row 2: '' is no reading"),
+        ("reference_mm\nnan\n", "row 2"),
+        ("reference_mm\n1e9\n", "row 2"),
+        ("reference_mm\n" + "1\n" * 2000, "1 to 1000"),
+    ],
+)
+def test_bad_reference_files(text, says, tmp_path, capsys):
+    path = tmp_path / "r.csv"
+    path.write_text(text)
+    assert box("gauge", "lvdt", "--references", path, "--device", "/dev/gone") == 2
+    assert says in capsys.readouterr().err
