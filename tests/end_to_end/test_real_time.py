@@ -70,11 +70,19 @@ def test_recorded_over_a_real_port(simulator, tmp_path):
     assert abs(report.rate_ppm - truth) <= 1e6 * 2 * report.bound_ns / (1e3 * span_us)
 
 
+def wait_for_recording(session, seconds):
+    """Until the recorder has begun, however busy the machine, and so many seconds more."""
+    deadline = time.monotonic() + 60
+    while not session.exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    time.sleep(seconds)
+
+
 def test_interrupt_completes_the_file(simulator, tmp_path):
     """Ctrl-C in the middle: exit 130, a line that says what is kept, and a file with its summary."""
     command = [sys.executable, "-m", "truearm", *simulator.record]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    time.sleep(5)
+    wait_for_recording(tmp_path / "session.mcap", 3)
     process.send_signal(signal.SIGINT)
     stdout, stderr = process.communicate(timeout=20)
     assert process.returncode == 130, stderr
@@ -88,7 +96,7 @@ def test_kill_loses_a_second_at_most(simulator, tmp_path):
     """SIGKILL: what was synced to disk is read back, and the tools say that the end is missing."""
     command = [sys.executable, "-m", "truearm", *simulator.record]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    time.sleep(6)
+    wait_for_recording(tmp_path / "session.mcap", 4)
     process.kill()
     process.wait()
     session = tmp_path / "session.mcap"

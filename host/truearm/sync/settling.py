@@ -11,10 +11,10 @@ Nothing here knows what the signal is: the sensor's samples and the joints' read
 
 from __future__ import annotations
 
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtri
 
 from truearm.sync.statistics import mean_variance
 from truearm.types import Floats
@@ -44,7 +44,7 @@ def settled_from(means: Floats, block_var: float, floor: float) -> Settled:
     deviation = means - level
     sums = np.concatenate([[0.0], np.cumsum(deviation)])
     widths = [1 << k for k in range(max(1, half).bit_length())]
-    sigmas = -float(ndtri(FALSE_ALARM / (2.0 * b * len(widths))))
+    sigmas = -NormalDist().inv_cdf(FALSE_ALARM / (2.0 * b * len(widths)))
     first = 0
     for width in widths:
         stretch = (sums[width:] - sums[:-width]) / width
