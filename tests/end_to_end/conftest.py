@@ -13,7 +13,7 @@ from truearm.files.rig import format_rig
 from truearm.record import ports
 from truearm.record.recorder import RecordSummary, record
 from truearm.record.session_writer import SessionWriter
-from truearm.types import Plan, Rig
+from truearm.types import Floats, Plan, Rig
 from truearm_sim import micropython
 from truearm_sim.arm import Arm
 from truearm_sim.lab import Lab
@@ -73,10 +73,11 @@ def record_session(
     rig: Rig | None = None,
     arm: Arm | None = None,
     plan: Plan | None = None,
+    params: Floats | None = None,
 ) -> Recorded:
-    """``poses`` with each bar of the rig, or another plan."""
+    """``poses`` with each bar of the rig, or another plan; ``params`` (p,): another true robot."""
     plan = standard_plan(poses, seed, rig) if plan is None else plan
-    world = World(seed, plan, rig, arm=arm)
+    world = World(seed, plan, rig, params, arm=arm)
     box = SimulatedBox(world, interpreter(), faults=faults, seed=seed)
     lab = Lab(world, box, seed)
     link = TappedLink(lab.box_link)

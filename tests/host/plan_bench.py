@@ -103,9 +103,23 @@ def nearest(a, b):
     return np.linalg.norm(a[:, :, None] - b[:, None], axis=-1).min(axis=(1, 2))
 
 
+# Universal Robots' upper arm and forearm stand beside the plane of their joints' origins (shoulder_offset, elbow_offset of
+# Universal_Robots_ROS2_Description, config/ur5e/physical_parameters.yaml): frame, start, end.
+BESIDE = {"ur5e": ((1, (0.0, 0.0, 0.138), (-0.425, 0.0, 0.138)), (2, (0.0, 0.0, 0.007), (-0.3922, 0.0, 0.007)))}
+
+
 def arm_points(name, q):
-    """Forearm's end to flange as points (n, k, 3): what must not touch the table, the posts or the column."""
-    frames = joint_frames(known(name).chain, known(name).params, q)[:, :, :3, 3]
+    """Upper arm (n, k, 3), and forearm to flange: what must not touch the table, the posts or the bar."""
+    frames = joint_frames(known(name).chain, known(name).params, q)
     end = forward(known(name).chain, known(name).params, q)[:, :3, 3]
-    nodes = [*frames[:, 2:].swapaxes(0, 1), end]
-    return np.concatenate([along(a, b) for a, b in pairwise(nodes)], axis=1)
+    if name in BESIDE:
+        upper, fore = (
+            along(*(frames[:, i, :3, :3] @ np.array(p) + frames[:, i, :3, 3] for p in (a, b)))
+            for i, a, b in BESIDE[name]
+        )
+        nodes = frames[:, 3:, :3, 3]
+    else:
+        upper, fore = along(frames[:, 1, :3, 3], frames[:, 2, :3, 3]), frames[:, 2:3, :3, 3]
+        nodes = frames[:, 2:, :3, 3]
+    rest = [along(a, b) for a, b in pairwise([*nodes.swapaxes(0, 1), end])]
+    return upper, np.concatenate([fore, *rest], axis=1)

@@ -99,8 +99,9 @@ def test_nothing_is_touched_on_the_whole_way(name):
     """Segments as rows of points, whose distances are never below those of the segments."""
     size, rig = bench.SIZES, bench.RIGS[name]
     for mounted, q in way_points(name):
-        arm = bench.arm_points(name, q)
-        assert arm[..., 2].min() > size.table + size.link
+        upper, fore = bench.arm_points(name, q)
+        arm = np.concatenate([upper, fore], axis=1)
+        assert fore[..., 2].min() > size.table + size.link
         for chuck in rig.chucks.values():
             foot = np.array([chuck.xyz[0], chuck.xyz[1], 0.0])
             post = bench.along(foot, np.array(chuck.xyz))
@@ -109,6 +110,10 @@ def test_nothing_is_touched_on_the_whole_way(name):
                 vector, _ = bench.bar_of(name, q, mounted)
                 start = np.broadcast_to(rig.chucks[mounted[0]].xyz, vector.shape)
                 assert bench.nearest(bench.along(start, start + vector), post).min() > size.post + size.bar
+        if mounted is not None:
+            vector, _ = bench.bar_of(name, q, mounted)
+            start = np.broadcast_to(rig.chucks[mounted[0]].xyz, vector.shape)
+            assert bench.nearest(bench.along(start, start + vector), upper).min() > size.link + size.bar
 
 
 @each_robot

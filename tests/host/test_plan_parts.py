@@ -13,7 +13,7 @@ from truearm.errors import PlanError
 from truearm.model.robot import builtin_robot
 from truearm.plan.ballbar import all_pairings
 from truearm.plan.branches import BRANCHES, branch_of
-from truearm.plan.shapes import segment_distance
+from truearm.plan.shapes import make_shapes, segment_distance
 from truearm.plan.shells import candidates
 from truearm.plan.site import Pairing, allowed, bar_vectors
 from truearm.plan.way import onto_shell, samples, way_with_bar, way_without_bar
@@ -100,4 +100,5 @@ def test_every_limit_is_looked_at():
         assert not allowed(site, q, pairing, replace(site.limits, **change)).any()
     for change in ({"table": 2.0}, {"link": 0.5}, {"post": 0.6}):
         sizes = replace(site.shapes.sizes, **change)
-        assert not allowed(replace(site, shapes=site.shapes._replace(sizes=sizes)), q, pairing).any()
+        shapes = make_shapes(site.arm.chain, site.arm.params, site.rig, sizes)
+        assert not allowed(replace(site, shapes=shapes), q, pairing).any()

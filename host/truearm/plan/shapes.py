@@ -1,28 +1,29 @@
 """Simple shapes that must not touch: the arm's links, the bar, the posts of the chucks as capsules, the table as a plane.
 
-A capsule is what lies within a radius of a segment. The arm's segments run from the base through the joints' origins to
-the end and on to each sphere: no maker's drawing, but the distance kept between them is chosen as generously as the
-rest of the plan (``Sizes.link``). Neighbouring segments always touch and are not held against each other.
+A capsule is what lies within a radius of a segment; the arm's are those of ``bodies``. Neighbouring links always touch and
+are not held against each other: of the arm itself only what carries the tool is held against what carries the elbow.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truearm.model.chain import Chain, forward, joint_frames
+from truearm.plan.bodies import Body, body_of
 from truearm.types import Floats, Rig
 
-SHORT = 0.02  # m; joints whose origins are nearer than this share a segment
+UPPER_ARM = 2  # the joint that moves it: with it and before it are what the tool can be folded into
+TOOL = 5  # the joint from which on the arm is tool
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """Radii [m] of links, of studs that hold spheres, of bars and of chucks' posts, and the table's height z [m]."""
+    """Radii [m] of links that ``bodies`` has no table of, of studs that hold spheres, of bars and of chucks' posts, and the
+    table's height z [m]."""
 
     link: float = 0.05
     stud: float = 0.012
@@ -39,84 +40,86 @@ class Mounted(NamedTuple):
 
 
 class Shapes(NamedTuple):
-    """A robot and its rig as capsules: which of the nodes (base, joints, end) the arm's segments run through."""
+    """A robot and its rig as capsules."""
 
     chain: Chain
     params: Floats
-    nodes: tuple[int, ...]  # 0 the base's foot, 1 … j the joints, j + 1 the end
-    elbow: int  # index in ``nodes``, the first joint's that the second one moves
-    wrist: int  # index in ``nodes``, from where on the arm is tool
+    body: Body
     p_spheres: Floats  # (s, 3)
     p_posts: Floats  # (c, 3) the chucks
     sizes: Sizes
 
 
 def make_shapes(chain: Chain, params: Floats, rig: Rig, sizes: Sizes) -> Shapes:
-    """Shapes of a robot at params (p,): joints whose origins coincide, at any pose, count once."""
-    nodes = _nodes(chain, params, np.zeros((1, len(chain.joints))))[0]
-    kept = [0]
-    for i in range(1, len(nodes)):
-        if np.linalg.norm(nodes[i] - nodes[kept[-1]]) > SHORT:
-            kept.append(i)
-    last = len(chain.joints)
-    elbow = next((k for k, node in enumerate(kept) if node > 2), len(kept) - 1)
-    wrist = max(k for k, node in enumerate(kept) if node <= max(last - 1, 0))
+    """Shapes of a robot at params (p,)."""
     spheres = np.array([s.xyz for s in rig.spheres.values()]).reshape(-1, 3)
     posts = np.array([c.xyz for c in rig.chucks.values()]).reshape(-1, 3)
-    return Shapes(chain, params, tuple(kept), elbow, wrist, spheres, posts, sizes)
+    return Shapes(chain, params, body_of(chain, params, sizes.link), spheres, posts, sizes)
 
 
 def clear(shapes: Shapes, q: Floats, mounted: Mounted | None) -> NDArray[np.bool_]:
     """Whether nothing touches at joints q (n, j), with the bar on as ``mounted`` or off."""
-    sizes = shapes.sizes
-    nodes = _nodes(shapes.chain, shapes.params, q)[:, shapes.nodes]
+    sizes, joint, radius = shapes.sizes, np.array(shapes.body.joint), shapes.body.radius
+    ends = body_ends(shapes, q)
     pose = forward(shapes.chain, shapes.params, q)
     spheres = shapes.p_spheres @ pose[:, :3, :3].swapaxes(1, 2) + pose[:, None, :3, 3]
-    good = (nodes[:, shapes.elbow :, 2] > sizes.table + sizes.link).all(axis=1)
+    moved = joint >= UPPER_ARM
+    good = (ends[:, moved][..., 2].min(axis=2) > sizes.table + radius[moved]).all(axis=1)
     good &= (spheres[..., 2] > sizes.table + sizes.stud).all(axis=1)
-    good &= _arm_is_clear_of_itself(shapes, nodes, spheres)
+    good &= _arm_is_clear_of_itself(shapes, ends, pose, spheres)
     for chuck in shapes.p_posts:
-        post = np.array([chuck[0], chuck[1], min(sizes.table, chuck[2])]), chuck
-        for a, b in pairwise(range(shapes.elbow, len(shapes.nodes))):
-            good &= segment_distance(nodes[:, a], nodes[:, b], *post) > sizes.link + sizes.post
-        for k in range(spheres.shape[1]):
-            good &= segment_distance(nodes[:, -1], spheres[:, k], *post) > sizes.stud + sizes.post
+        post = _foot(chuck, sizes), chuck
+        good &= (_from(ends[:, moved], *post) > radius[moved] + sizes.post).all(axis=1)
+        studs = segment_distance(pose[:, None, :3, 3], spheres, *post)
+        good &= (studs > sizes.stud + sizes.post).all(axis=1)
     if mounted is not None:
-        good &= _bar_is_clear(shapes, nodes, pose, mounted)
-    return good
+        good &= _bar_is_clear(shapes, ends, pose, mounted)
+    return np.asarray(good)
 
 
-def _arm_is_clear_of_itself(shapes: Shapes, nodes: Floats, spheres: Floats) -> NDArray[np.bool_]:
+def body_ends(shapes: Shapes, q: Floats) -> Floats:
+    """(n, m, 2, 3) ends of the arm's capsules in the base frame."""
+    frames = joint_frames(shapes.chain, shapes.params, q)
+    fixed = np.broadcast_to(np.eye(4), (len(q), 1, 4, 4))
+    mine = np.concatenate([fixed, frames], axis=1)[:, shapes.body.joint]
+    return np.asarray(shapes.body.ends @ mine[..., :3, :3].swapaxes(-1, -2) + mine[..., None, :3, 3])
+
+
+def _arm_is_clear_of_itself(shapes: Shapes, ends: Floats, pose: Floats, spheres: Floats) -> NDArray[np.bool_]:
     """The tool against all that lies before the forearm: column, shoulder, upper arm."""
-    good = np.ones(len(nodes), dtype=bool)
-    size = shapes.sizes
-    for a, b in pairwise(range(min(shapes.elbow, shapes.wrist - 1) + 1)):
-        good &= segment_distance(nodes[:, a], nodes[:, b], nodes[:, shapes.wrist], nodes[:, -1]) > 2.0 * size.link
-        for k in range(spheres.shape[1]):
-            apart = segment_distance(nodes[:, a], nodes[:, b], nodes[:, -1], spheres[:, k])
-            good &= apart > size.link + size.stud
+    joint, radius = np.array(shapes.body.joint), shapes.body.radius
+    good = np.ones(len(ends), dtype=bool)
+    before = joint <= UPPER_ARM
+    for k in np.flatnonzero(joint >= TOOL):
+        apart = _from(ends[:, before], ends[:, k, None, 0], ends[:, k, None, 1])
+        good &= (apart > radius[before] + radius[k]).all(axis=1)
+    for s in range(spheres.shape[1]):
+        apart = _from(ends[:, before], pose[:, None, :3, 3], spheres[:, s, None])
+        good &= (apart > radius[before] + shapes.sizes.stud).all(axis=1)
     return good
 
 
-def _bar_is_clear(shapes: Shapes, nodes: Floats, pose: Floats, mounted: Mounted) -> NDArray[np.bool_]:
+def _bar_is_clear(shapes: Shapes, ends: Floats, pose: Floats, mounted: Mounted) -> NDArray[np.bool_]:
     """The bar against the arm up to its wrist, and against the posts of the other chucks."""
     p_sphere = pose[:, :3, :3] @ mounted.p_sphere + pose[:, :3, 3]
-    bar = p_sphere, mounted.p_chuck
-    good = np.ones(len(nodes), dtype=bool)
-    for a, b in pairwise(range(shapes.wrist + 1)):
-        good &= segment_distance(nodes[:, a], nodes[:, b], *bar) > shapes.sizes.link + shapes.sizes.bar
+    before = np.array(shapes.body.joint) < TOOL
+    apart = _from(ends[:, before], p_sphere[:, None], mounted.p_chuck)
+    good = (apart > shapes.body.radius[before] + shapes.sizes.bar).all(axis=1)
     for chuck in shapes.p_posts:
         if not np.array_equal(chuck, mounted.p_chuck):
-            foot = np.array([chuck[0], chuck[1], min(shapes.sizes.table, chuck[2])])
-            good &= segment_distance(foot, chuck, *bar) > shapes.sizes.post + shapes.sizes.bar
-    return good
+            apart = segment_distance(_foot(chuck, shapes.sizes), chuck, p_sphere, mounted.p_chuck)
+            good &= apart > shapes.sizes.post + shapes.sizes.bar
+    return np.asarray(good)
 
 
-def _nodes(chain: Chain, params: Floats, q: Floats) -> Floats:
-    """(n, j + 2, 3) the foot of the base, the joints' origins, the end's."""
-    joints = joint_frames(chain, params, q)[..., :3, 3]
-    foot = np.zeros_like(joints[:, :1])
-    return np.concatenate([foot, joints, forward(chain, params, q)[:, None, :3, 3]], axis=1)
+def _foot(chuck: Floats, sizes: Sizes) -> Floats:
+    """(3,) where a chuck's post stands."""
+    return np.array([chuck[0], chuck[1], min(sizes.table, chuck[2])])
+
+
+def _from(ends: Floats, start: Floats, end: Floats) -> Floats:
+    """(n, m) distances of segments with ends (n, m, 2, 3) from another one."""
+    return segment_distance(ends[..., 0, :], ends[..., 1, :], start, end)
 
 
 def segment_distance(a0: Floats, a1: Floats, b0: Floats, b1: Floats) -> Floats:

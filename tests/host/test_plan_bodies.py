@@ -1,0 +1,115 @@
+"""Arms as capsules: where the arm is, by a kinematics of the tests' own, is inside them; what touches them is found."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from tests.host import plan_bench as bench
+
+from truearm.model.chain import forward, joint_frames
+from truearm.model.robot import builtin_names, builtin_robot
+from truearm.plan.bodies import BODIES, SHORT, along_joints
+from truearm.plan.shapes import Sizes, body_ends, clear, make_shapes, segment_distance
+from truearm.types import Point, Rig
+
+
+def rigid(axis, angle, place):
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_rotvec(angle * np.array(axis)).as_matrix()
+    pose[:3, 3] = place
+    return pose
+
+
+def turned(angle):
+    return rigid((0, 0, 1), angle, (0, 0, 0))
+
+
+def ur5e_links(q):
+    """Poses of the links shoulder, upper arm, forearm, wrist 1 and wrist 2 as Universal_Robots_ROS2_Description places them
+    (config/ur5e/default_kinematics.yaml), in the frame "base", half a turn from "base_link"."""
+    shoulder = rigid((0, 0, 1), 0.0, (0, 0, 0.1625)) @ turned(q[0])
+    upper = shoulder @ rigid((1, 0, 0), np.pi / 2, (0, 0, 0)) @ turned(q[1])
+    fore = upper @ rigid((1, 0, 0), 0.0, (-0.425, 0, 0)) @ turned(q[2])
+    wrist1 = fore @ rigid((1, 0, 0), 0.0, (-0.3922, 0, 0.1333)) @ turned(q[3])
+    wrist2 = wrist1 @ rigid((1, 0, 0), np.pi / 2, (0, -0.0997, 0)) @ turned(q[4])
+    return shoulder, upper, fore, wrist1, wrist2
+
+
+# Points on the surfaces of links, in their frames: of a tube of 55 mm about the upper arm's axis, 138 mm beside the joints', of
+# one of 45 mm about the forearm's, 7 mm beside, of the housings' flat ends (from the collision meshes' outermost planes).
+UR5E_SURFACE = [
+    (
+        1,
+        [
+            (x, 0.055 * np.cos(a), 0.138 + 0.055 * np.sin(a))
+            for x in np.linspace(-0.4, 0.0, 9)
+            for a in np.linspace(0, 6, 9)
+        ],
+    ),
+    (1, [(x, 0.0, z) for x in (0.0, -0.425) for z in (0.06, 0.21)]),
+    (
+        2,
+        [
+            (x, 0.045 * np.cos(a), 0.007 + 0.045 * np.sin(a))
+            for x in np.linspace(-0.39, 0.0, 9)
+            for a in np.linspace(0, 6, 9)
+        ],
+    ),
+    (3, [(0.0, 0.0, -0.0733), (0.0, 0.0, 0.0387), (0.039, 0.0, 0.0)]),
+    (4, [(0.0, 0.053, 0.0), (0.0, -0.057, 0.0), (0.0, 0.0, 0.039)]),
+]
+
+
+def test_a_ur5e_is_inside_its_capsules():
+    known = bench.known("ur5e")
+    shapes = make_shapes(known.chain, known.params, Rig(), Sizes())
+    q = np.random.default_rng(1).uniform(-3.0, 3.0, (20, 6))
+    ends, radius = body_ends(shapes, q), shapes.body.radius
+    for posture, capsules in zip(q, ends, strict=True):
+        links = ur5e_links(posture)
+        for link, points in UR5E_SURFACE:
+            p = np.array(points) @ links[link][:3, :3].T + links[link][:3, 3]
+            apart = segment_distance(p[:, None], p[:, None], capsules[:, 0], capsules[:, 1]) - radius
+            assert apart.min(axis=1).max() < 1e-3
+
+
+@pytest.mark.parametrize("name", [name for name in builtin_names() if name not in BODIES])
+def test_other_arms_are_lines_through_their_joints(name):
+    """Every joint's origin lies on them at any posture, but for SHORT."""
+    chain = builtin_robot(name).chain
+    shapes = make_shapes(chain, chain.params_nominal, Rig(), Sizes())
+    q = np.random.default_rng(2).uniform(-1.0, 1.0, (10, len(chain.joints)))
+    ends = body_ends(shapes, q)
+    origins = [*joint_frames(chain, chain.params_nominal, q)[:, :, :3, 3].swapaxes(0, 1)]
+    for p in (np.zeros((10, 3)), *origins, forward(chain, chain.params_nominal, q)[:, :3, 3]):
+        apart = segment_distance(p[:, None], p[:, None], ends[:, :, 0], ends[:, :, 1])
+        assert apart.min(axis=1).max() <= SHORT + 1e-12
+    assert (shapes.body.radius == Sizes().link).all()
+
+
+def test_a_tables_arm_reaches_as_far_as_its_joints():
+    """A slip of the hand in a table would leave a joint's origin bare; 150 mm is a UR5e's elbow beside its joint."""
+    for name, body in BODIES.items():
+        chain = builtin_robot(name).chain
+        plain = along_joints(chain, chain.params_nominal, 0.05)
+        assert body.joint == tuple(sorted(body.joint))
+        assert set(plain.joint) <= set(body.joint)
+        q = np.zeros((1, 6))
+        shapes = make_shapes(chain, chain.params_nominal, Rig(), Sizes())
+        ends = body_ends(shapes, q)[0]
+        for p in joint_frames(chain, chain.params_nominal, q)[0, 1:, :3, 3]:
+            apart = segment_distance(p, p, ends[:, 0], ends[:, 1]) - body.radius
+            assert apart.min() < 0.1
+
+
+def test_what_stands_in_the_way_of_a_sideways_upper_arm_is_found():
+    """A post in the upper arm's tube, 138 mm beside the joints; and one as far on the other side, where nothing is."""
+    known = bench.known("ur5e")
+    q = np.deg2rad([[0.0, -20.0, -30.0, -40.0, -90.0, 0.0]])
+    upper = ur5e_links(q[0])[1]
+    for beside, free in ((0.138, False), (-0.138, True)):
+        x, y, z = (upper @ np.array([-0.3, 0.0, beside, 1.0]))[:3].tolist()
+        rig = Rig(chucks={"c": Point("c", (x, y, z))})
+        assert clear(make_shapes(known.chain, known.params, rig, Sizes()), q, None)[0] == free
+        lines = along_joints(known.chain, known.params, Sizes().link)
+        shapes = make_shapes(known.chain, known.params, rig, Sizes())._replace(body=lines)
+        assert clear(shapes, q, None)[0]  # which lines through the joints would not
