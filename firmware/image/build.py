@@ -127,9 +127,9 @@ def _has_newlib() -> bool:
 
 def firmware_version() -> str:
     text = (ROOT / "firmware" / "truearm_box" / "__init__.py").read_text()
-    found = re.search(r'^VERSION = "([\w.-]+)"$', text, re.M)
+    found = re.search(r'^MARK = "truearm_box ([\w.-]+)"', text, re.M)
     if not found:
-        raise ImageError("firmware/truearm_box/__init__.py has no VERSION")
+        raise ImageError("firmware/truearm_box/__init__.py has no MARK")
     return found[1]
 
 

@@ -57,22 +57,25 @@ def make_flash(path: Path, files: dict[str, bytes]) -> None:
 
     fs = LittleFS(disk_version=FIRST_VERSION, **FILE_SYSTEM)
     for name, data in files.items():
+        if "/" in name:
+            fs.makedirs(name.rpartition("/")[0], exist_ok=True)
         with fs.open(name, "wb") as file:
             file.write(data)
     path.write_bytes(bytes(fs.context.buffer))
 
 
 def read_flash(path: Path) -> dict[str, bytes]:
-    """The files of a file system image, by name. Raises littlefs's error if the image is damaged."""
+    """The files of a file system image, by path from its root. Raises littlefs's error if the image is damaged."""
     from littlefs import LittleFS
 
     fs = LittleFS(mount=False, **FILE_SYSTEM)
     fs.context.buffer[:] = path.read_bytes()
     fs.mount()
     found = {}
-    for name in fs.listdir("/"):
-        with fs.open(name, "rb") as file:
-            found[name] = file.read()
+    for folder, _, names in fs.walk("/"):
+        for full in (f"{folder}/{name}".lstrip("/") for name in names):
+            with fs.open(full, "rb") as file:
+                found[full] = file.read()
     return found
 
 

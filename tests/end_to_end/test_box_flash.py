@@ -11,7 +11,7 @@ from tests.host.test_uf2 import image
 
 from truearm.commands.box_link import conversation
 from truearm.files.boot_drive import find_drives
-from truearm_sim.chip import FILE_SYSTEM, STORE, ChipBox
+from truearm_sim.chip import STORE, ChipBox, make_flash, read_flash
 
 EMULATOR = 120  # tries of half a second: it may run at a quarter of the real pace
 
@@ -27,6 +27,26 @@ def test_a_running_box_is_flashed(tmp_path, no_ports, capsys):
     assert "for the RP2040, 1 KiB in 4 blocks: the box's firmware" in said
     assert "it enters its boot loader" in said
     assert said.splitlines()[-1].startswith("it answers: truearm box e6614103e7452b2f, firmware 0.2.0")
+
+
+@pytest.mark.parametrize(
+    ("version", "says"),
+    [
+        ("0.2.0", "firmware 0.2.0 on vm, as the image has; it enters"),
+        ("0.10.0", "firmware 0.2.0 on vm, the image has the newer 0.10.0; it enters"),
+        ("0.1.9", "firmware 0.2.0 on vm, the image has the older 0.1.9; it enters"),
+    ],
+)
+def test_the_images_firmware_is_compared_with_the_boxs(tmp_path, no_ports, capsys, version, says):
+    path, drive = tmp_path / "box.uf2", tmp_path / "RPI-RP2"
+    path.write_bytes(image(mark=f"truearm_box {version}".encode()))
+    with served(drive=drive) as (device, _, _):
+        assert box("flash", path, "--device", device, "--drive", drive) == 0
+        said = capsys.readouterr().out
+    assert f"4 blocks: the box's firmware {version}\n" in said
+    assert says in said
+    # The box that comes up is the simulated one, whatever was written.
+    assert (f"warning: the image has {version}; files" in said) == (version != "0.2.0")
 
 
 def test_a_drive_that_is_there_is_written_to(tmp_path, no_ports, capsys):
@@ -148,14 +168,10 @@ def test_without_mpremote(monkeypatch, capsys):
     assert "take mpremote; install it: pip install 'truearm[stock]'" in capsys.readouterr().err
 
 
-def flash_files(path):
-    """Names of the files of a flash image, by another reader of littlefs than the box's."""
-    from littlefs import LittleFS
-
-    fs = LittleFS(mount=False, **FILE_SYSTEM)
-    fs.context.buffer[:] = path.read_bytes()
-    fs.mount()
-    return {f"{folder}/{name}".lstrip("/") for folder, _, names in fs.walk("/") for name in names}
+def test_a_flash_image_holds_folders(tmp_path):
+    files = {"main.py": b"run()", "lib/deep/a.py": b"", "config.json": b"{}"}
+    make_flash(tmp_path / "flash.bin", files)
+    assert read_flash(tmp_path / "flash.bin") == files
 
 
 @pytest.mark.soak
@@ -175,5 +191,5 @@ def test_the_real_mpremote_and_a_real_micropython():
         assert done.stdout.splitlines()[-1].endswith("firmware 0.2.0 on rp2040")
         with conversation(device, retries=EMULATOR) as talk:
             assert talk.identify().boot_id != before
-        files = flash_files(shown.flash / STORE)
-        assert {"main.py", "board.mpy", "truearm_box/box.mpy", "drivers/triggers.mpy", "config.json"} <= files
+        files = read_flash(shown.flash / STORE)
+        assert {"main.py", "board.mpy", "truearm_box/box.mpy", "drivers/triggers.mpy", "config.json"} <= files.keys()

@@ -37,6 +37,12 @@ def test_a_good_image():
     assert not parse_uf2(image(mark=b"MicroPython"), "x.uf2").is_box
 
 
+def test_an_image_tells_its_firmwares_version():
+    assert parse_uf2(image(mark=b"truearm_box 0.12.3"), "x.uf2").version == "0.12.3"
+    assert parse_uf2(image(), "x.uf2").version == ""
+    assert parse_uf2(image(mark=b"truearm_box 12345.1.1"), "x.uf2").version == ""
+
+
 def test_the_boot_checksum_is_crc_32_mpeg_2():
     assert boot_checksum(b"123456789") == 0x0376E6E7  # its check value in every catalogue of CRCs
 

@@ -52,6 +52,7 @@ def flash(
     from truearm.record.ports import usb_ports
 
     others = {port.device for port in usb_ports()} - {device}
+    version = ""
     if stock:
         if device is None or image is not None or drive is not None:
             raise InputError("--stock takes --device and neither an image nor a drive")
@@ -59,25 +60,33 @@ def flash(
     else:
         if image is None:
             raise InputError("give the image to flash, such as build/uf2/truearm-0.2.0.uf2 (make uf2), or --stock")
-        _write_image(image, device, drive, timeout, stop)
+        version = _write_image(image, device, drive, timeout, stop)
     if no_check:
         return
     ident = _wait_for_box(device, others, timeout)
     typer.echo(f"it answers: {one_line_of(ident)}")
+    if version and ident.firmware != version:
+        typer.echo(f"warning: the image has {version}; files of a firmware on the box's flash are found before it")
     for fault in ident.faults:
         typer.echo(f"warning: {fault}")
 
 
-def _write_image(path: Path, device: str | None, drive: Path | None, timeout: float, stop: bool) -> None:
+def _write_image(path: Path, device: str | None, drive: Path | None, timeout: float, stop: bool) -> str:
+    """Returns the version of the firmware in the image, or ""."""
     from truearm.files.boot_drive import write_image
     from truearm.files.uf2 import read_uf2
 
     image = read_uf2(path)
-    what = "the box's firmware" if image.is_box else "a MicroPython without the box's firmware, or something else"
+    what = (
+        f"the box's firmware {image.version}".rstrip()
+        if image.is_box
+        else "a MicroPython without the box's firmware, or something else"
+    )
     typer.echo(f"{path}: for the {image.chip.name}, {image.size // 1024} KiB in {image.blocks} blocks: {what}")
     place = _drive_for(path, image, device, drive, timeout, stop)
     write_image(image, place, path.name)
     typer.echo(f"{place}: written; the box restarts")
+    return image.version
 
 
 def _drive_for(path: Path, image: Image, device: str | None, drive: Path | None, timeout: float, stop: bool) -> Path:
@@ -93,7 +102,10 @@ def _drive_for(path: Path, image: Image, device: str | None, drive: Path | None,
         return _only(before, image)
     if drive is None or board_of(drive) is None:
         with conversation(device, stop=stop) as box:
-            typer.echo(f"{device}: {one_line_of(ident_of(box))}; it enters its boot loader")
+            ident = ident_of(box)
+            typer.echo(
+                f"{device}: {one_line_of(ident)}{compared(ident.firmware, image.version)}; it enters its boot loader"
+            )
             box.reset(BOOT_LOADER)
 
     def appeared() -> Path | None:
@@ -107,6 +119,19 @@ def _drive_for(path: Path, image: Image, device: str | None, drive: Path | None,
             f"{device}: no boot drive came in {timeout:g} s; mount it, and name its place: truearm box flash {path} --drive FOLDER"
         )
     return found
+
+
+def compared(has: str, gets: str) -> str:
+    """How the firmware that a box has compares with an image's, to be said after it; "" where one is not known."""
+    if not has or not gets:
+        return ""
+    if has == gets:
+        return ", as the image has"
+    try:
+        older = tuple(map(int, gets.split("."))) < tuple(map(int, has.split(".")))
+    except ValueError:
+        return f", the image has {gets}"
+    return f", the image has the {'older' if older else 'newer'} {gets}"
 
 
 def _only(drives: list[Path], image: Image) -> Path:

@@ -10,6 +10,7 @@ the ROM does not start it (RP2040 datasheet, 2.8.1.3.1).
 
 from __future__ import annotations
 
+import re
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +25,7 @@ _MAGIC = (0x0A324655, 0x9E5D5157)
 _MAGIC_END = struct.pack("<I", 0x0AB16F30)
 _NOT_MAIN_FLASH, _FAMILY_PRESENT = 0x1, 0x2000
 _MARK = b"truearm_box"  # the package's name stands in every image that has the firmware frozen in
+_VERSION = re.compile(rb"truearm_box (\d{1,4}\.\d{1,4}\.\d{1,4})\b")  # MARK of firmware/truearm_box/__init__.py
 
 
 @dataclass(frozen=True)
@@ -42,12 +44,13 @@ MAX_BYTES = max(chip.flash for chip in CHIPS.values()) // PAGE * BLOCK
 
 @dataclass(frozen=True)
 class Image:
-    """A judged image. ``size``: bytes of flash it takes; ``is_box``: whether the box's firmware is in it."""
+    """A judged image. ``size``: bytes of flash it takes; ``is_box``: whether the box's firmware is in it, ``version`` which, or ""."""
 
     chip: Chip
     blocks: int
     size: int
     is_box: bool
+    version: str
     data: bytes  # the file
 
 
@@ -77,7 +80,9 @@ def parse_uf2(data: bytes, name: str) -> Image:
         raise ImageError(
             f"{name}: its boot stage has a wrong checksum, so the chip would not start; get the file again"
         )
-    return Image(chip, len(blocks), behind - chip.start, _MARK in b"".join(pages), data)
+    content = b"".join(pages)
+    version = _VERSION.search(content)
+    return Image(chip, len(blocks), behind - chip.start, _MARK in content, version[1].decode() if version else "", data)
 
 
 def boot_checksum(stage: bytes) -> int:
