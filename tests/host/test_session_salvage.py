@@ -2,6 +2,7 @@
 
 import mcap.records
 import pytest
+from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader, breakup_chunk
@@ -128,13 +129,35 @@ def test_two_places(path, made):
     assert list(session.messages()) == outside(messages, chunks[1], chunks[3])
 
 
-def test_metadata_that_only_the_whole_crc_tells(path, made):
+def test_metadata_that_are_damaged_are_left_out(path, made):
+    """Calibration and anchors are no better than the messages; they have a CRC of ours."""
     messages, whole, _ = made
     path.write_bytes(whole.replace(b"virtual", b"virtuaL", 1))
     session = open_session(path, allow_damaged=True)
     assert list(session.messages()) == messages
+    assert "session" not in session.metadata
     (damage,) = session.damage
-    assert "its metadata may be wrong" in words_of(damage.at, damage.lost_s, damage.of_s)
+    assert whole[damage.at] == Opcode.METADATA
+
+
+def test_names_that_are_damaged_name_nothing(path, made):
+    """Cut off and without the chunk that declares the topics: what repeats their names is believed where it is whole."""
+    messages, whole, chunks = made
+    start, end = chunks[0].chunk_start_offset, chunks[-1].chunk_start_offset
+    head = whole[:start].replace(b"/box/adc", b"/box/adk", 1)
+    path.write_bytes(flipped(head + whole[start:end], start + 100))
+    assert list(open_session(path, allow_damaged=True).messages()) == outside(messages, chunks[0], chunks[-1])
+    path.write_bytes(flipped(whole[:start].replace(b"/box/adc", b"/box/adk") + whole[start:end], start + 100))
+    assert list(open_session(path, allow_damaged=True).messages()) == []
+
+
+def test_a_header_that_only_the_whole_crc_tells(path, made):
+    messages, whole, _ = made
+    path.write_bytes(whole.replace(b"truearm 0", b"truearm 9", 1))
+    session = open_session(path, allow_damaged=True)
+    assert list(session.messages()) == messages
+    (damage,) = session.damage
+    assert "a header may be wrong" in words_of(damage.at, damage.lost_s, damage.of_s)
 
 
 def test_a_good_file_has_no_damage(path, made):

@@ -6,9 +6,10 @@ The records' layout is the mcap library's, which would allocate what a record cl
 from __future__ import annotations
 
 import io
+import json
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import BinaryIO, NamedTuple, NoReturn
 
@@ -27,6 +28,9 @@ MAX_CHUNK_BYTES = 64 << 20
 MAX_ATTACHMENT_BYTES = 16 << 20
 MAX_METADATA_BYTES = 1 << 20
 MAX_CHANNELS = 1000
+
+CRC = "crc32"  # a key of every metadata record of ours
+CHANNELS = "channels"  # the metadata record that says again which channel is which topic
 
 RECORD = struct.Struct("<BQ")
 MESSAGE = struct.Struct("<HIQQ")
@@ -86,12 +90,23 @@ def body_of(path: Path, file: BinaryIO, at: int, length: int, limit: int) -> byt
     return data
 
 
-def parse_metadata(path: Path, body: bytes, at: int) -> tuple[str, dict[str, str]]:
+def metadata_crc(name: str, entries: Mapping[str, str]) -> str:
+    """What the writer puts beside the entries of a metadata record, of which MCAP itself takes no CRC."""
+    texts = [name, *(text for key in sorted(entries) for text in (key, entries[key]))]
+    return f"{zlib.crc32(json.dumps(texts).encode()):08x}"
+
+
+def parse_metadata(path: Path, body: bytes, at: int) -> tuple[str, dict[str, str], bool]:
+    """Name, entries and whether a CRC among these proves them; one that does not fit is damage."""
     try:
         record = Metadata.read(ReadDataStream(io.BytesIO(body)))
     except UNREADABLE:
         damaged(path, at)
-    return record.name, record.metadata
+    entries = dict(record.metadata)
+    crc = entries.pop(CRC, None)
+    if crc is not None and crc != metadata_crc(record.name, entries):
+        damaged(path, at)
+    return record.name, entries, crc is not None
 
 
 def parse_attachment(path: Path, body: bytes, at: int) -> tuple[str, bytes]:

@@ -4,8 +4,8 @@ A chunk has a CRC of its own, so one flipped bit costs the second of messages th
 wrong or bytes are missing, the next record that proves to be one is searched for: by its opcode and a sane length, then
 by its content. The file is read once; a stranger's file that is made of false starts is given up.
 
-What has no CRC of its own (metadata: the clock's anchors, the box's ident) is taken as it stands; if a complete file does
-not fit its CRC and no place is found, that is said.
+Metadata (the clock's anchors, the box's ident) have a CRC among their entries. What has none (headers, metadata of other
+programs) is taken as it stands; if a complete file does not fit its CRC and no place is found, that is said.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from truearm.errors import SessionError
 from truearm.record.container import (
+    CHANNELS,
     MAX_ATTACHMENT_BYTES,
     MAX_CHANNELS,
     MAX_CHUNK_BYTES,
@@ -123,7 +124,9 @@ class Whole:
 def words_of(at: int | None, lost_s: float, of_s: float) -> str:
     """A damaged place in words."""
     if at is None:
-        return "damaged: its bytes do not fit its CRC, though all messages fit theirs; its metadata may be wrong"
+        return (
+            "damaged: its bytes do not fit its CRC, though all that have one of their own fit it; a header may be wrong"
+        )
     return f"damaged at byte {at}: {lost_s:.1f} of {of_s:.1f} s lost"
 
 
@@ -168,9 +171,9 @@ def _is_whole(path: Path, file: BinaryIO, opcode: int, at: int, length: int, who
                 path, RECORD.pack(opcode, length) + body_of(path, file, body, length, MAX_CHUNK_BYTES), whole
             )
         elif opcode == Opcode.METADATA:
-            name, entries = parse_metadata(path, body_of(path, file, body, length, MAX_METADATA_BYTES), body)
+            name, entries, proven = parse_metadata(path, body_of(path, file, body, length, MAX_METADATA_BYTES), body)
             whole.metadata[name] = entries
-            if name == "channels":
+            if name == CHANNELS and proven:  # wrong names would make other messages of what is whole
                 whole.declare(entries)
         elif opcode == Opcode.ATTACHMENT:
             name, data = parse_attachment(path, body_of(path, file, body, length, MAX_ATTACHMENT_BYTES), body)

@@ -146,7 +146,7 @@ def _scan(path: Path, file: BinaryIO) -> tuple[Session, bool]:
             last_chunk = at, length
             n_chunks += 1
         elif opcode == Opcode.METADATA:
-            name, entries = parse_metadata(path, body_of(path, file, at, length, MAX_METADATA_BYTES), at)
+            name, entries, _ = parse_metadata(path, body_of(path, file, at, length, MAX_METADATA_BYTES), at)
             metadata[name] = entries
         elif opcode == Opcode.ATTACHMENT:
             name, data = parse_attachment(path, body_of(path, file, at, length, MAX_ATTACHMENT_BYTES), at)

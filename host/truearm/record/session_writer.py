@@ -27,6 +27,7 @@ from mcap.writer import CompressionType, Writer
 
 from truearm import __version__
 from truearm.errors import InputError, LinkError, WriteError
+from truearm.record.container import CHANNELS, CRC, metadata_crc
 from truearm.record.links import Clock
 
 CHUNK_NS = 800_000_000  # with the recorder's pace of 50 ms no message waits longer than 1 s
@@ -116,7 +117,7 @@ class SessionWriter:
         if channel is None:
             channel = self._channels[topic] = [self._register(topic), 0]
             # MCAP says this once, in the chunk under way; without that chunk the rest could not be told apart.
-            self.metadata("channels", {str(number): name for name, (number, _) in self._channels.items()})
+            self.metadata(CHANNELS, {str(number): name for name, (number, _) in self._channels.items()})
         if sequence is not None:
             channel[1] = sequence
         try:
@@ -140,7 +141,7 @@ class SessionWriter:
     def metadata(self, name: str, entries: Mapping[str, str]) -> None:
         """Write a metadata record. A later one of the same name counts."""
         try:
-            self._writer.add_metadata(name, dict(entries))
+            self._add_metadata(name, entries)
             self._out.flush()
         except OSError as exc:
             raise self._cannot_write(exc) from exc
@@ -172,7 +173,7 @@ class SessionWriter:
         try:
             said = {**({} if self._clock is None else _anchor(self._clock)), **(end or {})}
             if said:
-                self._writer.add_metadata("session-end", said)
+                self._add_metadata("session-end", said)
             self._writer.finish()
             self._out.flush()
             os.fsync(self._out.file.fileno())
@@ -198,6 +199,9 @@ class SessionWriter:
         schema = {"type": "object", "properties": _PROPERTIES.get(topic, {})}
         schema_id = self._writer.register_schema("truearm" + topic, "jsonschema", json.dumps(schema).encode())
         return self._writer.register_channel(topic, "json", schema_id)
+
+    def _add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
+        self._writer.add_metadata(name, {**entries, CRC: metadata_crc(name, entries)})
 
     def _finish_chunk(self) -> None:
         try:
