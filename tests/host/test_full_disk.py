@@ -78,7 +78,7 @@ def test_recording(disk, tmp_path):
         [sys.executable, "-c", RUN, "recover", file, "--out", mended], capture_output=True, text=True, timeout=60
     )
     assert recovered.returncode == 0, recovered.stderr
-    assert "0 bytes" not in recovered.stdout
+    assert " 0 bytes" not in recovered.stdout
     found = received(mended)
     assert len(list(open_session(mended).messages({"/box/adc"}))) > 100
     assert sent.replace(b"\0", b"").startswith(found)
