@@ -233,6 +233,66 @@ class TestThePlan:
         assert course.pairings() == [{"bar": "b46", "chuck": "c1", "sphere": "s1"}, {"line": "l1", "target": "t1"}]
 
 
+class TestLines:
+    """By the longitudinal sensor: 52 readings a block of 51 ms, in ticks of 8 ns; 1 m of rod is 356 µs or 44,500 ticks."""
+
+    PER_TICK = 2806.6 * 8e-9
+
+    def drive(self, state, ways, q=None):
+        """Stretches (m/s, s) one after the other."""
+        position, t, n0 = 0.3, 1000 * S, 0
+        for speed, seconds in ways:
+            for _ in range(round(seconds * 1e9 / (52 * 983_040))):
+                within = position + speed * np.arange(52) * 983_040e-9
+                counts = np.rint(within / self.PER_TICK).astype("<i4")
+                if q is not None:
+                    state.reading(t, json.dumps({"t": 1e-9 * t, "q": q.tolist()}).encode())
+                state.block(t, Data(0, 1, n0, 0, 983_040, b"", counts.tobytes(), 0))
+                position += speed * 52 * 983_040e-9
+                t, n0 = t + 52 * 983_040, n0 + 52
+        return [wish.fields for wish in state.wishes if wish.kind == "line"]
+
+    def state(self, rows=(), robot=False):
+        said = ident(1)
+        poly = [[0, 0], [28066, -1]]
+        channel = {
+            "name": "magnetostrictive",
+            "unit": "s",
+            "scale": [8, -9],
+            "calibration": {"unit": "m", "poly": poly},
+        }
+        said["streams"].append(
+            {"id": 1, "name": "mag", "period_ns": 983_040, "osr": 0, "group_delay_ns": 0, "channels": [channel]}
+        )
+        state = LiveState(Course(list(rows)), None, robot)
+        state.ident(decode_ident(cbor2.dumps(said)))
+        return state
+
+    def test_there_and_back(self):
+        """2 s at 0.1 m/s each way. The first and last block of a way are partly at rest: 5 mm at either end, 10 mm/s of speed."""
+        state = self.state()
+        found = self.drive(state, [(0, 1), (0.1, 2), (-0.1, 2), (0, 1), (0.002, 3), (0.05, 0.3)])
+        assert len(found) == state.course.lines == 2
+        for line in found:
+            assert line["length_m"] == pytest.approx(0.2, abs=0.011)
+            assert line["speed_m_s"] == pytest.approx(0.1, abs=0.011)
+
+    def test_of_a_plan(self):
+        rows = [
+            {"pose": 0, "move": "via", "q": [0.0, 0.0]},
+            {"pose": 1, "move": "line", "line": "l1", "target": "t1", "q": [1.0, 1.0]},
+            {"pose": 2, "move": "line", "line": "l2", "target": "t1", "q": [0.0, 0.0]},
+        ]
+        state = self.state(rows, robot=True)
+        self.drive(state, [(0, 1), (0.1, 1), (0, 1)], q=np.array([0.5, 0.5]))  # an approach
+        assert (state.course.lines, state.course.change()) == (0, None)
+        found = self.drive(state, [(0, 1), (0.1, 1), (0, 1)], q=np.array([1.0, 1.0]))
+        assert [line.get("pose") for line in found] == [None, 1]
+        assert (state.course.lines, state.course.planned_lines) == (1, 2)
+        assert state.course.change() == {"line": "l2", "target": "t1"}
+        assert "lines 1 of 2" in state.progress(0).text
+
+
 class TestCommands:
     @pytest.mark.parametrize(
         ("typed", "mounted"),

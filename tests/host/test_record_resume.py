@@ -40,7 +40,9 @@ def session(path, *happened, setup=None, rows=ROWS, rig=None):
 class TestEarlier:
     def test_how_far_it_had_come(self, tmp_path):
         pairing = {"bar": "b46", "chuck": "c1", "sphere": "s1"}
-        first = session(tmp_path / "s.mcap", ("mounted", pairing), ("dwell", {"pose": 0}), ("dwell", {}), ("line", {}))
+        first = session(
+            tmp_path / "s.mcap", ("mounted", pairing), ("dwell", {"pose": 0}), ("dwell", {}), ("line", {"pose": 7})
+        )
         second = session(
             tmp_path / "s.2.mcap", ("dwell", {"pose": 1}), ("mounted", {"bar": "b61"}), setup={"of": "s.mcap"}
         )
@@ -49,7 +51,7 @@ class TestEarlier:
             assert (before.first, before.out, before.part) == (first, tmp_path / "s.3.mcap", 3)
             assert before.rows == ROWS
             assert before.mounted == {"bar": "b61"}
-            assert (before.dwells, before.lines) == ((0, None, 1), 1)
+            assert (before.dwells, before.lines) == ((0, None, 1), (7,))
             assert before.setup["osr"] == "2048"
         course = Course(before.rows)
         gone_on(course, before)

@@ -85,6 +85,19 @@ class Course:
             self.next = row + 1
         return row
 
+    def drive(self, q: Floats | None) -> int | None:
+        """A line was driven, to joints ``q`` (None: nobody knows); the plan's row that it is, None if it is none."""
+        rows = [k for k in range(self.next, len(self.rows)) if self.rows[k].get("move") == "line"]
+        if q is not None:
+            rows = [k for k in rows if len(self.rows[k]["q"]) == q.size and _near(self.rows[k]["q"], q)]
+        if not rows and self.rows:
+            return None
+        self.lines += 1
+        if not rows:
+            return None
+        self.next = rows[0] + 1
+        return rows[0]
+
     def _row(self, q: Floats | None) -> int | None:
         if q is None:
             return next((k for k in self._dwells if k >= self.next), None)
@@ -93,6 +106,10 @@ class Course:
         near = np.flatnonzero(np.max(np.abs(self._q - q), axis=1) <= TOLERANCE)
         rows = [self._dwells[k] for k in near]
         return next((k for k in rows if k >= self.next), rows[-1] if rows else None)
+
+
+def _near(planned: Sequence[float], q: Floats) -> bool:
+    return bool(np.max(np.abs(np.array(planned) - q)) <= TOLERANCE)
 
 
 def pairing_of(row: Mapping[str, Any]) -> dict[str, str]:

@@ -183,11 +183,15 @@ class LiveState:
     def _stroke(self, stroke: tuple[float, float] | None) -> None:
         if stroke is None:
             return
-        self.course.lines += 1
+        row = self.course.drive(self._dwells.q if self._with_robot else None)
         length, speed = stroke
-        self.last = f"line {self.course.lines}: {1e3 * length:.1f} mm at {1e3 * speed:.1f} mm/s"
+        where = "a way beside the plan"
+        if row is not None or not self.course.rows:
+            where = f"line {self.course.lines}" + (f" (row {row})" if row is not None else "")
+        self.last = f"{where}: {1e3 * length:.1f} mm at {1e3 * speed:.1f} mm/s"
         self.said.append(self.last)
-        self.wishes.append(Wish("line", {"length_m": length, "speed_m_s": speed}))
+        fields: dict[str, Any] = {"length_m": length, "speed_m_s": speed}
+        self.wishes.append(Wish("line", fields if row is None else {**fields, "pose": row}))
 
     # --- where the LVDT is
 

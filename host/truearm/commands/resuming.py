@@ -37,7 +37,7 @@ class Earlier:
     rig_toml: bytes | None = None
     mounted: dict[str, str] = field(default_factory=dict)
     dwells: tuple[int | None, ...] = ()  # rows of the plan that were taken, None for a dwell beside it
-    lines: int = 0
+    lines: tuple[int | None, ...] = ()  # rows of the plan that were driven, None without a plan
 
 
 def session_parts(path: Path) -> list[Path]:
@@ -79,7 +79,7 @@ def earlier(path: Path) -> Earlier:
     rows: list[dict[str, Any]] = []
     mounted: dict[str, str] = {}
     dwells: list[int | None] = []
-    lines = 0
+    driven: list[int | None] = []
     for number, session in enumerate(sessions):
         setup |= session.metadata.get(SETUP, {})
         for message in session.messages(["/plan", "/events"]):
@@ -90,11 +90,12 @@ def earlier(path: Path) -> Earlier:
                 mounted = {k: v for k, v in row.items() if k != "kind" and isinstance(v, str)}
             elif row.get("kind") == "dwell":
                 dwells.append(row.get("pose"))
-            lines += row.get("kind") == "line"
+            elif row.get("kind") == "line" and ("pose" in row or not rows):
+                driven.append(row.get("pose"))
     part = int(_number(sessions[-1].path)) + 1
     out = first.with_name(f"{first.stem}.{part}{SUFFIX}")
     return Earlier(
-        first, out, part, setup, rows, sessions[0].attachments.get("rig.toml"), mounted, tuple(dwells), lines
+        first, out, part, setup, rows, sessions[0].attachments.get("rig.toml"), mounted, tuple(dwells), tuple(driven)
     )
 
 
@@ -106,7 +107,8 @@ def gone_on(course: Course, before: Earlier) -> None:
             course.next = pose + 1
         else:
             course.unplanned += 1
-    course.lines += before.lines
+    course.lines += len(before.lines)
+    course.next = max([course.next, *(row + 1 for row in before.lines if type(row) is int and row < len(course.rows))])
 
 
 def _first(path: Path) -> Path:
