@@ -67,7 +67,7 @@ def group_delay_ns(osr: int) -> int:
 
 def calibration(poly: Poly = POLY, serial: str = "sim-lvdt") -> dict[str, Any]:
     """What the box's ident says of a channel, the LVDT's by default (protocol/SPEC.md §5)."""
-    return {"unit": "m", "poly": [list(pair) for pair in poly], "serial": serial, "date": "1993-10-01"}
+    return {"unit": "m", "poly": [list(pair) for pair in poly], "serial": serial, "date": "2026-01-01"}
 
 
 def sample_noise(seed: int, channel: int, block: int) -> Floats:
@@ -97,7 +97,7 @@ def magnetostrictive(period_ns: int) -> dict[str, Any]:
         "us_per_inch": list(US_PER_INCH),
         "delay_ns": MAG_DELAY_NS,
         "serial": "sim-mag",
-        "date": "1993-10-01",
+        "date": "2026-01-01",
     }
 
 

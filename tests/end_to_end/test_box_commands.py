@@ -30,7 +30,7 @@ def test_info_and_self_test_in_words(device, capsys):
     said = capsys.readouterr().out
     assert "firmware  0.2.0 on vm" in said
     assert "stream adc: 1017.25 samples a second, osr 4096, group delay 0.737 ms" in said
-    assert "calibrated to m by 2 coefficients (sim-lvdt 1993-10-01)" in said
+    assert "calibrated to m by 2 coefficients (sim-lvdt 2026-01-01)" in said
     assert box("test", "--device", device) == 0
     said = capsys.readouterr().out
     assert "PASS  the converter answers: 0x2402" in said

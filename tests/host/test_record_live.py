@@ -290,7 +290,10 @@ class TestLines:
         assert [line.get("pose") for line in found] == [None, 1]
         assert (state.course.lines, state.course.planned_lines) == (1, 2)
         assert state.course.change() == {"line": "l2", "target": "t1"}
-        assert "lines 1 of 2" in state.progress(0).text
+        assert state.progress(0) == ("lines", "1 of 2", False)
+        status = Status(12.0, "recording", 312.0, True, Counters(), robot_age_s=0.02)
+        assert re.match(r"line 4\d\d\.\d{4} mm; samples mag 1017\.3 Hz", state.line(status, None))
+        assert "lvdt" not in [row.name for row in state.rows(status, None)]
 
 
 class TestCommands:

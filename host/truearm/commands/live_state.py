@@ -94,7 +94,7 @@ class LiveState:
         standing = self._dwells.standing_ns(t_ns)
         if standing is None:
             self._counted = False
-        elif standing >= ENOUGH_NS and not self._counted and self._within_travel():
+        elif standing >= ENOUGH_NS and not self._counted and not self._lines_alone() and self._within_travel():
             self._counted = True
             self._take()
         change = self.course.change()
@@ -193,6 +193,10 @@ class LiveState:
         fields: dict[str, Any] = {"length_m": length, "speed_m_s": speed}
         self.wishes.append(Wish("line", fields if row is None else {**fields, "pose": row}))
 
+    def _lines_alone(self) -> bool:
+        """Whether the plan has no dwells: then a stop is none."""
+        return bool(self.course.rows) and not self.course.planned
+
     # --- where the LVDT is
 
     def _position(self) -> tuple[float | None, float | None, str]:
@@ -229,7 +233,8 @@ class LiveState:
 
     def rows(self, status: Status, clock: OnlineEstimate | None) -> list[Shown]:
         """The whole view."""
-        rows = [Shown("state", f"{status.state}, {status.elapsed_s:.0f} s", not status.box_ok), self.travel()]
+        rows = [Shown("state", f"{status.state}, {status.elapsed_s:.0f} s", not status.box_ok)]
+        rows += [] if "line" in self.course.mounted else [self.travel()]
         for stream in () if self._ident is None else self._ident.streams.values():
             window = self._windows.get(stream.id)
             for k, channel in enumerate(stream.channels):
@@ -250,7 +255,8 @@ class LiveState:
 
     def line(self, status: Status, clock: OnlineEstimate | None) -> str:
         """The view on one line, for a log."""
-        rows = [self.travel(drawn=False), self.rates(status), Shown("clock", clock_words(status, clock))]
+        place = self.along() if "line" in self.course.mounted else self.travel(drawn=False)
+        rows = [place, self.rates(status), Shown("clock", clock_words(status, clock))]
         rows += [self.robot(status)] if self._with_robot else []
         return "; ".join(f"{row.name} {row.text}" for row in (*rows, self.progress(status.t_host_ns)))
 
@@ -268,6 +274,15 @@ class LiveState:
         alarm = abs(position) > (1.0 - 2.0 * NEAR_END) * half
         over = " BEYOND ITS TRAVEL" if abs(position) > half else " near its end" if alarm else ""
         return Shown("lvdt", f"├{bar}┤ {text}{over}" if drawn else text + over, alarm)
+
+    def along(self) -> Shown:
+        """Where the magnet is on the line device."""
+        found = None if self._ident is None else find_channel(self._ident, LINE_CHANNELS[0])
+        window = None if found is None else self._windows.get(found[0].id)
+        if found is None or window is None or not window.blocks:
+            return Shown("line", "no readings of its longitudinal sensor")
+        counts = np.concatenate(window.blocks)[-1:, found[1]]
+        return Shown("line", value_of(counts, found[0].channels[found[1]], found[0]).partition(" ±")[0])
 
     def rates(self, status: Status) -> Shown:
         """Rates by the box's own stamps, and what was lost anywhere."""
@@ -305,6 +320,8 @@ class LiveState:
     def progress(self, now_ns: int) -> Shown:
         """Dwells and lines taken, and whether the robot may move on."""
         course = self.course
+        if self._lines_alone():
+            return Shown("lines", f"{course.lines} of {course.planned_lines}")
         parts = [f"{course.taken} of {course.planned}" if course.planned else f"{course.taken}"]
         if course.planned and course.unplanned:
             parts.append(f"{course.unplanned} beside the plan")

@@ -257,4 +257,8 @@ def _totals(summary: RecordSummary) -> str:
         parts.append(f"{counters.restarts} box restarts")
     if counters.link_losses:
         parts.append(f"link lost {counters.link_losses} times")
+    if counters.robot_losses:
+        parts.append(f"robot lost {counters.robot_losses} times")
+    if counters.held_up:
+        parts.append(f"the reader had to wait {counters.held_up} times")
     return ", ".join(parts)
