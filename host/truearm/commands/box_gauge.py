@@ -20,9 +20,9 @@ def gauge(
     unit: Annotated[str, typer.Option(metavar="UNIT", help="Of what is typed: mm, um or in.")] = "mm",
     seconds: Annotated[float, typer.Option(metavar="S", min=0.1, max=600, help="Samples at each place.")] = 2.0,
     order: Annotated[
-        int | None, typer.Option(min=1, max=7, help="Of the polynomial; default: by the left-out error.")
+        int | None, typer.Option(metavar="N", min=1, max=7, help="Of the polynomial; default: by the left-out error.")
     ] = None,
-    serial: Annotated[str | None, typer.Option(help="Of the sensor; default: as before.")] = None,
+    serial: Annotated[str | None, typer.Option(metavar="TEXT", help="Of the sensor; default: as before.")] = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="The page; default gauge-CHANNEL.html.")] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Store the calibration without asking.")] = False,
     stop: Stop = False,

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from truearm.commands.options import SeedOption
 from truearm.errors import LinkError
 
 if TYPE_CHECKING:
@@ -62,9 +63,9 @@ class Steps:
 def demo(
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where everything is written.")] = Path("out/demo"),
     poses: Annotated[
-        int, typer.Option(min=90, max=5000, help="Dwells with each bar: 46 cm to fit, 61 cm to validate.")
+        int, typer.Option(metavar="N", min=90, max=5000, help="Dwells with each bar: 46 cm to fit, 61 cm to validate.")
     ] = 800,
-    seed: Annotated[int, typer.Option(min=0, help="Of everything that is drawn by chance.")] = 1,
+    seed: SeedOption = 1,
     rate: Annotated[float, typer.Option(metavar="HZ", help="Samples a second of each channel.")] = RATE_HZ,
 ) -> None:
     """Calibrate a simulated PUMA 560 with a ball-bar, from the firmware to the report.

@@ -11,6 +11,7 @@ import typer
 app = typer.Typer(
     name="plan",
     help="Plan what to measure; say what it will tell before anything is measured.",
+    epilog="Example: truearm plan ballbar --robot puma560 --rig rig.toml --minutes 40 --out plan.csv",
     rich_markup_mode=None,
     no_args_is_help=False,
 )

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from truearm.commands.options import SeedOption
+
 if TYPE_CHECKING:
     from truearm.report.reproduce_page import Chapter, ReproducePage
     from truearm.reproduce.goswami import Bench
@@ -42,10 +44,12 @@ class _Steps:
 
 
 def reproduce(
-    paper: Annotated[Paper, typer.Argument(help="goswami: the ball-bar, 1993. renders: the straight line, 1991.")],
+    paper: Annotated[
+        Paper, typer.Argument(metavar="PAPER", help="goswami: the ball-bar, 1993. renders: the straight line, 1991.")
+    ],
     out: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Default: out/PAPER.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer Monte Carlo runs and line sets.")] = False,
-    seed: Annotated[int, typer.Option(min=0, help="Of everything that is drawn by chance.")] = 1,
+    seed: SeedOption = 1,
 ) -> None:
     """Compute a paper's tables and figures again and lay them beside the paper's numbers.
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from truearm.commands.options import SeedOption
 from truearm.errors import InputError, LinkError
 
 CHIP_STEP_NS = 20_000_000  # an emulated chip may be slower than the wall clock
@@ -29,17 +30,25 @@ def simulate(
     folder: Annotated[
         Path, typer.Option("--out", metavar="FOLDER", help="Where plan.csv and rig.toml are written.")
     ] = Path("out/simulated"),
-    port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port of the box; 0 takes a free one.")] = 7007,
+    port: Annotated[
+        int, typer.Option(metavar="PORT", min=0, max=65535, help="TCP port of the box; 0 takes a free one.")
+    ] = 7007,
     robot: Annotated[
         str, typer.Option(metavar="KIND", help="What the robot speaks: lines (JSON) or rtde (Universal Robots).")
     ] = "lines",
     robot_port: Annotated[
-        int | None, typer.Option(min=0, max=65535, help="TCP port of the robot, 7008 or 30004; 0 takes a free one.")
+        int | None,
+        typer.Option(
+            metavar="PORT", min=0, max=65535, help="TCP port of the robot, 7008 or 30004; 0 takes a free one."
+        ),
     ] = None,
     pty: Annotated[bool, typer.Option("--pty", help="The box behind a pseudo-terminal, as a serial device.")] = False,
-    poses: Annotated[int, typer.Option(min=9, max=5000, help="Poses with each of the two bars.")] = 72,
+    poses: Annotated[int, typer.Option(metavar="N", min=9, max=5000, help="Poses with each of the two bars.")] = 72,
     lines: Annotated[
-        int, typer.Option(min=0, max=50, help="Lines past a line device, there and back; 0: a ball-bar instead.")
+        int,
+        typer.Option(
+            metavar="N", min=0, max=50, help="Lines past a line device, there and back; 0: a ball-bar instead."
+        ),
     ] = 0,
     plan_file: Annotated[
         Path | None, typer.Option("--plan", metavar="FILE", help="What the robot visits instead (.csv).")
@@ -51,7 +60,7 @@ def simulate(
     robot_delay_ms: Annotated[
         float, typer.Option(min=0.0, max=1000.0, metavar="MS", help="How late the robot's readings are.")
     ] = 0.0,
-    seed: Annotated[int, typer.Option(min=0, help="Of everything that is drawn by chance.")] = 1,
+    seed: SeedOption = 1,
     level: Annotated[
         str,
         typer.Option(metavar="LEVEL", help="vm: the firmware in MicroPython; chip: its image in an RP2040 emulator."),

@@ -1,0 +1,37 @@
+"""--help of every command: an example, and words for what is wanted."""
+
+import re
+
+import pytest
+import typer
+
+from truearm import cli
+
+
+def commands(command, name=""):
+    """Names of all commands and groups, as they are typed after ``truearm``, with the command."""
+    yield name, command
+    for each, sub in getattr(command, "commands", {}).items():
+        yield from commands(sub, f"{name} {each}".strip())
+
+
+COMMANDS = dict(commands(typer.main.get_command(cli.app)))
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_has_an_example_of_that_very_command(run, name):
+    outcome = run(*name.split(), "--help")
+    assert outcome.code == 0
+    words = " ".join(outcome.out.split())
+    assert f"truearm {name}".strip() in words.partition("Example")[2]
+    assert "range>" not in words, "say what the number is, not of which type"
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_examples_name_options_that_exist(run, name):
+    """Of a command's own example, wherever it stands in its help."""
+    words = run(*name.split(), "--help").out
+    example = re.split(r"Arguments:|Options:|Commands:", re.split(r"Examples?:", " ".join(words.split()))[-1])[0]
+    known = {option for parameter in COMMANDS[name].params for option in (*parameter.opts, *parameter.secondary_opts)}
+    if not hasattr(COMMANDS[name], "commands"):
+        assert set(re.findall(r"(?<=\s)--[a-z][a-z-]*", example)) <= known
