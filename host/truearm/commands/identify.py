@@ -63,6 +63,7 @@ class _Request:
     report: Path | None
     command: str
     allow_damaged: bool
+    line_points: int | None
 
 
 def identify(
@@ -152,6 +153,14 @@ def identify(
     report: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write a page about the result, with pictures (HTML).")
     ] = None,
+    line_points: Annotated[
+        int | None,
+        typer.Option(
+            min=5,
+            metavar="N",
+            help="Points of each pass along a line at most. Default: as many as the noise tells apart.",
+        ),
+    ] = None,
     allow_damaged: Annotated[
         bool,
         typer.Option(
@@ -199,6 +208,7 @@ def identify(
         report=report,
         command=shlex.join(["truearm", *(context.obj or [])]),
         allow_damaged=allow_damaged,
+        line_points=line_points,
     )
     document = _identified(request)
     if out is not None:
@@ -243,7 +253,7 @@ def _identified(request: _Request) -> dict[str, Any]:
     robot = load_robot(request.robot, request.base, request.tip)
     chain, units = robot.chain, joint_units(robot.chain)
     noise = None if request.noise is None else read_noise(request.noise)
-    rig, table = observed(request.inputs, request.rigs, units, request.allow_damaged, noise)
+    rig, table = observed(request.inputs, request.rigs, units, request.allow_damaged, noise, request.line_points)
     held_out = held_out_rows(table, request.hold_out, request.seed)
     # A URDF says nothing of what to hold; its constants are redundant, which the weak prior settles.
     by_default = free_without_gains(chain) if is_urdf(request.robot) else robot.free

@@ -57,17 +57,21 @@ def observed(
     joint_units: tuple[str, ...],
     allow_damaged: bool,
     noise: NoiseFile | None = None,
+    line_points: int | None = None,
 ) -> tuple[Rig | dict[str, Rig], ObservationTable]:
-    """The rig, or the rigs by name, and the observations, held against each other; ``noise`` stands in for the rigs' own."""
+    """The rig, or the rigs by name, and the observations, held against each other.
+
+    ``noise`` stands in for the rigs' own, ``line_points`` are of each pass along a line at most.
+    """
     given = {name: with_noise(read_rig(path), noise) for name, path in files.items()}
     of_session = {path: (name, with_noise(rig, noise)) for path, (name, rig) in session_rigs(inputs, given).items()}
     tables = {
-        path: _read_input(path, joint_units, of_session.get(path), allow_damaged, is_part(path, inputs))
+        path: _read_input(path, joint_units, of_session.get(path), allow_damaged, is_part(path, inputs), line_points)
         for path in inputs
     }
     table = concatenate([part for part in tables.values() if len(part)] or list(tables.values()))
     if not len(table):
-        raise InputError(f"{inputs[0]}: no dwell gave an observation; see truearm inspect {inputs[0]}")
+        raise InputError(f"{inputs[0]}: no dwell and no line gave an observation; see truearm inspect {inputs[0]}")
     rigs = given | dict(of_session.values())
     if noise is not None:
         check_against_rigs(noise, rigs)
@@ -95,12 +99,17 @@ def _check_names(table: ObservationTable, rigs: dict[str, Rig], files: dict[str,
 
 
 def _read_input(
-    path: Path, joint_units: tuple[str, ...], assigned: Assigned | None, allow_damaged: bool, part: bool
+    path: Path,
+    joint_units: tuple[str, ...],
+    assigned: Assigned | None,
+    allow_damaged: bool,
+    part: bool,
+    line_points: int | None,
 ) -> ObservationTable:
     if assigned is None:
         return read_table(path, joint_units)
     name, rig = assigned
-    table = observations_of_session(path, rig, allow_damaged, may_be_empty=part).table
+    table = observations_of_session(path, rig, allow_damaged, part, line_points).table
     if len(table) and table.q.shape[1] != len(joint_units):
         raise InputError(f"{path}: its robot has {table.q.shape[1]} joints, the robot given has {len(joint_units)}")
     return replace(table, rig=np.full(len(table), name))

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from truearm.record.session import Session
     from truearm.sensors.ident import Ident
     from truearm.sync.dwell import Dwell
-    from truearm.sync.pipeline import Survey
+    from truearm.sync.passes import Pass
+    from truearm.sync.pipeline import Survey, SyncResult
     from truearm.types import Message
 
 MAX_TOPICS = 1000
@@ -132,7 +133,7 @@ def describe(session: Session) -> dict[str, Any]:
         "robot": _robot(found, contents),
         "events": found.marks.kinds,
         "plan_poses": len(found.marks.dwells),
-        "dwells": _dwells(session, found, ident),
+        **_measured(session, found, ident),
     }
     return _without_nan(document)  # type: ignore[no-any-return]
 
@@ -198,10 +199,10 @@ def _robot(found: Survey, contents: Contents) -> dict[str, Any]:
     }
 
 
-def _dwells(session: Session, found: Survey, ident: Ident | None) -> dict[str, Any]:
-    """Dwells by the joint readings; with a rig also what became of them."""
+def _measured(session: Session, found: Survey, ident: Ident | None) -> dict[str, Any]:
+    """Dwells by the joint readings and passes along lines; with a rig also what became of them."""
     rejected = [dwell.reason for dwell in found.dwells if dwell.reason]
-    document: dict[str, Any] = {
+    dwells: dict[str, Any] = {
         "found": len(found.dwells),
         "rejected": _tally(rejected),
         "observations": None,
@@ -209,18 +210,38 @@ def _dwells(session: Session, found: Survey, ident: Ident | None) -> dict[str, A
         "not_paired": None,
         "table": _dwell_rows(found.dwells),
     }
+    planned = sum(row.move == "line" for row in found.marks.rows)
+    passes: dict[str, Any] = {"planned": planned, "found": None, "rejected": {}, "points": None, "table": []}
+    document = {"dwells": dwells, "passes": passes}
     attached = session.attachments.get("rig.toml")
     if attached is None:
-        return document | {"not_paired": "no rig is attached"}
+        dwells["not_paired"] = "no rig is attached"
+        return document
     try:
-        return document | _observations(session.messages, attached, found, ident)
+        result = _observations(session.messages, attached, found, ident)
     except InputError as exc:  # says what is in the file, so it says this too; the file itself was read to its end
-        return document | {"not_paired": one_line(str(exc))}
+        dwells["not_paired"] = one_line(str(exc))
+        return document
+    bounds = [dwell.clock_bound_ns for dwell in result.dwells if not dwell.reason]
+    dwells |= {
+        "rejected": result.reasons,
+        "observations": sum(not dwell.reason for dwell in result.dwells),
+        "samples_used": result.samples_used,
+        "clock_bound_ns": max(bounds, default=None),
+        "table": _dwell_rows(result.dwells),
+    }
+    passes |= {
+        "found": len(result.passes),
+        "rejected": result.pass_reasons,
+        "points": sum(len(one.xyz) for one in result.passes),
+        "table": [_pass_row(number, one) for number, one in enumerate(result.passes, start=1)],
+    }
+    return document
 
 
 def _observations(
     messages: Callable[[Collection[str] | None], Iterator[Message]], attached: bytes, found: Survey, ident: Ident | None
-) -> dict[str, Any]:
+) -> SyncResult:
     from truearm.files.rig import parse_rig
     from truearm.sync.pipeline import observations
 
@@ -228,14 +249,28 @@ def _observations(
         text = attached.decode()
     except UnicodeDecodeError as exc:
         raise InputError("the attached rig.toml is no UTF-8 text") from exc
-    result = observations(messages, parse_rig(text, "rig.toml"), ident, found=found)
-    bounds = [dwell.clock_bound_ns for dwell in result.dwells if not dwell.reason]
+    return observations(messages, parse_rig(text, "rig.toml"), ident, found=found)
+
+
+def _pass_row(number: int, one: Pass) -> dict[str, Any]:
+    """A pass: when, which line and way, what was measured and how well, or why not."""
     return {
-        "rejected": result.reasons,
-        "observations": len(result.table),
-        "samples_used": result.samples_used,
-        "clock_bound_ns": max(bounds, default=None),
-        "table": _dwell_rows(result.dwells),
+        "pass": number,
+        "t_robot_s": one.leg.start_s,
+        "line": one.mounted["line"],
+        "pose": one.pose,
+        "direction": one.direction,
+        "speed_m_s": one.speed,
+        "points": len(one.xyz),
+        "dropped": one.dropped,
+        "window_s": 2e-9 * one.window_ns,
+        "noise_m": one.noise.tolist(),
+        "correlation_s": one.correlation_s,
+        "joint_noise": one.q_noise.tolist(),
+        "joint_error": one.q_error,
+        "time_sigma_s": one.time_sigma_s,
+        "clock_bound_ns": one.clock_bound_ns,
+        "reason": one.reason,
     }
 
 

@@ -157,7 +157,12 @@ def _robot(robot: Mapping[str, Any], added: Mapping[str, str]) -> Iterator[str]:
 
 
 def _dwells(document: Mapping[str, Any]) -> Iterator[str]:
-    dwells = document["dwells"]
+    dwells, passes = document["dwells"], document["passes"]
+    if passes["found"] and not document["plan_poses"] and not any("bar" in row for row in dwells["table"]):
+        yield f"dwells: {dwells['found']} stops, none with a ball-bar"
+        yield from _passes(passes)
+        yield from _events(document)
+        return
     became = f", {dwells['observations']} observations" if dwells["observations"] is not None else ""
     planned = f" ({document['plan_poses']} poses planned)" if document["plan_poses"] else ""
     yield f"dwells: {dwells['found']} found{planned}{became}"
@@ -166,8 +171,51 @@ def _dwells(document: Mapping[str, Any]) -> Iterator[str]:
     yield from _dwell_table(dwells["table"])
     if dwells["not_paired"]:
         yield f"  not paired with bars: {dwells['not_paired']}"
+    yield from _passes(passes)
+    yield from _events(document)
+
+
+def _events(document: Mapping[str, Any]) -> Iterator[str]:
     if document["events"]:
         yield "events: " + one_line(", ".join(f"{count} {kind}" for kind, count in document["events"].items()))
+
+
+def _passes(passes: Mapping[str, Any]) -> Iterator[str]:
+    """Nothing where no line was planned or driven."""
+    if not passes["planned"] and not passes["found"]:
+        return
+    if passes["found"] is None:
+        yield f"lines: {passes['planned']} planned; not paired"
+        return
+    yield f"lines: {passes['planned']} planned, {passes['found']} driven, {passes['points']} points"
+    for reason, count in passes["rejected"].items():
+        yield f"  {count:>6} rejected: {reason}"
+    good = [row for row in passes["table"] if not row["reason"]]
+    if good:
+        late_s = max(row["time_sigma_s"] for row in good)
+        off_m = max(row["time_sigma_s"] * row["speed_m_s"] for row in good)
+        yield (
+            f"  points are windows of {max(row['window_s'] for row in good):.2f} s; their time is known to {1e6 * late_s:.0f} µs, "
+            f"{1e6 * off_m:.0f} µm at their speed, but for a constant delay, which identify finds of lines there and back"
+        )
+    yield f"  {'pass':>6} {'t robot/s':>10} {'mm/s':>7} {'points':>6} {'noise x, y, z/µm':>17} {'joints/µrad':>11}  line"
+    shown = passes["table"] if len(passes["table"]) <= DWELLS else [row for row in passes["table"] if row["reason"]]
+    for row in shown[:DWELLS]:
+        yield _pass_line(row)
+    if len(shown) > DWELLS:
+        yield f"  … {len(shown) - DWELLS} more; --json has all"
+
+
+def _pass_line(row: Mapping[str, Any]) -> str:
+    noise = " ".join(_number(value, ".1f", 1e6) for value in row["noise_m"])
+    joints = _number(max(row["joint_noise"], default=None), ".1f", 1e6)
+    way = {1: ", up", -1: ", down"}.get(row["direction"], "")
+    dropped = "".join(f", {count} points not made: {reason}" for reason, count in row["dropped"].items())
+    became = f", {row['reason']}" if row["reason"] else ""
+    return (
+        f"  {row['pass']:>6} {row['t_robot_s']:>10.1f} {_number(row['speed_m_s'], '.1f', 1e3):>7} {row['points']:>6} {noise:>17} "
+        f"{joints:>11}  {one_line(row['line'])}{way}{became}{dropped}"
+    )
 
 
 def _dwell_table(rows: list[Mapping[str, Any]]) -> Iterator[str]:

@@ -44,17 +44,22 @@ def messages_of(session: Session) -> Callable[[Collection[str] | None], Iterator
 
 
 def observations_of_session(
-    path: Path, rig: Rig | None = None, allow_damaged: bool = False, may_be_empty: bool = False
+    path: Path,
+    rig: Rig | None = None,
+    allow_damaged: bool = False,
+    may_be_empty: bool = False,
+    line_points: int | None = None,
 ) -> SyncResult:
     """Hops 4 and 5 of a session file. ``rig`` stands in for the one that was recorded.
 
-    What is lost of a damaged file is said on stderr, if ``allow_damaged``.
+    ``line_points``: of each pass along a line at most. What is lost of a damaged file is said on stderr, if ``allow_damaged``.
 
     Raises SessionError for a file that is none or gave no observation (unless it ``may_be_empty``: a part of a session), RigError if there is no rig.
     """
     from truearm.commands.inspect import ident_of
     from truearm.record.salvage import words_of
     from truearm.record.session import open_session
+    from truearm.sync.passes import LineRules
     from truearm.sync.pipeline import observations
 
     session = open_session(path, allow_damaged)
@@ -65,10 +70,12 @@ def observations_of_session(
     rig = rig or attached_rig(session, path)
     if rig is None:
         raise RigError(f"{path}: was recorded without a rig; give one with --rig")
-    result = observations(messages_of(session), rig, ident=ident_of(session), name=path.name)
+    rules = LineRules(points=line_points)
+    result = observations(messages_of(session), rig, ident=ident_of(session), name=path.name, line_rules=rules)
     if not len(result.table) and not may_be_empty:
-        reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(result.reasons.items()))
+        what, rejected = ("line", result.pass_reasons) if result.passes else ("dwell", result.reasons)
+        reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(rejected.items()))
         raise SessionError(
-            f"{path}: no dwell gave an observation ({reasons or 'none was found'}); see truearm inspect {path}"
+            f"{path}: no {what} gave an observation ({reasons or 'none was found'}); see truearm inspect {path}"
         )
     return result

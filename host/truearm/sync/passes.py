@@ -3,7 +3,7 @@
 The magnetostrictive head says where the magnet is along the device (its y) at the edge of each interrogation, two
 transducers how far aside (x and z) by samples that show what was their group delay earlier, the robot where its joints
 were. At each instant of a row, that of an interrogation, all three are the values of cubics through what was said within the
-same time before and after (``local_fit``): wide enough for nine readings of the joints and a tenth of a second. A row is
+same time before and after (``local_fit``): wide enough for seven readings of the joints and a tenth of a second. A row is
 made only where that time is whole: no sample, reading or life of a clock is missing in it, and nothing is extrapolated.
 
 Rows are taken where the magnet moves steadily, at nine tenths of its median speed or more: how fast a robot starts and
@@ -52,7 +52,7 @@ REASONS = (
     "no plan match",
     "ambiguous",
 )
-READINGS = 9.0  # periods of the robot's readings that a window is wide
+READINGS = 7.0  # periods of the robot's readings that a window is wide
 LEAST_WINDOW_S = 0.1
 LONGEST_S = 300.0
 LEAST_TRAVEL = 0.01  # m that the magnet moves along in a pass

@@ -1,0 +1,106 @@
+"""A session of the line device on the command line: inspect says what was driven, identify what it tells."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from line_stream import MAGNET, line_session, some_lines, true_params
+
+from truearm.files.rig import format_rig
+from truearm.observe.rotation import rotation_vector
+from truearm.record.links import HostClock
+from truearm.record.session_writer import SessionWriter
+from truearm.types import Device, Point, Rig
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """both.mcap: two lines there and back, 8 ms late; one.mcap: one way."""
+    path = tmp_path_factory.mktemp("lines")
+    for name, back in (("both", True), ("one", False)):
+        rng = np.random.default_rng(1)
+        lines = some_lines(rng, 2, 0.25)
+        made = line_session(rng, lines, true_params(rng), there_and_back=back, delay_s=8e-3)
+        cov = tuple(map(tuple, np.diag([62e-6, 100e-6, 62e-6]) ** 2))
+        devices = {
+            line.name: Device(line.name, cov, rotation=tuple(rotation_vector(line.turn)), turn_sigma=0.05)
+            for line in lines
+        }
+        rig = Rig(targets={"magnet": Point("magnet", tuple(MAGNET))}, lines=devices)
+        with SessionWriter(path / f"{name}.mcap", HostClock()) as writer:
+            writer.attach("rig.toml", "application/toml", format_rig(rig).encode())
+            for message in made.messages:
+                writer.add(message.topic, message.t_host_ns, message.data)
+    return path
+
+
+@pytest.fixture
+def said(run):
+    """What a command prints that succeeds."""
+
+    def call(*arguments):
+        outcome = run(*arguments)
+        assert (outcome.code, outcome.err) == (0, "")
+        return outcome.out
+
+    return call
+
+
+def test_inspect_lists_the_passes(folder, said):
+    text = said("inspect", folder / "both.mcap")
+    assert "lines: 4 planned, 4 driven, " in text
+    assert "but for a constant delay" in text
+    rows = [line.split() for line in text.splitlines() if line.endswith((", up", ", down"))]
+    assert [(row[0], *row[-2:]) for row in rows] == [
+        *(("1", "l1,", "up"), ("2", "l1,", "down")),
+        *(("3", "l2,", "up"), ("4", "l2,", "down")),
+    ]
+    passes = json.loads(said("inspect", folder / "both.mcap", "--json"))["passes"]
+    assert (passes["planned"], passes["found"], passes["rejected"]) == (4, 4, {})
+    assert passes["points"] == sum(row["points"] for row in passes["table"])
+    assert [row["speed_m_s"] for row in passes["table"]] == pytest.approx([0.1] * 4, rel=0.01)
+
+
+@pytest.mark.parametrize("solver", ["map", "recursive", "lm"])
+def test_identify_says_how_late_the_readings_are(folder, solver, said):
+    """Offsets alone, so that lm converges on two lines; the true robot errs in more, which χ² may say."""
+    document = json.loads(
+        said(
+            "identify",
+            folder / "both.mcap",
+            "--robot",
+            "puma560",
+            "--solver",
+            solver,
+            "--free",
+            "joint*.offset",
+            "--json",
+        )
+    )
+    (offset,) = [p for p in document["parameters"] if p["name"] == "time_offset"]
+    assert offset["unit"] == "s"
+    assert abs(offset["value"] - 8.4e-3) < 0.2e-3
+    assert 0.0 < offset["sigma"] < 0.2e-3
+
+
+def test_identify_in_words_and_on_its_page(folder, said):
+    command = ("identify", folder / "both.mcap", "--robot", "puma560", "--solver", "map", "--line-points", "12")
+    text = said(*command, "--hold-out", "shell=l2-down", "--report", folder / "page.html")
+    assert "36 line to fit, 12 held out" in text
+    late, sigma = map(
+        float, re.search(r"time_offset: the joint readings are (\S+) ms late \((\S+) ms\)", text).groups()
+    )
+    assert abs(late - 8.4) < 3.0 * sigma < 1.0
+    page = (folder / "page.html").read_text()
+    assert "l1, l2; 2 of 2 there and back" in page
+    assert "48 in motion" in page
+    assert f"the joint readings are {late:.3f} ms late" in page
+
+
+def test_one_way_is_said_not_to_show_the_delay(folder, said):
+    text = said("identify", folder / "one.mcap", "--robot", "puma560", "--solver", "map")
+    assert "time_offset: how late the joint readings are is not seen" in text
+    assert "Drive lines there and back." in text
+    (row,) = [line.split() for line in text.splitlines() if line.startswith("time_offset ")]
+    assert row[2:] == ["-", "-", "not", "seen", "ms"]
