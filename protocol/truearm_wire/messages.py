@@ -36,6 +36,8 @@ FLAG_MISSING_STOP = 4
 STREAM_ADC = 0
 STREAM_MAG = 1
 
+OUTPUT_LINE = 2  # events of the box's own trigger output
+
 RESTART = 0  # modes of a reset
 BOOT_LOADER = 1
 

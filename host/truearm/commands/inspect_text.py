@@ -150,10 +150,35 @@ def _robot(robot: Mapping[str, Any], added: Mapping[str, str]) -> Iterator[str]:
         )
         return
     for report in robot["clock"]:
+        yield from _edges(report["edges"])
         yield (
             f"  clock: {report['rate_ppm']:+.3f} ppm, spread {_number(report['spread_ns'], '.1f', 1e-3)} µs, arrivals "
             f"{1e-3 * report['jitter_ns']:.0f} µs above the fastest on average; a constant latency cannot be seen"
         )
+
+
+def _edges(edges: Mapping[str, Any] | None) -> Iterator[str]:
+    if edges is None:
+        return
+    wrong = [
+        f"{edges[key]} {text}"
+        for key, text in (
+            ("unseen", "shown by no reading"),
+            ("unclear", "not told apart"),
+            ("rejected", "rejected by the others"),
+            ("stray", "changes of the input without an edge"),
+        )
+        if edges[key]
+    ]
+    counts = "; ".join([f"{edges['used']} of {edges['edges']} edges used", *wrong])
+    if not edges["used"]:
+        yield f"  trigger: no input follows the box's output ({edges['edges']} edges); is it wired, and are the readings' inputs recorded?"
+        return
+    use = "in use" if edges["in_use"] else "not in use, arrivals tell more"
+    yield (
+        f"  trigger on input {edges['input']} ({use}): {counts}; error at most {1e-3 * edges['bound_ns']:.0f} µs, the delay of the input beside; "
+        f"the link's shortest latency is {1e-3 * edges['shortest_latency_ns']:.0f} µs"
+    )
 
 
 def _dwells(document: Mapping[str, Any]) -> Iterator[str]:

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import ProtocolError
-from truearm.sensors.data import Data, data_of, decode, too_many, usual_data
+from truearm.sensors.data import MAX_DEVICE_US, Data, data_of, decode, too_many, usual_data
 from truearm.sensors.ident import Ident, Stream, decode_ident
 from truearm.sensors.pages import Pages
 from truearm.sync.frames import Exchange, device_time, is_boot, is_echo, is_text, parse_exchange
@@ -66,6 +66,7 @@ class Segment:
     boot_id: int | None = None
     ident: Ident | None = None
     exchanges: list[Exchange] = field(default_factory=list)
+    output: list[tuple[int, bool]] = field(default_factory=list)  # edges of the trigger output: device time [µs], level
 
 
 class BoxReader:
@@ -141,6 +142,8 @@ class BoxReader:
             return self._data(data_of(frame), message)
         if kind == wire.HEARTBEAT:
             self._heartbeat(frame)
+        elif kind == wire.EVENT:
+            self._event(frame)
         elif kind == wire.IDENT:
             self._ident_page(frame)
         elif kind not in wire.LAYOUT:
@@ -229,6 +232,12 @@ class BoxReader:
             return
         self._boot_id(values[0])
         self._heartbeats.take(self.segment.index, values)
+
+    def _event(self, frame: list[Any]) -> None:
+        if len(frame) < 5 or any(type(v) is not int for v in frame[2:5]) or not 0 <= frame[3] < MAX_DEVICE_US:
+            self._count["frames_malformed"] += 1
+        elif frame[2] == wire.OUTPUT_LINE and self._keep_exchanges:
+            self.segment.output.append((frame[3], bool(frame[4])))
 
     def _ident_page(self, frame: list[Any]) -> None:
         if len(frame) < 6 or any(type(v) is not int for v in frame[2:5]) or type(frame[5]) is not bytes:

@@ -82,11 +82,16 @@ def fit_clock(segment: int, exchanges: Sequence[Exchange]) -> tuple[DeviceClock,
     every = np.array(exchanges, dtype=np.int64).reshape(-1, 4)
     sane = every[(every[:, 1] <= every[:, 2]) & (every[:, 0] <= every[:, 3])]
     sane = sane[np.argsort(sane[:, 1], kind="stable")]
-    windows = [window for part in _overlapping(sane) for window in _fit_or_halve(part)]
+    windows = windows_of(sane)
     if not windows:
         return None
-    clock = _clock(segment, tuple(_distinct(windows)), sane)
+    clock = _clock(segment, windows, sane)
     return clock, _report(clock, every, sane)
+
+
+def windows_of(sane: Ints, window_us: int = WINDOW_US) -> tuple[Window, ...]:
+    """The lines in overlapping windows that exchanges (n, 4) in order of t1 allow, by ascending centre."""
+    return tuple(_distinct([window for part in _overlapping(sane, window_us) for window in _fit_or_halve(part)]))
 
 
 def _clock(segment: int, windows: tuple[Window, ...], sane: Ints) -> DeviceClock:
@@ -112,16 +117,16 @@ def _distinct(windows: list[Window]) -> list[Window]:
     return list({window.centre_us: window for window in sorted(windows, key=lambda w: w.centre_us)}.values())
 
 
-def _overlapping(sane: Ints) -> list[Ints]:
-    """The exchanges of each window of 60 s; windows begin every 30 s."""
+def _overlapping(sane: Ints, window_us: int) -> list[Ints]:
+    """The exchanges of each window; windows overlap by half."""
     if not len(sane):
         return []
     t1 = sane[:, 1]
-    steps = max(0, -(-(int(t1[-1] - t1[0]) - WINDOW_US) // (WINDOW_US // 2))) + 1
+    steps = max(0, -(-(int(t1[-1] - t1[0]) - window_us) // (window_us // 2))) + 1
     if steps > len(sane) + 1:  # exchanges years apart: a damaged file must not cost memory
         return [sane]
-    starts = t1[0] + np.arange(steps) * (WINDOW_US // 2)
-    first, last = np.searchsorted(t1, starts), np.searchsorted(t1, starts + WINDOW_US, side="right")
+    starts = t1[0] + np.arange(steps) * (window_us // 2)
+    first, last = np.searchsorted(t1, starts), np.searchsorted(t1, starts + window_us, side="right")
     return [sane[i:j] for i, j in zip(first, last, strict=True) if j > i]
 
 

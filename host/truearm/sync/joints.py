@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from truearm.sensors.joints import MAX_JOINTS, MAX_SEQ, MAX_T_S, are_joints, parse_reading
 from truearm.sync.holes import Holes
+from truearm.sync.inputs import InputTrack, Ints, bits_of
 from truearm.sync.robot_clock import Arrivals, RobotClock, RobotClockReport, fit_robot_clock
 from truearm.types import Floats, Message
 
@@ -59,6 +60,7 @@ class JointStream:
     bins: Bins | None  # None without a reading
     clocks: tuple[RobotClock, ...]
     reports: tuple[RobotClockReport, ...]
+    inputs: tuple[InputTrack, ...]  # of each segment
 
 
 _BACK = b'"kind":"robot-back"'
@@ -67,7 +69,7 @@ _BACK = b'"kind":"robot-back"'
 class Parsed(NamedTuple):
     """Lines that are readings: their indices (n,), controller time (n,) [s], seq (n,) and joints (n, j) [rad or m].
 
-    ``seq`` is UNNUMBERED where a line has none, ``q_cmd`` NaN where it has no commanded joints.
+    ``seq`` is UNNUMBERED where a line has none, ``q_cmd`` NaN where it has no commanded joints, ``inputs`` UNKNOWN where it has none.
     """
 
     rows: NDArray[np.intp]
@@ -75,6 +77,7 @@ class Parsed(NamedTuple):
     seq: NDArray[np.int64]
     q: Floats
     q_cmd: Floats
+    inputs: NDArray[np.int64]
 
 
 class JointReader:
@@ -84,6 +87,7 @@ class JointReader:
         self._lines: list[bytes] = []
         self._arrival_ns: list[int] = []
         self._arrivals: list[Arrivals] = []
+        self._inputs: list[InputTrack] = []
         self._bins: list[tuple[Any, ...]] = []
         self._carried: tuple[NDArray[Any], ...] | None = None  # readings of the bin that is still open
         self._last: tuple[float, int] | None = None
@@ -130,10 +134,11 @@ class JointReader:
             bins=Bins(*(np.concatenate(column) for column in zip(*self._bins, strict=True))) if self._bins else None,
             clocks=tuple(clock for clock, _ in fits),
             reports=tuple(report for _, report in fits),
+            inputs=tuple(self._inputs),
         )
 
     def _flush(self) -> None:
-        rows, t, seq, q, q_cmd = parse_lines(self._lines, self._joints)
+        rows, t, seq, q, q_cmd, inputs = parse_lines(self._lines, self._joints)
         arrival = np.array(self._arrival_ns, dtype=np.int64)[rows]
         self.malformed += len(self._lines) - rows.size
         self._lines, self._arrival_ns = [], []
@@ -143,7 +148,7 @@ class JointReader:
         if self._joints is None:
             self._begin(t, q)
         for part in np.split(np.arange(t.size), restarts(t, self._latest_s)):
-            self._part(t[part], seq[part], q[part], q_cmd[part], arrival[part])
+            self._part(t[part], seq[part], q[part], q_cmd[part], inputs[part], arrival[part])
 
     def _begin(self, t: Floats, q: Floats) -> None:
         self._joints = q.shape[1]
@@ -152,7 +157,7 @@ class JointReader:
         period = float(np.median(np.abs(np.diff(t)))) if t.size > 1 else 0.0
         self._bin_s, self._gap_s = max(BIN_S, 4.0 * period), max(READING_GAP_S, 5.0 * period)
 
-    def _part(self, t: Floats, seq: NDArray[np.int64], q: Floats, q_cmd: Floats, arrival: NDArray[np.int64]) -> None:
+    def _part(self, t: Floats, seq: Ints, q: Floats, q_cmd: Floats, inputs: Ints, arrival: Ints) -> None:
         """Readings of one segment."""
         if not t.size:
             return
@@ -162,6 +167,7 @@ class JointReader:
             self._returned = False
             self._close_bin()
             self._arrivals.append(Arrivals(float(t[0]), int(arrival[0])))
+            self._inputs.append(InputTrack())
             self._latest_s, self._previous_bin_s, self._last = -np.inf, -np.inf, None
             self._holes.forget()
         highest = np.maximum.accumulate(np.concatenate([[self._latest_s], t]))
@@ -176,6 +182,7 @@ class JointReader:
         if kept.size:
             self._last = (self._latest_s, int(kept[-1]))
             self._arrivals[-1].add(t[keep], arrival[keep])
+            self._inputs[-1].add(t[keep], inputs[keep])
             self._bin(t[keep], q[keep], q_cmd[keep])
 
     def _account(
@@ -257,10 +264,10 @@ def parse_lines(lines: list[bytes], joints: int | None) -> Parsed:
     parsed = _parse_all(lines)
     if parsed is None:
         return _parse_each(lines, joints)
-    t, seq, q, q_cmd = parsed
+    t, seq, q, q_cmd, inputs = parsed
     good = np.isfinite(t) & (t >= 0.0) & (t < MAX_T_S) & np.all(np.isfinite(q), axis=1)
     good &= (q.shape[1] == (joints or q.shape[1])) & (seq >= UNNUMBERED) & (seq < MAX_SEQ)
-    return Parsed(np.flatnonzero(good), t[good], seq[good], q[good], q_cmd[good])
+    return Parsed(np.flatnonzero(good), t[good], seq[good], q[good], q_cmd[good], inputs[good])
 
 
 def _parse_each(lines: list[bytes], joints: int | None) -> Parsed:
@@ -273,10 +280,11 @@ def _parse_each(lines: list[bytes], joints: int | None) -> Parsed:
         np.array([UNNUMBERED if row.seq is None else row.seq for _, row, _ in rows], dtype=np.int64),
         np.array([row.q for _, row, _ in rows], dtype=np.float64).reshape(len(rows), width),
         _commanded([json.loads(line).get("q_cmd") for _, _, line in rows], len(rows), width),
+        np.array([bits_of(json.loads(line).get("inputs")) for _, _, line in rows], dtype=np.int64),
     )
 
 
-def _parse_all(lines: list[bytes]) -> tuple[Floats, NDArray[np.int64], Floats, Floats] | None:
+def _parse_all(lines: list[bytes]) -> tuple[Floats, Ints, Floats, Floats, Ints] | None:
     """All lines in one go; None if any of them is not as expected."""
     try:
         rows = json.loads(b"[" + b",".join(lines) + b"]")
@@ -295,7 +303,8 @@ def _parse_all(lines: list[bytes]) -> tuple[Floats, NDArray[np.int64], Floats, F
     ):
         return None
     q_cmd = _commanded([row.get("q_cmd") for row in rows], *columns[2].shape)
-    return columns[0].astype(np.float64), columns[1].astype(np.int64), columns[2].astype(np.float64), q_cmd
+    inputs = np.array([bits_of(row.get("inputs")) for row in rows], dtype=np.int64)
+    return columns[0].astype(np.float64), columns[1].astype(np.int64), columns[2].astype(np.float64), q_cmd, inputs
 
 
 def _commanded(values: list[Any], n: int, width: int) -> Floats:

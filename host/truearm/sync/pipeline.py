@@ -20,6 +20,7 @@ from truearm.sync.blocks import Block, BoxReader
 from truearm.sync.clock import ClockReport, fit_clock
 from truearm.sync.device_clock import DeviceClock
 from truearm.sync.dwell import Dwell, DwellRules, find_dwells
+from truearm.sync.edges import Output, with_edges
 from truearm.sync.gather import gather
 from truearm.sync.joints import JointReader, JointStream
 from truearm.sync.legs import Leg, find_legs
@@ -100,13 +101,15 @@ def survey(messages: Messages, ident: Ident | None = None, rules: DwellRules | N
             robot.feed(message)  # an event may say that its link was lost
             marks.feed(message.topic, message.t_host_ns, message.data)
     fits = {s.index: fit for s in box.segments if (fit := fit_clock(s.index, s.exchanges)) is not None}
-    joints = robot.finish()
+    clocks = {index: clock for index, (clock, _) in fits.items()}
+    outputs = {s.index: Output.of(s.output) for s in box.segments if s.output}
+    joints = with_edges(robot.finish(), outputs, clocks)
     return Survey(
         losses=box.losses(),
         streams=box.streams(),
         idents={s.index: s.ident for s in box.segments if s.ident is not None},
         boot_ids=tuple(s.boot_id for s in box.segments),
-        clocks={index: clock for index, (clock, _) in fits.items()},
+        clocks=clocks,
         clock_reports=tuple(report for _, report in fits.values()),
         joints=joints,
         dwells=tuple(_on_host(dwell, joints) for dwell in find_dwells(joints, rules or DwellRules())),

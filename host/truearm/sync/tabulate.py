@@ -255,7 +255,7 @@ class _Robot:
 
     def flush(self) -> Iterator[Batch]:
         lines = [message.data for message in self._lines]
-        rows, t, seq, q, _ = parse_lines(lines, len(self._units) or None)
+        rows, t, seq, q, *_ = parse_lines(lines, len(self._units) or None)
         arrival = np.array([message.t_host_ns for message in self._lines], dtype=np.int64)[rows]
         self._lines = []
         if not rows.size:

@@ -1,0 +1,86 @@
+"""The box's output at a robot's input, from the firmware's random times to the robot's clock: against the simulator's truth."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+from tests.end_to_end.conftest import interpreter
+from typer.testing import CliRunner
+
+from truearm.cli import app
+from truearm.record.recorder import record
+from truearm.record.session import open_session
+from truearm.record.session_writer import SessionWriter
+from truearm.sync.pipeline import survey
+from truearm_sim.lab import HOST_AT_START_NS, Lab
+from truearm_sim.simbox import SimulatedBox
+from truearm_sim.vmbox import VmBox
+from truearm_sim.world import World, standard_plan
+
+INPUT = 3
+SECONDS = 82.0  # a hundred edges, 0.8 s apart on average
+
+
+def recorded(path, seed, seconds, rate=500.0):
+    """The world of a session with a trigger line, and its box."""
+    world = World(seed, standard_plan(27, seed), robot_rate=rate, robot_input=INPUT)
+    box = SimulatedBox(world, power_on=partial(VmBox, interpreter()), seed=seed)
+    try:
+        lab = Lab(world, box, seed)
+        writer = SessionWriter(path, lab.clock, overwrite=True)
+        record(lab.box_link, writer, lab.clock, robot=lab.robot_link, duration_s=seconds)
+    finally:
+        box.close()
+    return world, box
+
+
+def surveyed(path):
+    session = open_session(path)
+    return survey(session.messages)
+
+
+def errors_us(world, box, found):
+    """Errors [µs] of the host's time of the robot's readings, with bounds, and of robot time against device time."""
+    (clock,), (report,) = found.joints.clocks, found.joints.reports
+    t_robot = np.linspace(*report.t_robot_s, 2000)
+    true_s = world.clocks.robot.true(t_robot)
+    host_ns = clock.to_host_ns(t_robot)
+    device_us = 1e6 * (world.clocks.device.reading(true_s) - 1e-9 * box.boot_device_ns)
+    whole = np.floor(device_us).astype(np.int64)
+    by_device_ns = found.clocks[0].to_host_ns(whole)[0] + 1e3 * (device_us - whole)
+    return (
+        1e-3 * (host_ns - HOST_AT_START_NS - 1e9 * true_s),
+        1e-3 * clock.bound_at(t_robot),
+        1e-3 * (host_ns - by_device_ns),
+    )
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory):
+    path = tmp_path_factory.mktemp("trigger") / "session.mcap"
+    return path, *recorded(path, 11, SECONDS)
+
+
+def test_a_hundred_edges_tie_the_robot_to_the_box_to_a_tenth_of_a_millisecond(session):
+    path, world, box = session
+    found = surveyed(path)
+    (clock,), (report,) = found.joints.clocks, found.joints.reports
+    edges = report.edges
+    assert edges.input == INPUT
+    assert edges.in_use
+    assert clock.source == "edges"
+    assert 90 <= edges.used <= 115
+    assert (edges.unseen, edges.unclear, edges.stray, edges.rejected) == (0, 0, 0, 0)
+    error, bound, robot_to_device = errors_us(world, box, found)
+    assert np.all(np.abs(error) <= bound)
+    assert np.max(np.abs(robot_to_device)) < 100.0  # anywhere in the session, a twentieth of a cycle
+    assert np.max(bound) < 700.0  # box to host has 137 µs of half a round trip in it
+    # What arrivals alone cannot know: 300 µs of the link's, and what their own clock's half asymmetry takes off.
+    assert 1e-3 * edges.shortest_latency_ns == pytest.approx(300.0, abs=150.0)
+
+
+def test_inspect_shows_it(session):
+    path, *_ = session
+    said = CliRunner().invoke(app, ["inspect", str(path)]).output
+    assert f"trigger on input {INPUT} (in use)" in said
+    assert "edges used" in said

@@ -1,0 +1,267 @@
+"""Edges of a trigger line against truth: within the bound always, near 1/n of a cycle, and what is inconsistent is left out and counted."""
+
+import numpy as np
+import pytest
+
+from truearm.sync.clock import fit_clock
+from truearm.sync.edges import Output, fit_edges, match, with_edges
+from truearm.sync.frames import Exchange
+from truearm.sync.inputs import UNKNOWN, InputTrack, bits_of
+from truearm.sync.joints import JointReader
+from truearm.types import Message
+
+CYCLE_S = 0.002
+BOOT_S = 5.0  # device time at true time 0
+DEVICE_PPM = 20.0
+LATENCY_S = 300e-6
+
+
+class Controller:
+    """A controller's clock: rate [ppm] and drift [ppm a minute]; it reads 100 s at true time 0."""
+
+    def __init__(self, ppm=-30.0, ppm_per_minute=0.0):
+        self.rate, self.drift = 1e-6 * ppm, 1e-6 / 60.0 * ppm_per_minute
+
+    def reading(self, t):
+        return 100.0 + t * (1.0 + self.rate) + 0.5 * self.drift * t * t
+
+    def true(self, c):
+        t = c - 100.0
+        for _ in range(6):
+            t = t - (self.reading(t) - c)
+        return t
+
+
+def device_us(t):
+    return 1e6 * (BOOT_S + t * (1.0 + 1e-6 * DEVICE_PPM))
+
+
+def edges_at(rng, n, least=0.3, most=1.3):
+    return 2.0 + np.cumsum(rng.uniform(least, most, n))
+
+
+def errors(seed, n, controller, hint_ppm=0.0):
+    """Errors and bounds [µs] of controller time at 500 device times among n edges; arrivals err in rate by ``hint_ppm``."""
+    rng = np.random.default_rng(seed)
+    t = edges_at(rng, n)
+    tick = np.floor(controller.reading(t) / CYCLE_S)
+    stamp = np.floor(device_us(t)).astype(np.int64)
+
+    def arrivals(d):
+        true = (1e-6 * d - BOOT_S) / (1.0 + 1e-6 * DEVICE_PPM)
+        return controller.reading(true) + LATENCY_S + 1e-6 * hint_ppm * true
+
+    clock, rejected = fit_edges(100.0, stamp, tick * CYCLE_S, (tick + 1) * CYCLE_S, arrivals)
+    assert rejected == 0
+    at = np.floor(device_us(np.linspace(t[0], t[-1], 500))).astype(np.int64)
+    estimate, bound = clock.to_robot_s(at)
+    truth = controller.reading((1e-6 * at - BOOT_S) / (1.0 + 1e-6 * DEVICE_PPM))
+    return 1e6 * (estimate - truth), 1e-3 * bound
+
+
+@pytest.mark.parametrize("ppm_per_minute", [-1.0, 0.0, 1.0])
+@pytest.mark.parametrize("hint_ppm", [0.0, 0.2, 50.0])
+def test_the_error_is_within_the_bound_whatever_arrivals_say(ppm_per_minute, hint_ppm):
+    for seed in range(12):
+        error, bound = errors(seed, 150, Controller(ppm_per_minute=ppm_per_minute), hint_ppm)
+        assert np.all(np.abs(error) <= bound)
+
+
+def test_a_hundred_edges_at_a_cycle_of_2_ms():
+    """The middle of what n uniform phases leave open has a standard deviation of 1/√2 of an nth of the cycle: 14 µs."""
+    worst, square = [], []
+    for seed in range(100):
+        error, bound = errors(seed, 100, Controller(), hint_ppm=0.1)
+        assert np.all(np.abs(error) <= bound)
+        worst.append(np.max(np.abs(error)))
+        square.append(np.mean(np.square(error)))
+    # A rate that is off by 0.1 ppm makes 4 µs at the ends of 80 s. The largest of 100 exponential tails is some ln(100) = 4.6 of 10 µs off.
+    assert np.max(worst) < 100.0
+    assert np.sqrt(np.mean(square)) < 1.3 * 14.0
+
+
+# --- which edge is which
+
+
+def track_of(times, bits):
+    track = InputTrack()
+    for part in np.array_split(np.arange(len(times)), 3):  # as lines come, in pieces
+        track.add(times[part], bits[part])
+    return track
+
+
+def level_at(t, edges):
+    return np.searchsorted(edges, t, side="right") % 2
+
+
+def test_changes_are_told_between_readings_whatever_the_pieces():
+    t = np.arange(0.0, 1.0, 0.1)
+    bits = np.array([0, 0, 4, 4, UNKNOWN, 0, 8, 8, 12, 12])
+    track = track_of(t, bits)
+    assert track.inputs() == [2, 3]
+    of_2, of_3 = track.changes(2), track.changes(3)
+    assert of_2.level.tolist() == [True, False, True]
+    assert of_2.before_s == pytest.approx([0.1, 0.3, 0.7])
+    assert of_2.after_s == pytest.approx([0.2, 0.5, 0.8])  # a reading that says nothing widens it
+    assert (of_3.before_s[0], of_3.after_s[0]) == pytest.approx((0.5, 0.6))
+    assert track.changes(0).level.size == 0
+
+
+@pytest.mark.parametrize("value", [None, -1, 2**63, 2**200, True, 1.0, "3", [1]])
+def test_inputs_that_are_none(value):
+    assert bits_of(value) == UNKNOWN
+
+
+def pairing(edges, readings, level, late_s=0.004):
+    """The pairing of edges with what readings show; arrivals make them expected late."""
+    track = track_of(readings, level.astype(np.int64))
+    return match(edges + late_s, np.arange(edges.size) % 2 == 0, track.changes(0)), track.changes(0)
+
+
+def test_every_edge_finds_its_change():
+    rng = np.random.default_rng(1)
+    edges, readings = edges_at(rng, 60), np.arange(0.0, 60.0, CYCLE_S)
+    found, changes = pairing(edges, readings, level_at(readings, edges))
+    assert found.change.tolist() == list(range(60))
+    assert (found.unseen, found.unclear, found.stray) == (0, 0, 0)
+    assert np.all((changes.before_s <= edges) & (edges <= changes.after_s))
+
+
+def test_a_bounce_is_left_out():
+    """A relay's contact opens once more 3 ms after an edge: three changes where one edge was."""
+    rng = np.random.default_rng(2)
+    edges, readings = edges_at(rng, 60), np.arange(0.0, 60.0, CYCLE_S)
+    level = level_at(readings, edges)
+    bounced = (readings > edges[20] + 0.003) & (readings < edges[20] + 0.006)
+    found, _ = pairing(edges, readings, np.where(bounced, 1 - level, level))
+    assert found.change[20] == -1
+    assert np.sum(found.change >= 0) == 59
+    assert found.unclear == 4  # the edge and three changes
+    assert (found.unseen, found.stray) == (0, 0)
+
+
+def test_readings_that_are_missing_leave_out_what_they_hide():
+    """Two edges in a gap: nothing changed. One: its bounds are wide, and true. Three: one change, which could be either."""
+    rng = np.random.default_rng(3)
+    edges, readings = edges_at(rng, 60), np.arange(0.0, 60.0, CYCLE_S)
+    keep = np.ones(readings.size, bool)
+    for first, last in ((10, 11), (20, 20), (30, 32)):
+        keep &= ~((readings > edges[first] - 0.02) & (readings < edges[last] + 0.02))
+    found, changes = pairing(edges, readings[keep], level_at(readings[keep], edges))
+    assert np.flatnonzero(found.change < 0).tolist() == [10, 11, 30, 31, 32]
+    assert found.unseen == 2
+    assert found.unclear == 4
+    wide = found.change[20]
+    assert changes.before_s[wide] <= edges[20] <= changes.after_s[wide]
+
+
+def test_a_change_that_nobody_made_is_counted():
+    rng = np.random.default_rng(4)
+    edges, readings = edges_at(rng, 60, least=0.8), np.arange(0.0, 70.0, CYCLE_S)
+    level = level_at(readings, edges)
+    middle = 0.5 * (edges[40] + edges[41])
+    found, _ = pairing(edges, readings, np.where(np.abs(readings - middle) < 0.01, 1 - level, level))
+    assert found.stray == 2
+    assert np.all(found.change >= 0)
+
+
+# --- through readings, arrivals and exchanges
+
+
+def session(seed, n=100, number=3, noisy=None, controller=None, wrong=None):
+    """What readings of 80 s say, tied to the box. ``noisy``: another input that toggles by itself. ``wrong``: µs that a stamp is off."""
+    rng = np.random.default_rng(seed)
+    controller = controller or Controller()
+    edges = edges_at(rng, n)
+    end = edges[-1] + 2.0
+    reader = JointReader()
+    ticks = np.arange(int(100.0 / CYCLE_S) + 1, int(controller.reading(end) / CYCLE_S)) * CYCLE_S
+    t = controller.true(ticks)
+    bits = level_at(t, edges) << number
+    if noisy is not None:
+        bits = bits | (level_at(t, edges_at(rng, 2 * n, 0.1, 0.5)) << noisy)
+    arrival = np.maximum.accumulate(t + LATENCY_S + rng.exponential(200e-6, t.size))
+    for c, bit, a in zip(ticks.tolist(), bits.tolist(), arrival.tolist(), strict=True):
+        reader.feed(Message("/robot/joints", int(1e9 * a), b'{"t":%.6f,"q":[0.0],"inputs":%d}' % (c, bit)))
+    exchanges = []
+    for t0 in np.arange(0.0, end, 0.25):
+        t1 = t0 + 125e-6 + rng.exponential(80e-6)
+        t3 = t1 + 155e-6 + rng.exponential(120e-6)
+        exchanges.append(Exchange(int(1e9 * t0), int(device_us(t1)), int(device_us(t1 + 5e-6)), int(1e9 * t3) + 1))
+    stamps = device_us(edges).astype(np.int64)
+    for k, off in (wrong or {}).items():
+        stamps[k] += off
+    output = Output(stamps, np.arange(n) % 2 == 0)
+    joints = with_edges(reader.finish(), {0: output}, {0: fit_clock(0, exchanges)[0]})
+    return joints, controller, t
+
+
+def check(joints, controller, t):
+    (clock,) = joints.clocks
+    assert clock.source == "edges"
+    c = controller.reading(t[::50])
+    error = clock.to_host_ns(c) - 1e9 * t[::50]
+    assert np.all(np.abs(error) <= clock.bound_at(c))
+    return joints.reports[0].edges
+
+
+def test_the_input_that_follows_is_found():
+    report = check(*session(5, number=7, noisy=2))
+    assert (report.input, report.used, report.edges) == (7, 100, 100)
+    assert report.shortest_latency_ns == pytest.approx(1e9 * LATENCY_S, abs=report.bound_ns)
+
+
+def test_an_edge_that_contradicts_the_others_is_rejected():
+    """A stamp that is 30 ms off is within what arrivals leave open, and beyond every bound."""
+    report = check(*session(6, wrong={50: 30_000}))
+    assert (report.used, report.rejected) == (99, 1)
+
+
+def test_no_input_that_follows_is_said():
+    """The output is not wired; another input toggles by itself."""
+    joints, *_ = session(7, number=62, noisy=2)
+    assert joints.reports[0].edges.input == 62
+    silent = with_edges(
+        joints, {0: Output(np.array([6_000_000, 7_000_000, 8_000_000]), np.array([True, False, True]))}, {}
+    )
+    assert silent is joints  # of a box whose clock is not known
+    reader = JointReader()
+    for k in range(5000):
+        reader.feed(
+            Message(
+                "/robot/joints", int(1e9 * (k * 0.01)), b'{"t":%.3f,"q":[0.0],"inputs":%d}' % (k * 0.01, k // 37 % 2)
+            )
+        )
+    exchanges = [
+        Exchange(int(x * 1e9), int(x * 1e6) + 50, int(x * 1e6) + 55, int(x * 1e9) + 200_000)
+        for x in np.arange(0, 50, 0.25)
+    ]
+    times = (1e6 * edges_at(np.random.default_rng(8), 40)).astype(np.int64)
+    output = Output(times, np.arange(40) % 2 == 0)
+    alone = with_edges(reader.finish(), {0: output}, {0: fit_clock(0, exchanges)[0]})
+    report = alone.reports[0].edges
+    assert report.input is None
+    assert report.unseen == report.edges > 30
+    assert alone.clocks[0].source == "arrivals"
+
+
+def test_slow_readings_leave_the_clock_to_arrivals():
+    """Ten readings a second and few edges bound nothing better than some milliseconds."""
+    reader = JointReader()
+    edges = edges_at(np.random.default_rng(9), 12)
+    for k in range(150):
+        reader.feed(
+            Message(
+                "/robot/joints",
+                int(1e8 * k) + 300_000,
+                b'{"t":%.1f,"q":[0.0],"inputs":%d}' % (0.1 * k, level_at(0.1 * k, edges)),
+            )
+        )
+    exchanges = [
+        Exchange(int(x * 1e9), int(x * 1e6) + 50, int(x * 1e6) + 55, int(x * 1e9) + 200_000)
+        for x in np.arange(0, 15, 0.25)
+    ]
+    output = Output((1e6 * edges).astype(np.int64), np.arange(12) % 2 == 0)
+    joints = with_edges(reader.finish(), {0: output}, {0: fit_clock(0, exchanges)[0]})
+    assert not joints.reports[0].edges.in_use
+    assert joints.clocks[0].source == "arrivals"
