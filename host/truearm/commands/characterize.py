@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
@@ -63,6 +64,9 @@ def characterize(
     from truearm.files.robot import load_robot, robot_file
     from truearm.record.session import open_session
 
+    for mm in within_mm or ():
+        if not 0.0 < mm < math.inf:  # typer's bounds let nan pass
+            raise InputError(f"--within-mm must be a finite number, is {mm}")
     if out == Path("-"):
         raise InputError("-: is no file name; --json prints to standard output")
     if out is not None:

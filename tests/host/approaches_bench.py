@@ -1,0 +1,26 @@
+"""The run that ``truearm plan characterize`` plans for the simulator's PUMA 560, planned once."""
+
+import functools
+
+from truearm.model.robot import builtin_robot
+from truearm.plan.approaches import ApproachesWanted, plan_approaches
+from truearm.plan.ballbar import make_site
+from truearm.plan.branches import branch_of
+from truearm.plan.forecast import Known
+from truearm.plan.route import Route
+from truearm.plan.shapes import Sizes
+from truearm.plan.site import Limits, Pairing, Site
+from truearm.plan.way import Pace
+from truearm_sim.world import standard_rig
+
+PAIRING = Pairing("bar46", "c1", "s1")
+WANTED = ApproachesWanted(n_poses=4, rounds=3, long_s=10.0, n_candidates=200)
+
+
+@functools.cache
+def planned() -> tuple[Site, Route]:
+    """The arm before the rig as designed, and the route."""
+    robot, rig = builtin_robot("puma560"), standard_rig()
+    known = Known(robot.chain, rig, robot.chain.params_nominal, robot.free)
+    site = make_site(known, branch_of(robot.chain, None), Limits(), Sizes())
+    return site, plan_approaches(site, PAIRING, WANTED, Pace())

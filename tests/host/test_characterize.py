@@ -1,0 +1,253 @@
+"""What ``truearm characterize`` says of a simulated robot, against the simulator's truth; and what identify does with it."""
+
+import json
+from functools import cache
+
+import numpy as np
+import pytest
+from approaches_bench import planned
+from scipy import stats
+from sync_stream import stream_of
+from world_stream import HOST_NS, messages_of
+
+from truearm.commands.characterizing import characterized
+from truearm.estimate.identify import identify
+from truearm.files.noise import NoiseFile, read_noise, with_noise
+from truearm.files.plan import write_plan
+from truearm.files.rig import format_rig
+from truearm.model.robot import builtin_robot
+from truearm.record.links import HostClock
+from truearm.record.session_writer import SessionWriter
+from truearm.sync.pipeline import observations
+from truearm.sync.visits import came_from, visits
+from truearm_sim import robot, sensors
+from truearm_sim.arm import Arm
+from truearm_sim.world import REPEATABILITY, World, standard_plan, standard_rig
+
+BACKLASH = (4e-4, 2e-4, 3e-4, 5e-4, 2e-4, 8e-4)
+WORN = Arm(backlash=BACKLASH, reading_sigma=2e-5)
+BANDS = (20e-6, 50e-6)
+PUMA = builtin_robot("puma560")
+
+
+@cache
+def world(seed):
+    return World(seed, planned()[1].visits, arm=WORN)
+
+
+@cache
+def messages(seed):
+    return stream_of(messages_of(world(seed), seed))
+
+
+@cache
+def said(seed):
+    return characterized(messages(seed), "run", PUMA.chain, standard_rig(), BANDS)
+
+
+def truth():
+    """Of each figure that ``characterized()`` gives as an interval, by name."""
+    rounding = robot.STEP**2 / 12.0  # a reading's, which its noise spreads over several steps
+    readings = WORN.reading_sigma**2 + rounding
+    spread = np.sqrt(robot.SERVO_SIGMA**2 + readings / 80.0)  # 80 readings or so a dwell: next to nothing
+    return {
+        "bar_sigma": REPEATABILITY,
+        "sample": sensors.SAMPLE_SIGMA,
+        **{f"backlash {j}": b for j, b in enumerate(BACKLASH)},
+        **{f"S_q {j}": np.sqrt(0.25 * b**2 + readings / 80.0) for j, b in enumerate(BACKLASH)},
+        **{f"difference {j}": 0.0 for j in range(6)},
+        **{f"spread {j}": spread for j in range(6)},
+        **{f"reading {j}": np.sqrt(readings) for j in range(6)},
+    }
+
+
+def intervals(document):
+    of = document["repeatability"]
+    return {
+        "bar_sigma": document["noise"]["bar_sigma_m"],
+        "sample": document["sensor"]["sample_m"],
+        **{f"backlash {j}": one for j, one in enumerate(of["backlash_si"])},
+        **{f"S_q {j}": one for j, one in enumerate(document["noise"]["joint_sigma_si"])},
+        **{f"difference {j}": one for j, one in enumerate(of["reading_difference_si"])},
+        **{f"spread {j}": one for j, one in enumerate(of["reading_spread_si"])},
+        **{f"reading {j}": one["reading_si"] for j, one in enumerate(document["readings"])},
+    }
+
+
+def covered(document):
+    return {name: one["low"] <= truth()[name] <= one["high"] for name, one in intervals(document).items()}
+
+
+def test_intervals_hold_the_truth():
+    """32 of 95 %: fewer than 25 would be one in ten thousand runs."""
+    assert sum(covered(said(1)[0]).values()) >= 25
+
+
+@pytest.mark.soak
+def test_intervals_hold_the_truth_as_often_as_they_say():
+    """50 seeds: each figure's interval covers in a share of runs that 95 % give, within 99.9 %; all together within 1.5 %."""
+    runs = []
+    for seed in range(100, 150):
+        stream = stream_of(messages_of(World(seed, planned()[1].visits, arm=WORN), seed))
+        runs.append(covered(characterized(stream, "run", PUMA.chain, standard_rig(), BANDS)[0]))
+    share = {name: np.mean([run[name] for run in runs]) for name in runs[0]}
+    print({name: round(float(value), 3) for name, value in share.items()})
+    least = stats.binom.ppf(0.0005, 50, 0.95) / 50
+    assert min(share.values()) >= least
+    assert np.mean(list(share.values())) == pytest.approx(0.95, abs=0.015)
+
+
+def stop_of(seed, dwell):
+    """The controller's stop that a dwell is, by time: the plan has the same pose again and again."""
+    return int(world(seed).controller.stop_index(np.array([1e-9 * (dwell.start_host_ns - HOST_NS)]))[0])
+
+
+def test_every_visit_came_from_the_side_it_came_from():
+    result = observations(messages(1), standard_rig())
+    used = [dwell for dwell in result.dwells if not dwell.reason]
+    controller = world(1).controller
+    sides = np.array([came_from(result.survey.joints.bins, dwell) for dwell in used])
+    assert np.array_equal(sides, [controller.direction[stop_of(1, dwell)] for dwell in used])
+
+
+def test_settling_times_are_those_of_the_bar_without_noise():
+    """Within a sample's period at either end for most visits: whether a swing just grazes the band is left to the noise."""
+    result = observations(messages(1), standard_rig())
+    found = visits(messages(1), result, standard_rig(), BANDS)
+    controller = world(1).controller
+    for k, band in enumerate(BANDS):
+        times, true = found.settling[:, k], np.full(len(found.dwells), np.nan)
+        for i in np.flatnonzero(np.isfinite(times)):
+            stop = stop_of(1, found.dwells[i])
+            t = np.arange(controller.move_start[stop], controller.arrive[stop] + 0.6, 2e-4)
+            size = np.abs(world(1).length(t) - world(1).length(t[-1:]))
+            coming = int(np.flatnonzero(size >= 0.5 * size.max())[-1])
+            outside = np.flatnonzero(size[coming:] > band)
+            true[i] = 2e-4 * max(0, int(outside[-1]) + 1 - int(np.argmax(size[coming:] <= band)))
+        known = np.isfinite(times)
+        assert known.sum() > 0.6 * len(times)
+        error = times[known] - true[known]
+        assert np.mean(np.abs(error) <= 2.0 * found.period_s) > 0.85
+
+
+@cache
+def worn_calibration():
+    """A calibration of the same robot: 100 poses with each bar."""
+    visited = World(11, standard_plan(100, 11), arm=WORN)
+    return observations(stream_of(messages_of(visited, 11)), standard_rig())
+
+
+def fitted(noise: NoiseFile):
+    rig = with_noise(standard_rig(), noise)
+    result = worn_calibration()
+    sigma = np.sqrt([d.value_var + rig.bars[d.mounted["bar"]].sigma ** 2 for d in result.dwells if not d.reason])
+    table = result.table.select(np.ones(len(result.table), dtype=bool))
+    table.sigma[:] = sigma
+    return identify(PUMA.chain, rig, table, free=PUMA.free)
+
+
+def test_the_noise_that_was_found_makes_chi2_one_and_wrong_noise_is_told():
+    """Of 200 rows with 36 unknowns: inside the band of χ². As declared, without backlash, above it."""
+    _, noise = said(1)
+    both = NoiseFile(noise.joint_cov, dict.fromkeys(("bar46", "bar61"), noise.bar_sigma["bar46"]))
+    right = fitted(both)
+    # The band is of exact sigmas; those found from 96 visits have a variance good to √(2/70) = 17 %, one sigma.
+    low, high = right.chi2_band
+    assert low / 1.34 < right.chi2_reduced < 1.34 * high
+    declared = fitted(NoiseFile())
+    assert declared.chi2_reduced > declared.chi2_band[1]
+    quiet = fitted(NoiseFile(bar_sigma=dict.fromkeys(("bar46", "bar61"), 1e-3)))
+    assert quiet.chi2_reduced < 0.2 * quiet.chi2_band[0]
+
+
+def normalised_error(fit, visited):
+    """Squared error of the identified parameters in units of their covariance, and its degrees of freedom."""
+    free = fit.free[: len(visited.params)] & fit.identifiable[: len(visited.params)]
+    error = (fit.value[: len(visited.params)] - visited.params)[free]
+    return float(error @ np.linalg.solve(fit.covariance[np.ix_(free, free)], error)), int(free.sum())
+
+
+@pytest.mark.soak
+def test_the_covariance_is_honest_with_the_noise_that_was_found():
+    """NEES over 25 calibrations of a worn arm, each with noise found in a run of its own."""
+    found, told = [], []
+    for seed in range(200, 225):
+        run = World(seed, planned()[1].visits, arm=WORN)
+        _, noise = characterized(stream_of(messages_of(run, seed)), "run", PUMA.chain, standard_rig(), BANDS)
+        rig = with_noise(
+            standard_rig(), NoiseFile(noise.joint_cov, dict.fromkeys(("bar46", "bar61"), noise.bar_sigma["bar46"]))
+        )
+        visited = World(seed + 1000, standard_plan(100, seed), arm=WORN)
+        stream = stream_of(messages_of(visited, seed))
+        for around, errors in ((rig, found), (standard_rig(), told)):
+            table = observations(stream, around).table
+            errors.append(normalised_error(identify(PUMA.chain, around, table, free=PUMA.free), visited))
+    mean, free = np.mean([one for one, _ in found]), found[0][1]
+    print(mean, free, np.mean([one for one, _ in told]))
+    # χ² of 25·free degrees, and the variances' own 17 %, whose mean of 1/v is 3 % above 1/mean.
+    assert 0.8 * free < mean < 1.2 * free
+    assert np.mean([one for one, _ in told]) > 1.2 * free
+
+
+def write(path, kept, rig):
+    with SessionWriter(path, HostClock()) as writer:
+        if rig is not None:
+            writer.attach("rig.toml", "application/toml", format_rig(rig).encode())
+        for message in kept:
+            writer.add(message.topic, message.t_host_ns, message.data)
+    return path
+
+
+def test_from_a_session_file_to_a_noise_file(tmp_path, run):
+    path, out = write(tmp_path / "s.mcap", messages(1)(None), standard_rig()), tmp_path / "noise.toml"
+    code, text, err = run("characterize", path, "--robot", "puma560", "--within-mm", "0.02", "--out", out)
+    assert (code, err) == (0, "")
+    for word in (
+        "repeatability, one side",
+        "backlash/mrad",
+        "settled within 0.02 mm",
+        "Allan deviation",
+        f"written: {out}",
+    ):
+        assert word in text
+    assert read_noise(out).bar_sigma["bar46"] == said(1)[1].bar_sigma["bar46"]
+    code, text, _ = run("characterize", path, "--robot", "puma560", "--json", "--out", out)  # its own file, again
+    document = json.loads(text)
+    assert code == 0
+    assert document["noise"] == said(1)[0]["noise"]
+
+
+def test_a_plan_serves_where_the_session_has_none(tmp_path, run):
+    kept = [message for message in messages(1)(None) if message.topic != "/plan"]
+    path, plan = write(tmp_path / "s.mcap", kept, standard_rig()), tmp_path / "plan.csv"
+    write_plan(plan, world(1).controller.plan)
+    code, _, err = run("characterize", path, "--robot", "puma560")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "0 dwells can be used" in err
+    code, text, _ = run("characterize", path, "--robot", "puma560", "--plan", plan, "--json")
+    assert (code, json.loads(text)["poses"]) == (0, 4)
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        (("--robot", "panda"), "6 joints, the robot given has 7"),
+        (("--robot", "puma560", "--out", "-"), "no file name"),
+        (("--robot", "puma560", "--rig", "none.toml"), "none.toml"),
+        (("--robot", "puma560", "--within-mm", "nan"), "within-mm"),
+    ],
+)
+def test_what_cannot_be_done_is_said_in_one_line(tmp_path, run, more, says):
+    path = write(tmp_path / "s.mcap", list(messages(1)(None))[:3000], standard_rig())
+    code, text, err = run("characterize", path, *more)
+    assert (code, text, err.count("\n")) == (2, "", 1)
+    assert says in err
+
+
+def test_nobodys_file_is_written_over(tmp_path, run):
+    path, out = write(tmp_path / "s.mcap", [], None), tmp_path / "notes.toml"
+    out.write_text("mine")
+    code, _, err = run("characterize", path, "--robot", "puma560", "--out", out)
+    assert (code, out.read_text(), err.count("\n")) == (2, "mine", 1)
+    code, _, err = run("characterize", path, "--robot", "puma560")
+    assert (code, "recorded without a rig" in err) == (2, True)

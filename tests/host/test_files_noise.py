@@ -1,0 +1,122 @@
+"""Noise files: what they hold, what they stand in for, and what is refused."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from truearm.cli import main
+from truearm.errors import RigError
+from truearm.files.noise import NoiseFile, check_against_rigs, format_noise, looks_like_noise, parse_noise, with_noise
+from truearm.files.rig import write_rig
+from truearm.types import BallBar, Point, Rig
+
+RIG = Rig(
+    chucks={"c": Point("c", (0.45, 0.15, 0.08))},
+    spheres={"s": Point("s", (0.1, 0.0, 0.04))},
+    bars={name: BallBar(name, zero, 1.0, 0.075, 84e-6) for name, zero in (("b46", 0.46), ("b61", 0.61))},
+)
+COV = ((4e-8, 0.0), (0.0, 9e-8))
+
+
+@pytest.mark.parametrize("prismatic", [False, True])
+def test_a_file_reads_back(prismatic):
+    noise = NoiseFile(COV, {"b46": 9.1e-5})
+    text = format_noise(noise, ["joint1: 0.2 mrad"], prismatic)
+    assert ("joint_cov_si" in text) == prismatic
+    read = parse_noise(text, "noise.toml")
+    assert np.allclose(read.joint_cov, COV, rtol=1e-14, atol=0.0)
+    assert read.bar_sigma == noise.bar_sigma
+    assert looks_like_noise(text.encode())
+    assert not looks_like_noise(b'[[bar]]\nname = "b46"')
+
+
+def test_it_stands_in_for_the_rigs_figures():
+    rig = with_noise(RIG, NoiseFile(COV, {"b46": 9.1e-5}))
+    assert (rig.joint_cov, rig.bars["b46"].sigma, rig.bars["b61"].sigma) == (COV, 9.1e-5, 84e-6)
+    assert with_noise(rig, NoiseFile()).joint_cov == COV
+    assert with_noise(RIG, None) is RIG
+    with pytest.raises(RigError, match="bar 'b99' is not in the rig, which has b46, b61"):
+        check_against_rigs(NoiseFile(bar_sigma={"b99": 1e-4}, name="noise.toml"), {"a": RIG})
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("bar = 3", "must be written as"),
+        ("seat_sigma_mm = 0.1", "unknown key"),
+        ('[[bar]]\nname = "a"', "needs sigma_m"),
+        ('[[bar]]\nname = "a"\nsigma_mm = 0', "greater than 0"),
+        ('[[bar]]\nname = "a"\nsigma_mm = 1\nzero_mm = 460', "unknown key"),
+        ('[[bar]]\nname = "a"\nsigma_mm = 1\n[[bar]]\nname = "a"\nsigma_mm = 1', "stands twice"),
+        ("joint_sigma_rad = [-1]", "between"),
+        ("joint_sigma_rad = [nan]", "finite"),
+        ("joint_cov_si = [[1, 2], [2, 1]]", "covariance"),
+        ("joint_sigma_rad = [", "noise.toml"),
+    ],
+)
+def test_what_is_wrong_is_refused_in_one_line(text, says):
+    with pytest.raises(RigError, match=says) as refused:
+        parse_noise(text, "noise.toml")
+    assert "\n" not in str(refused.value)
+
+
+@pytest.fixture
+def files(tmp_path):
+    """A rig and a table of poses of a perfect PUMA 560 with 84 µm of noise."""
+    from truearm.model.chain import point_forward
+    from truearm.model.robot import builtin_robot
+
+    rng, robot = np.random.default_rng(3), builtin_robot("puma560")
+    q = rng.uniform(-1.0, 1.0, (120, 6))
+    p = point_forward(robot.chain, robot.chain.params_nominal, q, np.array(RIG.spheres["s"].xyz))
+    length = np.linalg.norm(p - RIG.chucks["c"].xyz, axis=1) + 84e-6 * rng.standard_normal(120)
+    write_rig(tmp_path / "rig.toml", RIG)
+    with (tmp_path / "poses.csv").open("w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(["kind", *(f"q{i + 1}_rad" for i in range(6)), "length_m", "bar", "chuck", "sphere"])
+        rows.writerows(
+            [["ball_bar", *row, value, "b46", "c", "s"] for row, value in zip(q.tolist(), length, strict=True)]
+        )
+    return tmp_path
+
+
+def identified(files, capsys, *more):
+    arguments = [
+        "identify",
+        files / "poses.csv",
+        "--robot",
+        "puma560",
+        "--rig",
+        files / "rig.toml",
+        "--free",
+        "joint*.offset",
+    ]
+    code = main([str(word) for word in (*arguments, "--json", *more)])
+    said = capsys.readouterr()
+    return code, json.loads(said.out) if code == 0 else said.err
+
+
+def test_identify_weighs_by_it_and_says_that_it_was_read(files, capsys):
+    (files / "noise.toml").write_text(format_noise(NoiseFile((), {"b46": 168e-6}), [], False))
+    _, declared = identified(files, capsys)
+    code, found = identified(files, capsys, "--noise", files / "noise.toml")
+    assert code == 0
+    assert found["chi2_reduced"] == pytest.approx(declared["chi2_reduced"] / 4.0, rel=1e-3)
+    assert [one["name"] for one in found["inputs"] if one["role"] == "noise"] == ["noise.toml"]
+
+
+def test_identify_refuses_noise_of_other_bars_and_robots(files, capsys):
+    noise = files / "noise.toml"
+    noise.write_text('[[bar]]\nname = "b99"\nsigma_mm = 0.1\n')
+    assert identified(files, capsys, "--noise", noise) == (
+        2,
+        f"truearm: {noise}: bar 'b99' is not in the rig, which has b46, b61\n",
+    )
+    noise.write_text("joint_sigma_rad = [1e-4, 1e-4]\n")
+    code, said = identified(files, capsys, "--noise", noise)
+    assert (code, said.count("\n")) == (2, 1)
+    assert "joint_cov must be 6×6" in said
+    code, said = identified(files, capsys, "--noise", files / "none.toml")
+    assert (code, said.count("\n")) == (2, 1)

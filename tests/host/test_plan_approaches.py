@@ -1,0 +1,81 @@
+"""The short run that a robot is characterized by: sides, travel, order."""
+
+import numpy as np
+import pytest
+from approaches_bench import PAIRING, WANTED, planned
+
+from truearm.errors import PlanError
+from truearm.plan.approaches import (
+    FARTHEST,
+    LEAST,
+    ApproachesWanted,
+    length_derivatives,
+    plan_approaches,
+    sides,
+    telling,
+)
+from truearm.plan.site import Limits, allowed, free_travel
+from truearm.plan.way import Pace
+
+
+@pytest.mark.parametrize("joints", [1, 4, 6, 7, 8])
+def test_each_joint_comes_from_both_sides_independently_of_all_others(joints):
+    signs = sides(joints)
+    assert signs.shape == (8 if 4 <= joints <= 7 else {1: 2, 8: 16}[joints], joints)
+    assert np.array_equal(signs.T @ signs, len(signs) * np.eye(joints))
+    assert np.array_equal(signs.sum(axis=0), np.zeros(joints))
+
+
+def test_the_poses_are_those_that_tell_most_of_every_joint():
+    tells = np.array([[1.0, 0.1], [0.9, 0.1], [0.1, 0.5], [0.0, 0.0]])
+    assert telling(tells, 2) == [0, 2]
+
+
+@pytest.fixture(scope="module")
+def route():
+    return planned()
+
+
+def test_every_way_keeps_the_bar_on_and_within_its_travel(route):
+    """Recomputed from the route alone, 12 places on every way: joints, travel with its reserve, cups, collisions."""
+    site, way = route
+    share = np.linspace(0.0, 1.0, 12)[:, None]
+    for i in range(1, len(way.q)):
+        if not way.mount[i] and not (i + 1 < len(way.q) and way.mount[i + 1]):
+            assert allowed(site, way.q[i - 1] + share * (way.q[i] - way.q[i - 1]), PAIRING, Limits()).all()
+
+
+def test_every_pose_is_reached_from_each_side_alike_often(route):
+    _, way = route
+    poses = np.unique(way.plan.q, axis=0)
+    assert len(poses) == WANTED.n_poses
+    for q in poses:
+        at = np.flatnonzero((way.pose >= 0) & np.all(way.q == q, axis=1))
+        away = np.array([way.q[i - 1] - q for i in at if i and way.pose[i - 1] < 0])
+        near = away[np.abs(away).max(axis=1) <= FARTHEST]
+        _, counts = np.unique(np.sign(near[-8 * WANTED.rounds :]), axis=0, return_counts=True)
+        assert counts.tolist() == [WANTED.rounds] * 8
+        assert np.abs(near).min() >= LEAST
+        assert (np.diff(at) == 1).sum() + 1 == WANTED.long_s / 2.0  # rows of the long rest
+
+
+def test_what_the_joints_do_together_stays_within_the_free_travel(route):
+    site, way = route
+    jac = np.abs(length_derivatives(site, way.plan.q[:1], PAIRING))[0]
+    step = np.abs(way.q[np.flatnonzero(way.pose < 0)[0]] - way.plan.q[0])
+    bar, _ = PAIRING.of(site.rig)
+    assert jac @ step <= free_travel(bar, site.limits)
+
+
+def test_the_plan_and_the_programs_say_the_same(route):
+    _, way = route
+    visits = way.visits
+    assert np.array_equal(visits.q, way.q)
+    assert [stop.move for stop in way.stops] == visits.move.tolist()
+    assert set(visits.bar[visits.move == "via"]) <= {"bar46", ""}
+
+
+def test_more_poses_than_have_room_are_refused(route):
+    site, _ = route
+    with pytest.raises(PlanError, match="leave the bar room"):
+        plan_approaches(site, PAIRING, ApproachesWanted(n_poses=50, n_candidates=20), Pace())
