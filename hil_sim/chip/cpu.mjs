@@ -1,7 +1,8 @@
 // The Cortex-M0+ in batches. rp2040js decides for every instruction anew which of 80 it is, and its clock is asked after
 // each. Here the common instructions are decoded by a table and work on local variables until the next event is due; peripherals see
 // the exact time, because the clock is put right before each access to them. What is rare (ROM calls, exceptions,
-// special registers) is left to rp2040js's own executeInstruction. Cycle counts are rp2040js's.
+// special registers) is left to rp2040js's own executeInstruction. Cycle counts are rp2040js's. It is one long function because its speed
+// comes from those local variables.
 //
 // Other than rp2040js, and as the architecture has it: shifts by 0 and by more than 32 leave the right carry, SBCS the right
 // overflow, STM writes its base back even if it is in the list. tests/chip/cpu.test.mjs holds both against each other.

@@ -16,7 +16,7 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import truearm_wire
 from truearm.errors import LinkError
@@ -117,6 +117,15 @@ def write_flash(folder: Path, config: dict[str, Any] | None) -> None:
     shutil.copyfile(Path(__file__).parent / "vm" / "board.py", folder / "board.py")
     if config is not None:
         (folder / "config.json").write_text(json.dumps(config))
+
+
+def end_process(process: subprocess.Popen[bytes], stderr: IO[bytes]) -> None:
+    """Kill it, and close its pipes and the file of its standard error."""
+    process.kill()
+    process.wait()
+    for pipe in (process.stdin, process.stdout, stderr):
+        if pipe is not None:
+            pipe.close()
 
 
 class BoxProcess:
@@ -236,11 +245,7 @@ class BoxProcess:
 
     def close(self) -> None:
         """End the process and drop its file system."""
-        self._process.kill()
-        self._process.wait()
-        for pipe in (self._process.stdin, self._process.stdout, self._stderr):
-            if pipe is not None:
-                pipe.close()
+        end_process(self._process, self._stderr)
         if self._folder is not None:
             self._folder.cleanup()
 

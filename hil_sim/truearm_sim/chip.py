@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from . import node
-from .box import COMMAND, POWER, RX_MAX, WATCHDOG, Answer, BoxDied
+from .box import COMMAND, POWER, RX_MAX, WATCHDOG, Answer, BoxDied, end_process
 from .hardware import BAD_CRC, CONVERTER_RESET, CRASH, STALL, Boot, Edge
 
 SCRIPT = node.SOURCES / "box.mjs"
@@ -144,11 +144,7 @@ class ChipBox:
 
     def close(self) -> None:
         """End the emulator: the power is gone."""
-        self._process.kill()
-        self._process.wait()
-        for pipe in (self._process.stdin, self._process.stdout, self._stderr):
-            if pipe is not None:
-                pipe.close()
+        end_process(self._process, self._stderr)
 
     def _answer_query(self) -> None:
         stream, n, index, t_ns, period_ns = QUERY.unpack(self._read(QUERY.size))
