@@ -74,10 +74,11 @@ def record_session(
     arm: Arm | None = None,
     plan: Plan | None = None,
     params: Floats | None = None,
+    robot_delay_s: float = 0.0,
 ) -> Recorded:
     """``poses`` with each bar of the rig, or another plan; ``params`` (p,): another true robot."""
     plan = standard_plan(poses, seed, rig) if plan is None else plan
-    world = World(seed, plan, rig, params, arm=arm)
+    world = World(seed, plan, rig, params, arm=arm, robot_delay_s=robot_delay_s)
     box = SimulatedBox(world, interpreter(), faults=faults, seed=seed)
     lab = Lab(world, box, seed)
     link = TappedLink(lab.box_link)
