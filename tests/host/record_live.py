@@ -1,0 +1,108 @@
+"""What the operator sees of a made-up session, second by second."""
+
+import json
+from datetime import date
+
+import cbor2
+import numpy as np
+from record_box import ident
+
+from truearm.commands.course import Course
+from truearm.commands.live_state import LiveState
+from truearm.record.status import Counters, Status
+from truearm.sensors.data import Data
+from truearm.sensors.ident import decode_ident
+from truearm.types import BallBar, Rig
+
+S = 1_000_000_000
+BLOCK_NS = 12_779_520
+NOISE = 2e-6  # m
+MM = 1e-6  # m a count in the box below: scale 1e-3 of a volt, 1e-3 m a volt
+TODAY = date(2026, 11, 22)
+
+RIG = Rig(
+    bars={
+        "b46": BallBar("b46", zero=0.46, gain=1.0, travel=0.075, sigma=8.4e-5),
+        "b61": BallBar("b61", zero=0.61, gain=1.0, travel=0.075, sigma=8.4e-5),
+    },
+    chucks={"c1": None, "c2": None},
+    spheres={"s1": None},
+)
+
+
+def box(**lvdt):
+    said = ident(1)
+    channel = {
+        "name": "lvdt",
+        "calibration": {"unit": "m", "poly": [[0, 0], [1, -3]], "serial": "7", "date": "2026-05-01"},
+    }
+    said["streams"][0]["channels"][0].update({"scale": [1, -3]} | channel | lvdt)
+    return decode_ident(cbor2.dumps(said))
+
+
+def plan(*pairings, joints=2):
+    """A row a pairing (bar, chuck), at joints 0.5 rad apart."""
+    return [
+        {"pose": k, "shell": "", "bar": bar, "chuck": chuck, "sphere": "s1", "q": [0.5 * k] * joints}
+        for k, (bar, chuck) in enumerate(pairings)
+    ]
+
+
+class Session:
+    """Feeds a state: the bar at ``position`` [m], the robot at ``q``, second by second."""
+
+    def __init__(self, rows=(), mounted=None, robot=True, rig=RIG):
+        self.state = LiveState(Course(list(rows), dict(mounted or {})), rig, robot)
+        self.state.ident(box())
+        self.t = 1000 * S
+        self.robot = robot
+        self.n0 = 0
+        self.rng = np.random.default_rng(3)
+        self.said = []
+        self.position, self.q = 0.0, np.zeros(2)
+
+    def run(self, seconds, speed=0.0, q_speed=0.0):
+        """``speed`` [m/s] of the bar, ``q_speed`` [rad/s] of every joint."""
+        for _ in range(round(seconds * S / BLOCK_NS)):
+            within = np.arange(13) * BLOCK_NS * 1e-9 / 13
+            extension = self.position + speed * within + NOISE * self.rng.standard_normal(13)
+            counts = np.zeros((13, 4), "<i4")
+            counts[:, 0] = np.rint(extension / MM)
+            data = Data(0, 0, self.n0, 0, BLOCK_NS // 13, b"", counts.tobytes(), 0)
+            self.n0 += 13
+            self.t += BLOCK_NS
+            self.position += speed * BLOCK_NS * 1e-9
+            self.q = self.q + q_speed * BLOCK_NS * 1e-9
+            self.state.block(self.t, data)
+            if self.robot:
+                q = self.q + 1e-5 * self.rng.standard_normal(self.q.size)
+                self.state.reading(self.t, json.dumps({"t": 1e-9 * self.t, "q": q.tolist()}).encode())
+            self.state.now(self.t)
+        self.said += self.state.said
+        self.state.said.clear()
+
+    def dwell(self, seconds=2.5):
+        """A move of half a second to the next pose, half a radian and 5 mm away, and a stop."""
+        self.run(0.5, speed=0.01, q_speed=1.0)
+        self.run(seconds)
+
+    def events(self, kind):
+        return [wish.fields for wish in self.state.wishes if wish.kind == kind]
+
+    def status(self, **more):
+        return Status(
+            12.0,
+            "recording",
+            312.0,
+            True if self.robot else None,
+            Counters(),
+            robot_age_s=0.02,
+            t_host_ns=self.t,
+            **more,
+        )
+
+    def row(self, name):
+        return next(row for row in self.state.rows(self.status(), None) if row.name == name)
+
+
+PAIRS = [("b46", "c1"), ("b46", "c1"), ("b61", "c1"), ("b61", "c2")]

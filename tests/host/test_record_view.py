@@ -1,0 +1,139 @@
+"""What the operator of a recording may say and is shown: pairings, the LVDT in its travel, whether the box can measure what is wanted."""
+
+import re
+
+import numpy as np
+import pytest
+from record_live import PAIRS, TODAY, Session, box, plan
+
+from truearm.commands.box_check import Purpose, Verdict, check_box
+from truearm.commands.course import Course
+from truearm.commands.keys import LONGEST, Typed
+from truearm.commands.live_state import LiveState
+from truearm.commands.live_view import WAITING, View
+from truearm.errors import InputError
+from truearm.sensors.data import Data
+
+
+class TestCommands:
+    @pytest.mark.parametrize(
+        ("typed", "mounted"),
+        [
+            ("bar=b61", {"bar": "b61", "chuck": "c1", "sphere": "s1"}),
+            ("m chuck=c2", {"bar": "b46", "chuck": "c2", "sphere": "s1"}),
+            ("line=l1,target=t1", {"line": "l1", "target": "t1"}),
+            ("2", {"bar": "b61", "chuck": "c1", "sphere": "s1"}),
+        ],
+    )
+    def test_what_is_mounted(self, typed, mounted):
+        session = Session(plan(*PAIRS))
+        session.state.command(typed)
+        assert session.events("mounted") == [mounted]
+
+    @pytest.mark.parametrize("typed", ["bar=b99", "arm=x", "9", "?", "", "note "])
+    def test_what_is_none_changes_nothing_and_is_explained(self, typed):
+        session = Session(plan(*PAIRS))
+        session.state.command(typed)
+        assert not session.state.wishes
+        (said,) = session.state.said
+        assert "b99" in said or "arm=x" in said or ("Enter" in said and "1 bar b46" in said)
+
+    def test_notes_and_the_end(self):
+        session = Session()
+        session.state.command("note the door was open")
+        session.state.command("q")
+        assert [(w.kind, dict(w.fields)) for w in session.state.wishes] == [
+            ("note", {"text": "the door was open"}),
+            ("end", {}),
+        ]
+
+    def test_typing(self):
+        typed = Typed()
+        assert typed.push("bax\x7fr=1\x1b") == []
+        assert typed.push("chuck=c\x012\n\nno") == ["chuck=c2", ""]
+        assert typed.text == "no"
+        typed.push("\x15" + "y" * 1000)
+        assert typed.text == "y" * LONGEST
+
+
+class TestTravel:
+    def test_the_bar_is_drawn_and_warned_of_near_its_ends(self):
+        session = Session(mounted={"bar": "b46"})
+        session.run(0.5)
+        assert re.fullmatch(r"├─{15}●─{15}┤ [+-]0.000\d mm of ±37.5 mm", session.row("lvdt").text)
+        assert not session.row("lvdt").alarm
+        session.run(3.1, speed=0.01)
+        assert session.row("lvdt").alarm
+        assert session.row("lvdt").text.endswith("near its end")
+        assert [text[:24] for text in session.said] == ["warning: the LVDT is at "]
+        session.run(0.8, speed=0.01)
+        assert session.row("lvdt").text.endswith("BEYOND ITS TRAVEL")
+        assert len(session.said) == 1  # once
+
+    def test_the_rail(self):
+        session = Session()
+        counts = np.full((13, 4), 2**23 - 1, "<i4")
+        session.state.block(session.t, Data(0, 0, 0, 0, 983_040, b"", counts.tobytes(), 0))
+        assert "rail" in session.row("lvdt").text
+
+    def test_on_one_line(self):
+        session = Session(plan(*PAIRS))
+        session.run(2.0)
+        text = session.state.line(session.status(), None)
+        assert text.startswith("lvdt ")
+        assert "; samples adc 1017.3 Hz; 0 samples, 0 frames lost; clock round trip 312 µs at best; robot 78." in text
+        assert re.search(r"last 0\.0 s ago; dwells 1 of 4, standing for (1\.9|2\.0) s, enough$", text)
+
+
+class TestCheck:
+    def test_a_good_box(self):
+        assert check_box(box(), Purpose(ball_bar=True, osr=4096), TODAY) == Verdict()
+
+    @pytest.mark.parametrize(
+        ("lvdt", "says"),
+        [
+            ({"name": "lvtd"}, "has no channel lvdt (it has lvtd, c1, c2, c3)"),
+            (
+                {"calibration": {}},
+                "channel lvdt is not calibrated to a length; calibrate it with truearm box gauge lvdt",
+            ),
+            ({"calibration": {"unit": "V", "poly": [[1, 0]]}}, "is not calibrated to a length"),
+            ({"scale": [1]}, "channel lvdt cannot be used: scale must be"),
+        ],
+    )
+    def test_refused_for_a_ball_bar(self, lvdt, says):
+        verdict = check_box(box(**lvdt), Purpose(ball_bar=True), TODAY)
+        assert says in verdict.refused[0]
+        assert not check_box(box(**lvdt), Purpose(), TODAY).refused
+
+    def test_warned(self):
+        old = {"calibration": {"unit": "m", "poly": [[1, 0]], "date": "2024-11-22"}}
+        verdict = check_box(box(**old), Purpose(ball_bar=True, osr=128), TODAY)
+        assert verdict.warned == (
+            "channel lvdt was calibrated 730 days ago, on 2024-11-22",
+            "stream adc samples at osr 4096, not 128 as asked for",
+        )
+        soon = {"calibration": {"unit": "m", "poly": [[1, 0]], "date": "2030-01-01"}}
+        assert "still to come" in check_box(box(**soon), Purpose(ball_bar=True), TODAY).warned[0]
+        assert "no channel of the box" in check_box(box(calibration={}), Purpose(), TODAY).warned[0]
+
+    def test_a_line_needs_its_sensors(self):
+        refused = check_box(box(), Purpose(line=True), TODAY).refused
+        assert ["magnetostrictive" in text for text in refused] == [True, False, False]
+        assert "transverse_b" in refused[2]
+
+
+class TestView:
+    def test_a_box_that_is_refused(self):
+        view = View(LiveState(Course(), None, False), Purpose(ball_bar=True))
+        with pytest.raises(InputError, match=r"not calibrated to a length.* Nothing was started; --unchecked"):
+            view.approve(box(calibration={}))
+        all_the_same = View(LiveState(Course(), None, False), Purpose(ball_bar=True), unchecked=True)
+        all_the_same.approve(box(calibration={}))
+        assert "not calibrated" in all_the_same.take()[0][0]
+
+    def test_a_view_that_stands_still_is_bounded(self):
+        view = View(LiveState(Course(), None, False), Purpose())
+        for _ in range(WAITING + 5):
+            view.reading(1, b"")
+        assert view.missed == 5
