@@ -56,6 +56,8 @@ class Session:
         self.state.ident(box())
         self.t = 1000 * S
         self.robot = robot
+        self.burst = 1  # ns; arrivals come at multiples of it
+        self.looks = True  # whether somebody looks at the time
         self.n0 = 0
         self.rng = np.random.default_rng(3)
         self.said = []
@@ -68,16 +70,18 @@ class Session:
             extension = self.position + speed * within + NOISE * self.rng.standard_normal(13)
             counts = np.zeros((13, 4), "<i4")
             counts[:, 0] = np.rint(extension / MM)
-            data = Data(0, 0, self.n0, 0, BLOCK_NS // 13, b"", counts.tobytes(), 0)
+            data = Data(0, 0, self.n0, self.t // 1000, BLOCK_NS // 13, b"", counts.tobytes(), 0)
             self.n0 += 13
             self.t += BLOCK_NS
             self.position += speed * BLOCK_NS * 1e-9
             self.q = self.q + q_speed * BLOCK_NS * 1e-9
-            self.state.block(self.t, data)
+            arrival = -(-self.t // self.burst) * self.burst
+            self.state.block(arrival, data)
             if self.robot:
                 q = self.q + 1e-5 * self.rng.standard_normal(self.q.size)
-                self.state.reading(self.t, json.dumps({"t": 1e-9 * self.t, "q": q.tolist()}).encode())
-            self.state.now(self.t)
+                self.state.reading(arrival, json.dumps({"t": 1e-9 * self.t, "q": q.tolist()}).encode())
+            if self.looks:
+                self.state.now(self.t)
         self.said += self.state.said
         self.state.said.clear()
 

@@ -38,6 +38,26 @@ class TestDwells:
         assert "dwell 3: " in session.said[-1]
         assert session.said[-1].endswith("settled")
 
+    @pytest.mark.parametrize("robot", [True, False], ids=["robot", "pendant"])
+    def test_a_busy_machine_changes_nothing(self, robot):
+        """All arrives in bursts, every 0.6 s, and nobody looks in between: what stood still did so by its own clock."""
+        session = Session(robot=robot)
+        session.burst, session.looks = 6 * S // 10, False
+        for _ in range(4):
+            session.dwell(2.0)
+        session.run(0.5, speed=0.01, q_speed=1.0)
+        assert session.state.course.taken == 4
+        for event in session.events("dwell"):
+            assert event["end_ns"] - event["begin_ns"] == pytest.approx(2.0 * S, abs=0.25 * S)
+
+    def test_a_pose_is_known_after_the_robot_has_left_it(self):
+        session = Session(plan(*PAIRS))
+        session.looks = False
+        session.run(2.0)
+        session.dwell(2.0)
+        session.run(0.5, q_speed=2.0)
+        assert session.state.course.done == {0, 1}
+
     def test_too_short_is_none(self):
         session = Session()
         for _ in range(3):
@@ -149,7 +169,7 @@ class TestLines:
                 counts = np.rint(within / self.PER_TICK).astype("<i4")
                 if q is not None:
                     state.reading(t, json.dumps({"t": 1e-9 * t, "q": q.tolist()}).encode())
-                state.block(t, Data(0, 1, n0, 0, 983_040, b"", counts.tobytes(), 0))
+                state.block(t, Data(0, 1, n0, t // 1000, 983_040, b"", counts.tobytes(), 0))
                 position += speed * 52 * 983_040e-9
                 t, n0 = t + 52 * 983_040, n0 + 52
         return [wish.fields for wish in state.wishes if wish.kind == "line"]

@@ -15,6 +15,7 @@ SETTLE_NS = 500_000_000  # of a rest, left out at its beginning
 ENOUGH_NS = 1_600_000_000  # settling, a second of samples and the guard at the end, as sync.dwell has them
 GUARD_NS = 100_000_000
 BLOCKS = 20_000  # remembered, a minute at 4 kHz
+READINGS = 1000  # remembered, two seconds at 500 Hz
 DRIFT_SIGMAS = 6.0
 MICRON = 1e-6
 LEAST_STROKE = 0.02  # m
@@ -33,14 +34,37 @@ class Seen(NamedTuple):
     q: Floats | None
 
 
+class OwnTime:
+    """Instants of a clock of its own in the host's, by the fastest arrival so far: arrivals come in bursts where a machine is busy, which is
+    no standing still. What may be off is a latency, and a drift of CREEP."""
+
+    CREEP = 1e-4
+    RESTART_NS = 1_000_000_000
+
+    def __init__(self) -> None:
+        self._offset_ns: float | None = None
+        self._last_ns = 0
+
+    def host_ns(self, own_ns: int, arrival_ns: int) -> int:
+        """The host's time of what was stamped ``own_ns`` and arrived then. A clock that steps back by a second begins anew."""
+        offset = float(arrival_ns - own_ns)
+        if self._offset_ns is not None and own_ns > self._last_ns - self.RESTART_NS:
+            offset = min(offset, self._offset_ns + self.CREEP * max(0, own_ns - self._last_ns))
+            own_last = max(own_ns, self._last_ns)  # one stream's block may begin before another's
+        else:
+            own_last = own_ns
+        self._offset_ns, self._last_ns = offset, own_last
+        return own_ns + int(offset)
+
+
 class LiveDwells:
-    """By the joints where there is a robot, else by the sensor alone."""
+    """By the joints where there is a robot, else by the sensor alone. Times are the host's, of the instants and not of arrivals."""
 
     def __init__(self, with_robot: bool) -> None:
         self._with_robot = with_robot
         self._rest = Resting(*JOINTS) if with_robot else Resting(*SENSOR)
         self._blocks: deque[tuple[int, int, float, float]] = deque(maxlen=BLOCKS)  # time, n, mean, variance
-        self._q: Floats | None = None
+        self._readings: deque[tuple[int, Floats]] = deque(maxlen=READINGS)
 
     def samples(self, t_ns: int, extension: Floats) -> Seen | None:
         """Samples (n,) [m] arrived; the dwell that they ended."""
@@ -51,11 +75,11 @@ class LiveDwells:
         return self._seen(self._rest.feed(t_ns, low, high))
 
     def joints(self, t_ns: int, q: Floats) -> Seen | None:
-        """A reading (j,) arrived; the dwell that it ended."""
-        if self._q is not None and self._q.shape != q.shape:
+        """A reading (j,); the dwell that it ended."""
+        if self._readings and self._readings[-1][1].shape != q.shape:
             return None
         ended = self._seen(self._rest.feed(t_ns, q, q))
-        self._q = q
+        self._readings.append((t_ns, q))
         return ended
 
     def standing_ns(self, now_ns: int) -> int | None:
@@ -66,7 +90,7 @@ class LiveDwells:
     @property
     def q(self) -> Floats | None:
         """The last joints."""
-        return self._q
+        return self._readings[-1][1] if self._readings else None
 
     def now(self, now_ns: int) -> Seen | None:
         """The dwell under way, as if it ended now; None while it moves, or too short."""
@@ -77,13 +101,14 @@ class LiveDwells:
         if rest is None or rest[1] - rest[0] < ENOUGH_NS:
             return None
         begin, end = rest[0] + SETTLE_NS, rest[1] - GUARD_NS
+        q = next((q for t_ns, q in reversed(self._readings) if t_ns <= end), None)
         used = np.array([block for block in self._blocks if begin <= block[0] <= end]).reshape(-1, 4)
         if len(used) < 2 * LEAST_LAGS:
-            return Seen(*rest, float("nan"), float("nan"), float("nan"), False, self._q)
+            return Seen(*rest, float("nan"), float("nan"), float("nan"), False, q)
         mean = mean_of(used[:, 2])
         noise = float(np.sqrt(np.average(used[:, 3], weights=used[:, 1])))
         settled = abs(mean.drift) <= max(MICRON, DRIFT_SIGMAS * mean.drift_sigma)
-        return Seen(*rest, mean.mean, noise, mean.drift, settled, self._q)
+        return Seen(*rest, mean.mean, noise, mean.drift, settled, q)
 
 
 class Strokes:

@@ -10,7 +10,7 @@ import numpy as np
 
 from truearm.commands.box_check import LINE_CHANNELS, LVDT
 from truearm.commands.course import Course, words_of
-from truearm.commands.live_dwells import ENOUGH_NS, LiveDwells, Seen, Strokes
+from truearm.commands.live_dwells import ENOUGH_NS, LiveDwells, OwnTime, Seen, Strokes
 from truearm.commands.monitoring import Window, value_of
 from truearm.commands.terminal import one_line
 from truearm.record.operator import Wish
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from truearm.sensors.data import Data
     from truearm.sensors.ident import Ident
     from truearm.sync.online import OnlineEstimate
-    from truearm.types import Rig
+    from truearm.types import Floats, Rig
 
 NEAR_END = 0.1  # of the travel, at either end
 POSITION_BLOCKS = 8  # a tenth of a second: the bar may move
@@ -51,6 +51,7 @@ class LiveState:
         self._ident: Ident | None = None
         self._windows: dict[int, Window] = {}
         self._dwells = LiveDwells(with_robot)
+        self._box_time, self._robot_time = OwnTime(), OwnTime()
         self._strokes = Strokes()
         self._counted = False  # the dwell under way, which is
         self._pose: int | None = None  # of the plan, and called
@@ -72,6 +73,7 @@ class LiveState:
         stream = None if self._ident is None else self._ident.streams.get(data.stream)
         if stream is None or len(data.samples) % (4 * len(stream.channels)):
             return
+        t_ns = self._box_time.host_ns(1000 * data.t0_us, t_ns)
         counts = np.frombuffer(data.samples, "<i4").reshape(-1, len(stream.channels))
         self._windows.setdefault(stream.id, Window()).take(data.n0, counts, data.period_ns)
         for k, channel in enumerate(stream.channels):
@@ -87,6 +89,7 @@ class LiveState:
         self._readings.append(t_ns)
         reading = parse_reading(line)
         if reading is not None:
+            t_ns = self._robot_time.host_ns(int(1e9 * reading.t), t_ns)
             self._ended(self._dwells.joints(t_ns, np.array(reading.q)))
 
     def now(self, t_ns: int) -> None:
@@ -94,9 +97,8 @@ class LiveState:
         standing = self._dwells.standing_ns(t_ns)
         if standing is None:
             self._counted = False
-        elif standing >= ENOUGH_NS and not self._counted and not self._lines_alone() and self._within_travel():
-            self._counted = True
-            self._take()
+        elif standing >= ENOUGH_NS and not self._counted and self._may_count():
+            self._take(self._dwells.q)
         change = self.course.change()
         if change != self._asked:
             self._asked = change
@@ -151,9 +153,14 @@ class LiveState:
 
     # --- dwells and lines
 
-    def _take(self) -> None:
+    def _may_count(self) -> bool:
+        return not self._lines_alone() and self._within_travel()
+
+    def _take(self, q: Floats | None) -> None:
+        """The dwell under way, or that just ended, is one."""
         course = self.course
-        pose = course.visit(self._dwells.q if self._with_robot else None)
+        self._counted = True
+        pose = course.visit(q if self._with_robot else None)
         row = {} if pose is None else course.rows[pose]
         self._pose = pose
         self._label = f"dwell {course.taken}" + (f" (pose {pose})" if pose is not None else "")
@@ -165,6 +172,8 @@ class LiveState:
             self.said.append(f"warning: pose {pose} is planned with {planned}; mounted is {words_of(course.mounted)}")
 
     def _ended(self, seen: Seen | None) -> None:
+        if seen is not None and not self._counted and self._may_count():
+            self._take(seen.q)  # nobody looked between its becoming long enough and its end
         if seen is None or not self._counted:
             return
         self._counted = False
