@@ -11,7 +11,7 @@ import struct
 import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import BinaryIO, NamedTuple, NoReturn
+from typing import BinaryIO, NoReturn
 
 import lz4.frame
 import zstandard
@@ -34,6 +34,8 @@ CHANNELS = "channels"  # the metadata record that says again which channel is wh
 
 RECORD = struct.Struct("<BQ")
 MESSAGE = struct.Struct("<HIQQ")
+_IS_MESSAGE = int(Opcode.MESSAGE)
+_STORED = struct.Struct("<BQHIQQ")  # both
 FOOTER_BYTES = 20
 # What the library raises for a record that ends early, holds no UTF-8 or claims a length beyond 63 bits.
 UNREADABLE = (McapError, struct.error, ValueError, OverflowError)
@@ -148,16 +150,6 @@ def _decompress(chunk: Chunk) -> bytes | None:
     return chunk.data if chunk.compression == "" else None
 
 
-class Stored(NamedTuple):
-    """A message as it stands in a chunk; ``begin`` and ``end`` are where in the chunk's records its data are."""
-
-    topic: str
-    sequence: int  # of its topic, as its writer counted
-    t_host_ns: int
-    begin: int
-    end: int
-
-
 def chunk_messages(
     path: Path, data: bytes, channels: dict[int, str], wanted: frozenset[str] | None
 ) -> Iterator[Message]:
@@ -167,25 +159,29 @@ def chunk_messages(
             yield Message(topic, t_host_ns, data[begin:end])
 
 
-def stored(path: Path, data: bytes, channels: dict[int, str]) -> Iterator[Stored]:
-    """All messages among the records ``data``; ``channels`` gains those that it declares."""
+def stored(path: Path, data: bytes, channels: dict[int, str]) -> Iterator[tuple[str, int, int, int, int]]:
+    """All messages among the records ``data``: topic, number within the topic, host time, and where their bytes begin and end.
+
+    ``channels`` gains those that ``data`` declares.
+    """
     at, size = 0, len(data)
+    head = RECORD.size + MESSAGE.size
     while at < size:
-        if at + RECORD.size > size:
+        if at + head <= size:  # nearly all records are messages
+            opcode, length, channel, sequence, t_host_ns, _ = _STORED.unpack_from(data, at)
+        elif at + RECORD.size <= size:
+            opcode, length = RECORD.unpack_from(data, at)
+        else:
             damaged(path, at)
-        opcode, length = RECORD.unpack_from(data, at)
-        at += RECORD.size
+        begin, at = at + head, at + RECORD.size
         end = at + length
         if end > size:
             damaged(path, at)
-        if opcode == Opcode.MESSAGE:
-            if length < MESSAGE.size:
-                damaged(path, at)
-            channel, sequence, t_host_ns, _ = MESSAGE.unpack_from(data, at)
-            topic = channels.get(channel)
+        if opcode == _IS_MESSAGE:
+            topic = channels.get(channel) if begin <= end else None
             if topic is None:
                 damaged(path, at)
-            yield Stored(topic, sequence, t_host_ns, at + MESSAGE.size, end)
+            yield topic, sequence, t_host_ns, begin, end
         elif opcode == Opcode.CHANNEL:
             channel, topic = _channel(path, data[at:end], at)
             channels[channel] = topic

@@ -87,6 +87,7 @@ class BoxReader:
         self._recent: list[bytes] = [b""] * REMEMBERED
         self._times: dict[int, int] = {}
         self._streams: dict[int, StreamTrack] = {}
+        self._layout: dict[int, tuple[int, StreamTrack]] = {}  # channels and track by the ident in force
         self._pages = Pages()
         self._heartbeats = Heartbeats()
 
@@ -98,12 +99,12 @@ class BoxReader:
     def feed(self, message: Message) -> Block | None:
         """Account for one message; the block of samples if it is one. Messages of other topics are ignored."""
         topic = message.topic
-        if topic == "/sync":
-            self._exchange(message.data)
-        elif topic == "/box/console":
+        if topic.startswith("/box/"):
+            if topic != "/box/console":
+                return self._frame(message)
             self._console(message.data)
-        elif topic.startswith("/box/"):
-            return self._frame(message)
+        elif topic == "/sync":
+            self._exchange(message.data)
         return None
 
     def losses(self) -> Losses:
@@ -128,7 +129,7 @@ class BoxReader:
     def _frame(self, message: Message) -> Block | None:
         data = usual_data(message.data)
         if data is not None:
-            new = self._new(data.seq, (data.stream, data.t0_us), message, False)
+            new = self._follows(data, message) or self._new(data.seq, (data.stream, data.t0_us), message, False)
             return self._data(data, message) if new else None
         frame = decode(message.data)
         if frame is None or is_echo(frame):
@@ -149,6 +150,19 @@ class BoxReader:
         elif kind not in wire.LAYOUT:
             self._count["frames_unknown"] += 1
         return None
+
+    def _follows(self, data: Data, message: Message) -> bool:
+        """Whether a frame is simply the next one, as nearly all are; then it is accounted for as ``_new`` would."""
+        seq, stream, t0_us = data.seq, data.stream, data.t0_us
+        if self._last_seq is None or seq != self._last_seq + 1 or self._far_seq is not None:
+            return False
+        if t0_us < self._times.get(stream, 0):
+            return False
+        self._last_seq, self._last_host_ns = seq, message.t_host_ns
+        self._recent[seq % REMEMBERED] = message.data
+        self._times[stream] = t0_us
+        self._count["frames"] += 1
+        return True
 
     def _new(self, seq: int, stamp: tuple[int, int] | None, message: Message, boot: bool) -> bool:
         """Account for a frame; False for a doubled or foreign one."""
@@ -211,19 +225,26 @@ class BoxReader:
         if data is None:
             self._count["frames_malformed"] += 1
             return None
-        ident = self._segment.ident
-        described = ident and ident.streams.get(data.stream)
-        if not described:
+        channels, stream = self._layout.get(data.stream) or self._described_now(data.stream)
+        if stream is None:
             self._count["blocks_without_ident"] += 1
             return None
-        channels = len(described.channels)
         n, rest = divmod(len(data.samples), 4 * channels)
         if rest or n == 0 or not (data.period_ns or len(data.offsets_us) == 2 * n):
             self._count["frames_malformed"] += 1
             return None
-        stream = self._streams.get(data.stream) or self._streams.setdefault(data.stream, StreamTrack())
         gap = stream.take(data, n, self._count["frames_lost"])
         return Block(self._segment.index, stream.run, gap, n, channels, message.t_host_ns, data)
+
+    def _described_now(self, stream_id: int) -> tuple[int, StreamTrack | None]:
+        """How many channels a stream has by the ident in force, and its track; none where it does not know the stream."""
+        ident = self._segment.ident
+        described = None if ident is None else ident.streams.get(stream_id)
+        if described is None:
+            return 0, None
+        found = len(described.channels), self._streams.setdefault(stream_id, StreamTrack())
+        self._layout[stream_id] = found
+        return found
 
     def _heartbeat(self, frame: list[Any]) -> None:
         values = frame[2 : 2 + _HEARTBEAT_VALUES]
@@ -253,6 +274,7 @@ class BoxReader:
             return
         self._boot_id(ident.boot_id)
         self.segment.ident = ident
+        self._layout.clear()
 
     # ------------------------------------------------------------------------------------------------ not frames
 

@@ -1,0 +1,83 @@
+"""A day of dwells in virtual time, each step a process of its own: nothing lost, and memory that does not follow the length."""
+
+import json
+import os
+import sys
+import time
+
+import pytest
+
+pytestmark = [pytest.mark.soak, pytest.mark.skipif(not hasattr(os, "wait4"), reason="needs the memory of a child")]
+MOST_MB = 500
+
+RECORD = """
+import sys
+from pathlib import Path
+from truearm.commands.demo import record_virtually
+from truearm.files.plan import read_plan
+from truearm_sim import micropython
+from truearm_sim.simbox import SimulatedBox
+from truearm_sim.world import World
+
+out = Path(sys.argv[1])
+plan = read_plan(out / "plan.csv")
+world = World(1, plan)
+box = SimulatedBox(world, micropython.find(), seed=1)
+record_virtually(out, plan, world, box, 4096, 1)
+box.close()
+"""
+
+PLAN = """
+import sys
+from pathlib import Path
+from truearm.commands.demo import write_setup
+from truearm.model.robot import builtin_robot
+from truearm.plan.shells import plan_shells
+from truearm_sim.robot import SPEED
+from truearm_sim.world import World, standard_rig
+
+robot = builtin_robot("puma560")
+design = robot.parameter_sets["design"]
+plan = plan_shells(robot.chain, design, standard_rig(), "bar46", int(sys.argv[2]), 1, speed=SPEED)
+write_setup(Path(sys.argv[1]), plan, World(1, plan))
+"""
+
+
+def measured(name, *command, out=None):
+    """Run a Python process; says wall time, processor time and its peak memory, and holds this to MOST_MB."""
+    started = time.perf_counter()
+    actions = [] if out is None else [(os.POSIX_SPAWN_OPEN, 1, str(out), os.O_WRONLY | os.O_CREAT, 0o644)]
+    child = os.posix_spawn(sys.executable, [sys.executable, *map(str, command)], os.environ, file_actions=actions)
+    _, status, usage = os.wait4(child, 0)
+    megabytes = usage.ru_maxrss / 1024
+    print(f"{name:10}{time.perf_counter() - started:8.1f} s wall{usage.ru_utime:8.1f} s CPU{megabytes:8.0f} MB")
+    assert os.waitstatus_to_exitcode(status) == 0
+    assert megabytes <= MOST_MB
+
+
+@pytest.mark.parametrize("each", [80, 800])
+def test_nine_pairings(tmp_path, each):
+    """Two seconds at each of so many poses with each of nine pairings, moves and changes between, 1 kHz × 4 channels."""
+    poses = 9 * each
+    print()
+    measured("plan", "-c", PLAN, tmp_path, poses)
+    measured("record", "-c", RECORD, tmp_path)
+    measured("sync", "-m", "truearm", "inspect", tmp_path / "session.mcap", "--json", out=tmp_path / "inspect.json")
+    identify = ["identify", tmp_path / "session.mcap", "--robot", "puma560", "--out", tmp_path / "result.json"]
+    measured("identify", "-m", "truearm", *identify, out=tmp_path / "said.txt")
+    measured(
+        "npz", "-m", "truearm", "export-session", tmp_path / "session.mcap", "--out", tmp_path / "x", "--format", "npz"
+    )
+    found = json.loads((tmp_path / "inspect.json").read_text())
+    lost = [
+        name for name, n in found["losses"].items() if name.endswith(("lost", "overrun", "malformed", "missing")) and n
+    ]
+    assert not lost
+    assert found["dwells"]["observations"] == poses
+    (adc,) = found["streams"]
+    print(f"{adc['samples']} samples, {found['duration_s']:.0f} s")
+    assert adc["samples"] == pytest.approx(found["duration_s"] * 1e9 / adc["period_ns"], rel=1e-3)
+    result = json.loads((tmp_path / "result.json").read_text())
+    assert result["rank"] == 36
+    low, high = result["chi2_band"]
+    assert low <= result["chi2_reduced"] <= high
