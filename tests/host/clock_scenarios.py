@@ -1,0 +1,193 @@
+"""Seeded lives of clocks and links: a box whose time is asked for, and a robot whose readings arrive. Truth beside what was recorded.
+
+A crystal is within 100 ppm and drifts with its temperature: by at most 1 ppm a minute, or (one scenario in four) by up to 20 ppm to and
+fro, which is faster but stays near its mean. Links have a shortest latency, another one each way, tails, stalls, losses. Boxes reboot; their time passes 2^30 and
+2^32 µs.
+
+    python -m tests.host.clock_scenarios 200    prints how errors compare with bounds
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+
+from truearm.sync.blocks import BoxReader
+from truearm.sync.clock import fit_clock
+from truearm.sync.robot_clock import Arrivals, fit_robot_clock
+from truearm.types import Message
+from truearm_wire.messages import HEARTBEAT, SYNC_REPLY, encode_payload, names
+
+PPM = 1e-6
+HOST_NS = 10**15
+
+
+@dataclass(frozen=True)
+class Crystal:
+    """Reads ``begin`` s at true time ``since``; a rate, a drift that dies away (warming up), a slow swing."""
+
+    since: float
+    begin: float
+    rate: float
+    warming: float  # 1/s, of the rate at first
+    warming_s: float
+    swing: float
+    swing_s: float
+
+    def reading(self, t):
+        t = np.asarray(t) - self.since
+        x = t / self.warming_s
+        warm = self.warming * self.warming_s**2 * (np.exp(-x) - 1.0 + x)  # twice the integral of warming · e^(-x)
+        slow = self.swing * self.swing_s / (2.0 * np.pi) * (1.0 - np.cos(2.0 * np.pi * t / self.swing_s))
+        return self.begin + t * (1.0 + self.rate) + warm + slow
+
+    def true(self, reading):
+        t = np.asarray(reading) - self.begin + self.since
+        for _ in range(6):
+            t = t - (self.reading(t) - reading)
+        return t
+
+
+def crystal(rng, since=0.0, begin=0.0, fast=False):
+    """One that keeps to 1 ppm a minute, or if ``fast`` to 20 ppm about its mean."""
+    share = rng.random()
+    period = rng.uniform(60.0, 600.0)
+    # The rate of a swing changes by 2π/period of its amplitude a second.
+    steady = (1.0 - share) * PPM / 60.0 * period / (2.0 * np.pi)
+    return Crystal(
+        since,
+        begin,
+        rng.uniform(-100.0, 100.0) * PPM,
+        0.0 if fast else share * PPM / 60.0 * rng.choice([-1.0, 1.0]),
+        rng.uniform(30.0, 600.0),
+        rng.uniform(0.0, 20.0) * PPM if fast else steady,
+        period,
+    )
+
+
+@dataclass(frozen=True)
+class Way:
+    """Latencies over a link one way [s]."""
+
+    least: float
+    tail: float
+    shape: float  # of the gamma distribution of what comes on top; 1: exponential
+    stalls: float  # share
+    stall: float
+
+    def draw(self, rng, n):
+        stalled = np.where(rng.random(n) < self.stalls, rng.exponential(self.stall, n), 0.0)
+        return self.least + rng.gamma(self.shape, self.tail / self.shape, n) + stalled
+
+
+def way(rng):
+    return Way(
+        rng.uniform(10e-6, 500e-6), rng.uniform(20e-6, 300e-6), rng.uniform(1.0, 3.0), rng.uniform(0.0, 0.05), 10 ** rng.uniform(-3.0, -1.0)
+    )  # fmt: skip
+
+
+NOMINAL = (Way(125e-6, 80e-6, 1.0, 0.01, 5e-3), Way(150e-6, 120e-6, 1.0, 0.01, 8e-3))  # the simulated USB's
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Errors and bounds [µs] at times all along, of one scenario; the shortest latency or round trip [µs] that is in it."""
+
+    error: np.ndarray
+    bound: np.ndarray
+    floor: float
+
+    @property
+    def ratio(self):
+        return np.abs(self.error) / self.bound
+
+
+def box_scenario(seed, seconds=240.0, nominal=False):
+    """A box that is asked for its time four times a second, through the reader of recorded messages."""
+    rng = np.random.default_rng([seed, 0xB0C])
+    there, back = NOMINAL if nominal else (way(rng), way(rng))
+    lost = 0.0 if nominal else rng.uniform(0.0, 0.2)
+    boots = [0.0, *np.sort(rng.uniform(30.0, seconds - 30.0, 0 if nominal else rng.integers(0, 3)))]
+    wrap = rng.choice([0.0, 2**30 * 1e-6, 2**32 * 1e-6])
+    lives = []
+    for k, since in enumerate(boots):
+        begin = max(0.0, wrap - rng.uniform(5.0, seconds)) if k == 0 else 2.0
+        lives.append(crystal(rng, since, begin, fast=not nominal and rng.random() < 0.25))
+    reader, seq, last_life = BoxReader(), 0, 0
+    t0 = np.arange(0.0, seconds, 0.25) + rng.uniform(0.0, 0.01, round(4 * seconds))
+    arrive = np.maximum.accumulate(t0 + there.draw(rng, t0.size))
+    leave = arrive + rng.uniform(20e-6, 600e-6, t0.size)
+    t3 = np.maximum.accumulate(leave + back.draw(rng, t0.size))
+    for k in range(t0.size):
+        life = int(np.searchsorted(boots, arrive[k], side="right")) - 1
+        if rng.random() < lost or life != int(np.searchsorted(boots, leave[k], side="right")) - 1:
+            row = {"id": k, "t0_ns": HOST_NS + int(1e9 * t0[k]), "t1_us": None, "t2_us": None, "t3_ns": None}
+            reader.feed(Message("/sync", HOST_NS + int(1e9 * t3[k]), json.dumps(row).encode()))
+            continue
+        if life != last_life:
+            seq, last_life = 0, life
+        t1, t2 = (int(np.floor(1e6 * lives[life].reading(t))) for t in (arrive[k], leave[k]))
+        host = HOST_NS + int(np.ceil(1e9 * t3[k]))
+        if k % 4 == 0:
+            beat = dict.fromkeys(names(HEARTBEAT), 0) | {"seq": seq, "boot_id": 100 + life, "t_us": t1}
+            reader.feed(Message("/box/heartbeat", host, bytes(encode_payload([HEARTBEAT, *beat.values()]))))
+            seq += 1
+        reader.feed(Message("/box/sync", host, bytes(encode_payload([SYNC_REPLY, seq, k, t1, t2]))))
+        seq += 1
+        row = {"id": k, "t0_ns": HOST_NS + int(1e9 * t0[k]), "t1_us": t1, "t2_us": t2, "t3_ns": host}
+        reader.feed(Message("/sync", host, json.dumps(row).encode()))
+    assert len(reader.segments) == len(lives)
+    return _judged_box(reader, lives, [*boots, seconds])
+
+
+def _judged_box(reader, lives, ends):
+    errors, bounds = [], []
+    for segment, life, begin, end in zip(reader.segments, lives, ends, ends[1:], strict=False):
+        clock, _ = fit_clock(segment.index, segment.exchanges)
+        device_us = np.floor(1e6 * life.reading(np.linspace(begin, end, 2000))).astype(np.int64)
+        host, bound = clock.to_host_ns(device_us)
+        errors.append(1e-3 * (host - HOST_NS - 1e9 * life.true(1e-6 * device_us)))
+        bounds.append(1e-3 * bound)
+    return Outcome(np.concatenate(errors), np.concatenate(bounds), 0.0)
+
+
+def robot_scenario(seed, seconds=240.0):
+    """A controller whose readings arrive over a network; the error is that beside the shortest latency."""
+    rng = np.random.default_rng([seed, 0x20B])
+    clock, link = crystal(rng, begin=rng.uniform(0.0, 1e5)), way(rng)
+    rate = rng.choice([50.0, 125.0, 250.0, 500.0])
+    ticks = np.arange(np.ceil(clock.begin * rate), np.floor(float(clock.reading(seconds)) * rate)) / rate
+    ticks = ticks[rng.random(ticks.size) > rng.uniform(0.0, 0.05)]
+    sent = clock.true(ticks)
+    arrival = HOST_NS + np.ceil(1e9 * np.maximum.accumulate(sent + link.draw(rng, sent.size))).astype(np.int64)
+    stamps = np.round(ticks, 6)
+    gathered = Arrivals(float(stamps[0]), int(arrival[0]))
+    for part in np.array_split(np.arange(stamps.size), max(1, stamps.size // 2048)):
+        gathered.add(stamps[part], arrival[part])
+    fitted, _ = fit_robot_clock(0, gathered)
+    at = np.linspace(ticks[0], ticks[-1], 2000)
+    late = 1e-3 * (fitted.to_host_ns(at) - HOST_NS - 1e9 * clock.true(at))
+    return Outcome(late - 1e6 * link.least, 1e-3 * fitted.bound_at(at), 1e6 * link.least)
+
+
+def table(outcomes):
+    """What a person wants to know of many."""
+    worst = np.array([o.ratio.max() for o in outcomes])
+    error = np.array([np.abs(o.error).max() for o in outcomes])
+    bound = np.array([np.median(o.bound) for o in outcomes])
+    rows = [f"within the bound: {int(np.sum(worst <= 1.0))} of {len(outcomes)}"]
+    for name, values in (("largest error/bound", worst), ("largest error, µs", error), ("median bound, µs", bound)):
+        shown = ", ".join(f"{p} %: {np.percentile(values, p):.3g}" for p in (0, 10, 50, 90, 100))
+        rows.append(f"  {name:20} {shown}")
+    return "\n".join(rows)
+
+
+if __name__ == "__main__":
+    n = int(sys.argv[1])
+    print("box, " + table([box_scenario(seed) for seed in range(n)]))
+    print("robot, " + table([robot_scenario(seed) for seed in range(n)]))
+    nominal = [box_scenario(seed, nominal=True) for seed in range(n // 4)]
+    print("nominal, standard deviation of a session, µs: largest %.2f" % max(np.std(o.error) for o in nominal))
