@@ -121,7 +121,7 @@ class TestTyping:
             box.lvdt = CALIBRATED
             terminal = OnTerminal("record", "--plain", "--device", device, "--out", out)
             terminal.expect(
-                r"\d s: lvdt [^\r\n]*; samples adc 1017\.3 Hz; \d+ samples, 0 frames lost; clock [^\r\n]*; dwells 0"
+                r"\d s: lvdt [^\r\n]*; samples adc 1017\.3 Hz; \d+ samples, 0 frames lost; clock [^\r\n]*; dwells \d"
             )
             terminal.type("bar=b61\n")
             terminal.expect(r"mounted: bar b61")
@@ -129,14 +129,17 @@ class TestTyping:
             assert terminal.end() == 0
         assert "\x1b[" not in terminal.text
 
+    @pytest.mark.soak
     def test_control_z_does_not_stop_it(self, tmp_path):
         with recording(tmp_path) as (terminal, box, out):
             blocks = box.blocks
             terminal.type(CONTROL_Z)
-            terminal.expect(r"recording, [3-9]")
+            deadline = time.monotonic() + PATIENCE_S
+            while box.blocks < blocks + 100 and time.monotonic() < deadline:  # a second
+                time.sleep(0.05)
             terminal.type("q\r")
             assert terminal.end() == 0
-        assert box.blocks > blocks + 30
+        assert box.blocks >= blocks + 100
         assert len(list(open_session(out).messages({"/box/adc"}))) == box.blocks
 
     def test_a_terminal_that_is_closed(self, tmp_path):
@@ -159,6 +162,7 @@ class TestControlC:
         assert "ended: interrupted" in terminal.text
         assert len(list(open_session(out).messages({"/box/adc"}))) == box.blocks
 
+    @pytest.mark.soak
     def test_twice(self, tmp_path):
         with recording(tmp_path) as (terminal, _, out):
             terminal.type(CONTROL_C)
