@@ -168,11 +168,10 @@ def measure(
 def _time_sigma(bound_ns: float, leg: Leg, joints: JointStream) -> float:
     """Standard deviation [s] of a row's time, but for what is constant, which the time offset τ takes up.
 
-    Within its hard bound nothing is known of the device clock's error: uniform. The robot's is known by how its windows
-    disagree.
+    Within their bounds nothing is known of the clocks' errors, the box's and the robot's: uniform.
     """
-    spread_ns = np.nan_to_num(joints.reports[leg.segment].spread_ns)
-    return 1e-9 * float(np.hypot(bound_ns / np.sqrt(3.0), spread_ns))
+    robot_ns = joints.clocks[leg.segment].bound_at(np.array([leg.start_s, leg.end_s])).max()
+    return 1e-9 * float(np.hypot(bound_ns, robot_ns) / np.sqrt(3.0))
 
 
 def _signals(along: Samples, across: Samples, readings: Readings, start_ns: int) -> _Signals | None:
