@@ -1,7 +1,7 @@
 """``truearm demo --rig line|both``: Renders' experiment, lines that a device measures in motion, by itself or beside the ball-bar.
 
-Four lines are driven there and back to identify, a fifth to judge by (Renders 1991, III-E); the simulated robot's readings are
-late, which nobody is told and the identification has to find.
+Four lines, planned for a region, are driven there and back to identify, and a fifth, drawn in the region by chance, to judge by
+(Renders 1991, III-E). The simulated robot's readings are late, which nobody is told and the identification has to find.
 """
 
 from __future__ import annotations
@@ -24,8 +24,11 @@ if TYPE_CHECKING:
     from truearm.types import Estimate, Floats, ObservationTable, Plan, Rig
     from truearm_sim.world import World
 
-N_LINES = 5  # the last one judges
+N_LINES = 4
+CHECK = "check"  # the line that judges
+REGION_MM = "200:700,-350:350,50:600"
 CANDIDATES = 30
+DRAW = 1000  # of the line that judges: beside the planner's own
 SPEED = 0.1  # m/s
 ROBOT_DELAY_S = 8e-3
 RATES_HZ = {"line": 125.0, "both": 50.0}  # joint readings a second; an hour and a half at 125 would be recorded longer
@@ -39,33 +42,37 @@ def world_of(kind: str, poses: int, seed: int) -> World:
     from truearm_sim.line_plan import line_rig
     from truearm_sim.world import World, standard_plan, standard_rig
 
-    plan, rig = planned_lines(seed)
-    rig = replace(rig, time_offset_sigma=None)
+    plan, rig = planned_lines(seed), line_rig()
     if kind == "both":
-        plan = concatenate(standard_plan(poses, seed), plan)
-        rig = replace(line_rig(standard_rig()), lines=rig.lines)
+        plan, rig = concatenate(standard_plan(poses, seed), plan), line_rig(standard_rig())
+    rig = replace(rig, time_offset_sigma=None)
     return World(seed, plan, rig, robot_rate=RATES_HZ[kind], robot_delay_s=ROBOT_DELAY_S)
 
 
-def planned_lines(seed: int) -> tuple[Plan, Rig]:
-    """Lines as ``truearm plan line`` plans them on the design, and the rig with their devices as they are to be set up."""
+def planned_lines(seed: int) -> Plan:
+    """Lines as ``truearm plan line`` plans them on the design, and one more in their region."""
+    import numpy as np
+
+    from truearm.files.plan import concatenate
     from truearm.files.robot import load_robot
     from truearm.plan.ballbar import make_site
     from truearm.plan.branches import branch_of
     from truearm.plan.forecast import Known
     from truearm.plan.lines import LinesWanted, plan_lines
+    from truearm.plan.region import parse_region
     from truearm.plan.shapes import Sizes
     from truearm.plan.site import Limits
-    from truearm.plan.straight import Shape
+    from truearm.plan.straight import Shape, candidate_lines
     from truearm.plan.way import Pace
-    from truearm_sim.line_plan import MAGNET, line_rig
+    from truearm_sim.line_plan import JOINT_SPEED, MAGNET, TARGETS, line_rig, lines_plan, with_ways
 
-    robot = load_robot("puma560")
+    robot, region, shape = load_robot("puma560"), parse_region(REGION_MM), Shape(speed=SPEED)
     known = Known(robot.chain, line_rig(), robot.chain.params_nominal, robot.free, None, {})
     site = make_site(known, branch_of(robot.chain, None), Limits(), Sizes(), seed)
-    wanted = LinesWanted(N_LINES, shape=Shape(speed=SPEED), n_candidates=CANDIDATES, seed=seed)
-    planned = plan_lines(site, known, wanted, Pace(), None, MAGNET)
-    return planned.visits, planned.rig
+    wanted = LinesWanted(N_LINES, shape=shape, n_candidates=CANDIDATES, seed=seed)
+    planned = plan_lines(site, known, wanted, Pace(), region, MAGNET)
+    one = candidate_lines(site, shape, 1, np.array(TARGETS[MAGNET].xyz), JOINT_SPEED, region, seed + DRAW)
+    return concatenate(*with_ways(site, [planned.visits, lines_plan(one.q[0, [0, -1]], CHECK, SPEED, True)]))
 
 
 @dataclass(frozen=True)
@@ -101,8 +108,8 @@ def calibrate(kind: str, out: Path, table: ObservationTable) -> LineCalibration:
     from truearm.files.robot import joint_units, load_robot
 
     robot, rig = load_robot("puma560"), read_rig(out / "rig.toml")
-    chain, last = robot.chain, list(rig.lines)[-1]
-    judges = (table.line == last) | (table.bar == VALIDATED)
+    chain = robot.chain
+    judges = (table.line == CHECK) | (table.bar == VALIDATED)
     if kind == "line":
         prior = wide_prior(chain)
         estimate, other = (
@@ -112,7 +119,7 @@ def calibrate(kind: str, out: Path, table: ObservationTable) -> LineCalibration:
     else:
         estimate = identify(chain, rig, table, free=robot.free, hold_out=judges)
         other = identify(chain, rig, table, free=robot.free, hold_out=np.asarray(table.bar != FITTED))
-    hold_out = (f"line={last}", *[f"bar={VALIDATED}"] * (kind == "both"))
+    hold_out = (f"line={CHECK}", *[f"bar={VALIDATED}"] * (kind == "both"))
     judged = judge(chain, rig, table, estimate)
     found = LineCalibration(
         kind, robot, rig, table, estimate, other, longitudes(chain, rig, table, estimate), judged, hold_out
@@ -172,11 +179,11 @@ def say_result(found: LineCalibration, result: SyncResult, truth: ClockTruth, st
     if found.kind == "both":
         _say_group("46 cm shells", found, ~is_line & fitted, "")
         _say_group("61 cm shells", found, ~is_line & ~fitted, ", not fitted")
-    _say_group(f"{N_LINES - 1} lines", found, is_line & fitted, f"; the sensors alone would leave {sensors:.4f}")
+    _say_group(f"{N_LINES} lines", found, is_line & fitted, f"; the sensors alone would leave {sensors:.4f}")
     _say_group("validation line", found, is_line & ~fitted, ", not fitted")
     if found.kind == "line":
         steps_of = " → ".join(f"{1e3 * rms:.3f}" for rms in estimate.rms_history[:4])
-        say(f"by iteration    {steps_of} mm RMS on the {N_LINES - 1} lines")
+        say(f"by iteration    {steps_of} mm RMS on the {N_LINES} lines")
         robot = slice(estimate.n_robot_parameters)
         seen = estimate.sigma[robot] > 0.0
         apart = np.abs(other.value[robot] - estimate.value[robot])[seen] / estimate.sigma[robot][seen]
