@@ -137,6 +137,27 @@ def test_what_is_wrong_is_said_in_one_line(folder, capsys, monkeypatch, change, 
     assert message in said[0]
 
 
+@pytest.mark.parametrize("option", ["--out", "--rig-out", "--program"])
+def test_strangers_files_are_not_replaced_and_own_ones_are(folder, capsys, option):
+    suffix = ".script" if option == "--program" else ".csv"
+    own, precious = folder / f"own{option}{suffix}", folder / f"precious{suffix}"
+    precious.write_text("precious")
+    given = ("plan", "line", *LINES, "--rig", str(folder / "rig.toml"), option)
+    assert main([*given, str(precious)]) == 2
+    assert "exists and is nothing that truearm wrote" in capsys.readouterr().err
+    assert precious.read_text() == "precious"
+    for _ in range(2):
+        assert main([*given, str(own)]) == 0
+
+
+def test_chucks_out_of_reach_are_told_at_once(folder, capsys):
+    """A slip of a digit: nothing is searched for."""
+    far = {name: replace(chuck, xyz=(3.8, 0.0, 0.06)) for name, chuck in bench.RIGS["irb120"].chucks.items()}
+    write_rig(folder / "far.toml", replace(bench.RIGS["irb120"], chucks=far))
+    assert main(["plan", "ballbar", *COMMON, "--rig", str(folder / "far.toml")]) == 2
+    assert "reaches no place of bar bar25 between chuck c1" in capsys.readouterr().err
+
+
 def test_an_output_over_an_input_is_refused(folder, capsys):
     rig = folder / "rig.toml"
     before = rig.read_bytes()

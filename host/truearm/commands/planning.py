@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,6 +36,12 @@ from truearm.types import Floats, Rig
 
 DESIGN_RESERVE_MM = 22.0
 RESULT_RESERVE_MM = 3.0
+# how what is written here begins, by its suffix; a rig begins with the first key of format_rig()
+WRITTEN = {
+    ".script": (b"def truearm_",),
+    ".mod": (b"MODULE truearm_",),
+    "": (b"pose,", b"seat_sigma_m = "),
+}
 LEFT = 2e-3  # m of travel that the ways between poses need at least
 
 
@@ -241,6 +248,7 @@ def _written(common: Common, *more: Path | None) -> list[str]:
 def _check(common: Common, *more: Path | None) -> None:
     """Outputs over inputs or over each other, suffixes that are none, numbers that are none."""
     outputs = [path for path in (common.out, *more, *common.programs) if path is not None]
+    marks = {path: WRITTEN.get(path.suffix.lower(), WRITTEN[""]) for path in outputs}
     if Path("-") in outputs:
         raise InputError("-: is no file name; --json prints the forecast to standard output")
     for path in common.programs:
@@ -248,8 +256,13 @@ def _check(common: Common, *more: Path | None) -> None:
     read = [robot_file(common.robot), common.rig, common.result, *common.measured]
     inputs = [path for path in read if path is not None and path.exists()]
     for i, path in enumerate(outputs):
-        check_writable(path, inputs=[*inputs, *outputs[:i]])
+        check_writable(path, inputs=[*inputs, *outputs[:i]], ours=partial(_begins, marks[path]))
     _check_finite(minutes=common.minutes)
+
+
+def _begins(marks: tuple[bytes, ...], head: bytes) -> bool:
+    """Whether a file that exists is a plan, a program or a rig of an earlier run."""
+    return not head.strip() or head.startswith(marks)
 
 
 def _check_finite(**given: float | None) -> None:

@@ -10,12 +10,13 @@ lose rank (28 of 36).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from truearm.errors import PlanError
-from truearm.model.chain import Chain, point_forward
+from truearm.model.chain import Chain, forward, joint_frames, point_forward
 from truearm.plan.inverse import PUMA_ELBOW_UP, Arm, Branch, inverse, make_arm
 from truearm.plan.site import Pairing, Site, allowed
 from truearm.plan.tour import short_tour, untangled, without_dearest
@@ -79,16 +80,32 @@ def candidates(site: Site, pairings: Sequence[Pairing], n: int, seed: int = 0, s
     """
     rng = np.random.default_rng(seed)
     count = -(-n // len(pairings))
+    for pairing in pairings:
+        if _out_of_reach(site, pairing):
+            raise PlanError(_unreached(pairing))
     parts = [_of_pairing(site, pairing, count, spread, rng) for pairing in pairings]
     sizes = [len(q) for q in parts]
     if min(sizes) == 0:
-        none = pairings[sizes.index(0)]
-        raise PlanError(
-            f"the arm reaches no place of bar {none.bar} between chuck {none.chuck} and sphere {none.sphere}; "
-            "move the chucks"
-        )
+        raise PlanError(_unreached(pairings[sizes.index(0)]))
     names = [(f"{p.bar}-{p.chuck}", p.bar, p.chuck, p.sphere) for p in pairings]
     return Plan(np.concatenate(parts), *np.repeat(names, sizes, axis=0).T)
+
+
+def _out_of_reach(site: Site, pairing: Pairing) -> bool:
+    """Whether a chuck is farther away than the arm is long, stretched with sphere and bar: told before it is searched for."""
+    chain, params, zero = site.arm.chain, site.arm.params, np.zeros(len(site.arm.chain.joints))
+    frames = [*joint_frames(chain, params, zero), forward(chain, params, zero)]
+    length = sum(float(np.linalg.norm((b - a)[:3, 3])) for a, b in pairwise(frames))
+    bar, mounted = pairing.of(site.rig)
+    far = float(np.linalg.norm(mounted.p_chuck - frames[0][:3, 3]))
+    return far > length + float(np.linalg.norm(mounted.p_sphere)) + bar.zero + 0.5 * abs(bar.gain) * bar.travel
+
+
+def _unreached(pairing: Pairing) -> str:
+    return (
+        f"the arm reaches no place of bar {pairing.bar} between chuck {pairing.chuck} and sphere {pairing.sphere}; "
+        "move the chucks"
+    )
 
 
 def _of_pairing(site: Site, pairing: Pairing, count: int, spread: float, rng: np.random.Generator) -> Floats:
