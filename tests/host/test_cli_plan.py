@@ -150,6 +150,16 @@ def test_strangers_files_are_not_replaced_and_own_ones_are(folder, capsys, optio
         assert main([*given, str(own)]) == 0
 
 
+def test_too_few_poses_are_told_in_a_few_words(folder, capsys):
+    few = [text.replace("36", "12") for text in COMMON]
+    assert main(["plan", "ballbar", *few, "--rig", str(folder / "rig.toml")]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert [line for line in said if line.startswith("Next: 12 poses are fewer than there are unknowns")]
+    unseen = [line for line in said if line.startswith("not seen: ")]
+    assert len(unseen) == 30 - 12
+    assert all(line.count("·") <= 4 for line in unseen)
+
+
 def test_chucks_out_of_reach_are_told_at_once(folder, capsys):
     """A slip of a digit: nothing is searched for."""
     far = {name: replace(chuck, xyz=(3.8, 0.0, 0.06)) for name, chuck in bench.RIGS["irb120"].chucks.items()}

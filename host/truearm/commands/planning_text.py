@@ -8,7 +8,7 @@ from typing import Any
 
 import typer
 
-from truearm.commands.show import BORDER
+from truearm.commands.show import BORDER, MAX_TERMS
 
 
 def show(document: Mapping[str, Any], as_json: bool) -> None:
@@ -56,8 +56,19 @@ def _known_after(document: Mapping[str, Any]) -> list[str]:
     lines += [f"  {parameter['name']:<24}{_in_words(parameter)}" for parameter in document["parameters"]]
     for key, what in (("null_space", "not seen"), ("hardly_seen", "hardly seen")):
         for direction in document[key]:
-            lines.append(f"{what}: " + " ".join(f"{weight:+.2f}·{name}" for name, weight in direction.items()))
+            lines.append(f"{what}: {_direction(direction)}")
+    if "poses" in document and document["poses"] < document["rank"] + len(document["null_space"]):
+        lines.append(
+            f"Next: {document['poses']} poses are fewer than there are unknowns; give more, or spend less on mounts with --bar NAME."
+        )
     return lines
+
+
+def _direction(weights: Mapping[str, float]) -> str:
+    """Its largest terms; --json has all."""
+    terms = sorted(weights.items(), key=lambda term: -abs(term[1]))
+    rest = f" and {len(terms) - MAX_TERMS} others" * (len(terms) > MAX_TERMS)
+    return " ".join(f"{weight:+.2f}·{name}" for name, weight in terms[:MAX_TERMS]) + rest
 
 
 def _region(document: Mapping[str, Any]) -> list[str]:
