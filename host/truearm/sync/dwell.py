@@ -97,20 +97,22 @@ class Dwell:
 
 def find_dwells(stream: JointStream, rules: DwellRules) -> list[Dwell]:
     """All stops in order of time; those that the joint readings already rule out carry their reason."""
-    bins = stream.bins
-    if bins is None:
-        return []
+    return [] if stream.bins is None else find_stops(stream.bins, stream.step, rules)
+
+
+def find_stops(bins: Bins, step: Floats, rules: DwellRules) -> list[Dwell]:
+    """The stops of whatever is in the bins, by its own noise and its step (j,)."""
     ranges, whole = _window_ranges(bins)
     if not np.any(whole):
         return []
-    threshold = motion_threshold(ranges[whole], stream.step)
+    threshold = motion_threshold(ranges[whole], step)
     quiet = whole & np.all(ranges <= threshold, axis=1)
     runs = [
         slice(first, last)
         for first, last in _runs(quiet, len(bins.n))
         if bins.t_last_s[last - 1] - bins.t_first_s[first] >= SHORTEST_S
     ]
-    rest = _Rest(resting_variance(bins, runs), np.maximum(1.001 * stream.step, LEAST_MOTION), stream.step)
+    rest = _Rest(resting_variance(bins, runs), np.maximum(1.001 * step, LEAST_MOTION), step)
     return [_dwell(bins, run, rules, rest) for run in runs]
 
 

@@ -22,6 +22,7 @@ from truearm.types import Floats, Message
 CHUNK = 2048  # lines parsed at a time: 1.3 µs a line instead of 2.8
 BIN_S = 0.05
 READING_GAP_S = 0.25  # without a reading for so long nobody knows whether the robot stood still
+NOTED_S = 1.0  # readings that lie further apart in the middle were taken down one by one
 LATE_S = 1.0  # time this little backward is a datagram overtaken by another; more is a restart
 UNNUMBERED = -MAX_SEQ  # seq of a reading that has none
 FINEST_STEP = 1e-9  # rad or m; smaller differences are arithmetic, not an encoder
@@ -155,6 +156,8 @@ class JointReader:
         self._step = np.full(q.shape[1], np.inf)
         self._fast_step = np.full(q.shape[1], np.inf)
         period = float(np.median(np.abs(np.diff(t)))) if t.size > 1 else 0.0
+        if period >= NOTED_S:  # noted one by one: each is a bin of its own, and nothing is known between them
+            period = 0.0
         self._bin_s, self._gap_s = max(BIN_S, 4.0 * period), max(READING_GAP_S, 5.0 * period)
 
     def _part(self, t: Floats, seq: Ints, q: Floats, q_cmd: Floats, inputs: Ints, arrival: Ints) -> None:

@@ -28,6 +28,7 @@ from truearm.sync.line_pairing import passes_of
 from truearm.sync.losses import Losses
 from truearm.sync.measure import LEARNT, Sensing, measured, usual_noise, without_noisy
 from truearm.sync.motion import Heard, Listener
+from truearm.sync.noted import are_noted, noted_dwells
 from truearm.sync.pairing import REQUIRED, Marks, Plan, match_plan, nearest_pose
 from truearm.sync.passes import WANTED, LineRules, Pass, measure
 from truearm.sync.streams import StreamReport
@@ -104,6 +105,12 @@ def survey(messages: Messages, ident: Ident | None = None, rules: DwellRules | N
     clocks = {index: clock for index, (clock, _) in fits.items()}
     outputs = {s.index: Output.of(s.output) for s in box.segments if s.output}
     joints = with_edges(robot.finish(), outputs, clocks)
+    rules = rules or DwellRules()
+    if are_noted(joints):
+        blocks = _blocks(messages, topics, ident, None, lambda _: None)
+        dwells = noted_dwells(joints, blocks, clocks, rules)
+    else:
+        dwells = [_on_host(dwell, joints) for dwell in find_dwells(joints, rules)]
     return Survey(
         losses=box.losses(),
         streams=box.streams(),
@@ -112,7 +119,7 @@ def survey(messages: Messages, ident: Ident | None = None, rules: DwellRules | N
         clocks=clocks,
         clock_reports=tuple(report for _, report in fits.values()),
         joints=joints,
-        dwells=tuple(_on_host(dwell, joints) for dwell in find_dwells(joints, rules or DwellRules())),
+        dwells=tuple(dwells),
         legs=tuple(find_legs(joints)) if marks.names_lines else (),
         marks=marks,
         box_topics=frozenset(topics),
