@@ -158,9 +158,7 @@ def test_map_knows_how_far_it_errs(through, tmp_path):
             delays.append((estimate.value[k] - true) / estimate.sigma[k])
     total = WORLDS * int(FREE.sum())
     low, high = stats.chi2.ppf([0.005, 0.995], total) / WORLDS
-    print(
-        f"{through}: NEES {np.mean(values):.2f} of {FREE.sum()}, band {low:.2f} to {high:.2f}; delays", np.std(delays)
-    )
+    print(f"{through}: NEES {np.mean(values):.2f} of {FREE.sum()}, band {low:.2f} to {high:.2f}; delays [σ]", delays)
     assert low < np.mean(values) < high
     assert max(values) < stats.chi2.ppf(1 - 1e-3 / WORLDS, FREE.sum())
     if delays:
