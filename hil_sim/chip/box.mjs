@@ -2,7 +2,7 @@
 // output. The parent's half is truearm_sim/chip.py. One argument: JSON {uf2, store?, cause, uid, seed, startNs?}.
 //
 //   parent  "G" grant    flags:u8  n_rx:u16  n_edges:u16  tx_room:u32  until_ns:u64  temperature_mdegc:i32, then
-//                        rx bytes, edges (line:u8, level:u8, t_ns:u64)
+//                        rx bytes (at until_ns), edges (line:u8, level:u8, t_ns:u64)
 //           "C" control  n:u32, then JSON: {part, ...} for a part (its faults), {pico: "cut", operations: n} cuts the power in
 //                        the n-th flash operation from now, {pico: "crash"} lets the firmware raise an exception,
 //                        {pico: "profile", every_ns: n} begins to sample where the processor is, {pico: "profiled", file: path} writes
@@ -89,11 +89,11 @@ function grant(box) {
   pico.chip.adc.channelValues[4] = temperatureReading(head.readInt32LE(17));
   signals.horizonNs = untilNs;
   scheduleEdges(pico, edges);
-  if (rx.length) pico.usb.send(rx);
   pico.usb.setOpen(!(head.readUInt8(0) & CLOSED));
   pico.usb.setRoom(head.readUInt32LE(5));
   if (head.readUInt8(0) & STALLED) pico.stall(untilNs);
   else pico.run(untilNs);
+  if (rx.length) pico.usb.send(rx); // it arrives at the grant's end: the box sees it in the next one, never before it was sent
   const { ended } = pico;
   const tx = Buffer.concat(sent.splice(0));
   const edgesOut = outputs.splice(0);

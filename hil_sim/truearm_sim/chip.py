@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from . import node
-from .box import COMMAND, POWER, RX_MAX, WATCHDOG, Answer, BoxDied, end_process
+from .box import COMMAND, LATER_US, POWER, RX_MAX, WATCHDOG, Answer, BoxDied, end_process
 from .hardware import BAD_CRC, CONVERTER_RESET, CRASH, STALL, Boot, Edge
 
 SCRIPT = node.SOURCES / "box.mjs"
@@ -42,6 +42,7 @@ QUERY = struct.Struct("<BHQQQ")
 CLOSED, STALLED = 1, 2  # flags of a grant
 SAMPLING, RESET, BOOT_LOADER, POWER_CUT = 1, 2, 4, 8  # flags of an answer
 ANY_ROOM = 0xFFFF  # what a link that is never full says it takes; USB then takes all
+ANSWERS_WITHIN_US = 3000  # most requests: whoever grants time then has the answer when it is there
 SETTLING = 6  # conversions after a start that the driver does not hand out (firmware/drivers/ads131m04.py)
 _FAULTS: dict[int, dict[str, Any]] = {
     CRASH: {"pico": "crash"},
@@ -135,7 +136,7 @@ class ChipBox:
             self._answer_query()
         if kind != b"D":
             raise BoxDied(f"the chip emulator wrote {kind!r}")
-        yield self._answer()
+        yield self._answer(ANSWERS_WITHIN_US if rx else LATER_US)
 
     def control(self, message: dict[str, Any]) -> None:
         """A message to the emulator or one of its parts (box.mjs): faults mostly."""
@@ -162,7 +163,7 @@ class ChipBox:
     def _shots(self, index: int, n: int, start_ns: int, period_ns: int) -> bytes:
         return self._signals.flight_times(index, index + n, start_ns, period_ns).astype("<i8").tobytes()
 
-    def _answer(self) -> Answer:
+    def _answer(self, wake_us: int) -> Answer:
         flags, cause, _now_ns, n_tx, n_edges = ANSWER.unpack(self._read(ANSWER.size))
         tx = self._read(n_tx)
         edges = [EDGE_OUT.unpack(self._read(EDGE_OUT.size)) for _ in range(n_edges)]

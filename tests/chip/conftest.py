@@ -38,11 +38,12 @@ class Chip:
         self.rest = b""  # of a frame that came in part
 
     def give(self, us, rx=b"", edges=(), room=ANY_ROOM, flags=0):
-        """Let it run; the bytes it sent. `end` says how it ended, if it did."""
+        """Write `rx` now and let it run; the bytes it sent. `end` says how it ended, if it did."""
+        (written,) = self.hardware.advance(self.now_us, rx, edges, room, 0, 24_500)
         self.now_us += us
-        (answer,) = self.hardware.advance(self.now_us, rx, edges, room, flags, 24_500)
+        (answer,) = self.hardware.advance(self.now_us, b"", (), room, flags, 24_500)
         self.end, self.sampling = answer.end, answer.sampling
-        return answer.tx
+        return written.tx + answer.tx
 
     def hear(self, us, **grant):
         """Let it run; the frames that have come whole."""
