@@ -60,6 +60,12 @@ def simulate(
     robot_delay_ms: Annotated[
         float, typer.Option(min=0.0, max=1000.0, metavar="MS", help="How late the robot's readings are.")
     ] = 0.0,
+    trigger: Annotated[
+        int | None,
+        typer.Option(
+            min=0, max=15, metavar="INPUT", help="The robot's digital input that the box's trigger output toggles."
+        ),
+    ] = None,
     seed: SeedOption = 1,
     level: Annotated[
         str,
@@ -92,7 +98,7 @@ def simulate(
     scheme, usual_port, rate = ROBOTS[robot]
     faults = [parse_fault(text) for text in fault or []]
     plan, rig = visits(poses, lines, seed, plan_file, rig_file)
-    world = World(seed, plan, rig, robot_rate=rate, robot_delay_s=1e-3 * robot_delay_ms)
+    world = World(seed, plan, rig, robot_rate=rate, robot_delay_s=1e-3 * robot_delay_ms, robot_input=trigger)
     own_folder(folder, MARK)
     power_on = hardware(level)
     write_plan(folder / "plan.csv", plan)
