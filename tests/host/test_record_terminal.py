@@ -4,6 +4,7 @@ import fcntl
 import json
 import os
 import re
+import select
 import signal
 import subprocess
 import sys
@@ -50,16 +51,26 @@ class OnTerminal:
         )
         self.slave = slave
         self.text = ""
+        self._closed = threading.Event()
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
 
     def _read(self):
-        while True:
+        while not self._closed.is_set():
+            if not select.select([self.master], [], [], 0.05)[0]:
+                continue
             try:
                 data = os.read(self.master, 65536)
             except OSError:
                 return
             self.text += data.decode("utf-8", "replace")
+
+    def close(self):
+        """Close the window. Nobody may be reading it then: a read under way would keep it open."""
+        self._closed.set()
+        self._thread.join(PATIENCE_S)
+        os.close(self.slave)
+        os.close(self.master)
 
     def type(self, data):
         os.write(self.master, data if isinstance(data, bytes) else data.encode())
@@ -78,9 +89,7 @@ class OnTerminal:
         code = self.process.wait(PATIENCE_S)
         time.sleep(0.1)
         after = termios.tcgetattr(self.slave)
-        os.close(self.slave)
-        os.close(self.master)
-        self._thread.join(PATIENCE_S)
+        self.close()
         assert after == self.before
         assert "Traceback" not in self.text
         return code
@@ -145,8 +154,7 @@ class TestTyping:
     def test_a_terminal_that_is_closed(self, tmp_path):
         """The window is closed: the file is completed."""
         with recording(tmp_path) as (terminal, box, out):
-            os.close(terminal.slave)
-            os.close(terminal.master)
+            terminal.close()
             terminal.process.wait(PATIENCE_S)
             assert not box.streaming
         assert events(out, "stop")[0]["reason"] == "interrupted"
