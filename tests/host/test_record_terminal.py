@@ -38,7 +38,8 @@ class OnTerminal:
         def own_terminal():
             os.setsid()
             fcntl.ioctl(0, termios.TIOCSCTTY, 0)
-            signal.signal(signal.SIGINT, signal.SIG_DFL)
+            for number in (signal.SIGINT, signal.SIGHUP):  # whoever runs the tests under nohup has them ignored
+                signal.signal(number, signal.SIG_DFL)
 
         command = [sys.executable, "-c", code, *map(str, arguments)]
         self.process = subprocess.Popen(
