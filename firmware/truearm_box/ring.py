@@ -71,10 +71,8 @@ class Events:
         self._buf = bytearray(size * self.RECORD)
         self._size = size
         self._first = 0
-        self._quiet = (
-            bytearray(8),
-            bytearray(8),
-        )  # until when edges of lines 0 and 1 are the bouncing of one that was kept
+        # until when edges of lines 0 and 1 are the bouncing of one that was kept
+        self._quiet = (bytearray(8), bytearray(8))
         self.used = 0
         self.dropped = 0
 

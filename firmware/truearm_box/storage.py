@@ -13,9 +13,8 @@ import os
 from . import config
 from .ident import ERROR_MAX, plain
 
-SIZE_MAX = (
-    8000  # characters of a configuration's JSON; more would not fit the heap next to the ring, several times over
-)
+# characters of a configuration's JSON; more would not fit the heap next to the ring, several times over
+SIZE_MAX = 8000
 
 
 def load(path, try_out):

@@ -75,10 +75,8 @@ class Answer:
     led: int = 0
     alive: bool = True  # the firmware fed its watchdog
     watchdog_ms: int = 0
-    first_ns: tuple[int | None, int | None] = (
-        None,
-        None,
-    )  # device time of sample 0 of each stream since the latest start
+    # device time of sample 0 of each stream since the latest start
+    first_ns: tuple[int | None, int | None] = (None, None)
     wake_us: int = LATER_US  # from now: the firmware wants to run then, whatever comes
     toggles: tuple[tuple[int, bool], ...] = ()  # edges of its trigger output: device time [ns], level
 

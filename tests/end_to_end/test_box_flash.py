@@ -26,15 +26,15 @@ def test_a_running_box_is_flashed(tmp_path, no_ports, capsys):
         assert shown.written == image()
     assert "for the RP2040, 1 KiB in 4 blocks: the box's firmware" in said
     assert "it enters its boot loader" in said
-    assert said.splitlines()[-1].startswith("it answers: truearm box e6614103e7452b2f, firmware 0.2.0")
+    assert said.splitlines()[-1].startswith("it answers: truearm box e6614103e7452b2f, firmware 0.3.0")
 
 
 @pytest.mark.parametrize(
     ("version", "says"),
     [
-        ("0.2.0", "firmware 0.2.0 on vm, as the image has; it enters"),
-        ("0.10.0", "firmware 0.2.0 on vm, the image has the newer 0.10.0; it enters"),
-        ("0.1.9", "firmware 0.2.0 on vm, the image has the older 0.1.9; it enters"),
+        ("0.3.0", "firmware 0.3.0 on vm, as the image has; it enters"),
+        ("0.10.0", "firmware 0.3.0 on vm, the image has the newer 0.10.0; it enters"),
+        ("0.1.9", "firmware 0.3.0 on vm, the image has the older 0.1.9; it enters"),
     ],
 )
 def test_the_images_firmware_is_compared_with_the_boxs(tmp_path, no_ports, capsys, version, says):
@@ -46,7 +46,7 @@ def test_the_images_firmware_is_compared_with_the_boxs(tmp_path, no_ports, capsy
     assert f"4 blocks: the box's firmware {version}\n" in said
     assert says in said
     # The box that comes up is the simulated one, whatever was written.
-    assert (f"warning: the image has {version}; files" in said) == (version != "0.2.0")
+    assert (f"warning: the image has {version}; files" in said) == (version != "0.3.0")
 
 
 def test_a_drive_that_is_there_is_written_to(tmp_path, no_ports, capsys):
@@ -188,7 +188,7 @@ def test_the_real_mpremote_and_a_real_micropython():
             capture_output=True, text=True, timeout=300,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
-        assert done.stdout.splitlines()[-1].endswith("firmware 0.2.0 on rp2040")
+        assert done.stdout.splitlines()[-1].endswith("firmware 0.3.0 on rp2040")
         with conversation(device, retries=EMULATOR) as talk:
             assert talk.identify().boot_id != before
         files = read_flash(shown.flash / STORE)

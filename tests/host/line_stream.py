@@ -42,7 +42,7 @@ def ident_document(boot_id: int, sound: float) -> dict[str, object]:
     along = {"name": "magnetostrictive", "unit": "s", "scale": [8, -9], "calibration": {"unit": "m", "poly": poly}}
     channels = [plain[0], *across, plain[1]]
     return {
-        **{"protocol": [1, 1], "firmware": "0.2.0", "uid": b"\x01\x02", "boot_id": boot_id, "clock_hz": 1_000_000},
+        **{"protocol": [1, 1], "firmware": "0.3.0", "uid": b"\x01\x02", "boot_id": boot_id, "clock_hz": 1_000_000},
         "streams": [{**adc, "channels": channels}, {**mag, "channels": [along]}],
     }
 

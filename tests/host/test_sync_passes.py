@@ -137,9 +137,8 @@ def test_as_many_points_as_wanted(clean, found):
 # ---------------------------------------------------------------------------------------------- what is missing
 
 
-EDGE_NS = (
-    2_000_000  # a window may end a fifth of a period of 8 ms beyond a reading that is missing, and uses none beyond
-)
+# a window may end a fifth of a period of 8 ms beyond a reading that is missing, and uses none beyond
+EDGE_NS = 2_000_000
 
 
 def host_ns_of(reading):

@@ -45,8 +45,8 @@ def flash(
 
     \b
     Examples:
-      truearm box flash build/uf2/truearm-0.2.0.uf2
-      truearm box flash build/uf2/truearm-0.2.0.uf2 --device /dev/ttyACM0
+      truearm box flash build/uf2/truearm-0.3.0.uf2
+      truearm box flash build/uf2/truearm-0.3.0.uf2 --device /dev/ttyACM0
       truearm box flash --stock --device /dev/ttyACM0
     """
     from truearm.record.ports import usb_ports
@@ -59,7 +59,7 @@ def flash(
         _copy_files(device, stop)
     else:
         if image is None:
-            raise InputError("give the image to flash, such as build/uf2/truearm-0.2.0.uf2 (make uf2), or --stock")
+            raise InputError("give the image to flash, such as build/uf2/truearm-0.3.0.uf2 (make uf2), or --stock")
         version = _write_image(image, device, drive, timeout, stop)
     if no_check:
         return

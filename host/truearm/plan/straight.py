@@ -26,9 +26,8 @@ from truearm.types import Floats
 
 STEPS = 6  # of Newton's method from one place to the next; the fourth is exact to rounding
 ON_LINE = 1e-8  # LEVERs, and rad
-MOST_TURN = np.deg2rad(
-    40.0
-)  # of the tool from end to end: what tells its orientation, without tilting the device's magnet far
+# of the tool from end to end: what tells its orientation, without tilting the device's magnet far
+MOST_TURN = np.deg2rad(40.0)
 AT_ONCE, ROUNDS = 100, 40  # draws
 
 

@@ -17,9 +17,8 @@ CTRL_C = 3
 _DIGITS = 255
 _TOP = 31  # of the fourth byte: ids stay below 2^29, SPEC §6 allows 2^30
 _COUNTS = _DIGITS**3 * _TOP - 1
-_TRIES = (
-    64  # one in 40 has it by chance; a page of a configuration may hold it whatever the id is, but follows an answer
-)
+# one in 40 has it by chance; a page of a configuration may hold it whatever the id is, but follows an answer
+_TRIES = 64
 
 
 class Requests:

@@ -13,9 +13,8 @@ class Counters:
     samples: int = 0
     lost_frames: int = 0
     doubled_frames: int = 0
-    odd_frames: int = (
-        0  # whose number fits neither the frame before nor a loss: late, of a box that restarted, or foreign
-    )
+    # whose number fits neither the frame before nor a loss: late, of a box that restarted, or foreign
+    odd_frames: int = 0
     console_bytes: int = 0
     probes: int = 0
     unanswered_probes: int = 0

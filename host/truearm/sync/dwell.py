@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -197,21 +198,14 @@ def _seconds(bins: Bins, used: slice, rules: DwellRules) -> float:
 def _of_bins(
     bins: Bins, used: slice, rules: DwellRules, step: Floats, stood: float, reason: str = "", detail: str = ""
 ) -> Dwell:
-    q, q_cov, n = _statistics(bins, used, step)
-    start, end = float(bins.t_first_s[used.start]), float(bins.t_last_s[used.stop - 1]) - rules.guard_s
-    q_cmd = np.average(bins.commanded[used], axis=0, weights=bins.n[used])
     return Dwell(
         segment=int(bins.segment[used.start]),
-        start_s=start,
-        end_s=end,
-        q=q,
-        q_cov=q_cov,
-        n_readings=n,
+        start_s=float(bins.t_first_s[used.start]),
+        end_s=float(bins.t_last_s[used.stop - 1]) - rules.guard_s,
         stood_s=stood,
-        bins=(used.start, used.stop),
         reason=reason,
         detail=detail,
-        q_cmd=q_cmd,
+        **_readings(bins, used, step),
     )
 
 
@@ -225,26 +219,32 @@ def begun_at(dwell: Dwell, start_s: float, start_host_ns: int, stream: JointStre
     first, end = dwell.bins
     first += int(np.searchsorted(stream.bins.t_first_s[first:end], start_s))
     used = slice(min(first, end - 1), end)
-    q, q_cov, n = _statistics(stream.bins, used, stream.step)
-    q_cmd = np.average(stream.bins.commanded[used], axis=0, weights=stream.bins.n[used])
-    return replace(
-        dwell,
-        start_s=start_s,
-        start_host_ns=start_host_ns,
-        q=q,
-        q_cov=q_cov,
-        n_readings=n,
-        q_cmd=q_cmd,
-        bins=(used.start, used.stop),
-    )
+    read = _readings(stream.bins, used, stream.step)
+    return replace(dwell, start_s=start_s, start_host_ns=start_host_ns, **read)
 
 
-def _statistics(bins: Bins, used: slice, step: Floats) -> tuple[Floats, Floats, int]:
-    """Mean (j,) and covariance (j, j) of the readings in these bins; the latter at least that of the quantisation."""
+class _Readings(TypedDict):
+    """What a dwell says of the readings in its bins."""
+
+    q: Floats
+    q_cov: Floats
+    q_cmd: Floats
+    n_readings: int
+    bins: tuple[int, int]
+
+
+def _readings(bins: Bins, used: slice, step: Floats) -> _Readings:
+    """Means (j,) and covariance (j, j) of the readings in these bins; the latter at least that of the quantisation."""
     n, mean = bins.n[used], bins.mean[used]
     total = int(np.sum(n))
     q = np.sum(n[:, None] * mean, axis=0) / total
     between = (mean - q) * np.sqrt(n)[:, None]
     scatter = np.sum(bins.scatter[used], axis=0, dtype=np.float64) + between.T @ between
     # The smallest change seen is the step of a quantised reading; of a fine one it is next to nothing.
-    return q, scatter / max(1, total - 1) + np.diag(step**2) / 12.0, total
+    return _Readings(
+        q=q,
+        q_cov=scatter / max(1, total - 1) + np.diag(step**2) / 12.0,
+        q_cmd=np.average(bins.commanded[used], axis=0, weights=n),
+        n_readings=total,
+        bins=(used.start, used.stop),
+    )
