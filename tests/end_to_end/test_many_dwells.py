@@ -39,7 +39,7 @@ from truearm_sim.world import World, standard_rig
 robot = builtin_robot("puma560")
 design = robot.parameter_sets["design"]
 plan = plan_shells(robot.chain, design, standard_rig(), "bar46", int(sys.argv[2]), 1, speed=SPEED)
-write_setup(Path(sys.argv[1]), plan, World(1, plan))
+write_setup(Path(sys.argv[1]), World(1, plan))
 """
 
 
@@ -81,4 +81,5 @@ def test_nine_pairings(tmp_path, each):
     assert result["rank"] == 36
     # The band holds 95 %, ±1.96 σ; of right sigmas one run in a thousand leaves ±3.3 σ.
     low, high = result["chi2_band"]
+    print(f"reduced chi² {result['chi2_reduced']:.4f}, of which 95 % would be within {low:.4f} … {high:.4f}")
     assert abs(result["chi2_reduced"] - 0.5 * (low + high)) <= 3.3 / 1.96 * 0.5 * (high - low)
