@@ -1,16 +1,21 @@
 """A day of dwells in virtual time, each step a process of its own: nothing lost, and memory that does not follow the length."""
 
 import json
+import math
 import os
 import sys
 import time
 
+import numpy as np
 import pytest
+
+from truearm_sim.sensors import repeatability
 
 pytestmark = [pytest.mark.soak, pytest.mark.skipif(not hasattr(os, "wait4"), reason="needs the memory of a child")]
 MOST_MB = 500
+SEED = 1
 
-RECORD = """
+RECORD = f"""
 import sys
 from pathlib import Path
 from truearm.commands.demo import record_virtually
@@ -21,13 +26,13 @@ from truearm_sim.world import World
 
 out = Path(sys.argv[1])
 plan = read_plan(out / "plan.csv")
-world = World(1, plan)
-box = SimulatedBox(world, micropython.find(), seed=1)
-record_virtually(out, plan, world, box, 4096, 1)
+world = World({SEED}, plan)
+box = SimulatedBox(world, micropython.find(), seed={SEED})
+record_virtually(out, plan, world, box, 4096, {SEED})
 box.close()
 """
 
-PLAN = """
+PLAN = f"""
 import sys
 from pathlib import Path
 from truearm.commands.demo import write_setup
@@ -38,8 +43,8 @@ from truearm_sim.world import World, standard_rig
 
 robot = builtin_robot("puma560")
 design = robot.parameter_sets["design"]
-plan = plan_shells(robot.chain, design, standard_rig(), "bar46", int(sys.argv[2]), 1, speed=SPEED)
-write_setup(Path(sys.argv[1]), World(1, plan))
+plan = plan_shells(robot.chain, design, standard_rig(), "bar46", int(sys.argv[2]), {SEED}, speed=SPEED)
+write_setup(Path(sys.argv[1]), World({SEED}, plan))
 """
 
 
@@ -79,7 +84,8 @@ def test_nine_pairings(tmp_path, each):
     assert adc["samples"] == pytest.approx(found["duration_s"] * 1e9 / adc["period_ns"], rel=1e-3)
     result = json.loads((tmp_path / "result.json").read_text())
     assert result["rank"] == 36
-    # The band holds 95 %, ±1.96 σ; of right sigmas one run in a thousand leaves ±3.3 σ.
-    low, high = result["chi2_band"]
-    print(f"reduced chi² {result['chi2_reduced']:.4f}, of which 95 % would be within {low:.4f} … {high:.4f}")
-    assert abs(result["chi2_reduced"] - 0.5 * (low + high)) <= 3.3 / 1.96 * 0.5 * (high - low)
+    # The world's own draws are known: chance is only what 36 parameters take of them, a χ² of as many degrees of freedom.
+    freedom, drawn = poses - 36, float(np.sum(repeatability(SEED, poses) ** 2))
+    expected, sigma = (drawn - 36) / freedom, math.sqrt(2 * 36) / freedom
+    print(f"reduced chi² {result['chi2_reduced']:.4f}; of the drawn repeatability {expected:.4f} ± {sigma:.4f}")
+    assert abs(result["chi2_reduced"] - expected) <= 3.3 * sigma
