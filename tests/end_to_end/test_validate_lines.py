@@ -1,0 +1,96 @@
+"""`truearm validate` by sessions of the line device: calibrations of the ball-bar and of other lines, robots that changed since."""
+
+import json
+
+import numpy as np
+import pytest
+from tests.end_to_end.conftest import record_session
+
+from truearm.cli import main
+from truearm.model.robot import builtin_robot
+from truearm_sim.line_plan import drawn_line_plan, line_rig
+
+ROBOT = builtin_robot("puma560")
+TRUTH = ROBOT.parameter_sets["optimised"]
+DELAY_S = 8e-3
+
+
+def lines(folder, name, seed, params=TRUTH):
+    path = folder / f"{name}.mcap"
+    plan = drawn_line_plan(3, seed)
+    given = {"seed": seed, "plan": plan, "rig": line_rig(), "params": params, "robot_delay_s": DELAY_S}
+    return record_session(path, 0, osr=16384, **given).path
+
+
+@pytest.fixture(scope="module")
+def found(short_session, tmp_path_factory):
+    """A folder with calibrations by the ball-bar and by lines, and a session of other lines."""
+    folder = tmp_path_factory.mktemp("found")
+    first = lines(folder, "first", 1)
+    for name, session, *more in (("bar", short_session.path), ("line", first, "--solver", "map")):
+        given = ["identify", session, "--robot", "puma560", "--out", folder / f"{name}.json", *more]
+        assert main([str(a) for a in given]) == 0
+    return folder, lines(folder, "other", 8)
+
+
+@pytest.fixture
+def judged(capsys):
+    def call(result, *sessions):
+        capsys.readouterr()
+        assert main(["validate", str(result), *map(str, sessions), "--json"]) == 0
+        return json.loads(capsys.readouterr().out)
+
+    return call
+
+
+def test_a_calibration_by_the_ball_bar_holds_on_lines(found, judged):
+    """A line's points have more noise than a bar's length, 0.13 mm: that is no fault of the robot's."""
+    folder, other = found
+    told = judged(folder / "bar.json", other)
+    assert told["settled"] == 3 * 6 + 1  # the devices' poses and the readings' delay
+    assert told["rms_before_mm"] > 0.8
+    due = told["expected"]
+    assert due["by_noise_mm"] == pytest.approx(1e3 * np.linalg.norm(line_rig().line_sigma), rel=0.02)
+    assert told["rms_after_mm"] == pytest.approx(due["rms_mm"], rel=0.15)
+    assert told["verdict"].startswith("The calibration holds: noise")
+    assert {"line=l1", "line=l2", "line=l3"} < {region["region"] for region in told["regions"]}
+
+
+def test_what_lines_did_not_know_of_other_lines_is_expected(found, judged):
+    folder, other = found
+    told = judged(folder / "line.json", other)
+    due = told["expected"]
+    assert due["by_parameters_mm"] > 2.0 * due["by_noise_mm"]
+    assert 1.5 * due["by_noise_mm"] < told["rms_after_mm"] < 1.5 * due["rms_mm"]
+    assert told["verdict"].startswith("The calibration holds, as far as it says anything here")
+
+
+def test_a_robot_that_changed_is_found_out_by_lines(found, judged):
+    """A joint's zero has moved by 10 mrad, as after a collision."""
+    folder, _ = found
+    changed = TRUTH + 10e-3 * np.array([name == "joint3.offset" for name in ROBOT.chain.parameter_names])
+    told = judged(folder / "bar.json", lines(folder, "changed", 8, changed))
+    assert told["rms_after_mm"] > 1.5 * told["expected"]["rms_mm"]
+    assert "has changed" in told["verdict"]
+
+
+def test_lines_say_nothing_of_where_the_base_stands(found, short_session, judged):
+    """Judged by a bar between chucks of known place; with lines beside it, those are judged all the same."""
+    folder, other = found
+    told = judged(folder / "line.json", short_session.path)
+    assert told["unseen"] == told["rows"]
+    assert told["expected"] is None
+    assert "hang on combinations of parameters" in told["verdict"]
+    both = judged(folder / "line.json", short_session.path, other)
+    assert both["unseen"] == told["rows"]
+    assert both["expected"]["rms_after_mm"] == pytest.approx(judged(folder / "line.json", other)["rms_after_mm"])
+    assert {region["rms_expected_mm"] is None for region in both["regions"]} == {True, False}
+
+
+def test_as_text(found, capsys):
+    folder, other = found
+    assert main(["validate", str(folder / "bar.json"), str(other)]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].split() == ["error", "[mm]", "without", "with", "expected", "rows"]
+    assert any(line.startswith("19 unknowns of the rig were settled") for line in said)
+    assert said[-1].startswith("The calibration holds: noise")
