@@ -10,8 +10,8 @@ import gc
 from truearm_wire.fast import add, copy, less
 from truearm_wire.messages import HEARTBEAT
 
-# between collections: one takes less than 10 kB, a heartbeat nothing; a new configuration makes its own room
-COMMANDS = 4
+# between collections: one takes up to 27 kB (the longest ident), a heartbeat nothing; a new configuration makes its own room
+COMMANDS = 2
 GONE_US = 2000000  # a link that takes nothing for so long has no host
 
 IDLE = 0  # what the LED shows

@@ -36,7 +36,11 @@ def document(board, config, osr, mag_period_ns, fault, last_error):
 
 def plain(text, length):
     """The beginning of a text that may be a stranger's: ASCII, so that characters are bytes."""
-    return "".join([c if " " <= c <= "~" or c == "\n" else "?" for c in text[:length]])
+    found = bytearray(text[:length].encode())  # in place: a list of characters takes ten times as much
+    for i in range(len(found)):
+        if not (32 <= found[i] <= 126 or found[i] == 10):
+            found[i] = 63  # a question mark
+    return str(found[:length], "ascii")
 
 
 def _adc(config, osr):

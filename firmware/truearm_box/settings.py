@@ -7,8 +7,8 @@ from truearm_wire.messages import PAGE_BYTES, STREAM_ADC, pages
 
 from . import config, ident, selftest, storage
 
-PAGES_MAX = 16  # of a configuration that is put: 3200 bytes
-ROOM = 50000  # bytes of heap that a configuration has to leave: of many small parts it may be 40 times its size
+PAGES_MAX = 16  # of a configuration: 3200 bytes
+ROOM = 60000  # for commands (health.py): bytes of heap that a configuration has to leave: of many small parts it may be 40 times its size
 
 
 class Settings:
@@ -30,7 +30,10 @@ class Settings:
 
     def _try_out(self, found):
         """What cannot be told to the host must not stop the box from booting: raises ValueError for it."""
-        pages(encode(found))
+        gc.collect()
+        count = len(pages(encode(found)))
+        if count > PAGES_MAX:
+            raise ValueError("it has %d pages, at most %d fit" % (count, PAGES_MAX))
         longest = ident.document(self._board, found, 1 << 30, 1 << 30, "x" * ident.FAULT_MAX, "x" * ident.ERROR_MAX)
         pages(encode(longest))
         longest = None

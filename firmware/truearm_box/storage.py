@@ -40,6 +40,7 @@ def _read(path, try_out):
         if text.strip()[-1:] != "}":  # MicroPython takes a table that breaks off for a whole one
             raise ValueError("it is no table, or breaks off")
         found = config.check(config.completed(json.loads(text)))
+        text = None  # a quarter of what is left of the heap goes into trying out
         try_out(found)
         return found, None
     except OSError:
