@@ -14,15 +14,16 @@ from tests.host.urscript_machine import run_urscript
 from truearm.errors import PlanError
 from truearm.estimate.identify import identify
 from truearm.files.plan import format_plan, parse_plan
-from truearm.model.chain import forward, point_forward
+from truearm.model.chain import forward, joint_frames, point_forward
 from truearm.plan.forecast import forecast
 from truearm.plan.lines import SETUP, LinesWanted, line_rows, plan_lines
 from truearm.plan.programs import program
 from truearm.plan.region import Region
+from truearm.plan.shapes import Sizes, device_is_clear, make_shapes
 from truearm.plan.stops import SETTLE, Signals, Task
 from truearm.plan.straight import Shape, a_priori, candidate_lines, driven_lines
 from truearm.plan.way import Pace
-from truearm.types import NullDirection, Point
+from truearm.types import NullDirection, Point, Rig
 
 POINT = np.array([0.03, -0.02, 0.12])
 SHAPE = Shape(length=0.35, n_points=9, speed=0.08)
@@ -125,6 +126,39 @@ def test_the_whole_way_keeps_to_the_limits(controller):
         assert all(part[..., 2].min() > bench.SIZES.link for part in bench.arm_points(NAME, q))
         if move.kind == "line":
             assert bench.condition(NAME, q).min() > bench.LIMITS.singular_value
+
+
+def test_the_arm_keeps_clear_of_the_device(planned):
+    """Column, shoulder, upper arm and forearm as lines through the joints, 50 mm thick at least; a rod 20 mm thick on each line,
+    50 mm longer at either end, above the table."""
+    known = bench.known(NAME)
+    for q in planned.lines.q:
+        p = places(q)
+        out = 0.05 * (p[-1] - p[0]) / np.linalg.norm(p[-1] - p[0])
+        rod = bench.along(p[0] - out, p[-1] + out, 60)
+        assert rod[:, 2].min() > 0.02
+        origins = joint_frames(known.chain, known.params, q)[:, :5, :3, 3]
+        arm = np.concatenate([bench.along(a, b) for a, b in pairwise(origins.swapaxes(0, 1))], axis=1)
+        assert bench.nearest(arm, rod).min() > 0.05 + 0.02
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "free"),
+    [
+        ((0.3, -0.4, 0.3), (0.3, 0.1, 0.3), True),
+        ((0.1, -0.3, 0.45), (0.1, 0.3, 0.45), False),  # through the upper arm
+        ((0.3, -0.4, 0.3), (0.3, 0.1, 0.01), False),  # into the table
+        ((0.5, -0.4, 0.3), (0.5, 0.1, 0.3), False),  # through the post
+        ((0.06, -0.14, 0.5), (0.36, -0.14, 0.5), False),  # 140 mm beside the upper arm, which is 135 mm thick
+        ((0.06, -0.16, 0.5), (0.36, -0.16, 0.5), True),
+    ],
+)
+def test_what_a_device_must_not_touch(start, end, free):
+    known = bench.known(NAME)
+    rig = Rig(chucks={"c": Point("c", (0.5, 0.0, 0.35))})
+    shapes = make_shapes(known.chain, known.params, rig, Sizes())
+    folded = np.deg2rad([[0.0, 20.0, -100.0, 0.0, 0.0, 0.0]])  # the forearm up
+    assert device_is_clear(shapes, folded, np.array(start), np.array(end)) == free
 
 
 def test_the_plan_file_is_the_programs_rows(planned):

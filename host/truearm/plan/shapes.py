@@ -1,4 +1,5 @@
-"""Simple shapes that must not touch: the arm's links, the bar, the posts of the chucks as capsules, the table as a plane.
+"""Simple shapes that must not touch: the arm's links, the bar, the posts of the chucks and a line device as capsules, the table
+as a plane.
 
 A capsule is what lies within a radius of a segment; the arm's are those of ``bodies``. Neighbouring links always touch and
 are not held against each other: of the arm itself only what carries the tool is held against what carries the elbow.
@@ -22,13 +23,15 @@ TOOL = 5  # the joint from which on the arm is tool
 
 @dataclass(frozen=True)
 class Sizes:
-    """Radii [m] of links that ``bodies`` has no table of, of studs that hold spheres, of bars and of chucks' posts, and the
-    table's height z [m]."""
+    """Radii [m] of links that ``bodies`` has no table of, of studs that hold spheres, of bars, of chucks' posts and of a line
+    device's rod, how far that stands out at either end of its line [m], and the table's height z [m]."""
 
     link: float = 0.05
     stud: float = 0.012
     bar: float = 0.015
     post: float = 0.02
+    rod: float = 0.02
+    rod_end: float = 0.05
     table: float = 0.0
 
 
@@ -102,14 +105,32 @@ def _arm_is_clear_of_itself(shapes: Shapes, ends: Floats, pose: Floats, spheres:
 def _bar_is_clear(shapes: Shapes, ends: Floats, pose: Floats, mounted: Mounted) -> NDArray[np.bool_]:
     """The bar against the arm up to its wrist, and against the posts of the other chucks."""
     p_sphere = pose[:, :3, :3] @ mounted.p_sphere + pose[:, :3, 3]
-    before = np.array(shapes.body.joint) < TOOL
-    apart = _from(ends[:, before], p_sphere[:, None], mounted.p_chuck)
-    good = (apart > shapes.body.radius[before] + shapes.sizes.bar).all(axis=1)
+    good = _wrist_is_clear(shapes, ends, p_sphere[:, None], mounted.p_chuck, shapes.sizes.bar)
     for chuck in shapes.p_posts:
         if not np.array_equal(chuck, mounted.p_chuck):
             apart = segment_distance(_foot(chuck, shapes.sizes), chuck, p_sphere, mounted.p_chuck)
             good &= apart > shapes.sizes.post + shapes.sizes.bar
     return np.asarray(good)
+
+
+def device_is_clear(shapes: Shapes, q: Floats, start: Floats, end: Floats) -> bool:
+    """Whether a line device along start–end (3,) touches neither table nor posts, nor the arm up to its wrist at any q (n, j)."""
+    sizes = shapes.sizes
+    out = sizes.rod_end * (end - start) / np.linalg.norm(end - start)
+    start, end = start - out, end + out
+    if min(start[2], end[2]) < sizes.table + sizes.rod:
+        return False
+    for chuck in shapes.p_posts:
+        if segment_distance(_foot(chuck, sizes), chuck, start, end) < sizes.post + sizes.rod:
+            return False
+    return bool(_wrist_is_clear(shapes, body_ends(shapes, q), start, end, sizes.rod).all())
+
+
+def _wrist_is_clear(shapes: Shapes, ends: Floats, start: Floats, end: Floats, radius: float) -> NDArray[np.bool_]:
+    """(n,) whether the arm up to its wrist keeps clear of a capsule; what carries the end of a bar or a magnet meets it."""
+    before = np.array(shapes.body.joint) < TOOL
+    apart = _from(ends[:, before], start, end)
+    return np.asarray((apart > shapes.body.radius[before] + radius).all(axis=1))
 
 
 def _foot(chuck: Floats, sizes: Sizes) -> Floats:

@@ -20,6 +20,7 @@ from truearm.estimate.uncertainty import tolerance_error
 from truearm.model.chain import forward, joint_jacobian, point_forward, point_jacobians
 from truearm.plan.inverse import pose_error
 from truearm.plan.region import Region
+from truearm.plan.shapes import device_is_clear
 from truearm.plan.site import Site, all_allowed, smallest_singular_value
 from truearm.plan.way import samples
 from truearm.types import Floats
@@ -156,6 +157,9 @@ def _fits(
     way = np.concatenate([samples(a, b) for a, b in pairwise(q)])
     limits = site.limits.tightened()
     if not all_allowed(site, way, None, limits) or (smallest_singular_value(site, way) < limits.singular_value).any():
+        return False
+    ends = point_forward(site.arm.chain, site.arm.params, q[[0, -1]], point)
+    if not device_is_clear(site.shapes, way, *ends):
         return False
     return 2.0 * straightness(site, q[1::2], along, point) < 0.5 * shape.transverse
 
