@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from truearm.observe.rotation import left_jacobian, rotation, rotation_vector, skew
+from truearm.observe.rotation import left_jacobian, rotation, rotation_vector, skew, turned
 
 ANGLES = [0.0, 1e-12, 1e-6, 0.3, 0.32, 1.0, 2.0, 3.0, np.pi - 1e-6, np.pi - 1e-12]
 
@@ -53,3 +53,17 @@ def test_a_complex_step_passes_through():
         step = rotation(v_ + 1j * h * np.array([1.0, 0.0, 0.0])).imag / h
         by_hand = skew(left_jacobian(v_)[:, :, 0]) @ rotation(v_)
         np.testing.assert_allclose(step, by_hand, atol=4e-15)
+
+
+@pytest.mark.parametrize("angle", ANGLES[1:])
+def test_a_turn_about_one_axis_keeps_that_axis(angle):
+    """However large: the axis of a device does not move when it rolls about it."""
+    v = vectors(angle)
+    axis = np.cross(v, [0.3, -0.5, 0.8])
+    axis /= np.linalg.norm(axis, axis=1)[:, None]
+    device = np.swapaxes(rotation(v), 1, 2) @ axis[..., None]  # the axis as the device has it
+    change = np.linalg.solve(left_jacobian(v), 0.7 * axis[..., None])[..., 0]
+    after = rotation(turned(v, change))
+    np.testing.assert_allclose((after @ device)[..., 0], axis, atol=1e-14)
+    rolled = after @ np.swapaxes(rotation(v), 1, 2)
+    np.testing.assert_allclose(np.trace(rolled, axis1=1, axis2=2), 1.0 + 2.0 * np.cos(0.7), atol=1e-14)

@@ -18,6 +18,7 @@ from truearm.estimate.problem import Problem
 from truearm.estimate.robust import STAGES, sandwich
 from truearm.estimate.rows import observe_robustly
 from truearm.estimate.solution import Options, Solution, prior_error, whole
+from truearm.estimate.stepping import stepper
 from truearm.types import Floats
 
 
@@ -34,6 +35,7 @@ def fit(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Option
             damping=damping,
             plain=options.plain,
             cost=cost,
+            move=stepper(problem, columns),
         )
         part, iterations = minimum.x, iterations + minimum.iterations
     x = whole(x, columns, part)

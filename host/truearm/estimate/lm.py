@@ -30,6 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.estimate.information import Information, Spectrum, seen, spectrum
+from truearm.estimate.stepping import Step, added
 from truearm.types import Floats
 
 DAMPING_START = 1e-4
@@ -61,11 +62,13 @@ def minimise(
     damping: float = DAMPING_START,
     plain: bool = False,
     cost: Callable[[Floats, Floats], float] | None = None,
+    move: Step = added,
 ) -> Minimum:
     """Minimise χ² = fᵀf from x (k,). ``linearise`` gives root, Qᵀf and χ² at an x; ``on_step`` hears of each step.
 
     ``damping`` 0 begins with full Gauss–Newton steps; ``plain`` damps by λI instead of Marquardt's scaled columns.
     ``cost(there, here)`` is χ² at ``there`` with the weights of ``here``; needed only where weights depend on x.
+    ``move(x, Δ)`` is where a step leads.
     An iteration is an accepted step. Not to converge is a status, not an exception.
     """
     here = linearise(x)
@@ -89,21 +92,32 @@ def minimise(
         while True:
             delta, foretold = step(parts, promised, damping * unit)
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                there = linearise(x + delta)
-                chi2 = there.chi2 if cost is None else cost(x + delta, x)
+                goal = move(x, delta)
+                there = linearise(goal)
+                chi2 = there.chi2 if cost is None else cost(goal, x)
             if chi2 < here.chi2:  # False for a step so wild that χ² is no number
                 break
             refused = True
-            damping = max(damping * REFUSED, DAMPING_MIN if damping else DAMPING_START)
+            damping = after_refusal(damping)
             if damping > DAMPING_MAX:
                 return Minimum(x, "stalled", "no step reduces the residuals", iteration, here)
         gain = (here.chi2 - chi2) / foretold
-        damping *= STRAIGHT if gain > 0.9 and not refused else max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
-        damping = max(damping, DAMPING_MIN) if damping else 0.0
-        x, here = x + delta, there
+        damping = after_step(damping, gain, refused)
+        x, here = goal, there
         if on_step is not None:
             on_step(iteration + 1, here)
     return Minimum(x, "max_iterations", f"not converged after {max_iterations} iterations", max_iterations, here)
+
+
+def after_refusal(damping: float) -> float:
+    """λ after a step that did not reduce χ²."""
+    return max(damping * REFUSED, DAMPING_MIN if damping else DAMPING_START)
+
+
+def after_step(damping: float, gain: float, refused: bool) -> float:
+    """λ after a step of which ``gain``, a part of the foretold reduction, came; ``refused``: a smaller λ was tried before."""
+    damping *= STRAIGHT if gain > 0.9 and not refused else max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
+    return max(damping, DAMPING_MIN) if damping else 0.0
 
 
 def _unscaled(root: Floats) -> Spectrum:

@@ -12,7 +12,8 @@ Here rows are whitened (C = I) and P = S Sᵀ, which cannot lose its symmetry or
 
 **Relinearising without counting twice.** A pass takes every row once, all linearised at one x, from the same prior about
 the same mean. The next pass begins again from that prior, linearised where the last one ended. A pass is thus one step
-of the batch solution (12), to rounding, and P belongs to the data counted once. (III-E of the paper takes P(N) of a run
+of the batch solution (12), to rounding, and P belongs to the data counted once. Where such a step would raise χ² (weighed
+as where it began) the pass is made again from a narrower prior, narrowed about x: Marquardt's damping, by ``lm``'s rule. (III-E of the paper takes P(N) of a run
 as P(0) of the next; ``renders1991`` does so and says what it costs.)
 
 **The gate.** While a pass runs, the distance of an innovation, νᵀ(J P Jᵀ + I)⁻¹ν, judges a row by those before it, which
@@ -42,17 +43,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.estimate import lm
 from truearm.estimate.information import covariance, observe, spectrum, with_prior
-from truearm.estimate.lm import RELATIVE_END
 from truearm.estimate.problem import Problem
 from truearm.estimate.rows import GATE_LEVEL, deleted_distance, gate, only, whitened_blocks
 from truearm.estimate.solution import Options, Solution, prior_error, whole
+from truearm.estimate.stepping import Step, added, stepper
 from truearm.types import Floats
 
 DIFFUSE = 10.0  # σ of an unknown without prior; 1e5 times what a millimetre's work would leave, 1e-10 in the result
 NEAR_FARTHEST = 0.25  # of the farthest squared distance: half the distance
 MAX_ROUNDS = 50
-HALVINGS = 12
 
 
 class Filter(NamedTuple):
@@ -142,7 +143,9 @@ def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Opti
             options.on_step(passes, observe(problem, whole(x, columns, part), columns).residual)
 
     mean, sigma = problem.start[columns], problem.prior_sigma[columns]
-    ending = minimise(linearise, x[columns], mean, sigma, options.max_iterations, on_pass)
+    ending = minimise(
+        linearise, x[columns], mean, sigma, options.max_iterations, on_pass, move=stepper(problem, columns)
+    )
     x = whole(x, columns, ending.x)
     weight = np.ones(problem.n_rows)
     of_table = ending.rows.row >= 0
@@ -182,19 +185,21 @@ def minimise(
     max_passes: int,
     on_pass: Callable[[int, Floats], None] | None = None,
     level: float = GATE_LEVEL,
+    move: Step = added,
 ) -> Ending:
     """Pass after pass from x (k,) until neither x nor the set of rows within the gate changes.
 
     ``linearise(x)`` gives all rows at x; the prior is ``mean`` (k,) ± ``sigma`` (k,), inf for none. A pass whose step
-    changes what the rows predict by 1e-6 of their σ, in the root mean square, ends the relinearising; then the gate is
-    asked. Not to converge is a status, not an exception.
+    changes what the rows predict by 1e-6 of their σ, or of their residuals, in the root mean square, ends the relinearising;
+    then the gate is asked. Not to converge is a status, not an exception.
     """
     rows = linearise(x)
     used = np.ones(len(rows.residual), dtype=bool)
     limit = np.where(rows.row < 0, np.inf, gate(rows.width, level))
     first: Pass | None = None
     seen_sets: set[bytes] = set()
-    rounds, passes = 0, 0
+    rounds, passes, damping = 0, 0, 0.0
+    search = _Search(linearise, mean, sigma, move)
     while True:
         now = run(start(mean - x, sigma), rows, used)
         first = first or now
@@ -204,14 +209,16 @@ def minimise(
             return _ending(
                 x, "stalled", "residuals or derivatives are not finite numbers", passes, state, used, rows, first
             )
-        settled = moved <= RELATIVE_END * np.sqrt(rows.residual.size)
+        settled = moved <= lm.RELATIVE_END * max(np.sqrt(rows.residual.size), np.linalg.norm(rows.residual[used]))
         if passes == max_passes and not settled:
             message = f"not converged after {max_passes} passes"
             return _ending(x, "max_iterations", message, passes, state, used, rows, first)
         if not settled:
-            # Within the noise the linearised problem is to be trusted, more than χ² under weights that move with x.
-            far = moved > np.sqrt(rows.residual.size)
-            x, rows = _nearer(linearise, x, state.delta, rows, used, mean, sigma, HALVINGS if far else 0)
+            nearer = _nearer(search, x, rows, used, state.delta, damping)
+            if nearer is None:
+                message = "no pass reduces the residuals"
+                return _ending(x, "stalled", message, passes, state, used, rows, first)
+            x, rows, damping = nearer
             passes += 1
             if on_pass is not None:
                 on_pass(passes, x)
@@ -227,28 +234,54 @@ def minimise(
         used = chosen
 
 
+class _Search(NamedTuple):
+    """What stays the same from pass to pass: the rows by x, the prior, where a step leads."""
+
+    linearise: Callable[[Floats], Rows]
+    mean: Floats  # (k,)
+    sigma: Floats  # (k,)
+    move: Step
+
+
 def _nearer(
-    linearise: Callable[[Floats], Rows],
-    x: Floats,
-    delta: Floats,
-    rows: Rows,
-    used: NDArray[np.bool_],
-    mean: Floats,
-    sigma: Floats,
-    halvings: int,
-) -> tuple[Floats, Rows]:
-    """x + Δ, or as many times half of Δ as it takes to fit the used rows and the prior better than x does."""
-    before = _cost(rows, used, (mean - x) / sigma)
-    for _ in range(halvings):
-        there = linearise(x + delta)
-        if _cost(there, used, (mean - x - delta) / sigma) < before:
-            return x + delta, there
-        delta = 0.5 * delta
-    return x + delta, linearise(x + delta)
+    search: _Search, x: Floats, rows: Rows, used: NDArray[np.bool_], delta: Floats, damping: float
+) -> tuple[Floats, Rows, float] | None:
+    """Where a pass leads that fits the used rows and the prior better than x does, and λ for the next; None for nowhere.
+
+    ``delta`` is what an undamped pass says.
+    """
+    before = _cost(rows, rows, used, (search.mean - x) / search.sigma)
+    refused = False
+    while damping <= lm.DAMPING_MAX:
+        if damping:
+            delta = run(_narrowed(search, x, rows, used, damping), rows, used).filter.delta
+        goal = search.move(x, delta)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            there = search.linearise(goal)
+            chi2 = _cost(there, rows, used, (search.mean - goal) / search.sigma)
+        if chi2 < before:
+            ahead = rows._replace(residual=rows.residual - rows.jac @ delta)
+            foretold = before - _cost(ahead, rows, used, (search.mean - x - delta) / search.sigma)
+            return goal, there, lm.after_step(damping, (before - chi2) / foretold, refused)
+        refused, damping = True, lm.after_refusal(damping)
+    return None
 
 
-def _cost(rows: Rows, used: NDArray[np.bool_], prior: Floats) -> float:
-    return float((rows.residual[used] ** 2).sum() + prior @ prior)
+def _narrowed(search: _Search, x: Floats, rows: Rows, used: NDArray[np.bool_], damping: float) -> Filter:
+    """The prior, and on top of it that x holds, with λ times the weight of all rows: Marquardt's damping as a filter has it."""
+    known = np.where(np.isfinite(search.sigma), search.sigma, DIFFUSE) ** -2.0
+    weight = known + damping * (known + (rows.jac[used] ** 2).sum(axis=(0, 1)))
+    pull = np.where(np.isfinite(search.sigma), search.mean - x, 0.0)
+    return Filter(pull * known / weight, np.diag(weight**-0.5))
+
+
+def _cost(there: Rows, here: Rows, used: NDArray[np.bool_], prior: Floats) -> float:
+    """χ² of residuals ``there``, weighed as ``here``."""
+    widest = there.residual.shape[1]
+    padding = np.arange(widest) >= here.width[:, None]
+    roots = here.noise_root + padding[:, :, None] * np.eye(widest)
+    residual = np.linalg.solve(roots, there.noise_root @ there.residual[..., None])[..., 0]
+    return float((residual[used] ** 2).sum() + prior @ prior)
 
 
 def _within(distance: Floats, limit: Floats, used: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -40,6 +40,12 @@ def left_jacobian(vector: Floats) -> Floats:
     return _series(vector, b, c)
 
 
+def turned(vector: Floats, change: Floats) -> Floats:
+    """The rotation vectors (…, 3) after the small turns that the changes (…, 3) are to first order, |ω| ≤ π."""
+    turn = (left_jacobian(vector) @ change[..., None])[..., 0]
+    return rotation_vector(rotation(turn) @ rotation(vector))
+
+
 def rotation_vector(rot: Floats) -> Floats:
     """ω (…, 3) with exp([ω]×) = rot (…, 3, 3) and |ω| ≤ π.
 
