@@ -104,3 +104,20 @@ def test_one_way_is_said_not_to_show_the_delay(folder, said):
     assert "Drive lines there and back." in text
     (row,) = [line.split() for line in text.splitlines() if line.startswith("time_offset ")]
     assert row[2:] == ["-", "-", "not", "seen", "ms"]
+
+
+def test_export_session_has_every_row_of_the_plan_and_every_pass(folder, said, tmp_path):
+    said("export-session", folder / "both.mcap", "--out", tmp_path / "x", "--format", "npz")
+    plan, passes, rows = (np.load(tmp_path / "x" / f"{name}.npz") for name in ("plan", "passes", "observations"))
+    assert plan["move"].tolist() == ["via", "line", "line"] * 2
+    assert plan["line"].tolist() == ["", "l1", "l1", "", "l2", "l2"]
+    listed = json.loads(said("inspect", folder / "both.mcap", "--json"))["passes"]["table"]
+    for title, key in (("line", "line"), ("pose", "pose"), ("speed_m_s", "speed_m_s"), ("points", "points")):
+        assert passes[title].tolist() == [one[key] for one in listed]
+    assert plan["line"][passes["pose"]].tolist() == passes["line"].tolist()
+    np.testing.assert_array_equal(
+        [passes[f"noise_{axis}_m"] for axis in "xyz"], np.transpose([one["noise_m"] for one in listed])
+    )
+    assert set(passes["reason"]) == {""}
+    assert passes["points"].sum() == rows["kind"].size
+    assert (passes["host_start_ns"] < passes["host_end_ns"]).all()

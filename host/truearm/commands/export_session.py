@@ -41,7 +41,7 @@ def export_session(
         bool, typer.Option("--allow-damaged", help="Export what is whole of a damaged or unfinished file.")
     ] = False,
 ) -> None:
-    """Write a session as tables: all samples, joint readings, clock exchanges, events, dwells and observations.
+    """Write a session as tables: all samples, joint readings, clock exchanges, events, plan, dwells, passes and observations.
 
     A file a stream. Samples have the box's own time and the host's, synchronised, with its bound of error; counts, and what they
     mean in SI units, which stand in the headers. A gap is marked, not filled. session.json says what was lost and
@@ -102,8 +102,9 @@ def _export(session: Session, folder: Path, format: str, rig: Rig | None, units:
     """Write all tables; returns what session.json says."""
     from truearm.commands.inspect import ident_of
     from truearm.commands.session import messages_of
+    from truearm.sync.findings import plan_columns
     from truearm.sync.pipeline import survey
-    from truearm.sync.tabulate import plan_columns, tabulate
+    from truearm.sync.tabulate import tabulate
 
     ident, messages = ident_of(session), messages_of(session)
     found = survey(messages, ident)
@@ -137,12 +138,12 @@ def _export(session: Session, folder: Path, format: str, rig: Rig | None, units:
 def _observations(
     session: Session, found: Survey, rig: Rig | None, units: Sequence[str]
 ) -> Iterator[tuple[str, Columns]]:
-    """Dwells, and observations where there is a rig to pair them with."""
+    """Dwells, passes along lines, and observations where there is a rig to pair them with."""
     from truearm.commands.inspect import ident_of
     from truearm.commands.session import attached_rig, messages_of
     from truearm.files.table import table_columns
+    from truearm.sync.findings import dwell_columns, pass_columns
     from truearm.sync.pipeline import observations
-    from truearm.sync.tabulate import dwell_columns
 
     rig = rig or attached_rig(session, session.path)
     if rig is None:
@@ -150,6 +151,8 @@ def _observations(
         raise InputError("was recorded without a rig; give one with --rig to have observations")
     result = observations(messages_of(session), rig, ident_of(session), name=session.path.name, found=found)
     yield "dwells", dwell_columns(found, result.dwells, units)
+    if result.passes:
+        yield "passes", pass_columns(result.passes)
     yield "observations", table_columns(result.table, units or ("rad",) * result.table.q.shape[1])
 
 

@@ -2,7 +2,7 @@
 
 Titles end in the unit. Each batch is a mapping of titles to columns of equal length; a table's titles stay the same from its first
 batch on. Where a box or a robot describes itself otherwise later (other channels, other keys), another table begins, ``NAME-2``.
-Nothing is left out, filled in or averaged: a gap is marked where it is.
+Nothing is left out, filled in or averaged: a gap is marked where it is. What sync makes of them is in ``findings``.
 """
 
 from __future__ import annotations
@@ -323,54 +323,6 @@ def _kind(text: str) -> str:
         return ""
     kind = document.get("kind") if isinstance(document, dict) else None
     return kind if isinstance(kind, str) else ""
-
-
-def dwell_columns(found: Survey, dwells: Sequence[Any], joint_units: Sequence[str] = ()) -> Columns:
-    """A row a dwell, those that gave no observation too, with the reason."""
-    units = tuple(joint_units) or ("rad",) * len(found.joints.step)
-
-    def of(name: str, kind: type = float) -> NDArray[Any]:
-        return np.array([getattr(dwell, name) for dwell in dwells], dtype=kind)
-
-    q = np.array([dwell.q for dwell in dwells]).reshape(len(dwells), len(units))
-    return {
-        "dwell": np.arange(1, len(dwells) + 1),
-        "reason": np.array([dwell.reason for dwell in dwells], dtype=np.str_),
-        "host_start_ns": of("start_host_ns", int),
-        "host_end_ns": of("end_host_ns", int),
-        "segment": of("segment", int),
-        "controller_start_s": of("start_s"),
-        "controller_end_s": of("end_s"),
-        "pose": np.array([UNKNOWN if dwell.pose is None else dwell.pose for dwell in dwells], dtype=np.int64),
-        **{
-            key: np.array([dwell.mounted.get(key, "") for dwell in dwells], dtype=np.str_)
-            for key in ("shell", "bar", "chuck", "sphere")
-        },
-        "readings": of("n_readings", int),
-        "samples": of("n_samples", int),
-        "value_m": of("value"),
-        "sigma_m": of("sigma"),
-        "noise_m": of("noise"),
-        "drift_m": of("drift"),
-        "samples_effective": of("n_eff"),
-        "clock_bound_ns": of("clock_bound_ns"),
-        **{f"q{j}_{unit}": q[:, j - 1] for j, unit in enumerate(units, start=1)},
-    }
-
-
-def plan_columns(found: Survey, joint_units: Sequence[str] = ()) -> Columns | None:
-    """The planned poses as they were recorded; None without any."""
-    plan = found.marks.plan()
-    if plan is None:
-        return None
-    units = tuple(joint_units) if len(joint_units) == plan.q.shape[1] else ("rad",) * plan.q.shape[1]
-    return {
-        **{f"q{j}_{unit}": plan.q[:, j - 1] for j, unit in enumerate(units, start=1)},
-        **{
-            key: np.array([mounted.get(key, "") for mounted in plan.mounted], dtype=np.str_)
-            for key in ("shell", "bar", "chuck", "sphere")
-        },
-    }
 
 
 def _clean(text: str) -> str:
