@@ -126,6 +126,21 @@ def test_a_position_that_is_late_is_noticed_or_found_as_a_delay():
     assert abs(free.value[k] + 1e-3) < 4 * free.sigma[k] < 0.4e-3
 
 
+def test_a_clock_that_is_wrong_otherwise_after_a_restart_is_no_robots_error():
+    """A bound of 0.25 ms on two lines and of the other sign on two: 25 µm, a quarter of the device's σ, alike in 152 rows each.
+    A parameter that looked like it would be wrong by 3 σ or more; none does."""
+    world = world_of(3)
+    clean = shown(world)
+    wrong_s = np.where(np.isin(clean.line, ["l1", "l2"]), 0.25e-3, -0.25e-3)
+    before, after = (found(world, t) for t in (clean, replace(clean, q=clean.q + clean.q_rate * wrong_s[:, None])))
+    free = before.free[: before.n_robot_parameters]
+    change = (after.value - before.value)[: free.size][free]
+    within = before.covariance[: free.size, : free.size][np.ix_(free, free)]
+    assert change @ np.linalg.solve(within, change) < 0.01
+    k = before.parameter_names.index("time_offset")
+    assert abs(after.value[k] - before.value[k]) < 0.1e-3  # what is alike in all is τ's; this is not
+
+
 def test_a_wrong_velocity_of_sound_is_noticed_beside_a_ball_bar():
     """Lines alone would make the arm smaller, which fits; a bar knows how long it is."""
     plan = concatenate(standard_plan(45, 2), PLAN)
