@@ -100,9 +100,11 @@ def lab_of(
     mag_period_ns: int = MAG_PERIOD_NS,
     lost_stops: float = 0.0,
     poses: int = 9,
+    world: World | None = None,
 ):
-    """A lab with a box of this level, both of whose sources are on; ``poses`` with each bar, three seconds or so each."""
-    world = World(seed, standard_plan(poses, seed), mag_period_ns=mag_period_ns, lost_stops=lost_stops)
+    """A lab with a box of this level, both of whose sources are on; ``poses`` with each bar, three seconds or so each, or a world."""
+    if world is None:
+        world = World(seed, standard_plan(poses, seed), mag_period_ns=mag_period_ns, lost_stops=lost_stops)
     box = SimulatedBox(world, faults=faults, edges=edges, seed=seed, power_on=LEVELS[level]())
     try:
         yield Lab(world, box, seed)
