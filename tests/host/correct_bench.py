@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import numpy as np
-from puma_bench import CHAIN, CHUCKS, DESIGN, FREE, RIG, SIGMA, SPHERES, TRUTH, shell_poses, shell_table
+from tests.host.puma_bench import CHAIN, CHUCKS, DESIGN, FREE, RIG, SIGMA, SPHERES, TRUTH, shell_poses, shell_table
 
 from truearm.correct.inverse import singular_value
 from truearm.estimate.identify import identify

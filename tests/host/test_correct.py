@@ -7,7 +7,7 @@ from puma_bench import CHAIN, DESIGN, TRUTH
 from scipy.spatial.transform import Rotation
 
 from truearm.correct.correction import METHODS, correct
-from truearm.correct.inverse import inverse, search, singular_value, within, wrapped
+from truearm.correct.inverse import inverse, search, singular_value, turned, within
 from truearm.correct.pair import Pair
 from truearm.model.chain import forward
 from truearm.model.mountings import mountings
@@ -75,8 +75,8 @@ def test_offsets_are_exact_for_offsets_and_nothing_else(q):
 def test_orientations_compose_as_rotation_vectors(q):
     """Of a robot that is only turned about its base by 0.2 rad, the mirror image of that turn about the same axis is exact;
     angles about fixed axes, subtracted, would be off by 0.2²/2."""
-    turned = DESIGN + 0.2 * np.array([name == "link1.alpha" for name in CHAIN.parameter_names])
-    done = correct(Pair(CHAIN, DESIGN, turned), nominal_poses(q), "false-target", 1, q_start=q)
+    base_turned = DESIGN + 0.2 * np.array([name == "link1.alpha" for name in CHAIN.parameter_names])
+    done = correct(Pair(CHAIN, DESIGN, base_turned), nominal_poses(q), "false-target", 1, q_start=q)
     fine = np.array([not problem for problem in done.problem])
     assert fine.sum() > 5
     np.testing.assert_allclose(done.after[fine, 1], 0.0, atol=1e-9)
@@ -152,9 +152,38 @@ def test_quadrants_choose_the_configuration(q):
 
 
 def test_whole_turns_lead_back_into_the_limits(q):
-    turned = q.copy()
-    turned[:, 5] += 2.0 * np.pi
-    np.testing.assert_allclose(wrapped(CHAIN, turned), q, atol=1e-14)
+    away = q.copy()
+    away[:, 5] += 2.0 * np.pi
+    np.testing.assert_allclose(turned(CHAIN, DESIGN, away, np.zeros(6)), q, atol=1e-14)
+
+
+def test_a_turn_of_a_joint_with_a_gain_leaves_the_arm_where_it_is():
+    chain = builtin_robot("ur5e").chain
+    gains = chain.params_nominal + 2e-3 * np.array([name.endswith("gain") for name in chain.parameter_names])
+    q = np.array([[0.4, -1.2, -1.5, -5.0, -1.0, 5.5]])
+    other = turned(chain, gains, q, np.zeros(6))
+    assert (np.abs(other - q)[0, [3, 5]] > 6.0).all()
+    np.testing.assert_allclose(forward(chain, gains, other), forward(chain, gains, q), atol=1e-14)
+
+
+def test_joints_with_several_turns_go_on_and_not_back():
+    """A UR5e's joints turn by 360° either way: what comes after -179° is -181°, not another configuration or a turn back."""
+    chain = builtin_robot("ur5e").chain
+    q = np.linspace([0.2, -1.2, -1.5, -2.9, -1.2, 2.9], [0.3, -1.3, -1.6, -3.6, -1.3, 3.7], 30)
+    targets = forward(chain, chain.params_nominal, q)
+    found = search(chain, chain.params_nominal, targets, home=q[0])
+    assert found.reached.all()
+    np.testing.assert_allclose(found.q, q, atol=1e-8)
+
+
+def test_quarter_turns_beyond_half_a_turn_are_found():
+    """An IRB 120's sixth axis turns by 400° either way, and its configuration data say which turn."""
+    chain = builtin_robot("irb120").chain
+    q = np.radians([[10.0, 20.0, 30.0, 40.0, 50.0, turns] for turns in (100.0, 200.0, 300.0, -300.0, 390.0)])
+    quadrants = np.full(q.shape, np.nan)
+    quadrants[:, [0, 3, 5]] = np.floor(q[:, [0, 3, 5]] / (0.5 * np.pi))
+    found = search(chain, chain.params_nominal, forward(chain, chain.params_nominal, q), quadrants=quadrants)
+    np.testing.assert_allclose(found.q, q, atol=1e-8)
 
 
 def test_mountings_are_exactly_what_first_and_last_link_hold(q):

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from truearm.model.chain import Chain, forward, joint_jacobian
+from truearm.model.mountings import gain_of
 from truearm.model.poses import apart
 from truearm.types import Floats
 
@@ -33,6 +34,8 @@ DAMPING_START, DAMPING_LEAST, DAMPING_MOST = 1e-3, 1e-9, 1e3
 N_SAMPLES = 20_000  # random joint vectors to start a search from
 N_NEAR = 150  # of them that are looked at for each target, and
 N_STARTS = 24  # started from: those most unlike each other, since an arm of six joints has up to 16 configurations
+PASSES = 6  # of going on from the solution before, whose configuration may be none of those that were found
+SAME = 1e-6  # rad, m between solutions
 ROOM = 0.05  # rad, m: what a correction moves a joint by, as a rule
 SINGULAR = 0.1  # twice the margin of corrections
 CHUNK = 20_000  # targets solved at once: Jacobians of 10 MB
@@ -112,11 +115,13 @@ def search(
     home: Floats | None = None,
     quadrants: Floats | None = None,
 ) -> Inverse:
-    """Solutions within the joint limits for targets (n, 4, 4), each from N_STARTS of the N_NEAR best of N_SAMPLES joint vectors.
+    """Solutions within the joint limits for targets (n, 4, 4).
 
-    Of an arm's configurations that is taken which is nearest to the solution before, of the first target nearest to
-    ``home`` (j,) (default: the middle of the limits). ``quadrants`` (n, j), NaN where it does not matter, is stronger:
-    the quarter turn that a reading shall lie in, as ⌊q/90°⌋. Where no target is reached, what came nearest is returned.
+    Each from the solution before and from N_STARTS of the N_NEAR best of N_SAMPLES joint vectors. Of an arm's
+    configurations that is taken which is nearest to the solution before, of the first target nearest to ``home`` (j,)
+    (default: the middle of the limits); joints with more than a turn take as many turns as bring them near. ``quadrants``
+    (n, j), NaN where it does not matter, is stronger: the quarter turn that a reading shall lie in, as ⌊q/90°⌋. Where
+    no target is reached, what came nearest is returned.
     """
     lower, upper = _sampled_range(chain)
     q_seeds = np.random.default_rng(0).uniform(lower, upper, (N_SAMPLES, len(lower)))
@@ -126,31 +131,48 @@ def search(
     starts = np.concatenate([_unlike(q) for q in near_by])
     n, k, j = starts.shape
     found = inverse(chain, params, np.repeat(targets, k, axis=0), starts.reshape(n * k, j), oriented)
-    q = wrapped(chain, found.q).reshape(n, k, j)
-    good = found.reached.reshape(n, k) & within(chain, q)
-    if not oriented:  # where the joints are ours to choose, those at a limit or a singularity are the worse choice
-        worse = ~within(chain, q, ROOM) | (found.singular_value.reshape(n, k) < SINGULAR)
-    else:  # the controller goes where it goes
-        worse = np.zeros((n, k), dtype=bool)
-    near = 0.5 * (lower + upper) if home is None else home
-    wrong = np.zeros((n, k)) if quadrants is None else _misplaced(q, quadrants)
-    chosen = np.empty(n, dtype=int)
-    for i in range(n):
-        far = np.abs(q[i] - near).max(axis=-1) + 1e2 * worse[i] + 1e3 * wrong[i] + 1e6 * ~good[i]
-        chosen[i] = int(np.argmin(far))
-        if good[i, chosen[i]]:
-            near = q[i, chosen[i]]
-    pick = np.arange(n), chosen
-    return Inverse(q[pick], good[pick], found.singular_value.reshape(n, k)[pick])
+    stock = Inverse(found.q.reshape(n, k, j), found.reached.reshape(n, k), found.singular_value.reshape(n, k))
+    first = 0.5 * (lower + upper) if home is None else home
+    asked = np.full((n, j), np.nan) if quadrants is None else quadrants
+    chosen, near = _chosen(chain, params, stock, first, asked, oriented)
+    for _ in range(PASSES if oriented else 0):  # without orientation the joints are ours to choose
+        went_on = inverse(chain, params, targets, near, oriented)
+        stock = Inverse(*(np.concatenate([a, b[:, None]], axis=1) for a, b in zip(stock, went_on, strict=True)))
+        near_before = near
+        chosen, near = _chosen(chain, params, stock, first, asked, oriented)
+        if np.abs(near - near_before).max(initial=0.0) < SAME:
+            break
+    return chosen
 
 
-def wrapped(chain: Chain, q: Floats) -> Floats:
-    """Joint readings (…, j) turned by whole turns of the reading into the limits where they have such a place."""
+def _chosen(
+    chain: Chain, params: Floats, stock: Inverse, first: Floats, asked: Floats, oriented: bool
+) -> tuple[Inverse, Floats]:
+    """Of k solutions (n, k) for each target the one nearest to the solution before, and where that was (n, j)."""
+    near, picked = np.empty_like(asked), []
+    here = first
+    for i, (q, reached, singular) in enumerate(zip(*stock, strict=True)):
+        near[i] = here
+        q = turned(chain, params, q, np.where(np.isnan(asked[i]), here, 0.5 * np.pi * (asked[i] + 0.5)))
+        good = reached & within(chain, q)
+        far = np.abs(q - here).max(axis=-1) + 1e3 * _misplaced(q, asked[i]) + 1e6 * ~good
+        if not oriented:  # then joints at a limit or a singularity are the worse choice
+            far += 1e2 * (~within(chain, q, ROOM) | (singular < SINGULAR))
+        best = int(np.argmin(far))
+        picked.append((q[best], good[best], singular[best]))
+        here = q[best] if good[best] else here
+    q, reached, singular = (np.array(column) for column in zip(*picked, strict=True)) if picked else stock
+    return Inverse(q.reshape(asked.shape), reached.reshape(-1), singular.reshape(-1)), near
+
+
+def turned(chain: Chain, params: Floats, q: Floats, near: Floats) -> Floats:
+    """Joint readings (…, j) by whole turns of the joint as near to ``near`` (j,) as the limits allow."""
     q = q.copy()
-    for i, joint in enumerate(chain.joints):
-        if joint.kind == "revolute" and np.isfinite([joint.lower, joint.upper]).all():
-            middle = 0.5 * (joint.lower + joint.upper)
-            q[..., i] -= 2.0 * np.pi * np.round((q[..., i] - middle) / (2.0 * np.pi))
+    for i, (joint, mover) in enumerate(zip(chain.joints, chain.movers, strict=True)):
+        if joint.kind == "revolute":
+            turn = 2.0 * np.pi / abs(gain_of(mover, params))
+            least, most = np.ceil((joint.lower - q[..., i]) / turn), np.floor((joint.upper - q[..., i]) / turn)
+            q[..., i] += turn * np.clip(np.round((near[i] - q[..., i]) / turn), least, most)
     return q
 
 
@@ -180,9 +202,9 @@ def _unlike(q: Floats) -> Floats:
 
 
 def _misplaced(q: Floats, quadrants: Floats) -> Floats:
-    """(n, k) how many joints are in another quarter turn than they shall be."""
-    wrong = np.floor(q / (0.5 * np.pi)) != quadrants[:, None]
-    return np.asarray((wrong & ~np.isnan(quadrants)[:, None]).sum(axis=-1), dtype=float)
+    """(k,) how many joints of q (k, j) are in another quarter turn than they shall be (j,), NaN where it does not matter."""
+    wrong = np.floor(q / (0.5 * np.pi)) != quadrants
+    return np.asarray((wrong & ~np.isnan(quadrants)).sum(axis=-1), dtype=float)
 
 
 def _features(poses: Floats, oriented: bool) -> Floats:

@@ -1,0 +1,232 @@
+"""docs/rig.md's way from a plan to a corrected program, command by command: what comes out is held against the true robot.
+
+The PUMA is recorded as a user without hardware does it, `truearm simulate` and `truearm record` in real time, every command a process of
+its own. Of a UR5e and an IRB 120 there is no simulated session: their rows come as tables.
+"""
+
+import csv
+import json
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.end_to_end.conftest import truearm
+from tests.end_to_end.test_real_time import Simulator
+from tests.host import plan_bench as bench
+from tests.host.correct_bench import visited
+from tests.host.target_bench import driven, miss, rapid, script, table
+
+from truearm.cli import main
+from truearm.correct.inverse import singular_value
+from truearm.files.plan import read_plan
+from truearm.files.rig import write_rig
+from truearm.files.robot import load_robot
+from truearm.files.table import write_table
+from truearm.files.targets import parse_targets
+from truearm.model.chain import forward
+from truearm.model.robot import builtin_robot
+from truearm.plan.ballbar import all_pairings
+from truearm.plan.forecast import bar_table
+from truearm.plan.shells import candidates
+
+UNITS = ("rad",) * 6
+N = 40  # targets
+PROGRAMS = {"irb120": ["program.mod"], "ur5e": ["program.script"], "puma560": ["program.mod", "program.script"]}
+
+
+class Walk:
+    """A robot, its truth, and a folder in which commands are typed."""
+
+    def __init__(self, name, folder):
+        self.name, self.folder, robot = name, folder, builtin_robot(name)
+        self.chain, self.nominal = robot.chain, robot.chain.params_nominal
+        self.truth = robot.parameter_sets.get("optimised")
+        if self.truth is None:  # one that errs as a small arm does, 1 mm and 4 mrad in each free parameter
+            sigma = np.array([{"m": 1e-3, "rad": 4e-3, "1": 0.0}[p.unit] for p in robot.chain.parameters]) * robot.free
+            self.truth = self.nominal + sigma * np.random.default_rng(3).standard_normal(sigma.size)
+        write_rig(folder / "rig.toml", bench.RIGS[name])
+        self.q = self._targets()
+        self.targets = forward(self.chain, self.nominal, self.q)
+
+    def _targets(self):
+        """Joints (N, 6) within the region that is measured, at no pose that is."""
+        rig = bench.RIGS[self.name]
+        q = candidates(bench.site(self.name), all_pairings(rig), 10 * N, seed=77).q
+        good = [singular_value(self.chain, p, q) > 0.08 for p in (self.nominal, self.truth)]
+        return visited(q[np.logical_and(*good)])[:N]
+
+    def lands(self, q):
+        """Where the true robot stands."""
+        return forward(self.chain, self.truth, q)
+
+    def typed(self, *arguments):
+        """A command; what it prints."""
+        raise NotImplementedError
+
+    def measured(self, plan, seed):
+        """Observations at a plan's poses."""
+        raise NotImplementedError
+
+
+class Tables(Walk):
+    """Commands in this process, rows as tables."""
+
+    more = ("--rig", "rig.toml")
+
+    def typed(self, *arguments):
+        assert main(list(map(str, arguments))) == 0
+        return self.capsys.readouterr().out
+
+    def measured(self, plan, seed):
+        visits = read_plan(self.folder / plan)
+        rows = bar_table(replace(bench.known(self.name), params=self.truth), visits.select(visits.dwells))
+        value = rows.value + bench.SIGMA * np.random.default_rng(seed).standard_normal(len(rows))
+        assert np.abs(value - [bench.RIGS[self.name].bars[b].zero for b in rows.bar]).max() < 0.0375
+        out = plan.replace(".csv", "_rows.csv")
+        write_table(self.folder / out, replace(rows, value=value), UNITS)
+        return out
+
+
+class RealTime(Walk):
+    """Every command a process, rows as sessions of the simulated box and robot."""
+
+    more = ()  # a session brings its rig
+
+    def typed(self, *arguments):
+        done = truearm(*arguments, timeout_s=300)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    def measured(self, plan, seed):
+        simulator = Simulator(self.folder / f"at-{plan}", "--plan", plan, "--rig-file", "rig.toml", "--seed", str(seed))
+        out = plan.replace(".csv", ".mcap")
+        try:
+            given = dict(zip(simulator.record[1::2], simulator.record[2::2], strict=True))
+            given |= {"--plan": plan, "--rig": "rig.toml", "--out": out}
+            done = truearm("record", *(word for pair in given.items() for word in pair), timeout_s=1500)
+        finally:
+            simulator.stop()
+        assert done.returncode == 0, done.stderr
+        assert "ended: robot closed" in done.stdout + done.stderr
+        return out
+
+
+@pytest.fixture(
+    params=[
+        ("irb120", Tables),
+        pytest.param(("ur5e", Tables), marks=pytest.mark.soak),
+        pytest.param(("puma560", RealTime), marks=pytest.mark.soak),
+    ],
+    ids=lambda p: p[0],
+)
+def walk(request, tmp_path, monkeypatch, capsys):
+    name, kind = request.param
+    monkeypatch.chdir(tmp_path)
+    walk = kind(name, tmp_path)
+    walk.capsys = capsys
+    return walk
+
+
+def plan(walk, out, bar, *more):
+    given = ("--robot", walk.name, "--rig", "rig.toml", "--bar", bar, "--candidates", 150, "--out", out)
+    told = json.loads(walk.typed("plan", "ballbar", *given, *more, "--json"))
+    assert Path(out).exists()
+    return told
+
+
+def test_from_a_plan_to_a_corrected_program(walk):
+    short, long = bench.RIGS[walk.name].bars
+    # plan, measure few, identify
+    told = plan(walk, "few.csv", short, "--poses", 40, "--program", "few.script", "--program", "few.mod")
+    assert told["rank"] == told["free"]
+    # meanwhile, where the robot is real time's: another day's session, to judge by
+    plan(walk, "other.csv", short, "--poses", 25, "--seed", 9, "--criterion", "D")
+    with ThreadPoolExecutor(2) as both:
+        few, other = both.map(walk.measured, ("few.csv", "other.csv"), (1, 2))
+    walk.typed("identify", few, "--robot", walk.name, *walk.more, "--out", "first.json")
+    # re-plan on the better model, what was measured counted; measure and identify both
+    told = plan(walk, "more.csv", long, "--poses", 60, "--result", "first.json", "--measured", few)
+    assert told["rows"] == 100
+    more = walk.measured("more.csv", 3)
+    result = json.loads(
+        walk.typed("identify", few, more, "--robot", walk.name, *walk.more, "--out", "result.json", "--json")
+    )
+    assert result["n_observations"] == 100
+    assert result["status"] == "converged"
+    sigma = {p["name"]: p["sigma"] for p in told["parameters"]}
+    ratio = [p["sigma"] / sigma[p["name"]] for p in result["parameters"] if p["free"]]
+    assert len(ratio) == told["rank"] == result["rank"]
+    assert np.abs(np.array(ratio) - 1.0).max() < 0.1
+    judged(walk, other)
+    corrected(walk)
+    exported(walk)
+    mapped(walk)
+
+
+def judged(walk, other):
+    told = json.loads(walk.typed("validate", "result.json", other, *walk.more, "--json"))
+    assert told["rows"] == 25
+    assert told["identified_from"] == []
+    assert told["rms_before_mm"] > 1.0
+    # 25 rows: σ of their RMS is 14 %
+    assert told["rms_after_mm"] < 1.4 * told["expected"]["rms_mm"] < 0.25
+    assert told["verdict"].startswith("The calibration holds")
+
+
+def corrected(walk):
+    Path("targets.csv").write_text(table(walk.targets, walk.q))
+    Path("program.mod").write_bytes(rapid(walk.targets, walk.q))
+    Path("program.script").write_bytes(script(walk.targets).encode("latin-1"))
+    missed = miss(walk.lands(walk.q), walk.targets)
+    assert missed > (15e-3 if walk.name == "puma560" else 3e-3)
+    out = "corrected.csv"
+    walk.typed("correct", "result.json", "targets.csv", "--out", out)
+    there = parse_targets(Path(out).read_text(), out, UNITS).q_start
+    assert miss(walk.lands(there), walk.targets) < 0.35e-3
+    home = ",".join(map(repr, np.rad2deg(walk.q[0]).tolist()))
+    for name in PROGRAMS[walk.name]:
+        walk.typed("correct", "result.json", name, f"--home={home}", "--out", f"corrected-{name}")
+        q = driven(Path(f"corrected-{name}").read_bytes().decode("latin-1"), name, walk.q[0], walk.chain, walk.nominal)
+        assert miss(walk.lands(q), walk.targets[[*range(N), N - 1]]) < 0.35e-3  # the last one twice
+
+
+def exported(walk):
+    """What other programs read says where the true robot is; where a file holds no gains, over the poses that were measured."""
+    for form, suffix, over in (
+        ("urdf", "urdf", ("--over", "more.csv")),
+        ("dh-hayati", "toml", ()),
+        ("sheth-uicker", "toml", ()),
+    ):
+        out = f"{form}.{suffix}"
+        walk.typed("export", "result.json", "--format", form, "--out", out, *over)
+        chain = (
+            load_robot(out, walk.chain.base_frame, walk.chain.end_frame).chain
+            if suffix == "urdf"
+            else load_robot(out).chain
+        )
+        most = 0.5e-3 if suffix == "urdf" else 0.35e-3
+        assert miss(forward(chain, chain.params_nominal, walk.q), walk.lands(walk.q)) < most
+    kinematics = ("export", "result.json", "--format", "ur", "--out", "kinematics.yaml")
+    if walk.name == "ur5e":
+        walk.typed(*kinematics)
+        assert "kinematics:" in Path("kinematics.yaml").read_text()
+    for form in ("dh", "mdh") + ("ur",) * (walk.name != "ur5e"):
+        done = truearm("export", "result.json", "--format", form, "--out", f"{form}.refused")
+        assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+        assert not Path(f"{form}.refused").exists()
+
+
+def mapped(walk):
+    said = walk.typed(
+        "map", "result.json", "--out", "map.csv", "--picture", "map.svg", "--task", "100x100", "--cell", 40
+    )
+    assert "Best place for a task of 100x100 mm" in said
+    assert Path("map.svg").read_text().startswith("<svg")
+    rows = list(csv.DictReader(Path("map.csv").open()))
+    q = np.radians([[float(row[f"q{i}_deg"]) for i in range(1, 7)] for row in rows])
+    off = np.linalg.norm((walk.lands(q) - forward(walk.chain, walk.nominal, q))[:, :3, 3], axis=1)
+    error, sigma = (np.array([1e-3 * float(row[key]) for row in rows]) for key in ("error_mm", "sigma_mm"))
+    # the error's own error is the part of the end's uncertainty that lies along it
+    assert np.sqrt(np.mean(((error - off) / sigma) ** 2)) < 1.5
