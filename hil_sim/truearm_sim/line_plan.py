@@ -18,6 +18,7 @@ from truearm.plan.site import Limits, Site
 from truearm.plan.straight import Shape, candidate_lines
 from truearm.plan.way import way_without_bar
 from truearm.types import Floats, Plan, Point, Rig
+from truearm_sim.line_device import REACH
 from truearm_sim.world import DESIGN, ROBOT
 
 MAGNET = "magnet"
@@ -29,7 +30,7 @@ JOINT_SPEED = 1.0  # rad/s at most on a line
 
 def line_rig(rig: Rig | None = None) -> Rig:
     """A rig with a magnet for the line device on the endpoint, and with whatever else it had."""
-    return replace(rig or Rig(), targets=TARGETS)
+    return replace(rig or Rig(), targets=TARGETS, line_travel=2.0 * REACH)
 
 
 def drawn_line_plan(

@@ -114,7 +114,8 @@ class Rig:
 
     A rig without ``lines`` takes any line that a row names, with ``line_sigma`` [m] along the device's x, y, z (Renders
     1991, III-C); with some, it must have them all. ``line_placement``: how a line without a pose is first placed,
-    "least_squares" by all its points or "two_point" by its first two. ``time_offset`` τ [s]: the joints were truly at
+    "least_squares" by all its points or "two_point" by its first two. ``line_travel`` [m]: full range of the device's
+    transverse sensors, which run over ±line_travel/2; None: as far as they say anything. ``time_offset`` τ [s]: the joints were truly at
     q(t) = q_reading(t + τ), of which only rows with velocities tell; ``time_offset_sigma`` as a Device's sigma. ``joint_cov`` S_q [rad², m²] is the covariance
     of the joint readings, j×j, empty for none.
     """
@@ -128,6 +129,7 @@ class Rig:
     lines: Mapping[str, Device] = field(default_factory=dict)
     line_sigma: tuple[float, float, float] = (62e-6, 100e-6, 62e-6)
     line_placement: str = "least_squares"
+    line_travel: float | None = None
     trackers: Mapping[str, Device] = field(default_factory=dict)
     planes: Mapping[str, Plane] = field(default_factory=dict)
     time_offset: float = 0.0

@@ -19,6 +19,7 @@ FULL = """
 seat_sigma_mm = 0.05
 line_sigma_mm = [0.06, 0.1, 0.07]
 line_placement = "two_point"
+line_travel_mm = 15
 time_offset_sigma_ms = 5
 joint_sigma_deg = [0.01, 0.02]
 [[target]]
@@ -99,6 +100,8 @@ def test_devices_are_read_in_si() -> None:
     rig = parse_rig(FULL, "rig.toml")
     assert rig.targets["ball"].xyz == pytest.approx((0.0, 0.0, 0.12), rel=1e-15)
     assert rig.line_sigma == pytest.approx((6e-5, 1e-4, 7e-5), rel=1e-15)
+    assert rig.line_travel == pytest.approx(0.015, rel=1e-15)
+    assert parse_rig("", "rig.toml").line_travel is None
     assert (rig.line_placement, rig.time_offset, rig.time_offset_sigma) == ("two_point", 0.0, 0.005)
     assert np.diag(np.array(rig.joint_cov)) == pytest.approx(np.radians([0.01, 0.02]) ** 2, rel=1e-15)
     left, right, tracker = rig.lines["left"], rig.lines["right"], rig.trackers["t"]
@@ -165,6 +168,7 @@ rigs = st.builds(
     lines=by_name(devices),
     line_sigma=st.tuples(*[st.floats(1e-9, 1.0)] * 3),
     line_placement=st.sampled_from(["least_squares", "two_point"]),
+    line_travel=st.none() | st.floats(1e-6, 10.0),
     trackers=by_name(devices),
     planes=by_name(planes),
     time_offset=st.floats(-1.0, 1.0),
@@ -226,6 +230,8 @@ WRONG = {
     "wild joints": ("joint_cov_si = [[-1.0]]\n", "eigenvalue of -1"),
     "joints twice": ("joint_cov_si = [[1.0]]\njoint_sigma_rad = [1.0]\n", "both joint_cov_si and joint_sigma_rad"),
     "unknown placement": ('line_placement = "by eye"\n', "line_placement must be 'least_squares' or 'two_point'"),
+    "no line travel": ("line_travel_mm = 0\n", "line_travel must be"),
+    "travel twice": ("line_travel_mm = 15\nline_travel_m = 0.015\n", "keep one"),
     "listed placement": ("line_placement = [1]\n", "line_placement must be"),
     "flat normal": ('[[plane]]\nname="p"\nxyz_m=[0,0,0]\nnormal=[0,0,0]\nsigma_m=1e-5\n', "normal must not be zero"),
     "socket twice": (SOCKET + SOCKET, "[[socket]] 2: socket '0' of place 'p' stands twice"),

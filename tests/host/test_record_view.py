@@ -13,6 +13,7 @@ from truearm.commands.live_state import LiveState
 from truearm.commands.live_view import WAITING, View
 from truearm.errors import InputError
 from truearm.sensors.data import Data
+from truearm.types import Rig
 
 
 class TestCommands:
@@ -65,10 +66,21 @@ class TestTravel:
         session.run(3.1, speed=0.01)
         assert session.row("lvdt").alarm
         assert session.row("lvdt").text.endswith("near its end")
-        assert [text[:24] for text in session.said] == ["warning: the LVDT is at "]
+        assert [text[:20] for text in session.said] == ["warning: lvdt is at "]
         session.run(0.8, speed=0.01)
         assert session.row("lvdt").text.endswith("BEYOND ITS TRAVEL")
         assert len(session.said) == 1  # once
+
+    def test_the_transverse_sensors_of_a_line(self):
+        """What the LVDT shows here is a transducer's; its range is the rig's."""
+        session = Session(mounted={"line": "l1", "target": "t1"}, rig=Rig(line_travel=0.015))
+        session.state.ident(box(name="transverse_a"))
+        session.run(0.5)
+        assert not session.row("transverse_a").alarm
+        session.run(0.7, speed=0.01)  # to 7 mm of 7.5
+        assert session.row("transverse_a").alarm
+        assert [text[:28] for text in session.said] == ["warning: transverse_a is at "]
+        assert session.said[0].endswith("mm of ±7.5 mm")
 
     def test_the_rail(self):
         session = Session()

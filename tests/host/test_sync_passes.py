@@ -254,6 +254,22 @@ def test_out_of_range(clean):
     assert synced(railed.messages).pass_reasons == {"out of range": 2}
 
 
+def test_beyond_the_travel_that_the_rig_declares(clean):
+    """The true arm leaves its lines by some millimetres: rows are made only where the transducers are believed."""
+    widest = np.abs(synced(clean.messages).table.xyz[:, [0, 2]]).max()
+    assert synced(clean.messages, replace(RIG, line_travel=2.1 * widest)).pass_reasons == {}
+    found = synced(clean.messages, replace(RIG, line_travel=1.6 * widest))
+    assert np.abs(found.table.xyz[:, [0, 2]]).max() <= 0.8 * widest
+    kept, dropped = (
+        [len(one.xyz) for one in found.passes],
+        [one.dropped.get("out of range", 0) for one in found.passes],
+    )
+    whole = [len(one.xyz) for one in synced(clean.messages).passes]
+    assert sum(kept) < sum(whole)
+    # every row that is not made is told, but for those whose windows reach across the border
+    np.testing.assert_allclose(np.add(kept, dropped), whole, atol=2)
+
+
 def test_a_line_along_which_nothing_moves(clean):
     """The head sees a magnet that stands: it is not on the robot."""
     still = []

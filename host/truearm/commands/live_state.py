@@ -57,7 +57,7 @@ class LiveState:
         self._pose: int | None = None  # of the plan, and called
         self._label = ""
         self._readings: deque[int] = deque(maxlen=200)
-        self._near_end = False
+        self._near_end: set[str] = set()  # channels
         self._asked: dict[str, str] | None = None
         self._lost = (0, 0)
 
@@ -206,22 +206,27 @@ class LiveState:
         """Whether the plan has no dwells: then a stop is none."""
         return bool(self.course.rows) and not self.course.planned
 
-    # --- where the LVDT is
+    # --- where the sensors are
 
-    def _position(self) -> tuple[float | None, float | None, str]:
-        """Extension [m], half the travel [m] of the bar that is mounted, and what is wrong; None where not known."""
-        found = None if self._ident is None else find_channel(self._ident, LVDT)
+    def _place(self, name: str) -> tuple[float | None, str]:
+        """What a channel shows [m], None where that is not known, and what is wrong."""
+        found = None if self._ident is None else find_channel(self._ident, name)
         if found is None:
-            return None, None, ""
+            return None, ""
         stream, index = found
         window, channel = self._windows.get(stream.id), stream.channels[index]
         if window is None or channel.fault or channel.calibrated_unit not in METRES or not channel.poly:
-            return None, None, ""
+            return None, ""
         counts = np.concatenate(list(window.blocks)[-POSITION_BLOCKS:])[:, index]
         if railed(counts).any():
-            return None, None, "at the converter's rail: the bar is off, or a wire is"
+            return None, "at the converter's rail: the bar is off, or a wire is"
+        return float(extension(counts, channel).mean()), ""
+
+    def _position(self) -> tuple[float | None, float | None, str]:
+        """Extension [m], half the travel [m] of the bar that is mounted, and what is wrong; None where not known."""
+        position, wrong = self._place(LVDT)
         bar = None if self._rig is None else self._rig.bars.get(self.course.mounted.get("bar", ""))
-        return float(extension(counts, channel).mean()), None if bar is None else 0.5 * bar.travel, ""
+        return position, None if bar is None else 0.5 * bar.travel, wrong
 
     def _within_travel(self) -> bool:
         position, half, wrong = self._position()
@@ -230,12 +235,20 @@ class LiveState:
         return half is None or abs(position) <= half
 
     def _watch_travel(self) -> None:
-        position, half, _ = self._position()
-        near = position is not None and half is not None and abs(position) > (1.0 - 2.0 * NEAR_END) * half
-        if near and not self._near_end:
-            self.said.append(
-                f"warning: the LVDT is at {1e3 * (position or 0.0):+.2f} mm of ±{1e3 * (half or 0.0):.1f} mm"
-            )
+        """Of the bar's LVDT, or of what is across a line."""
+        if "line" in self.course.mounted:
+            travel = None if self._rig is None else self._rig.line_travel
+            half = None if travel is None else 0.5 * travel
+            places = {name: self._place(name)[0] for name in LINE_CHANNELS[1:]}
+        else:
+            places, half = {LVDT: self._position()[0]}, self._position()[1]
+        near = set[str]()
+        for name, position in places.items():
+            if position is None or half is None or abs(position) <= (1.0 - 2.0 * NEAR_END) * half:
+                continue
+            near.add(name)
+            if name not in self._near_end:
+                self.said.append(f"warning: {name} is at {1e3 * position:+.2f} mm of ±{1e3 * half:.1f} mm")
         self._near_end = near
 
     # --- what is shown
@@ -249,7 +262,8 @@ class LiveState:
             for k, channel in enumerate(stream.channels):
                 if channel.name != LVDT and window is not None and window.blocks:
                     counts = np.concatenate(window.blocks)[:, k]
-                    rows.append(Shown(one_line(channel.name), value_of(counts, channel, stream)))
+                    alarm = channel.name in self._near_end
+                    rows.append(Shown(one_line(channel.name), value_of(counts, channel, stream), alarm))
         rows.append(self.rates(status))
         rows.append(Shown("clock", clock_words(status, clock)))
         if self._with_robot:

@@ -44,7 +44,7 @@ SECONDS = {"s": 1.0, "ms": 1e-3}
 PLACEMENTS = ("least_squares", "two_point")
 ENTRIES = {"chuck", "sphere", "bar", "socket", "socket_distance", "target", "line", "tracker", "plane"}
 TOP_LEVEL = {
-    *keys(("seat_sigma", "line_sigma")),
+    *keys(("seat_sigma", "line_sigma", "line_travel")),
     *keys(("time_offset", "time_offset_sigma"), SECONDS),
     *("line_placement", "joint_sigma_rad", "joint_sigma_deg", "joint_cov_si"),
 }
@@ -78,6 +78,7 @@ def parse_rig(text: str, name: str) -> Rig:
         lines=_named(_entries(data, "line", name), device),
         line_sigma=line_sigma,
         line_placement=placement,
+        line_travel=_line_travel(data, name),
         trackers=_named(_entries(data, "tracker", name), device),
         planes=_named(_entries(data, "plane", name), plane),
         time_offset=within(number(offset, "time_offset", name) * seconds, -LARGEST, "time_offset", name),
@@ -85,6 +86,12 @@ def parse_rig(text: str, name: str) -> Rig:
         joint_cov=joint_cov(data, name),
         sockets=_sockets(_entries(data, "socket", name)),
     )
+
+
+def _line_travel(data: Mapping[str, Any], name: str) -> float | None:
+    if not keys(("line_travel",)) & data.keys():
+        return None
+    return positive(length(data, "line_travel", name), "line_travel", name)
 
 
 def _entries(data: Mapping[str, Any], key: str, name: str) -> list[tuple[Mapping[str, Any], str]]:
@@ -171,6 +178,8 @@ def _top_text(rig: Rig) -> str:
         f"time_offset_s = {float(rig.time_offset)!r}",
         f"time_offset_sigma_s = {sigma_text(rig.time_offset_sigma)}",
     ]
+    if rig.line_travel is not None:
+        lines.append(f"line_travel_m = {float(rig.line_travel)!r}")
     if rig.joint_cov:
         lines.append(f"joint_cov_si = {matrix_text(rig.joint_cov)}")
     return "\n".join(lines)

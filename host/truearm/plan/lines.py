@@ -93,6 +93,7 @@ def plan_lines(
         n -= 1
         if n == 0:
             raise PlanError(_too_few(wanted))
+    known = replace(known, rig=replace(known.rig, line_travel=wanted.shape.transverse))
     table, devices = line_rows(known, lines, names, target, wanted.passes)
     errors = a_priori(site, lines.points, point)
     told = forecast(_with_lines(known, devices), table, aim)

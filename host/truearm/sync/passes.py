@@ -77,10 +77,12 @@ FORGOTTEN = 2.0  # integrated correlation times after which noise is new
 
 @dataclass(frozen=True)
 class LineRules:
-    """``points``: rows of a pass at most; None: as many as the noise allows. ``pose_tolerance`` in rad (or m)."""
+    """``points``: rows of a pass at most; None: as many as the noise allows. ``pose_tolerance`` in rad (or m). ``reach`` [m]: how
+    far aside the transducers are believed."""
 
     points: int | None = None
     pose_tolerance: float = np.pi / 180.0
+    reach: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -131,7 +133,7 @@ class _Signals:
     across_t: Floats
     across: Floats  # (m, 2)
     across_piece: Ints
-    off_t: Floats  # (k,) samples of the transducers at a rail
+    off_t: Floats  # (k,) samples of the transducers at a rail or beyond their reach
     q_t: Floats
     q: Floats
     q_piece: Ints
@@ -152,7 +154,7 @@ def measure(
         return replace(passing, reason="no clock" if said else "no samples")
     bound_ns = max(along.bound_ns, across.bound_ns)
     passing = replace(passing, clock_bound_ns=bound_ns, time_sigma_s=_time_sigma(bound_ns, passing.leg, joints))
-    signals = _signals(along, across, readings, passing.leg.start_host_ns)
+    signals = _signals(along, across, readings, passing.leg.start_host_ns, rules.reach)
     if signals is None:
         return replace(passing, reason="gap")
     grid = np.arange(signals.half_s, 1e-9 * (passing.leg.end_host_ns - passing.leg.start_host_ns), signals.half_s)
@@ -169,8 +171,13 @@ def measure(
     direction = 1 if np.nansum(velocity) > 0.0 else -1
     steady = _steady(np.nan_to_num(velocity * direction))
     passing = replace(passing, direction=direction, speed=float(np.median(np.abs(velocity[steady]))))
-    first, last = grid[steady][[0, -1]]  # windows keep within: the ramps are not theirs
-    return _rows(passing, signals, (float(first), float(last)), along.period_ns, joints.step, rules)
+    first, last = np.flatnonzero(steady)[[0, -1]]  # windows keep within: the ramps are not theirs
+    span = float(grid[first]), float(grid[last])
+    with np.errstate(invalid="ignore"):
+        lost = (why != "") & (coarse.rate[:, 0] * direction >= STEADY * passing.speed)
+    lost[first : last + 1] = False  # rows in between are told one by one
+    beyond = Counter(why[lost][::2].tolist())  # a row is as wide as two steps of the grid
+    return _rows(passing, signals, span, beyond, along.period_ns, joints.step, rules)
 
 
 def _time_sigma(bound_ns: float, leg: Leg, joints: JointStream) -> float:
@@ -182,7 +189,7 @@ def _time_sigma(bound_ns: float, leg: Leg, joints: JointStream) -> float:
     return 1e-9 * float(np.hypot(bound_ns, robot_ns) / np.sqrt(3.0))
 
 
-def _signals(along: Samples, across: Samples, readings: Readings, start_ns: int) -> _Signals | None:
+def _signals(along: Samples, across: Samples, readings: Readings, start_ns: int, reach: float) -> _Signals | None:
     if readings.t_ns.size < LEAST:
         return None
 
@@ -190,8 +197,8 @@ def _signals(along: Samples, across: Samples, readings: Readings, start_ns: int)
         return np.asarray(1e-9 * (t_ns - start_ns))
 
     answered = along.counts[:, 0] > 0
-    on = ~railed(across.counts).any(axis=1)
-    aside = np.stack([extension(across.counts[on, k], channel) for k, channel in enumerate(across.channels)], axis=1)
+    aside = np.stack([extension(across.counts[:, k], channel) for k, channel in enumerate(across.channels)], axis=1)
+    on = ~railed(across.counts).any(axis=1) & (np.abs(aside) <= reach).all(axis=1)
     period = 1e-9 * float(np.median(np.diff(readings.t_ns)))
     return _Signals(
         y_t=seconds(along.t_ns[answered]),
@@ -199,7 +206,7 @@ def _signals(along: Samples, across: Samples, readings: Readings, start_ns: int)
         shots_t=seconds(along.t_ns),
         shots_piece=along.piece,
         across_t=seconds(across.t_ns[on]),
-        across=aside,
+        across=aside[on],
         across_piece=across.piece[on],
         off_t=seconds(across.t_ns[~on]),
         q_t=seconds(readings.t_ns),
@@ -243,9 +250,15 @@ def _steady(forward: Floats) -> Mask:
 
 
 def _rows(
-    passing: Pass, s: _Signals, span: tuple[float, float], period_ns: int, step: Floats, rules: LineRules
+    passing: Pass,
+    s: _Signals,
+    span: tuple[float, float],
+    beyond: Counter[str],
+    period_ns: int,
+    step: Floats,
+    rules: LineRules,
 ) -> Pass:
-    """The rows between two times; ``step`` (j,) is the quantisation of the joints."""
+    """The rows between two times; ``beyond`` these some could not be made. ``step`` (j,) is the quantisation of the joints."""
     first, last = span
     correlation, correlation_s = _correlation(s, first, last, 1e-9 * period_ns)
     passing = replace(passing, correlation_s=correlation_s, window_ns=round(1e9 * s.half_s))
@@ -263,7 +276,7 @@ def _rows(
         limit = np.maximum(NOISY * np.median(rms[kept], axis=0), MICRON)
         why[kept & (rms > limit).any(axis=1)] = "noisy"
         kept &= why == ""
-    passing = replace(passing, dropped=dict(Counter(why[why != ""].tolist())))
+    passing = replace(passing, dropped=dict(Counter(why[why != ""].tolist()) + beyond))
     if kept.sum() < LEAST_ROWS:
         return _without_rows(passing, Counter(passing.dropped))
     noise = np.sqrt(np.mean(rms[kept] ** 2, axis=0))

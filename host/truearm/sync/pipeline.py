@@ -142,6 +142,8 @@ def observations(
     or its target is not in the rig, SessionError where the box has no such channel or no calibration of it.
     """
     rules, line_rules = rules or DwellRules(), line_rules or LineRules()
+    if rig.line_travel is not None:
+        line_rules = replace(line_rules, reach=0.5 * rig.line_travel)
     found = found or survey(messages, ident, rules)
     dwells = _pair(found, rig, rules)
     passes: list[Pass | None] = list(passes_of(found.legs, found.marks, rig, line_rules.pose_tolerance))
