@@ -1,6 +1,7 @@
 """What ``truearm characterize`` says of a simulated robot, against the simulator's truth; and what identify does with it."""
 
 import json
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -10,7 +11,8 @@ from scipy import stats
 from sync_stream import stream_of
 from world_stream import HOST_NS, messages_of
 
-from truearm.commands.characterizing import characterized
+from truearm.commands.characterizing import Part, characterized
+from truearm.commands.resuming import SETUP
 from truearm.estimate.identify import identify
 from truearm.files.noise import NoiseFile, read_noise, with_noise
 from truearm.files.plan import write_plan
@@ -20,6 +22,7 @@ from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.sync.pipeline import observations
 from truearm.sync.visits import came_from, visits
+from truearm.types import Message
 from truearm_sim import robot, sensors
 from truearm_sim.arm import Arm
 from truearm_sim.world import REPEATABILITY, World, standard_plan, standard_rig
@@ -42,7 +45,7 @@ def messages(seed):
 
 @cache
 def said(seed):
-    return characterized(messages(seed), "run", PUMA.chain, standard_rig(), BANDS)
+    return characterized([Part(messages(seed), "run")], PUMA.chain, standard_rig(), BANDS)
 
 
 def truth():
@@ -89,7 +92,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     runs = []
     for seed in range(100, 150):
         stream = stream_of(messages_of(World(seed, planned()[1].visits, arm=WORN), seed))
-        runs.append(covered(characterized(stream, "run", PUMA.chain, standard_rig(), BANDS)[0]))
+        runs.append(covered(characterized([Part(stream, "run")], PUMA.chain, standard_rig(), BANDS)[0]))
     share = {name: np.mean([run[name] for run in runs]) for name in runs[0]}
     print({name: round(float(value), 3) for name, value in share.items()})
     least = stats.binom.ppf(0.0005, 50, 0.95) / 50
@@ -173,7 +176,7 @@ def test_the_covariance_is_honest_with_the_noise_that_was_found():
     found, told = [], []
     for seed in range(200, 225):
         run = World(seed, planned()[1].visits, arm=WORN)
-        _, noise = characterized(stream_of(messages_of(run, seed)), "run", PUMA.chain, standard_rig(), BANDS)
+        _, noise = characterized([Part(stream_of(messages_of(run, seed)), "run")], PUMA.chain, standard_rig(), BANDS)
         rig = with_noise(
             standard_rig(), NoiseFile(noise.joint_cov, dict.fromkeys(("bar46", "bar61"), noise.bar_sigma["bar46"]))
         )
@@ -189,8 +192,10 @@ def test_the_covariance_is_honest_with_the_noise_that_was_found():
     assert np.mean([one for one, _ in told]) > 1.2 * free
 
 
-def write(path, kept, rig):
+def write(path, kept, rig, of=None):
     with SessionWriter(path, HostClock()) as writer:
+        if of is not None:
+            writer.metadata(SETUP, {"of": of})
         if rig is not None:
             writer.attach("rig.toml", "application/toml", format_rig(rig).encode())
         for message in kept:
@@ -215,6 +220,44 @@ def test_from_a_session_file_to_a_noise_file(tmp_path, run):
     document = json.loads(text)
     assert code == 0
     assert document["noise"] == said(1)[0]["noise"]
+
+
+def test_the_parts_of_a_session_are_one(tmp_path, run):
+    """A break in the middle: the second part begins with what the box and the plan say, as the recorder writes it."""
+    said_first = [m for m in messages(1)(None) if m.topic in ("/box/ident", "/plan")]
+    told = [m for m in messages(1)(None) if m.topic not in ("/box/ident", "/plan")]
+    middle = told[len(told) // 2].t_host_ns
+    begun = [Message(m.topic, middle, m.data) for m in said_first]
+    first = write(tmp_path / "s.mcap", [*said_first, *(m for m in told if m.t_host_ns < middle)], standard_rig())
+    second = write(
+        tmp_path / "s.2.mcap", [*begun, *(m for m in told if m.t_host_ns >= middle)], standard_rig(), of="s.mcap"
+    )
+    both, alone = (
+        json.loads(run("characterize", path, "--robot", "puma560", "--json").out) for path in (first, second)
+    )
+    whole = said(1)[0]
+    assert (both["parts"], alone["parts"]) == (2, 1)
+    assert whole["visits"] - 2 <= both["visits"] < whole["visits"] + 1
+    assert 0.3 * whole["visits"] < alone["visits"] < 0.7 * whole["visits"]
+    assert both["poses"] == whole["poses"]
+    for name, one in intervals(both).items():
+        of_all = intervals(whole)[name]
+        assert abs(one["value"] - of_all["value"]) < 0.25 * (of_all["high"] - of_all["low"]), name
+    code, text, err = run("characterize", first, "--robot", "puma560", "--out", second)
+    assert (code, text, err.count("\n")) == (2, "", 1)
+
+    other = replace(standard_rig(), seat_sigma=1e-3)
+    write(tmp_path / "s.3.mcap", said_first, other, of="s.mcap")
+    code, _, err = run("characterize", first, "--robot", "puma560")
+    assert (code, "recorded with another rig" in err) == (2, True)
+    code, text, _ = run("characterize", first, "--robot", "puma560", "--rig", rig_file(tmp_path), "--json")
+    assert (code, json.loads(text)["parts"], json.loads(text)["visits"]) == (0, 3, both["visits"])
+
+
+def rig_file(folder):
+    path = folder / "rig.toml"
+    path.write_text(format_rig(standard_rig()))
+    return path
 
 
 def test_a_plan_serves_where_the_session_has_none(tmp_path, run):

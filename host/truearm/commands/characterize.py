@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,7 +22,11 @@ BANDS_MM = (0.02, 0.05, 0.1)
 
 def characterize(
     session: Annotated[
-        Path, typer.Argument(metavar="SESSION", help="Session (.mcap) of the run that truearm plan characterize plans.")
+        Path,
+        typer.Argument(
+            metavar="SESSION",
+            help="Session (.mcap, its further parts are read with it) of the run that truearm plan characterize plans.",
+        ),
     ],
     robot: Annotated[
         str, typer.Option(metavar="ROBOT", help="Built-in robot, robot file (.toml) or URDF; its design will do.")
@@ -56,8 +60,9 @@ def characterize(
       truearm characterize approaches.mcap --robot puma560 --out noise.toml
     """
     from truearm.commands.characterize_text import lines, remarks
-    from truearm.commands.characterizing import characterized
+    from truearm.commands.characterizing import Part, characterized
     from truearm.commands.inspect import ident_of
+    from truearm.commands.resuming import session_parts
     from truearm.commands.terminal import one_line
     from truearm.files.disk import check_writable, write_atomic
     from truearm.files.noise import format_noise, looks_like_noise
@@ -67,16 +72,18 @@ def characterize(
     for mm in within_mm or ():
         if not 0.0 < mm < math.inf:  # typer's bounds let nan pass
             raise InputError(f"--within-mm must be a finite number, is {mm}")
+    files = session_parts(session)
     if out == Path("-"):
         raise InputError("-: is no file name; --json prints to standard output")
     if out is not None:
-        read = [session, *filter(None, [rig, plan, robot_file(robot)])]
+        read = [*files, *filter(None, [rig, plan, robot_file(robot)])]
         check_writable(out, inputs=read, ours=looks_like_noise)
     loaded = load_robot(robot, base, tip)
-    opened = open_session(session, allow_damaged)
+    opened = {path: open_session(path, allow_damaged) for path in files}
     bands = sorted({1e-3 * mm for mm in within_mm or BANDS_MM})
-    around, messages = _rig(opened, session, rig), _with_plan(opened, plan)
-    found, noise = characterized(messages, session.name, loaded.chain, around, bands, ident_of(opened))
+    around = _rig(opened, rig)
+    parts = [Part(_with_plan(one, plan), path.name, ident_of(one)) for path, one in opened.items()]
+    found, noise = characterized(parts, loaded.chain, around, bands)
     if out is not None:
         prismatic = any(joint.kind == "prismatic" for joint in loaded.chain.joints)
         said = list(remarks(found, one_line(session.name)))
@@ -90,14 +97,23 @@ def characterize(
         typer.echo(f"\nwritten: {out}, for truearm identify --noise {out}")
 
 
-def _rig(opened: Session, path: Path, given: Path | None) -> Rig:
+def _rig(opened: Mapping[Path, Session], given: Path | None) -> Rig:
+    """The rig that was given, else the one that all parts were recorded with."""
     from truearm.commands.session import attached_rig
     from truearm.files.rig import read_rig
 
-    found = read_rig(given) if given is not None else attached_rig(opened, path)
-    if found is None:
-        raise RigError(f"{path}: was recorded without a rig; give one with --rig")
-    return found
+    if given is not None:
+        return read_rig(given)
+    first: Rig | None = None
+    for path, session in opened.items():
+        found = attached_rig(session, path)
+        if found is None:
+            raise RigError(f"{path}: was recorded without a rig; give one with --rig")
+        first = first or found
+        if found != first:
+            raise RigError(f"{path}: was recorded with another rig than {next(iter(opened))}; give one with --rig")
+    assert first is not None
+    return first
 
 
 def _with_plan(session: Session, path: Path | None) -> Callable[[Collection[str] | None], Iterator[Message]]:

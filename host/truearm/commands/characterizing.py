@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,38 +26,51 @@ from truearm.files.noise import NoiseFile
 from truearm.model.chain import Chain, along, trace_point
 from truearm.sensors.ident import Ident
 from truearm.sync.dwell import Dwell
-from truearm.sync.pipeline import Messages, observations
-from truearm.sync.visits import Visits, visits
+from truearm.sync.pipeline import Messages, SyncResult, observations
+from truearm.sync.visits import Visits, joined, visits
 from truearm.types import Floats, Rig
 
 LEAST_VISITS = 6
 
 
-def characterized(
-    messages: Messages, name: str, chain: Chain, rig: Rig, bands: Sequence[float], ident: Ident | None = None
-) -> tuple[dict[str, Any], NoiseFile]:
-    """Everything that a session, called ``name``, says of how the robot repeats.
+class Part(NamedTuple):
+    """One of the files of a session: its messages, its name and what the box in it says of itself beforehand."""
 
-    Raises InputError where the session is of another robot or does not hold what is needed.
+    messages: Messages
+    name: str
+    ident: Ident | None = None
+
+
+def characterized(
+    parts: Sequence[Part], chain: Chain, rig: Rig, bands: Sequence[float]
+) -> tuple[dict[str, Any], NoiseFile]:
+    """Everything that a session, in one file or several, says of how the robot repeats.
+
+    Raises InputError where it is of another robot or its parts do not belong together, SessionError where it does not hold what is needed.
     """
-    result = observations(messages, rig, ident=ident, name=name)
-    joints = result.survey.joints
-    if result.table.q.shape[1] != len(chain.joints):
-        raise InputError(
-            f"{name}: its robot has {result.table.q.shape[1]} joints, the robot given has {len(chain.joints)}"
+    synced = [_synced(part, chain, rig, bands) for part in parts]
+    results, of_parts = [result for result, _ in synced], [found for _, found in synced]
+    found = joined(of_parts)
+    if len(found.dwells) < LEAST_VISITS:
+        rejected = sum((Counter(result.reasons) for result in results), Counter[str]())
+        reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(rejected.items()))
+        raise SessionError(
+            f"{parts[0].name}: {len(found.dwells)} dwells can be used ({reasons or 'no other was found'})"
         )
-    if len(result.table) < LEAST_VISITS:
-        reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(result.reasons.items()))
-        raise SessionError(f"{name}: {len(result.table)} dwells can be used ({reasons or 'no other was found'})")
-    found = visits(messages, result, rig, bands, ident)
+    for part, one in zip(parts, of_parts, strict=True):
+        if one.rests and one.period_s != found.period_s:
+            raise InputError(f"{part.name}: the box sampled at another rate than in the first part of the session")
+    # A short part may not have shown the joints' finest steps.
+    step = np.min([result.survey.joints.step for result in results if len(result.table)], axis=0)
     bar = _usual([dwell.mounted["bar"] for dwell in found.dwells])
     of_bar = np.array([dwell.mounted["bar"] == bar for dwell in found.dwells])
-    visited = _visited(found, of_bar, chain, rig, joints.step)
+    visited = _visited(found, of_bar, chain, rig, step)
     told = repeatability(visited)
     sigma = tuple(one.value for one in told.joint_sigma)
     cov = tuple(tuple(s * s if i == k else 0.0 for k in range(len(sigma))) for i, s in enumerate(sigma))
     document = {
-        "session": name,
+        "session": parts[0].name,
+        "parts": len(parts),
         "bar": bar,
         "joints": [one_line(joint.name) for joint in chain.joints],
         "dwells": len(found.dwells),
@@ -64,7 +79,7 @@ def characterized(
         "sides": told.n_sides,
         "repeatability": _repeatability(told),
         "settling": _settling(found),
-        "readings": _readings(found, joints.step),
+        "readings": _readings(found, step),
         "sensor": _sensor(found),
         "noise": {
             "bar_sigma_m": told.bar_sigma._asdict(),
@@ -73,6 +88,19 @@ def characterized(
         },
     }
     return document, NoiseFile(cov, {bar: told.bar_sigma.value})
+
+
+def _synced(part: Part, chain: Chain, rig: Rig, bands: Sequence[float]) -> tuple[SyncResult, Visits]:
+    """What one file says."""
+    result = observations(part.messages, rig, ident=part.ident, name=part.name)
+    n_joints = result.table.q.shape[1]
+    if len(result.table) and n_joints != len(chain.joints):
+        raise InputError(f"{part.name}: its robot has {n_joints} joints, the robot given has {len(chain.joints)}")
+    found = visits(part.messages, result, rig, bands, part.ident)
+    if not found.dwells:  # what has no robot has no number of joints
+        none = np.zeros((0, len(chain.joints)))
+        found = replace(found, direction=none, mean_var=none)
+    return result, found
 
 
 def _usual(names: list[str]) -> str:
@@ -152,11 +180,12 @@ def _sensor(found: Visits) -> dict[str, Any]:
     noise = sigma_interval(np.square([dwell.noise for dwell in found.dwells]))
     spacing = mean_interval(found.spacing_s)
     document = {"sample_m": noise._asdict(), "period_s": found.period_s, "independent_after_s": spacing._asdict()}
-    if not found.allan.tau_s.size:
+    told = found.allan
+    if not told.tau_s.size:
         return document | {"allan": [], "floor": None}
     rows = [
         {"tau_s": float(tau), **_of_freedom(float(deviation), float(freedom))._asdict()}
-        for tau, deviation, freedom in zip(*found.allan, strict=True)
+        for tau, deviation, freedom in zip(*told, strict=True)
     ]
     return document | {"allan": rows, "floor": min(rows, key=lambda row: row["value"])}
 

@@ -36,7 +36,7 @@ class Visits:
     ``direction`` (n, j): in which each joint moved last, −1 or 1, 0 where it did not. ``settling`` (n, b) [s]: how long after the
     bar first came within each of the bands of its mean it stayed there for good; NaN where it did not come from outside
     or the noise is too large for the band. ``mean_var`` (n, j) [rad², m²]: of the mean reading, its correlation counted, its
-    quantisation not. ``spacing_s`` (n,): time between independent samples. ``allan``: of the long dwells, all if none is.
+    quantisation not. ``spacing_s`` (n,): time between independent samples. ``rests``: samples [m] of each dwell that has a whole piece.
     """
 
     dwells: tuple[Dwell, ...]
@@ -46,7 +46,28 @@ class Visits:
     mean_var: Floats
     period_s: float
     spacing_s: Floats
-    allan: Allan
+    rests: tuple[Floats, ...]
+
+    @property
+    def allan(self) -> Allan:
+        """Of the long dwells, of all if none is long."""
+        long = [rest for rest in self.rests if rest.size * self.period_s >= LONG_S]
+        return allan(long or self.rests, self.period_s)
+
+
+def joined(parts: Sequence[Visits]) -> Visits:
+    """The visits of a session's parts, with the same bands, as one."""
+    with_samples = [part.period_s for part in parts if part.rests]
+    return Visits(
+        dwells=tuple(dwell for part in parts for dwell in part.dwells),
+        direction=np.concatenate([part.direction for part in parts]),
+        bands=parts[0].bands,
+        settling=np.concatenate([part.settling for part in parts]),
+        mean_var=np.concatenate([part.mean_var for part in parts]),
+        period_s=with_samples[0] if with_samples else float("nan"),
+        spacing_s=np.concatenate([part.spacing_s for part in parts]),
+        rests=tuple(rest for part in parts for rest in part.rests),
+    )
 
 
 def visits(
@@ -60,7 +81,7 @@ def visits(
     """What the dwells of ``result`` have in common with ``messages``, whose they are. ``bands`` [m] are those of the settling."""
     used = [dwell for dwell in result.dwells if not dwell.reason]
     bins = result.survey.joints.bins
-    pieces: list[tuple[int, Floats]] = []
+    rests: list[Floats] = []
     settling, spacing, period_s = np.full((len(used), len(bands)), np.nan), np.full(len(used), np.nan), float("nan")
     before = round(1e9 * BEFORE_S)
     stood = [d.start_host_ns - round(1e9 * (d.start_s - d.stood_s)) for d in used]
@@ -76,14 +97,12 @@ def visits(
         for k, band in enumerate(bands):
             if band > SIGMAS * dwell.noise:
                 settling[taken.dwell, k] = stabilisation_time(length - dwell.value, band, period_s)
-        rest = length[max(0, int(np.ceil((dwell.start_host_ns - begin_ns) / taken.period_ns))) :]
-        pieces.append((taken.dwell, rest))
+        rests.append(length[max(0, int(np.ceil((dwell.start_host_ns - begin_ns) / taken.period_ns))) :])
         spacing[taken.dwell] = period_s * dwell.n_samples / dwell.n_eff
-    long = [piece for _, piece in pieces if piece.size * period_s >= LONG_S] or [piece for _, piece in pieces]
     j = len(result.survey.joints.step)
     direction = np.array([came_from(bins, d) for d in used]).reshape(-1, j) if bins is not None else np.zeros((0, j))
     mean_var = np.array([_mean_var(bins, d) for d in used]).reshape(-1, j) if bins is not None else np.zeros((0, j))
-    return Visits(tuple(used), direction, np.array(bands), settling, mean_var, period_s, spacing, allan(long, period_s))
+    return Visits(tuple(used), direction, np.array(bands), settling, mean_var, period_s, spacing, tuple(rests))
 
 
 def _blocks(messages: Messages, topics: Collection[str], ident: Ident | None) -> Iterator[tuple[Block, Ident]]:
