@@ -60,6 +60,10 @@ class Arm:
         return noise
 
 
+# Backlash of a gear or two that should be replaced, brakes that let go late, links that swing on, encoders with noise.
+WORN = Arm(backlash=(4e-4, 2e-4, 3e-4, 5e-4, 2e-4, 8e-4), lag=3e-4, lag_s=0.05, swing=1e-4, swing_s=0.05, reading_sigma=2e-5)
+
+
 def last_direction(delta: Floats) -> Floats:
     """Sign (m, j) of the last motion of each joint up to and with each move (m, j); 0 before the first."""
     moved = np.where(delta != 0.0, np.arange(len(delta))[:, None], -1)

@@ -66,6 +66,9 @@ def simulate(
             min=0, max=15, metavar="INPUT", help="The robot's digital input that the box's trigger output toggles."
         ),
     ] = None,
+    worn: Annotated[
+        bool, typer.Option("--worn", help="An arm with backlash, slow to settle, that swings, with noisy readings.")
+    ] = False,
     seed: SeedOption = 1,
     level: Annotated[
         str,
@@ -88,6 +91,7 @@ def simulate(
     from truearm.files.disk import own_folder
     from truearm.files.plan import write_plan
     from truearm.files.rig import write_rig
+    from truearm_sim.arm import WORN
     from truearm_sim.rtde_server import RtdeServer
     from truearm_sim.serve import Port, Terminal, serve
     from truearm_sim.simbox import SimulatedBox
@@ -98,7 +102,8 @@ def simulate(
     scheme, usual_port, rate = ROBOTS[robot]
     faults = [parse_fault(text) for text in fault or []]
     plan, rig = visits(poses, lines, seed, plan_file, rig_file)
-    world = World(seed, plan, rig, robot_rate=rate, robot_delay_s=1e-3 * robot_delay_ms, robot_input=trigger)
+    arm = WORN if worn else None
+    world = World(seed, plan, rig, robot_rate=rate, arm=arm, robot_delay_s=1e-3 * robot_delay_ms, robot_input=trigger)
     own_folder(folder, MARK)
     power_on = hardware(level)
     write_plan(folder / "plan.csv", plan)

@@ -1,0 +1,97 @@
+"""A worn arm without hardware, by command line alone: how well does it repeat, and a calibration that knows it."""
+
+import json
+
+import numpy as np
+import pytest
+from tests.end_to_end.conftest import truearm
+from tests.end_to_end.test_real_time import Simulator
+
+from truearm.cli import main
+from truearm.commands.recording import plan_rows
+from truearm.files.noise import read_noise
+from truearm.files.rig import format_rig, write_rig
+from truearm.record.recorder import record
+from truearm.record.session_writer import SessionWriter
+from truearm_sim import serve
+from truearm_sim.arm import WORN
+from truearm_sim.lab import Lab
+from truearm_sim.world import standard_rig
+
+ROBOT = ("--robot", "puma560")
+PLAN = ("plan", "characterize", *ROBOT, "--poses", 2, "--rounds", 2, "--long-s", 4)
+
+
+@pytest.fixture
+def virtual_time(monkeypatch):
+    """``truearm simulate`` is recorded by the lab's clock in place of the wall's: what it would serve goes to session.mcap in its folder."""
+
+    def start(world, box, box_port, robot_end, **_):
+        folder = start.folder
+        lab = Lab(world, box, 1)
+        record(
+            lab.box_link,
+            SessionWriter(folder / "session.mcap", lab.clock, overwrite=True),
+            lab.clock,
+            robot=lab.robot_link,
+            plan=plan_rows(world.controller.plan),
+            rig_toml=format_rig(world.rig).encode(),
+            osr=16384,
+        )
+
+    monkeypatch.setattr(serve, "serve", start)
+    return start
+
+
+def walk(folder, said, session):
+    """From the rig to a result with and without the noise file; ``session(options)`` records a simulated session."""
+    write_rig(folder / "rig.toml", standard_rig())
+    said(*PLAN, "--rig", folder / "rig.toml", "--out", folder / "approaches.csv")
+    noise = folder / "noise.toml"
+    approaches = session("approaches", "--worn", "--plan", folder / "approaches.csv", "--rig-file", folder / "rig.toml")
+    text = said("characterize", approaches, *ROBOT, "--out", noise)
+    assert "backlash/mrad" in text
+    found = read_noise(noise)
+    half = 0.5 * np.array(WORN.backlash)
+    sigma = np.sqrt(np.diag(found.joint_cov))
+    # Of 32 visits backlash is known to some 0.1 mrad; a joint that moves the bar little, less well.
+    assert np.abs(sigma - half).max() < 2e-4
+    calibration = session("calibration", "--worn", "--poses", 40)
+    with_noise, without = (
+        json.loads(said("identify", calibration, *ROBOT, *more, "--json")) for more in (("--noise", noise), ())
+    )
+    assert without["chi2_reduced"] > without["chi2_band"][1]
+    assert with_noise["chi2_reduced"] < without["chi2_reduced"] / 1.5
+    return with_noise
+
+
+def test_a_worn_arm_from_a_plan_to_a_calibration_that_knows_its_noise(tmp_path, capsys, virtual_time):
+    def said(*arguments):
+        assert main(list(map(str, arguments))) == 0
+        return capsys.readouterr().out
+
+    def session(name, *options):
+        virtual_time.folder = tmp_path / name
+        said("simulate", "--out", tmp_path / name, "--port", 0, "--robot-port", 0, *options)
+        return tmp_path / name / "session.mcap"
+
+    found = walk(tmp_path, said, session)
+    assert found["chi2_reduced"] < found["chi2_band"][1]
+
+
+@pytest.mark.soak
+def test_the_same_in_real_time_with_every_command_a_process(tmp_path):
+    def said(*arguments):
+        done = truearm(*arguments, timeout_s=1200)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    def session(name, *options):
+        simulator = Simulator(tmp_path / name, *map(str, options))
+        try:
+            said(*simulator.record)
+        finally:
+            simulator.stop()
+        return tmp_path / name / "session.mcap"
+
+    walk(tmp_path, said, session)
