@@ -84,7 +84,7 @@ def test_nine_pairings(tmp_path, each):
     assert adc["samples"] == pytest.approx(found["duration_s"] * 1e9 / adc["period_ns"], rel=1e-3)
     result = json.loads((tmp_path / "result.json").read_text())
     assert result["rank"] == 36
-    # The world's own draws are known: chance is only what 36 parameters take of them, a χ² of as many degrees of freedom.
+    # The world's own draws are known: chance is only what 36 parameters take of them, a χ² of 36 degrees of freedom.
     freedom, drawn = poses - 36, float(np.sum(repeatability(SEED, poses) ** 2))
     expected, sigma = (drawn - 36) / freedom, math.sqrt(2 * 36) / freedom
     print(f"reduced chi² {result['chi2_reduced']:.4f}; of the drawn repeatability {expected:.4f} ± {sigma:.4f}")

@@ -173,7 +173,7 @@ def normalised_error(fit, visited):
 
 
 def owed_error(rig, table, visited, direction):
-    """What ``normalised_error()`` is on average where joints lag by these directions (n, 6), and only the bar's repeatability is chance."""
+    """What ``normalised_error()`` is on average where joints lag by these directions (n, 6) and only the bar is chance."""
     problem = build_problem(PUMA.chain, rig, table)
     (group,) = problem.groups
     lin = evaluate(problem, group, visited.params)
@@ -188,8 +188,8 @@ def owed_error(rig, table, visited, direction):
 def test_the_covariance_is_honest_with_the_noise_that_was_found():
     """NEES over 25 calibrations of a worn arm, each with noise found in a run of its own.
 
-    Noise has each joint lag one way or the other by chance, at each pose anew. The way between poses is a short one, and joints turn back
-    more often than by chance, so that lags cancel and the error is smaller; by how much is calculated.
+    Noise has each joint lag one way or the other by chance, at each pose anew. On the short way between poses the joints
+    turn back more often than by chance, so lags cancel and the error is smaller; by how much is calculated.
     """
     found, told, owed, by_chance = [], [], [], []
     for seed in range(200, 225):
