@@ -81,7 +81,7 @@ class Session:
                 q = self.q + 1e-5 * self.rng.standard_normal(self.q.size)
                 self.state.reading(arrival, json.dumps({"t": 1e-9 * self.t, "q": q.tolist()}).encode())
             if self.looks:
-                self.state.now(self.t)
+                self.state.look()
         self.said += self.state.said
         self.state.said.clear()
 
@@ -100,9 +100,7 @@ class Session:
             312.0,
             True if self.robot else None,
             Counters(),
-            robot_age_s=0.02,
-            t_host_ns=self.t,
-            **more,
+            **({"robot_age_s": 0.02} | more),
         )
 
     def row(self, name):

@@ -88,10 +88,40 @@ class TestDwells:
         (event,) = session.events("dwell")
         assert event["end_ns"] < session.t - 5 * S
 
+    def test_a_robot_that_says_nothing_is_not_known_to_stand(self):
+        """Its readings ended one second after it stopped: the bar goes on to be read, and the pose is not taken."""
+        session = Session(plan(*PAIRS))
+        session.run(1.0)
+        session.robot = False
+        session.run(6.0)
+        assert session.state.course.taken == 0
+        late = session.status(robot_age_s=6.0)
+        assert session.state.progress(late).text == "0 of 4"
+        session.state.close()
+        assert not session.events("dwell")
+
+    def test_one_that_was_long_enough_ends_with_its_last_reading(self):
+        session = Session()
+        session.run(2.5)
+        said_ns, session.robot = session.t, False
+        session.run(6.0)
+        session.state.close()
+        (event,) = session.events("dwell")
+        assert event["end_ns"] <= said_ns
+
+    def test_a_box_that_says_nothing_tells_no_dwell(self):
+        session = Session(mounted={"bar": "b46"}, robot=False)
+        session.run(1.0)
+        for _ in range(10):
+            session.t += S
+            session.state.look()
+        assert session.state.course.taken == 0
+        assert "standing" not in session.state.progress(session.status(box_ok=False)).text
+
     def test_the_one_under_way_at_the_end_is_kept(self):
         session = Session()
         session.dwell(2.0)
-        session.state.close(session.t)
+        session.state.close()
         assert len(session.events("dwell")) == 1
 
 
@@ -212,7 +242,7 @@ class TestLines:
         assert [line.get("pose") for line in found] == [None, 1]
         assert (state.course.lines, state.course.planned_lines) == (1, 2)
         assert state.course.change() == {"line": "l2", "target": "t1"}
-        assert state.progress(0) == ("lines", "1 of 2", False)
         status = Status(12.0, "recording", 312.0, True, Counters(), robot_age_s=0.02)
+        assert state.progress(status) == ("lines", "1 of 2", False)
         assert re.match(r"line 4\d\d\.\d{4} mm; samples mag 1017\.3 Hz", state.line(status, None))
         assert "lvdt" not in [row.name for row in state.rows(status, None)]

@@ -1,5 +1,6 @@
 """What the operator of a recording may say and is shown: pairings, the LVDT in its travel, whether the box can measure what is wanted."""
 
+import dataclasses
 import re
 
 import numpy as np
@@ -136,6 +137,20 @@ class TestCheck:
 
 
 class TestView:
+    def test_a_silent_robot_is_said_and_that_it_is_heard_again(self):
+        view = View(LiveState(Course(), None, True), Purpose())
+        session, said = Session(), []
+        for age_s, ok in ((0.1, True), (4.0, True), (5.0, True), (0.1, True), (5.0, True), (6.0, False), (0.1, True)):
+            view.status(dataclasses.replace(session.status(robot_age_s=age_s), robot_ok=ok))
+            said += view.take()[0]
+        assert said == [
+            "warning: the robot has been silent for 3 s",
+            "the robot is heard again",
+            "warning: the robot has been silent for 3 s",
+            "warning: the robot was lost; trying to reach it again",
+            "the robot is back",
+        ]
+
     def test_a_box_that_is_refused(self):
         view = View(LiveState(Course(), None, False), Purpose(ball_bar=True))
         with pytest.raises(InputError, match=r"not calibrated to a length.* Nothing was started; --unchecked"):

@@ -82,20 +82,21 @@ class LiveDwells:
         self._readings.append((t_ns, q))
         return ended
 
-    def standing_ns(self, now_ns: int) -> int | None:
-        """For how long it has stood still; None while it moves."""
+    @property
+    def standing_ns(self) -> int | None:
+        """For how long it has stood still, up to the last reading: behind it nobody knows. None while it moves."""
         since_ns = self._rest.since_ns
-        return None if since_ns is None else max(0, now_ns - since_ns)
+        return None if since_ns is None else self._rest.last_ns - since_ns
 
     @property
     def q(self) -> Floats | None:
         """The last joints."""
         return self._readings[-1][1] if self._readings else None
 
-    def now(self, now_ns: int) -> Seen | None:
-        """The dwell under way, as if it ended now; None while it moves, or too short."""
+    def under_way(self) -> Seen | None:
+        """The dwell under way, as if it ended with the last reading; None while it moves, or too short."""
         since_ns = self._rest.since_ns
-        return None if since_ns is None else self._seen((since_ns, now_ns))
+        return None if since_ns is None else self._seen((since_ns, self._rest.last_ns))
 
     def _seen(self, rest: tuple[int, int] | None) -> Seen | None:
         if rest is None or rest[1] - rest[0] < ENOUGH_NS:

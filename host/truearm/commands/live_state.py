@@ -92,9 +92,9 @@ class LiveState:
             t_ns = self._robot_time.host_ns(int(1e9 * reading.t), t_ns)
             self._ended(self._dwells.joints(t_ns, np.array(reading.q)))
 
-    def now(self, t_ns: int) -> None:
-        """Time has passed: a dwell may have become long enough, a pairing may have to be changed."""
-        standing = self._dwells.standing_ns(t_ns)
+    def look(self) -> None:
+        """To be called now and then: a dwell may have become long enough, a pairing may have to be changed."""
+        standing = self._dwells.standing_ns
         if standing is None:
             self._counted = False
         elif standing >= ENOUGH_NS and not self._counted and self._may_count():
@@ -106,10 +106,10 @@ class LiveState:
                 self.said.append(f"now mount {words_of(change)}; then press Enter")
         self._watch_travel()
 
-    def close(self, t_ns: int) -> None:
+    def close(self) -> None:
         """The recording ends: so does a dwell under way."""
         if self._counted:
-            self._ended(self._dwells.now(t_ns))
+            self._ended(self._dwells.under_way())
 
     # --- what the operator says
 
@@ -268,7 +268,7 @@ class LiveState:
         rows.append(Shown("clock", clock_words(status, clock)))
         if self._with_robot:
             rows.append(self.robot(status))
-        rows.append(self.progress(status.t_host_ns))
+        rows.append(self.progress(status))
         change = self.course.change()
         rows.append(Shown("mounted", words_of(self.course.mounted)))
         if change is not None:
@@ -281,7 +281,7 @@ class LiveState:
         place = self.along() if "line" in self.course.mounted else self.travel(drawn=False)
         rows = [place, self.rates(status), Shown("clock", clock_words(status, clock))]
         rows += [self.robot(status)] if self._with_robot else []
-        return "; ".join(f"{row.name} {row.text}" for row in (*rows, self.progress(status.t_host_ns)))
+        return "; ".join(f"{row.name} {row.text}" for row in (*rows, self.progress(status)))
 
     def travel(self, drawn: bool = True) -> Shown:
         """The LVDT within its travel."""
@@ -340,7 +340,7 @@ class LiveState:
         late = age is None or age > LATE_S
         return Shown("robot", f"{rate}, last {_age(age)}", late)
 
-    def progress(self, now_ns: int) -> Shown:
+    def progress(self, status: Status) -> Shown:
         """Dwells and lines taken, and whether the robot may move on."""
         course = self.course
         if self._lines_alone():
@@ -350,10 +350,16 @@ class LiveState:
             parts.append(f"{course.unplanned} beside the plan")
         if course.lines or course.planned_lines:
             parts.append(f"lines {course.lines}" + (f" of {course.planned_lines}" if course.planned_lines else ""))
-        standing = self._dwells.standing_ns(now_ns)
-        if standing is not None:
+        standing = self._dwells.standing_ns
+        if standing is not None and self._is_heard(status):
             parts.append(f"standing for {standing / 1e9:.1f} s" + (", enough" if self._counted else ""))
         return Shown("dwells", ", ".join(parts))
+
+    def _is_heard(self, status: Status) -> bool:
+        """Whether that which tells the dwells speaks."""
+        if not self._with_robot:
+            return status.box_ok
+        return bool(status.robot_ok) and (status.robot_age_s or 0.0) <= LATE_S
 
 
 HELP = " · Enter: mounted as asked · NUMBER or bar=NAME,chuck=NAME,sphere=NAME or line=NAME,target=NAME: mounted · note TEXT · q: end"

@@ -22,6 +22,7 @@ from truearm.commands.live_state import HELP, LiveState, Shown
 from truearm.commands.terminal import one_line
 from truearm.errors import InputError
 from truearm.record.operator import Operator, Wish
+from truearm.record.robot import SILENCE_S
 
 if TYPE_CHECKING:
     from truearm.record.status import Status
@@ -109,14 +110,13 @@ class View(Operator):
             elif kind == "status":
                 self._status = values[0]
                 said += self._watch.events(self._status)
-                self._state.now(self._status.t_host_ns)
+                self._state.look()
             elif kind == "exchange":
                 self._exchanges().add(*values)
             elif kind == "typed":
                 self._state.command(*values)
             elif kind == "over":
-                if self._status is not None:
-                    self._state.close(self._status.t_host_ns)
+                self._state.close()
                 said += self._heard()
                 self._over.set()
             else:
@@ -159,6 +159,7 @@ class _Watch:
         self._box_ok = True
         self._link_losses = 0
         self._robot_ok: bool | None = None
+        self._robot_silent = False
         self._lost = 0
 
     def events(self, status: Status) -> list[str]:
@@ -180,6 +181,12 @@ class _Watch:
                 "the robot is back" if status.robot_ok else "warning: the robot was lost; trying to reach it again"
             )
         self._robot_ok = status.robot_ok
+        silent = bool(status.robot_ok) and (status.robot_age_s or 0.0) > SILENCE_S
+        if silent != self._robot_silent and status.robot_ok:
+            said.append(
+                f"warning: the robot has been silent for {SILENCE_S:g} s" if silent else "the robot is heard again"
+            )
+        self._robot_silent = silent
         lost = status.counters.lost_frames + status.counters.overruns_in_box
         if lost > self._lost:
             said.append(

@@ -392,5 +392,4 @@ class _Recorder:
             self._box.faults,
             self._state != "link lost" and not self._silent,
             None if robot is None else robot.age_s(now_ns),
-            now_ns,
         )

@@ -22,7 +22,7 @@ SENSOR = (1e-6, 5e-5)  # m
 
 
 class Resting:
-    """Takes readings (k,) or the extremes of short blocks of them, in order of time. ``since_ns``: since when it rests."""
+    """Takes readings (k,) or the extremes of short blocks of them, in order of time. ``since_ns``: since when it rests; ``last_ns``: the last reading."""
 
     def __init__(self, least: float, most: float) -> None:
         self.since_ns: int | None = None
@@ -30,13 +30,13 @@ class Resting:
         self._bin: tuple[int, Floats, Floats] | None = None  # begin, low, high
         self._window: deque[tuple[int, Floats, Floats]] = deque(maxlen=WINDOW_BINS)
         self._ranges: deque[Floats] = deque(maxlen=REMEMBERED)
-        self._last_ns = 0
+        self.last_ns = 0
 
     def feed(self, t_ns: int, low: Floats, high: Floats) -> tuple[int, int] | None:
         """Begin and end of the rest that ended, if one did."""
         ended = None
-        if self._bin is not None and t_ns - self._last_ns > GAP_NS:
-            ended = self._end(self._last_ns)
+        if self._bin is not None and t_ns - self.last_ns > GAP_NS:
+            ended = self._end(self.last_ns)
             self._bin = None
             self._window.clear()
         elif self._bin is not None and t_ns - self._bin[0] >= BIN_NS:
@@ -46,7 +46,7 @@ class Resting:
             self._bin = t_ns, low, high
         else:
             self._bin = self._bin[0], np.minimum(self._bin[1], low), np.maximum(self._bin[2], high)
-        self._last_ns = t_ns
+        self.last_ns = t_ns
         return ended
 
     def _close(self, whole: tuple[int, Floats, Floats]) -> tuple[int, int] | None:
