@@ -53,8 +53,10 @@ def data(seq: int, n0: int, t0_us: int, n: int = N, stream: int = 0) -> bytes:
     return array(16, u32(seq), stream, u64(n0), u64(t0_us), u32(PERIOD_NS), samples, 0)
 
 
-def heartbeat(seq: int, boot_id: int, t_us: int, streaming: int) -> bytes:
-    return array(18, u32(seq), u32(boot_id), u64(t_us), seq, 0, 0, 0, 0, 900, 1200, 100_000, 25_000, 1, streaming)
+def heartbeat(seq: int, boot_id: int, t_us: int, streaming: int, overruns: int = 0) -> bytes:
+    return array(
+        18, u32(seq), u32(boot_id), u64(t_us), seq, 0, 0, u32(overruns), 0, 900, 1200, 100_000, 25_000, 1, streaming
+    )
 
 
 def ident(boot_id: int, osr: int = 4096, protocol: tuple[int, ...] = (1, 0), **more: object) -> dict[str, object]:
@@ -159,6 +161,7 @@ class Box:
         self.blocks = 0
         self.commands: list[list[object]] = []
         self.answer_probes = True
+        self.overruns = 0  # samples since the boot, as its heartbeats say them
         self.mangle: Callable[[int, bytes], bytes] = lambda index, raw: raw  # what the link makes of frame ``index``
         self.deaf_to = 0  # so many commands are not answered
         self.protocol: tuple[int, ...] = (1, 0)
@@ -206,7 +209,7 @@ class Box:
     def _heart(self, boot_id: int) -> None:
         if boot_id != self.boot_id:
             return
-        self.send(lambda seq: heartbeat(seq, boot_id, self.t_us(), int(self.streaming)))
+        self.send(lambda seq: heartbeat(seq, boot_id, self.t_us(), int(self.streaming), self.overruns))
         self.lab.at(self.lab.now + SECOND, lambda: self._heart(boot_id))
 
     def _hear(self, raw: bytes) -> None:

@@ -1,6 +1,7 @@
 """The recorder against a box in memory that does what boxes do when something is wrong: everything is kept, and faults are what they were."""
 
 import json
+from functools import partial
 
 import cbor2
 import pytest
@@ -167,6 +168,18 @@ class TestFaults:
         box = Box(lab)
         lab.at(HOST_0 + 2 * SECOND, lambda: box.boot(0x2222, seq=box.seq))
         assert run(lab, box, path, 4.0).counters.restarts == 1
+
+    def test_what_the_box_lost_before_is_not_this_recordings(self, lab, path):
+        """It streamed to nobody, and counts since its boot; the counter may wrap, a heartbeat may come late."""
+        box = Box(lab)
+        box.overruns = 2**30 - 5
+        for second, overruns in ((2, 2**30 - 5), (3, 2), (4, 2**30 - 5), (5, 2)):
+            lab.at(HOST_0 + second * SECOND, partial(setattr, box, "overruns", overruns))
+        assert run(lab, box, path, 1.5).counters.overruns_in_box == 0
+        assert run(lab, box, path.with_name("b"), 6.0).counters.overruns_in_box == 7
+        box.overruns = 4
+        lab.at(lab.now + 2 * SECOND, lambda: box.boot(0x2222))
+        assert run(lab, box, path.with_name("c"), 4.0).counters.overruns_in_box == 4  # of a boot in its midst: all
 
     def test_frames_counted_anew_without_a_restart(self, lab, path):
         """Not of this protocol, but it must neither be taken for a restart nor be asked about for ever."""

@@ -35,6 +35,7 @@ _TOPICS = {
     ERROR: "/box/reply",
 }
 _SEQ_MASK, _SEQ_HALF = 2**32 - 1, 2**31
+_BEAT_WRAP = 2**30  # of a heartbeat's counters
 _SAMPLE_BYTES = 4
 _LARGEST_UNNAMED_STREAM = 255
 
@@ -63,6 +64,7 @@ class Intake:
     spoke_ns: int | None = None  # its last word
     _expected_seq: int | None = None
     _counted_ns: int = 0  # when the frame before that arrived
+    _beat: tuple[int, int, int] | None = None  # the last heartbeat's boot id, dropped and overruns
     _streams: dict[int, tuple[str, int]] = field(default_factory=dict)  # id: topic, bytes a sample
     _splitter: FrameSplitter = field(default_factory=FrameSplitter)
     _pages: Pages = field(default_factory=Pages)
@@ -153,10 +155,21 @@ class Intake:
             self.answer = Answer(f"{fields['text']} (error {fields['code']})")
 
     def _take_heartbeat(self, fields: Mapping[str, Any]) -> None:
-        self.counters.dropped_in_box = fields["dropped"]
-        self.counters.overruns_in_box = fields["overruns"]
+        self._count_in_box(fields["boot_id"], fields["dropped"], fields["overruns"])
         if self.ident is not None and fields["boot_id"] != self.ident.boot_id:
             self.suspect = True
+
+    def _count_in_box(self, boot_id: int, dropped: int, overruns: int) -> None:
+        """The box counts since its boot: what it lost before this recording first heard of it is not the recording's."""
+        before = self._beat or (boot_id, dropped, overruns)
+        if before[0] != boot_id:
+            before = (boot_id, 0, 0)
+        more = (dropped - before[1]) % _BEAT_WRAP, (overruns - before[2]) % _BEAT_WRAP
+        if max(more) >= _BEAT_WRAP // 2:
+            return  # it came late
+        self._beat = boot_id, dropped, overruns
+        self.counters.dropped_in_box += more[0]
+        self.counters.overruns_in_box += more[1]
 
     def _take_ident_page(self, t_host_ns: int, fields: Mapping[str, Any]) -> None:
         document = self._pages.push(fields["req_id"], fields["page"], fields["pages"], fields["data"])

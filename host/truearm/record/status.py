@@ -25,8 +25,8 @@ class Counters:
     link_losses: int = 0
     robot_losses: int = 0
     held_up: int = 0  # times that a link's reader had to wait for the recorder
-    dropped_in_box: int = 0  # frames, by the last heartbeat
-    overruns_in_box: int = 0  # samples, by the last heartbeat
+    dropped_in_box: int = 0  # trigger edges, by the heartbeats since the first
+    overruns_in_box: int = 0  # samples, by the heartbeats since the first
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,6 @@ class Status:
     faults: tuple[str, ...] = ()  # what the operator should know of the box
     box_ok: bool = True  # False while its link is lost, or it is silent
     robot_age_s: float | None = None  # of the last reading
-    t_host_ns: int = 0
 
 
 @dataclass(frozen=True)
