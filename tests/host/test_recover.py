@@ -171,6 +171,8 @@ class TestRefusals:
 
     def test_no_file(self, tmp_path, capsys):
         assert "no such file" in self.refused(capsys, tmp_path / "none.mcap")
+        for nameless in ("", "/"):
+            assert "is not a regular file" in self.refused(capsys, nameless)
 
     def test_a_file_that_shrinks_meanwhile(self, made, tmp_path):
         _, whole, _, path = made

@@ -41,8 +41,8 @@ def recover(
     from truearm.record.recover import is_whole
     from truearm.record.session import open_session
 
-    out = out or session.with_name(f"{session.stem}-recovered.mcap")
     opened = open_session(session, allow_damaged=True)
+    out = out or session.with_name(f"{session.stem}-recovered.mcap")
     if is_whole(opened):
         typer.echo(f"{one_line(str(session))}: is whole; there is nothing to recover, and nothing was written")
         return
