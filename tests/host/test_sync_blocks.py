@@ -56,6 +56,14 @@ def test_traceback_in_the_stream_loses_nothing():
     assert account(box.messages) == expected
 
 
+def test_a_run_that_is_no_text_counts_as_a_number():
+    """What comes first in the session, too: the end of a frame that a box without a recorder had under way."""
+    box = box_with()
+    box.messages.insert(0, Message("/box/console", 5, b"\x80\x81"))
+    _, reader = read(box.messages)
+    assert str(reader.losses().console_text_runs) == "0"
+
+
 def test_lost_frame():
     box = box_with()
     del box.messages[data_places(box)[7]]

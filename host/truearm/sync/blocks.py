@@ -279,7 +279,7 @@ class BoxReader:
     # ------------------------------------------------------------------------------------------------ not frames
 
     def _console(self, data: bytes) -> None:
-        self._count.update(console_runs=1, console_bytes=len(data), console_text_runs=is_text(data))
+        self._count.update(console_runs=1, console_bytes=len(data), console_text_runs=int(is_text(data)))
 
     def _exchange(self, data: bytes) -> None:
         exchange = parse_exchange(data)
