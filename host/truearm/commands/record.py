@@ -24,7 +24,7 @@ def record(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="The session file to write (.mcap); with --resume the next part."),
+        typer.Option(metavar="FILE", help="The session file to write (.mcap). --resume names its own."),
     ] = None,
     resume: Annotated[
         Path | None,

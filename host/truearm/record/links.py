@@ -260,6 +260,7 @@ _HINTS = {
     errno.EBUSY: "is in use by another program",
     errno.EAGAIN: "is in use by another program",
     errno.ENOTTY: "is no serial port",
+    errno.EISDIR: "is a directory, no serial port",
     errno.ETIMEDOUT: "does not answer; is the address right, and the machine on?",
     errno.EHOSTUNREACH: "cannot be reached; is the address right, and the network up?",
     errno.ENETUNREACH: "cannot be reached; is the address right, and the network up?",
