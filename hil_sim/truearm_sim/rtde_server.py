@@ -84,9 +84,6 @@ class RtdeServer:
         # A reader that is slower than the controller misses packages; it never gets a part of one.
         self.port.send(data if len(data) <= self.port.room() else b"")
 
-    def drop(self) -> None:
-        self.port.drop()
-
     def close(self) -> None:
         self.port.close()
 

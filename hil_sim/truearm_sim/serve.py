@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from truearm.record.links import HostClock
+from truearm.record.robot import END
 
 from .simbox import SimulatedBox
 from .world import World
@@ -149,16 +150,20 @@ def serve(
     *,
     stop: Callable[[], bool] = lambda: False,
     started: Callable[[], None] = lambda: None,
+    ended: Callable[[], None] = lambda: None,
     longest_step_ns: int | None = None,
 ) -> None:
-    """Run until the robot's program has ended and its client has gone, or until ``stop()``.
+    """Run until the robot's program has ended and the box's client has gone, or until ``stop()``.
 
+    ``started`` and ``ended`` are called when time starts and when the robot's program has ended. Then a robot of lines says so and closes
+    its stream, a controller goes on to send where it stands.
     ``longest_step_ns``: for a box that may be slower than the wall clock. The lab's time goes on by no more than that at once
     and falls behind, box and robot alike; without it a late box would get longer and longer steps.
     """
     clock = HostClock()  # the recorder's: a slew of the wall clock would show as a drift of the box
     start_ns: int | None = None
     sent_until_ns = 0
+    running = True
     while not stop():
         box_there, robot_there = box_port.connected(), robot_port.connected()
         if start_ns is None:
@@ -176,7 +181,12 @@ def serve(
         _report(world, box, robot_port, sent_until_ns, t_ns)
         sent_until_ns = t_ns
         if t_ns > world.robot_end_ns:
-            robot_port.drop()
+            if running:
+                running = False
+                ended()
+            if isinstance(robot_port, Port):
+                robot_port.send(END + b"\n" if robot_port.client else b"")
+                robot_port.drop()
             if not box_port.connected():
                 return
         time.sleep(TICK_S)

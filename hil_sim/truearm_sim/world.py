@@ -274,8 +274,8 @@ class World:
         return np.rint(1e9 * t).astype(np.int64), lines
 
     def robot_states(self, t0_ns: int, t1_ns: int, level: Level | None = None) -> States:
-        """The same readings as numbers."""
-        return self.controller.states(1e-9 * t0_ns, 1e-9 * min(t1_ns, self.robot_end_ns), self._inputs(level))
+        """The same readings as numbers; the controller goes on when its program has ended."""
+        return self.controller.states(1e-9 * t0_ns, 1e-9 * t1_ns, self._inputs(level))
 
     def _inputs(self, level: Level | None) -> Inputs | None:
         if level is None or self.robot_input is None:

@@ -91,7 +91,7 @@ class LinkError(TruearmError):
 
 
 class LinkClosed(LinkError):
-    """The other side ended the stream in order; a robot does so when its plan is done."""
+    """The other side ended the stream in order; it does not say why."""
 
 
 class RefusedError(LinkError):

@@ -257,9 +257,11 @@ class Box:
 
 
 class Robot:
-    """A robot that sends a line every 8 ms and closes its stream at the end."""
+    """A robot that sends a line every 8 ms; its link ends with an error, or it says that it has ended."""
 
-    def __init__(self, lab: Lab, seconds: float, end: Exception, counts: bool = True, link: type[Wire] = Wire) -> None:
+    def __init__(
+        self, lab: Lab, seconds: float, end: Exception | None = None, counts: bool = True, link: type[Wire] = Wire
+    ) -> None:
         self.lab = lab
         self.link = link(lab, "robot in memory")
         self.sent: list[bytes] = []
@@ -270,6 +272,8 @@ class Robot:
 
         def close() -> None:
             self.link.error = end
+            if end is None:
+                self.link.deliver(b'{"end": true}\n')
 
         lab.at(HOST_0 + int(seconds * SECOND), close)
 

@@ -74,6 +74,7 @@ def serve_robot(seconds):
                 peer.sendall(json.dumps({"t": 0.02 * seq, "seq": seq, "q": [0.1, 0.2]}).encode() + b"\n")
                 seq += 1
                 time.sleep(0.02)
+            peer.sendall(b'{"end": true}\n')
 
     threading.Thread(target=serve, daemon=True).start()
     return f"tcp://127.0.0.1:{listener.getsockname()[1]}"

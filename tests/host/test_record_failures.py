@@ -180,6 +180,7 @@ class TestTheBoxGoes:
             for k in range(200):
                 peer.sendall(json.dumps({"t": 0.02 * k, "seq": k, "q": [0.1]}).encode() + b"\n")
                 time.sleep(0.005)
+            peer.sendall(b'{"end": true}\n')
 
         with self.mortal_box(0.8) as device, server(robot) as address:
             arguments = ["--device", device, "--robot", f"tcp://{address}", "--out", str(out)]
@@ -231,6 +232,7 @@ class TestTheRobotIsNone:
                 row = {"t": 0.01 * k, "seq": k, "q": [0.1] * (6 - k % 2)}
                 peer.sendall(json.dumps(row).encode() + b"\n")
                 time.sleep(0.01)
+            peer.sendall(b'{"end": true}\n')
 
         with box_on_a_socket() as (_, device), server(robot) as address:
             arguments = ["--device", device, "--robot", f"tcp://{address}", "--out", str(out)]

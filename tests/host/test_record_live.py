@@ -135,6 +135,16 @@ class TestThePlan:
         assert session.state.course.done == {0, 1}
         assert session.row("dwells").text.startswith("2 of 4, standing")
 
+    def test_that_all_of_it_is_taken_is_said_once_while_the_robot_stands(self):
+        session = Session(plan(*PAIRS[:2]))
+        session.run(2.5)
+        said = "all of the plan is taken; q and Enter end the recording"
+        assert said not in session.said
+        session.dwell()
+        assert session.said[-1] == said
+        session.dwell()
+        assert session.said.count(said) == 1
+
     def test_what_is_not_in_the_plan(self):
         session = Session(plan(*PAIRS))
         session.q = np.array([3.0, -3.0])

@@ -14,6 +14,7 @@ from truearm.errors import LinkClosed, LinkError, ProtocolError
 from truearm.record.links import Backlog
 from truearm.record.recorder import PATIENCE_S as WAITS_S
 from truearm.record.reopening import Reopening
+from truearm.record.robot import END
 from truearm.record.session import open_session
 from truearm.sync.joints import JointReader
 
@@ -25,15 +26,15 @@ def joints_of(path):
     return reader.finish()
 
 
-def lose(lab, link, since_s, until_s, text="reset by peer"):
-    lab.at(HOST_0 + int(since_s * SECOND), lambda: setattr(link, "error", LinkError(text)))
+def lose(lab, link, since_s, until_s, error=None):
+    lab.at(HOST_0 + int(since_s * SECOND), lambda: setattr(link, "error", error or LinkError("reset by peer")))
     lab.at(HOST_0 + int(until_s * SECOND), lambda: setattr(link, "error", None))
 
 
 class TestRobot:
     def test_back_after_two_seconds(self, lab, path):
         """8 ms a reading: those between 2 and 4 s are lost, exactly; a segment begins, and the rest is whole."""
-        robot = Robot(lab, 6.0, LinkClosed("done"), link=ComingBack)
+        robot = Robot(lab, 6.0, link=ComingBack)
         lose(lab, robot.link, 2.0, 4.0)
         summary = run(lab, Box(lab), path, None, robot=robot.link)
         assert summary.reason == "robot closed"
@@ -49,15 +50,55 @@ class TestRobot:
         joints = joints_of(path)
         assert (joints.lost, joints.restarts, len(joints.clocks)) == (len(missing), 1, 2)
 
+    def test_a_close_in_order_is_a_loss_too(self, lab, path):
+        """So a controller that is started anew closes its connection, and so does the kernel those of a program that crashed."""
+        robot = Robot(lab, 6.0, link=ComingBack)
+        lose(lab, robot.link, 2.0, 4.0, LinkClosed("closed"))
+        summary = run(lab, Box(lab), path, None, robot=robot.link)
+        assert summary.reason == "robot closed"
+        assert summary.duration_s == pytest.approx(6.0, abs=0.1)
+        assert summary.counters.robot_losses == 1
+        assert events(path) == ["start", "robot-lost", "robot-back", "robot-closed", "stop"]
+        assert joints_of(path).restarts == 1
+        assert [m.data for m in topics(path)["/robot/console"]] == [END]
+
+    def test_a_close_in_order_that_was_the_end(self, lab, path):
+        robot = Robot(lab, 2.0, LinkClosed("closed"), link=ComingBack)
+        summary = run(lab, Box(lab), path, None, robot=robot.link, patience_s=5.0)
+        assert (summary.reason, summary.text) == ("robot closed", "closed; it did not come back in 5 s")
+        assert summary.duration_s == pytest.approx(7.0, abs=0.1)
+
+    def test_a_close_before_the_first_reading_is_none(self, lab, path):
+        robot = Robot(lab, 0.0, LinkClosed("closed"), link=ComingBack)
+        summary = run(lab, Box(lab), path, None, robot=robot.link)
+        assert (summary.reason, summary.text) == ("robot closed", "closed")
+
+    def test_a_link_without_readings_is_not_the_robot(self, lab, path):
+        """It is taken by a controller whose program does not run."""
+        robot = Robot(lab, 20.0, link=ComingBack)
+        lose(lab, robot.link, 2.0, 3.0)
+        lab.at(HOST_0 + 2 * SECOND, lambda: setattr(robot.link, "deliver", lambda data: None))
+        summary = run(lab, Box(lab), path, None, robot=robot.link, patience_s=5.0)
+        assert (summary.reason, summary.duration_s) == ("robot lost", pytest.approx(7.0, abs=0.1))
+        assert events(path) == ["start", "robot-lost", "stop"]
+
+    @pytest.mark.parametrize(
+        "line", [b'{"end": false}', b'{"end": true, "q": 1}', b'["end"]', b'{"end": ' + b"[" * 5000]
+    )
+    def test_what_is_no_word_of_its_end(self, lab, path, line):
+        robot = Robot(lab, 2.0, link=ComingBack)
+        lab.at(HOST_0 + SECOND, lambda: robot.link.deliver(line + b"\n"))
+        assert run(lab, Box(lab), path, None, robot=robot.link).duration_s == pytest.approx(2.0, abs=0.1)
+
     def test_a_robot_that_does_not_count(self, lab, path):
-        robot = Robot(lab, 4.0, LinkClosed("done"), counts=False, link=ComingBack)
+        robot = Robot(lab, 4.0, counts=False, link=ComingBack)
         lose(lab, robot.link, 1.0, 2.0)
         run(lab, Box(lab), path, None, robot=robot.link)
         assert events(path, "robot-back")[0]["lost"] is None
         assert joints_of(path).lost is None
 
     def test_not_for_ever(self, lab, path):
-        robot = Robot(lab, 20.0, LinkClosed("done"), link=ComingBack)
+        robot = Robot(lab, 20.0, link=ComingBack)
         lose(lab, robot.link, 2.0, 1e6)
         summary = run(lab, Box(lab), path, None, robot=robot.link, patience_s=5.0)
         assert summary.reason == "robot lost"
@@ -65,13 +106,13 @@ class TestRobot:
         assert summary.duration_s == pytest.approx(7.0, abs=0.1)
 
     def test_what_is_no_loss_of_the_link_is_not_tried_again(self, lab, path):
-        robot = Robot(lab, 20.0, LinkClosed("done"), link=ComingBack)
+        robot = Robot(lab, 20.0, link=ComingBack)
         lab.at(HOST_0 + SECOND, lambda: setattr(robot.link, "error", ProtocolError("is no RTDE")))
         summary = run(lab, Box(lab), path, None, robot=robot.link)
         assert (summary.reason, summary.text) == ("robot lost", "is no RTDE")
 
     def test_silence_is_noted(self, lab, path):
-        robot = Robot(lab, 10.0, LinkClosed("done"), link=ComingBack)
+        robot = Robot(lab, 10.0, link=ComingBack)
         deliver = robot.link.deliver
         lab.at(HOST_0 + SECOND, lambda: setattr(robot.link, "deliver", lambda data: None))
         lab.at(HOST_0 + 6 * SECOND, lambda: setattr(robot.link, "deliver", deliver))
@@ -85,7 +126,7 @@ class TestRobot:
 class TestBox:
     def test_not_for_ever(self, lab, path):
         box = Box(lab, ComingBack)
-        lose(lab, box.link, 2.0, 1e6, "unplugged")
+        lose(lab, box.link, 2.0, 1e6, LinkError("unplugged"))
         summary = run(lab, box, path, None, patience_s=5.0)
         assert (summary.reason, summary.text) == ("link lost", "unplugged; it did not come back in 5 s")
         assert WAITS_S == 600.0

@@ -21,7 +21,10 @@ def recorded(tmp_path, capsys, talk, address):
     """The session of a robot that talks and then closes its stream, and what inspect says of the robot."""
     out = tmp_path / "s.mcap"
     with box_on_a_socket() as (_, device), server(talk) as peer:
-        assert main(["record", "--device", device, "--robot", address.format(peer), "--out", str(out)]) == 0
+        assert (
+            main(["record", "--device", device, "--robot", address.format(peer), "--patience", "0", "--out", str(out)])
+            == 0
+        )
     capsys.readouterr()
     assert main(["inspect", str(out), "--json"]) == 0
     return out, json.loads(capsys.readouterr().out)["robot"]

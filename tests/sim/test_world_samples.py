@@ -180,6 +180,13 @@ def test_the_robots_lines_end_half_a_second_after_the_last_dwell():
     assert WORLD.robot_lines(end, end + 10**9)[1] == []
 
 
+def test_a_controller_goes_on_when_its_program_has_ended():
+    end = WORLD.robot_end_ns
+    states = WORLD.robot_states(end, end + 10**9)
+    assert len(states.t) == 50
+    assert np.ptp(states.q_cmd, axis=0).max() == 0.0
+
+
 def test_the_truth_is_what_was_asked_for():
     params = WORLD.params + 0.0
     params[0] += 1e-3

@@ -50,6 +50,11 @@ class Course:
         """Lines of the plan."""
         return sum(row.get("move") == "line" for row in self.rows)
 
+    @property
+    def complete(self) -> bool:
+        """Whether all of a plan was taken."""
+        return bool(self.rows) and len(self.done) == self.planned and self.lines >= self.planned_lines
+
     def pairings(self) -> list[dict[str, str]]:
         """All pairings of the plan in their order, each once."""
         found: list[dict[str, str]] = []

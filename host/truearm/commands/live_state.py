@@ -60,6 +60,7 @@ class LiveState:
         self._near_end: set[str] = set()  # channels
         self._asked: dict[str, str] | None = None
         self._lost = (0, 0)
+        self._complete = course.complete
 
     # --- what comes
 
@@ -170,6 +171,7 @@ class LiveState:
         if other:
             planned = ", ".join(f"{key} {row[key]}" for key in other)
             self.said.append(f"warning: pose {pose} is planned with {planned}; mounted is {words_of(course.mounted)}")
+        self._say_complete()
 
     def _ended(self, seen: Seen | None) -> None:
         if seen is not None and not self._counted and self._may_count():
@@ -201,6 +203,12 @@ class LiveState:
         self.said.append(self.last)
         fields: dict[str, Any] = {"length_m": length, "speed_m_s": speed}
         self.wishes.append(Wish("line", fields if row is None else {**fields, "pose": row}))
+        self._say_complete()
+
+    def _say_complete(self) -> None:
+        if self.course.complete and not self._complete:
+            self._complete = True
+            self.said.append("all of the plan is taken; q and Enter end the recording")
 
     def _lines_alone(self) -> bool:
         """Whether the plan has no dwells: then a stop is none."""

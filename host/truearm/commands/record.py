@@ -53,10 +53,10 @@ def record(
         float | None, typer.Option(metavar="HZ", help="Samples a second (1000); the nearest of the box's rates.")
     ] = None,
     duration: Annotated[
-        float | None, typer.Option(metavar="S", help="End after so many seconds; default: with the robot, or Ctrl-C.")
+        float | None, typer.Option(metavar="S", help="End after so many seconds; default: as above.")
     ] = None,
     patience: Annotated[
-        float, typer.Option(metavar="S", help="How long to wait for a box or robot whose link was lost.")
+        float, typer.Option(metavar="S", help="How long to wait for a box or robot whose link was lost; 0: not.")
     ] = _PATIENCE_S,
     plain: Annotated[
         bool, typer.Option("--plain", help="A line an event and one a second, as when there is no terminal.")
@@ -68,8 +68,9 @@ def record(
 ) -> None:
     """Record a sensor box and a robot into a session file.
 
-    Ends when the robot closes its stream, after --duration, with Ctrl-C or with q and Enter; each completes the file. An earlier
-    file is overwritten (--force) only once the box has started. On a terminal lines may be typed meanwhile: Enter confirms
+    Ends with Ctrl-C, with q and Enter, after --duration, when the robot says that it has ended (docs/robots.md), or when a box or a
+    robot that was lost or closed its stream did not come back in --patience; each completes the file. An earlier file is overwritten
+    (--force) only once the box has started. On a terminal lines may be typed meanwhile: Enter confirms
     the pairing that was asked for, bar=NAME,chuck=NAME,sphere=NAME or line=NAME,target=NAME says another one, note TEXT is kept.
 
     \b

@@ -78,7 +78,8 @@ def record_request(request: Request) -> None:
     out = work.out
     where = f"what came is in {out}" if kept else "nothing was recorded"
     if kept:
-        typer.echo(f"{out}: {_totals(summary)}; ended: {summary.reason}")
+        why = f" ({summary.text})" if summary.reason == "robot closed" else ""
+        typer.echo(f"{out}: {_totals(summary)}; ended: {summary.reason}{why}")
         for fault in summary.faults:
             typer.echo(f"{out}: {fault}")
     if view.failure:

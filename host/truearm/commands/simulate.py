@@ -82,8 +82,8 @@ def simulate(
     """Simulate a sensor box and a robot in real time, on this machine's loopback.
 
     The firmware's own files run in a real MicroPython (in CPython, and it says so, where there is none), or with --level chip in an
-    emulated RP2040, whose time may fall behind the wall clock's on a slow machine. Time starts with the first connection. Ends with
-    the robot's program, or with Ctrl-C.
+    emulated RP2040, whose time may fall behind the wall clock's on a slow machine. Time starts with the first connection. Ends when the
+    robot's program has ended and the recorder has gone, or with Ctrl-C.
 
     Example: truearm simulate, and in another terminal the truearm record line that it prints. With a plan of your own:
     truearm simulate --plan plan.csv --rig-file rig.toml
@@ -126,10 +126,16 @@ def simulate(
     )
     try:
         slow = CHIP_STEP_NS if level == "chip" else None
+        goes_on = "; its controller goes on, so end the recording with q" if robot == "rtde" else ""
         serve(
-            world, box, box_port, robot_end, started=lambda: typer.echo("connected: time starts"), longest_step_ns=slow
+            world,
+            box,
+            box_port,
+            robot_end,
+            started=lambda: typer.echo("connected: time starts"),
+            ended=lambda: typer.echo(f"the robot's program has ended{goes_on}"),
+            longest_step_ns=slow,
         )
-        typer.echo("the robot's program has ended")
     finally:
         box.close()
         box_port.close()

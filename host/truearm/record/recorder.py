@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping
 from operator import itemgetter
 from typing import Any
 
-from truearm.errors import LinkError, ProtocolError, TruearmError
+from truearm.errors import LinkClosed, LinkError, ProtocolError, TruearmError
 from truearm.record.intake import Answer, Intake
 from truearm.record.links import Clock, Link, Reopenable, backlog_of
 from truearm.record.operator import Operator
@@ -69,9 +69,9 @@ def record(
 ) -> RecordSummary:
     """Identify, configure and start the box, then record until the end; completes and closes the session file.
 
-    The end: ``duration_s`` after the start, the robot closing its stream or sending no reading in 5 s, ``until()`` or
-    ``interrupted()`` turning true (both asked at least every 50 ms), KeyboardInterrupt, the operator's wish, or a lost link that
-    cannot be opened again, or not within ``patience_s``. A writer that is held is kept once the box has started. ``plan``: one mapping a
+    The end: ``duration_s`` after the start, the robot saying that it has ended or sending no reading in 5 s, ``until()`` or
+    ``interrupted()`` turning true (both asked at least every 50 ms), KeyboardInterrupt, the operator's wish, or a link, lost or
+    closed, that cannot be opened again, or not within ``patience_s``. A writer that is held is kept once the box has started. ``plan``: one mapping a
     pose, as ``/plan`` holds them. ``osr`` is configured on every stream that has one; None leaves them.
     ``progress`` is called four times a second. ``head``: metadata to write first, name and entries. The links stay open.
 
@@ -230,7 +230,8 @@ class _Recorder:
         if robot.end is not None:
             raise _Ended("robot closed" if robot.closed else "robot lost", str(robot.end))
         if robot.lost_ns is not None and self._clock.now_ns() - robot.lost_ns > self._patience_ns:
-            raise _Ended("robot lost", f"{robot.lost_text}; it did not come back in {self._patience_ns / SECOND:g} s")
+            reason = "robot closed" if isinstance(robot.lost, LinkClosed) else "robot lost"
+            raise _Ended(reason, f"{robot.lost}; it did not come back in {self._patience_ns / SECOND:g} s")
         waited_ns = 0 if self._started_ns is None else self._clock.now_ns() - self._started_ns
         if waited_ns >= ROBOT_NS and not self._counters.robot_lines and robot.lost_ns is None:
             raise _Ended("no readings", f"no joint reading of the robot in {ROBOT_NS / SECOND:g} s; {EXPECTED}")

@@ -1,9 +1,14 @@
 """A robot's joint readings: JSON lines over a link, told apart from everything else that a robot may print.
 
 Like a box's bytes they are stored before anything is made of them, line by line as they came.
+
+A connection that closes says nothing of why: a controller that is started anew, a program that crashed and one that is done all close
+it in order. So the robot is waited for as after any loss, and the program that is done says so before, by the line ``END``.
 """
 
 from __future__ import annotations
+
+import json
 
 from truearm.errors import LinkClosed, LinkError, ProtocolError
 from truearm.record.frames import Runs
@@ -16,6 +21,7 @@ from truearm.sensors.joints import parse_reading
 MAX_LINE = 8192  # bytes
 MAX_RUBBISH = 1 << 20  # bytes without a reading between them; a robot that sends so many is none
 SILENCE_S = 3.0
+END = b'{"end": true}'
 EXPECTED = 'expected are lines such as {"t": 1.5, "seq": 3, "q": [0.1, -2.0]}'
 
 
@@ -50,13 +56,14 @@ class JointLines:
 
 
 class RobotIntake:
-    """The robot's side of a recording. ``end`` is the error that ended its stream, None while it runs or may come back;
-    ``lost_ns``: since when it may come back, ``heard_ns`` when the last reading came."""
+    """The robot's side of a recording. ``end`` is what ended its stream, None while it runs or may come back;
+    ``lost``: by what, and ``lost_ns``: since when it is away and may come back, which its first reading does, not its link;
+    ``heard_ns`` when the last reading came."""
 
     def __init__(self, link: Link, writer: SessionWriter, clock: Clock, counters: Counters, operator: Operator) -> None:
         self.end: LinkError | None = None
         self.lost_ns: int | None = None
-        self.lost_text = ""
+        self.lost: LinkError | None = None
         self.heard_ns: int | None = None
         self._link = link
         self._writer = writer
@@ -67,10 +74,10 @@ class RobotIntake:
         self._rubbish = 0  # bytes since the last reading
         self._silent = False
         self._last: bytes = b""  # reading
-        self._returning = False  # the link is back, and the first reading is awaited
+        self._linked = True
 
     def read(self) -> Arrivals:
-        """What has arrived, without waiting; nothing after the end, while the link is lost, or of a stream that is none."""
+        """What has arrived, without waiting; nothing after the end, while there is no link, or of a stream that is none."""
         if self.end is not None or self.rubbish or not self._opened():
             return []
         try:
@@ -93,31 +100,31 @@ class RobotIntake:
 
     def _opened(self) -> bool:
         """Whether there is a link; a lost one is opened again meanwhile."""
-        if self.lost_ns is None:
-            return True
-        if not isinstance(self._link, Reopenable) or not self._link.reopen(0.0):
-            return False
-        self.lost_ns, self._returning = None, True
-        return True
+        if not self._linked:
+            self._linked = isinstance(self._link, Reopenable) and self._link.reopen(0.0)
+        return self._linked
 
     def _lost(self, error: LinkError) -> None:
         now_ns = self._clock.now_ns()
         self.flush(now_ns)
-        final = not isinstance(self._link, Reopenable) or isinstance(error, LinkClosed | ProtocolError)
-        if final:
+        self._linked = False
+        if self._is_final(error):
             self.end = error
-        elif self._returning:  # it was not back
-            self.lost_ns = now_ns if self.heard_ns is None else self.heard_ns
+        elif self.lost_ns is not None:  # the link was back, the robot was not
             return
         else:
             self.lost_ns = now_ns
             self._counters.robot_losses += 1
-        self.lost_text = str(error)
+        self.lost = error
         self._writer.event("robot-closed" if self.closed else "robot-lost", now_ns, text=str(error))
+
+    def _is_final(self, error: LinkError) -> bool:
+        never = isinstance(error, LinkClosed) and self.heard_ns is None  # it sent no reading: it is none, or has none
+        return not isinstance(self._link, Reopenable) or isinstance(error, ProtocolError) or never
 
     def _back(self, t_host_ns: int, line: bytes) -> None:
         """The first reading behind a loss: how long it lasted, and how many readings went with it, if the robot counts them."""
-        self._returning = False
+        self.lost_ns = None
         before, after = parse_reading(self._last), parse_reading(line)
         lost = None
         if before and after and None not in (before.seq, after.seq) and after.t > before.t and after.seq > before.seq:  # type: ignore[operator]
@@ -134,14 +141,14 @@ class RobotIntake:
 
     @property
     def closed(self) -> bool:
-        """Whether the robot ended its stream in order."""
+        """Whether the robot ended its stream, and did not lose it."""
         return isinstance(self.end, LinkClosed)
 
     def take(self, t_host_ns: int, data: bytes) -> None:
         """Store bytes that arrived."""
         for is_joints, line in self._lines.push(data):
             if is_joints:
-                if self._returning:
+                if self.lost_ns is not None:
                     self._back(t_host_ns, line)
                 self._rubbish = 0
                 self._counters.robot_lines += 1
@@ -150,6 +157,9 @@ class RobotIntake:
                 self._operator.reading(t_host_ns, line)
             else:
                 self._store_console(t_host_ns, line)
+                if _is_end(line) and self.end is None:
+                    self.end = LinkClosed(f"{self._link.name}: the robot says that it has ended")
+                    self._writer.event("robot-closed", t_host_ns, text=str(self.end))
         self._counters.robot_other_joints = self._lines.other_joints
 
     def flush(self, t_host_ns: int) -> None:
@@ -162,3 +172,12 @@ class RobotIntake:
         self._rubbish += len(data)
         self._counters.robot_console_bytes += len(data)
         self._writer.add("/robot/console", t_host_ns, data)
+
+
+def _is_end(line: bytes) -> bool:
+    if b'"end"' not in line:
+        return False
+    try:
+        return bool(json.loads(line) == json.loads(END))
+    except (ValueError, RecursionError):
+        return False

@@ -47,7 +47,7 @@ class Status:
 class RecordSummary:
     """How a recording ended.
 
-    ``reason`` is "duration", "robot closed", "robot lost", "no readings", "interrupted", "until" or "link lost"; ``text``
+    ``reason`` is "duration", "operator", "robot closed", "robot lost", "no readings", "interrupted", "until" or "link lost"; ``text``
     explains what was lost or closed. ``duration_s`` runs from the start of the stream. ``faults`` as in ``Status``.
     ``box_gone``: why the box could not be stopped, "" if it was; ``heard_s`` of the recording it was heard.
     """
