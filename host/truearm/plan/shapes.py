@@ -113,8 +113,12 @@ def _bar_is_clear(shapes: Shapes, ends: Floats, pose: Floats, mounted: Mounted) 
     return np.asarray(good)
 
 
-def device_is_clear(shapes: Shapes, q: Floats, start: Floats, end: Floats) -> bool:
-    """Whether a line device along start–end (3,) touches neither table nor posts, nor the arm up to its wrist at any q (n, j)."""
+def device_is_clear(shapes: Shapes, q: Floats, start: Floats, end: Floats, carried: bool = True) -> bool:
+    """Whether a line device along start–end (3,) touches neither table nor posts, nor the arm up to its wrist at any q (n, j).
+
+    The arm is not looked at where the magnet is not ``carried`` beyond the end's origin: there the device would touch the
+    flange anyway, so whatever carries the magnet is still to be described.
+    """
     sizes = shapes.sizes
     out = sizes.rod_end * (end - start) / np.linalg.norm(end - start)
     start, end = start - out, end + out
@@ -123,7 +127,7 @@ def device_is_clear(shapes: Shapes, q: Floats, start: Floats, end: Floats) -> bo
     for chuck in shapes.p_posts:
         if segment_distance(_foot(chuck, sizes), chuck, start, end) < sizes.post + sizes.rod:
             return False
-    return bool(_wrist_is_clear(shapes, body_ends(shapes, q), start, end, sizes.rod).all())
+    return not carried or bool(_wrist_is_clear(shapes, body_ends(shapes, q), start, end, sizes.rod).all())
 
 
 def _wrist_is_clear(shapes: Shapes, ends: Floats, start: Floats, end: Floats, radius: float) -> NDArray[np.bool_]:

@@ -159,7 +159,7 @@ def _fits(
     if not all_allowed(site, way, None, limits) or (smallest_singular_value(site, way) < limits.singular_value).any():
         return False
     ends = point_forward(site.arm.chain, site.arm.params, q[[0, -1]], point)
-    if not device_is_clear(site.shapes, way, *ends):
+    if not device_is_clear(site.shapes, way, ends[0], ends[1], bool(point.any())):
         return False
     return 2.0 * straightness(site, q[1::2], along, point) < 0.5 * shape.transverse
 
