@@ -61,7 +61,9 @@ class Arm:
 
 
 # Backlash of a gear or two that should be replaced, brakes that let go late, links that swing on, encoders with noise.
-WORN = Arm(backlash=(4e-4, 2e-4, 3e-4, 5e-4, 2e-4, 8e-4), lag=3e-4, lag_s=0.05, swing=1e-4, swing_s=0.05, reading_sigma=2e-5)
+WORN = Arm(
+    backlash=(4e-4, 2e-4, 3e-4, 5e-4, 2e-4, 8e-4), lag=3e-4, lag_s=0.05, swing=1e-4, swing_s=0.05, reading_sigma=2e-5
+)
 
 
 def last_direction(delta: Floats) -> Floats:

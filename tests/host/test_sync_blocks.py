@@ -8,8 +8,10 @@ import pytest
 from blocks_bench import BLOCK_NS, COUNTS, account, box_with, data_places, read
 from sync_stream import PERIOD_NS, Box, ident_document
 
+from truearm.sensors.data import Data
 from truearm.sensors.ident import parse_ident
 from truearm.sync.losses import Losses
+from truearm.sync.streams import StreamTrack
 from truearm.types import Message
 from truearm_wire import messages as wire
 from truearm_wire.cbor import Tag
@@ -62,6 +64,18 @@ def test_a_run_that_is_no_text_counts_as_a_number():
     box.messages.insert(0, Message("/box/console", 5, b"\x80\x81"))
     _, reader = read(box.messages)
     assert str(reader.losses().console_text_runs) == "0"
+
+
+def test_what_a_box_lost_before_it_was_started_is_not_the_sessions():
+    """A killed recorder left it streaming: old blocks of its ring, a jump to those of now, the new start, and a loss behind that."""
+    track = StreamTrack()
+    for t0_us, n0 in enumerate((5000, 5013, 10_200, 10_213, 0, 13, 39)):
+        track.take(Data(0, 0, n0, 13_000 * t0_us, 983_040, b"", bytes(13 * 16), 0), 13, 0)
+    assert (track.samples_overrun, track.starts, track.pieces) == (13, 1, 2)
+    joined = StreamTrack()
+    for t0_us, n0 in enumerate((5000, 5026)):  # never started: what is missing is missing
+        joined.take(Data(0, 0, n0, 13_000 * t0_us, 983_040, b"", bytes(13 * 16), 0), 13, 0)
+    assert (joined.samples_overrun, joined.pieces) == (13, 2)
 
 
 def test_lost_frame():

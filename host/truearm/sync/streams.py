@@ -2,6 +2,9 @@
 
 ``n0`` counts samples. A jump with frames lost since the stream's last block: the samples went with them; without: the box
 overran. ``n0`` that falls back without a restart is a new ``start``, a new run.
+
+A box that a killed recorder left streaming still holds blocks of then. The next one stops it and starts it anew: what was missing before
+that start is not the session's loss.
 """
 
 from __future__ import annotations
@@ -43,6 +46,7 @@ class StreamTrack:
     samples_overrun: int = 0
     converter_faults: int = 0
     starts: int = 0
+    joined: bool = False  # the box was sampling before the session began, and was not started by it yet
     period_ns: int = 0
     last_t0_us: int = 0
     last_n: int = 0
@@ -75,9 +79,12 @@ class StreamTrack:
         if expected is None:
             # Joined, or restarted. Without a frame lost the box had been sampling before the session began.
             missing = data.n0 if with_frames else 0
+            self.joined = not (self.blocks or with_frames) and data.n0 > 0
         elif data.n0 < expected:
             self.starts += 1
             self.run += 1
+            if self.joined:
+                self.joined, self.samples_overrun, self.pieces = False, 0, 0
             missing = data.n0
         else:
             missing = data.n0 - expected
