@@ -41,8 +41,8 @@ class View(Operator):
     """``unchecked``: what would refuse the box is only said."""
 
     def __init__(self, state: LiveState, purpose: Purpose, unchecked: bool = False) -> None:
-        self.failure = ""
-        self.missed = 0
+        self._failure = ""
+        self._missed = 0
         self._state, self._purpose, self._unchecked = state, purpose, unchecked
         self._queue: deque[tuple[Any, ...]] = deque()
         self._wishes: deque[Wish] = deque()
@@ -96,9 +96,20 @@ class View(Operator):
         if len(self._queue) < WAITING:
             self._queue.append(item)
         else:
-            self.missed += 1
+            self._missed += 1
 
     # --- the view's side
+
+    def failed(self, text: str) -> None:
+        """It shows nothing any more."""
+        self._failure = text
+
+    @property
+    def trouble(self) -> str:
+        """What the view did not show, "" if nothing: dwells that it did not see are not in the file's events either."""
+        if self._failure:
+            return f"the view failed ({self._failure}); the recording did not"
+        return f"the view stood still and missed {self._missed} pieces; the recording did not" if self._missed else ""
 
     def take(self) -> tuple[list[str], Status | None]:
         """Work off what waits; the lines that are to be said now, and the newest status."""
@@ -237,7 +248,7 @@ def _run(view: View, show: _Live | _Plain, stop: threading.Event, period_s: floa
             said, status = view.take()
             show.show(said, status, view, over)
     except Exception as exc:  # whatever it is, the recording is worth more than its view
-        view.failure = f"{type(exc).__name__}: {exc}"
+        view.failed(f"{type(exc).__name__}: {exc}")
 
 
 class _Plain:

@@ -82,8 +82,8 @@ def record_request(request: Request) -> None:
         typer.echo(f"{out}: {_totals(summary)}; ended: {summary.reason}{why}")
         for fault in summary.faults:
             typer.echo(f"{out}: {fault}")
-    if view.failure:
-        typer.echo(f"the view failed ({view.failure}); the recording did not", err=True)
+    if view.trouble:
+        typer.echo(view.trouble, err=True)
     if summary.reason == "interrupted":
         if not kept:
             typer.echo("interrupted before the box had started; nothing was recorded", err=True)
