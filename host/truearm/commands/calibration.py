@@ -17,6 +17,8 @@ from truearm.model.poses import six_of
 from truearm.model.robot import builtin_names
 from truearm.types import Floats
 
+LARGEST_JOINT = 100.0  # rad, m
+
 
 class Calibration(NamedTuple):
     """A robot's chain with its nominal and identified parameters (p,)."""
@@ -27,6 +29,8 @@ class Calibration(NamedTuple):
     joint_units: tuple[str, ...]
     robot: str  # what --robot names
     stored: StoredResult
+    covariance: Floats  # (p, p) of the parameters
+    unseen: Floats  # (p, d) directions that the observations did not see, the largest weight of each being 1
 
 
 def read_calibration(result: Path, robot: str | None, base: str | None = None, tip: str | None = None) -> Calibration:
@@ -57,7 +61,8 @@ def read_calibration(result: Path, robot: str | None, base: str | None = None, t
         )
     if not np.isfinite(identified).all() or not np.abs(identified).max() < 1e4:
         raise InputError(f"{result}: a parameter's value is missing or absurd; identify again")
-    return Calibration(chain, nominal, identified, joint_units(chain), robot, stored)
+    known = _covariance(stored, names), _unseen(result, stored, names)
+    return Calibration(chain, nominal, identified, joint_units(chain), robot, stored, *known)
 
 
 def check_names(*paths: Path | None) -> None:
@@ -92,7 +97,10 @@ def joints_of(option: str, text: str | None, units: tuple[str, ...]) -> Floats |
     if text is None:
         return None
     scale = np.array([math.radians(1.0) if unit == "rad" else 1e-3 for unit in units])
-    return scale * numbers_of(option, text, len(units))
+    q = scale * numbers_of(option, text, len(units))
+    if np.abs(q).max() > LARGEST_JOINT:
+        raise InputError(f"{option} {text[:60]}: no joint goes so far")
+    return q
 
 
 def numbers_of(option: str, text: str, count: int) -> Floats:
@@ -106,14 +114,19 @@ def numbers_of(option: str, text: str, count: int) -> Floats:
     return values
 
 
-def uncertainty_of(calibration: Calibration) -> tuple[Floats, Floats]:
-    """The robot's covariance (p, p) and the directions (p, d) that were not seen. Raises InputError."""
-    names, stored = calibration.chain.parameter_names, calibration.stored
+def _covariance(stored: StoredResult, names: tuple[str, ...]) -> Floats:
+    """(p, p) of the robot's parameters, 0 for what was held."""
     at = {name: i for i, name in enumerate(names)}
     covariance = np.zeros((len(names), len(names)))
     rows = [i for i, name in enumerate(stored.covariance_names) if name in at]
     to = [at[stored.covariance_names[i]] for i in rows]
     covariance[np.ix_(to, to)] = np.nan_to_num(stored.covariance[np.ix_(rows, rows)])
+    return covariance
+
+
+def _unseen(result: Path, stored: StoredResult, names: tuple[str, ...]) -> Floats:
+    """(p, d) the robot's part of the null space. Raises InputError."""
+    at = {name: i for i, name in enumerate(names)}
     try:
         directions = list(stored.document["null_space"])
         unseen = np.zeros((len(names), len(directions)))
@@ -121,6 +134,8 @@ def uncertainty_of(calibration: Calibration) -> tuple[Floats, Floats]:
             for name, weight in zip(direction["names"], direction["weights"], strict=True):
                 if name in at:
                     unseen[at[name], k] = float(weight)
-    except (TypeError, ValueError, KeyError) as exc:
-        raise InputError(f"the result's null_space has the wrong form: {exc}") from exc
-    return covariance, unseen
+    except (TypeError, ValueError, KeyError, OverflowError) as exc:
+        raise InputError(f"{result}: its null_space has the wrong form: {exc}") from exc
+    if not np.isfinite(unseen).all():
+        raise InputError(f"{result}: its null_space has weights that are no numbers")
+    return unseen

@@ -116,14 +116,15 @@ def free_parameters(
 
     Raises InputError for a pattern that matches nothing and where no parameter is left.
     """
-    chosen = (_matching(names, "--free", free) if free else default) | _matching(names, "--also-free", also)
-    mask: Mask = chosen & ~_matching(names, "--freeze", freeze)
+    chosen = (matching(names, "--free", free) if free else default) | matching(names, "--also-free", also)
+    mask: Mask = chosen & ~matching(names, "--freeze", freeze)
     if not mask.any():
         raise InputError("no parameter is left to identify; see --free and --freeze")
     return mask
 
 
-def _matching(names: Sequence[str], option: str, given: Sequence[str]) -> Mask:
+def matching(names: Sequence[str], option: str, given: Sequence[str]) -> Mask:
+    """Mask (p,) of the names that match one of an option's patterns. Raises InputError for one that matches nothing."""
     mask = np.zeros(len(names), dtype=bool)
     for pattern in (pattern.strip() for text in given for pattern in _parts(text, names)):
         matches = np.array([fnmatchcase(name, pattern) for name in names])

@@ -18,7 +18,6 @@ from truearm.commands.calibration import (
     mounting_lines,
     numbers_of,
     read_calibration,
-    uncertainty_of,
 )
 from truearm.commands.terminal import one_line
 from truearm.correct.correction import Correction, correct
@@ -207,9 +206,8 @@ def _doubts(calibration: Calibration, q: Floats, own_frames: bool) -> list[str]:
     doubts = []
     if calibration.stored.status != "converged":
         doubts.append(f"The fit had stopped early ({one_line(calibration.stored.status)[:40]}).")
-    _, unseen = uncertainty_of(calibration)
     _, jac, _ = point_jacobians(calibration.chain, calibration.identified, q, np.zeros(3))
-    if np.abs(jac @ unseen).max(initial=0.0) > MOVES:
+    if np.abs(jac @ calibration.unseen).max(initial=0.0) > MOVES:
         remedy = "" if own_frames else " With --own-frames base and tool stay out of the correction."
         doubts.append(
             "Combinations of parameters that the observations did not see move the end, how base or tool are mounted perhaps: "

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.commands.calibration import Calibration, check_names, mounting_lines, read_calibration
-from truearm.commands.choice import free_parameters
+from truearm.commands.choice import matching
 from truearm.commands.terminal import one_line
 from truearm.errors import InputError
 from truearm.export.own import Own, own
@@ -68,7 +68,7 @@ def _fitted(calibration: Calibration, choice: Choice) -> Refit:
     adjustable = np.ones(identified.size, dtype=bool)
     start = identified.copy()
     if choice.adjust:
-        adjustable = free_parameters(chain.parameter_names, adjustable, choice.adjust, ())
+        adjustable = matching(chain.parameter_names, "--adjust", choice.adjust)
         start = np.where(adjustable, identified, calibration.nominal)
     if choice.form in WITHOUT_GAINS:
         adjustable = adjustable & ~gains

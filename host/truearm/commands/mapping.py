@@ -17,7 +17,6 @@ from truearm.commands.calibration import (
     chosen_mountings,
     joints_of,
     read_calibration,
-    uncertainty_of,
 )
 from truearm.commands.terminal import one_line
 from truearm.correct.error_map import ErrorMap, Region, best_region, error_map
@@ -70,9 +69,12 @@ def _mapped(calibration: Calibration, choice: Choice) -> tuple[ErrorMap, Region 
     chain = calibration.chain
     pair = Pair(chain, calibration.nominal, calibration.identified, chosen_mountings(calibration, choice.own_frames))
     q = joints_of("--at", choice.at, calibration.joint_units)
-    covariance, unseen = uncertainty_of(calibration)
     q = np.zeros(len(chain.joints)) if q is None else q
-    found = error_map(pair, q, _pair_of(choice.vary, q.size), choice.cell, covariance, unseen, choice.elbow_up)
+    varied = _pair_of(choice.vary, q.size)
+    for i, joint in enumerate(chain.joints):
+        if choice.at and i not in varied and not joint.lower <= q[i] <= joint.upper:
+            raise InputError(f"--at {choice.at[:60]}: joint {i + 1} would be outside its limits")
+    found = error_map(pair, q, varied, choice.cell, calibration.covariance, calibration.unseen, choice.elbow_up)
     return found, best_region(found, *_size_of(choice.task)) if choice.task else None
 
 

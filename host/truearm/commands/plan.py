@@ -29,7 +29,7 @@ class Criterion(StrEnum):
 RobotOption = Annotated[str, typer.Option(metavar="ROBOT", help="Built-in robot, robot file (.toml) or URDF.")]
 RigOption = Annotated[Path, typer.Option(metavar="FILE", help="Chucks, spheres, bars, targets (.toml).")]
 MinutesOption = Annotated[
-    float | None, typer.Option(min=1.0, metavar="M", help="Budget in an operator's minutes, at most.")
+    float | None, typer.Option(min=1.0, max=100_000.0, metavar="M", help="Budget in an operator's minutes, at most.")
 ]
 CriterionOption = Annotated[
     Criterion,
@@ -97,7 +97,7 @@ def ballbar(
     spread_mm: Annotated[
         float, typer.Option(min=0.0, metavar="MM", help="Vary the bar's length about mid-travel, to tell its gain.")
     ] = 0.0,
-    dwell_s: Annotated[float, typer.Option(min=0.5, metavar="S", help="Rest at a pose.")] = 2.0,
+    dwell_s: Annotated[float, typer.Option(min=0.5, max=600.0, metavar="S", help="Rest at a pose.")] = 2.0,
     seed: SeedOption = 0,
     out: OutOption = None,
     program: ProgramOption = None,
@@ -197,7 +197,7 @@ def characterize(
     result: ResultOption = None,
     branch: BranchOption = None,
     reserve_mm: ReserveOption = None,
-    dwell_s: Annotated[float, typer.Option(min=1.5, metavar="S", help="Rest at a pose.")] = 2.0,
+    dwell_s: Annotated[float, typer.Option(min=1.5, max=600.0, metavar="S", help="Rest at a pose.")] = 2.0,
     seed: SeedOption = 0,
     out: OutOption = None,
     program: ProgramOption = None,

@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import typer
 
+from truearm.commands.calibration import read_calibration
 from truearm.commands.inputs import observed
 from truearm.commands.resuming import with_parts
 from truearm.errors import InputError
 from truearm.files.disk import check_writable, write_atomic
 from truearm.files.plan import write_plan
-from truearm.files.result import read_result
 from truearm.files.rig import read_rig, write_rig
 from truearm.files.robot import joint_units, load_robot, robot_file
 from truearm.model.robot import Robot
@@ -275,7 +275,7 @@ def _check_finite(**given: float | None) -> None:
 def _known(common: Common) -> Known:
     """Robot, rig, model and what was measured, from files."""
     loaded = load_robot(common.robot)
-    params, values = _model(loaded, common.result)
+    params, values = _model(common.robot, loaded, common.result)
     around = with_rig_values(read_rig(common.rig), values)
     table = None
     if common.measured:
@@ -285,17 +285,15 @@ def _known(common: Common) -> Known:
     return Known(loaded.chain, around, params, loaded.free, table, values)
 
 
-def _model(robot: Robot, result: Path | None) -> tuple[Floats, dict[str, float]]:
+def _model(given: str, robot: Robot, result: Path | None) -> tuple[Floats, dict[str, float]]:
     """Parameters (p,) to plan with, and what is known of the rig by name."""
     if result is None:
         return robot.chain.params_nominal, {}
-    stored = read_result(result)
-    found = dict(zip(stored.parameter_names, stored.value.tolist(), strict=True))
-    missing = [name for name in robot.chain.parameter_names if name not in found]
-    if missing or stored.robot.name != robot.chain.name:
-        raise InputError(f"{result}: is of robot {stored.robot.name}, not of {robot.chain.name}")
-    params = np.array([found[name] for name in robot.chain.parameter_names])
-    return params, {name: value for name, value in found.items() if np.isfinite(value)}
+    found = read_calibration(result, given)
+    if found.chain.parameter_names != robot.chain.parameter_names:
+        raise InputError(f"{result}: is of other links of {given} than are planned for")
+    values = dict(zip(found.stored.parameter_names, found.stored.value.tolist(), strict=True))
+    return found.identified, {name: value for name, value in values.items() if np.isfinite(value)}
 
 
 def _check_travel(known: Known, reserve: float, spread_mm: float) -> None:

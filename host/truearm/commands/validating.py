@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.commands.calibration import Calibration, read_calibration, uncertainty_of
+from truearm.commands.calibration import Calibration, read_calibration
 from truearm.commands.inputs import check_files, hashed_inputs, observed
 from truearm.commands.resuming import with_parts
 from truearm.commands.rigs import rig_files
@@ -47,7 +47,7 @@ def validation_document(
             f"{inputs[0]}: no row can judge: each fits unknowns of the rig whatever it says; measure more there"
         )
     errors = before.error, after.error
-    due = _scaled(expected(after, *uncertainty_of(calibration)), calibration.stored.document)
+    due = _scaled(expected(after, calibration.covariance, calibration.unseen), calibration.stored.document)
     inputs_then = calibration.stored.document.get("inputs")
     seen = {
         str(entry.get("sha256"))

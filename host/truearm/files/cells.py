@@ -45,7 +45,7 @@ def read_cells(text: str, name: str) -> tuple[list[str], list[Row]]:
     except csv.Error as exc:
         raise TableError(f"{name} row {reader.line_num}: is not CSV: {exc}") from exc
     if not rows:
-        raise TableError(f"{name}: is empty; a table begins with a header row such as kind,q1_rad,...,length_mm")
+        raise TableError(f"{name}: is empty; a table has a header row, and rows below it")
     header = rows[0].cells
     if len(header) == 1 and re.search(r"[;\t]", header[0]):
         raise TableError(f"{name}: columns are separated by ';' or tabs; separate them by commas")

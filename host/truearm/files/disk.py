@@ -115,7 +115,7 @@ def _check_writable(path: Path, inputs: Iterable[Path], ours: Callable[[bytes], 
         raise InputError(f"{path}: is a directory; give the name of a file to write")
     _check_regular(path)
     if any(same_file(path, other) for other in inputs):
-        raise InputError(f"{path}: is also read, and would be overwritten; give another name")
+        raise InputError(f"{path}: is also read or written by this command; give another name")
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist; create it first")
     if not os.access(path.parent, os.W_OK):

@@ -1,0 +1,283 @@
+"""The worst that strangers gave to plan, correct, map, export and validate: one clear line, exit code 2, nothing written or changed."""
+
+import json
+import shutil
+
+import pytest
+from tests.host import correct_bench
+from tests.host import plan_bench as bench
+from tests.host.command_line import told
+from tests.host.puma_bench import RIG, SIGMA, TRUTH, lengths
+from tests.host.puma_bench import table as rows_of
+from tests.host.target_bench import rapid, script, table
+
+from truearm.files.rig import write_rig
+from truearm.files.table import write_table
+
+CORRECT = "correct result.json targets.csv --out new.csv"
+PLAN = "plan ballbar --robot irb120 --rig irb120.toml --poses 36 --bar bar25 --candidates 60 --out new.csv"
+LINE = "plan line --robot irb120 --rig irb120.toml --lines 2 --candidates 4 --length-mm 200 --out new.csv"
+EXPORT = "export result.json --format urdf --out new.urdf"
+MAP = "map result.json --out new.csv --picture new.svg"
+VALIDATE = "validate result.json rows.csv --rig rig.toml"
+REPLAN = PLAN.replace("irb120", "puma560").replace("puma560.toml", "rig.toml").replace("bar25", "short")
+HEAD = "x_mm,y_mm,z_mm"
+JOINTS = ",".join(f"q{i}_rad" for i in range(1, 7))
+ROBTARGET = "[[500,0,500],[1,0,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]]"
+URDF = """<robot name="puma560"><link name="chuck_fixture"/><link name="m"/><link name="sphere_fixture"/>
+<joint name="a" type="revolute"><parent link="chuck_fixture"/><child link="m"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+<joint name="b" type="fixed"><parent link="m"/><child link="sphere_fixture"/></joint></robot>"""
+
+
+@pytest.fixture(scope="module")
+def origin(tmp_path_factory):
+    """A folder of good files."""
+    folder = tmp_path_factory.mktemp("hostile")
+    correct_bench.write(folder / "result.json", correct_bench.identified())
+    q = correct_bench.good_poses(9)
+    targets = correct_bench.nominal_poses(q)
+    (folder / "targets.csv").write_text(table(targets, q))
+    (folder / "program.mod").write_bytes(rapid(targets, q))
+    (folder / "program.script").write_text(script(targets))
+    (folder / "precious.csv").write_text("precious")
+    write_rig(folder / "rig.toml", RIG)
+    write_rig(folder / "irb120.toml", bench.RIGS["irb120"])
+    pairs = [("c0", "s0")] * len(q)
+    write_table(folder / "rows.csv", rows_of(q, lengths(TRUTH, q, pairs) + SIGMA, pairs), ("rad",) * 6)
+    return folder
+
+
+def result(path, value):
+    """The good result with one field replaced, at a path as parameters/3/value."""
+
+    def change(folder):
+        document = json.loads((folder / "result.json").read_text())
+        *way, last = [int(step) if step.isdigit() else step for step in path.split("/")]
+        at = document
+        for step in way:
+            at = at[step]
+        at[last] = value
+        return json.dumps(document)
+
+    return change
+
+
+def edited(name, old, new):
+    """A good file with a string replaced."""
+
+    def change(folder):
+        was = (folder / name).read_text()
+        assert old in was
+        return was.replace(old, new)
+
+    return change
+
+
+def move(**parts):
+    """A RAPID module with one move."""
+    target = {"x": "500,0,500", "turn": "1,0,0,0", "cf": "0,0,0,0"} | parts
+    return f"MODULE m\nMoveL [[{target['x']}],[{target['turn']}],[{target['cf']}],[9E9,9E9,9E9,9E9,9E9,9E9]],v1,fine,tool0;"
+
+
+def seen_from(joints):
+    return f"kind,{JOINTS},length_mm,bar,chuck,sphere\nball_bar,{joints},460,short,c0,s0\n"
+
+
+def visit(joints, pose=0):
+    return f"pose,shell,bar,chuck,sphere,{JOINTS}\n{pose},s,b,c,s,{joints}\n"
+
+
+ALL = (CORRECT, EXPORT, MAP, VALIDATE, f"{REPLAN} --result result.json")
+READ_BY_ALL = (
+    "empty",
+    "value null",
+    "value huge",
+    "nominal null",
+    "joints in metres",
+    "null space a text",
+    "weights beyond",
+)
+# what stands in the result's place, and what is said of it
+RESULTS = {
+    "empty": ("", "strict JSON"),
+    "binary": (bytes(range(256)), "UTF-8"),
+    "a list": ("[1]", "is not a JSON object"),
+    "deep": ("[" * 60_000 + "]" * 60_000, "nested too deeply"),
+    "cut off": (lambda folder: (folder / "result.json").read_text()[:20000], "strict JSON"),
+    "NaN": (edited("result.json", '"rank_gap": ', '"rank_gap": NaN, "x": '), "NaN is not JSON"),
+    "5000 digits": (edited("result.json", '"format_version": 1', '"format_version": ' + "1" * 5000), "strict JSON"),
+    "tomorrow's": (result("format_version", 99), "has format version 99"),
+    "no parameters": (result("parameters", []), "the covariance names others"),
+    "parameters a text": (result("parameters", "all"), "wrong type"),
+    "value null": (result("parameters/0/value", None), "missing or absurd"),
+    "value true": (result("parameters/0/value", True), "is not a number"),
+    "value huge": (result("parameters/0/value", 1e300), "missing or absurd"),
+    "nominal null": (result("parameters/0/nominal", None), "began from another"),
+    "nominal of another": (result("parameters/0/nominal", 0.5), "began from another"),
+    "free a text": (result("parameters/0/free", "yes"), "is not true or false"),
+    "a name twice": (result("parameters/0/name", "link1.y"), "not unique"),
+    "joints in metres": (result("robot/joint_units", ["m"] * 6), "not those of robot"),
+    "covariance ragged": (result("covariance/matrix/3", [1.0]), "wrong type or shape"),
+    "covariance gone": (result("covariance", None), "wrong type"),
+    "null space a text": (result("null_space", "none"), "null_space has the wrong form"),
+    "null space of lists": (result("null_space", [[1]]), "null_space has the wrong form"),
+    "weights beyond": (
+        edited("result.json", '"null_space": []', '"null_space": [{"names": ["link1.x"], "weights": [1e999]}]'),
+        "no numbers",
+    ),
+}
+BOMB = '<!DOCTYPE r [<!ENTITY a "1"><!ENTITY b "&a;&a;">]><robot name="&b;"/>'
+STRANGERS = '<!DOCTYPE r [<!ENTITY a SYSTEM "file:///etc/passwd">]><robot name="&a;"/>'
+# beside test_model_urdf's: what reaches the commands
+URDFS = {
+    "bomb": (BOMB, "document type"),
+    "a stranger's file": (STRANGERS, "document type"),
+    "deep": ("<a>" * 100_000, "not valid XML"),
+    "huge": (" " * 8_400_000, "larger than"),
+    "loop": (URDF.replace('<child link="sphere_fixture"/>', '<child link="chuck_fixture"/>'), "URDF: "),
+    "two parents": (URDF.replace('<child link="sphere_fixture"/>', '<child link="m"/>'), "must form a tree"),
+    "missing link": (URDF.replace('<link name="m"/>', ""), "does not exist"),
+    "no parent": (URDF.replace('<parent link="m"/>', ""), "has no <parent"),
+    "no limit": (URDF.replace('<limit lower="-1" upper="1" effort="1" velocity="1"/>', ""), "needs a <limit>"),
+    "limits swapped": (URDF.replace('lower="-1"', 'lower="5"'), "above its upper limit"),
+    "no axis": (URDF.replace("0 0 1", "0 0 0"), "no length"),
+    "xacro": (URDF.replace("0 0 1", "${pi} 0 0"), "expand xacro"),
+    "of another robot": (URDF, "not those of robot"),
+}
+TARGETS = {
+    "not a number": (f"{HEAD}\nnan,0,0\n", "row 2 column x_mm: nan is not a finite number"),
+    "infinite": (f"{HEAD}\n1e999,0,0\n", "too large for mm"),
+    "out of reach": (f"{HEAD}\n9000,0,0\n", "row 2: the robot as described does not reach it"),
+    "in the base": (f"{HEAD}\n0,0,0\n", "row 2: the robot as described does not reach it"),
+    "another alphabet": (f"{HEAD}\n١,2,3\n", "is not a number"),
+    "half a rotation": (f"{HEAD},rx_deg\n1,2,3,4\n", "has rx but not all of"),
+    "joints beyond": (
+        f"{HEAD},rx_deg,ry_deg,rz_deg,{JOINTS}\n500,0,500,0,0,0,50,0,0,0,0,0\n",
+        "row 2: the robot as described",
+    ),
+    "UTF-16": (f"{HEAD}\n1,2,3\n".encode("utf-16"), "is not UTF-8"),
+    "long line": (f"{HEAD}\n{'1' * 200_000},2,3\n", "field larger than"),
+    "an open quote": (f'{HEAD}\n"1,2,3\n', "is not CSV"),
+}
+MODULES = {
+    "expressions": (move(x="reg1,0,0"), "line 2: a robtarget with expressions"),
+    "huge": (move(x="1e30,0,0"), "line 2: 1e+30 is not a place"),
+    "far": (move(x="90000,0,0"), "line 2: the robot as described does not reach it"),
+    "no turn": (move(turn="0,0,0,0"), "line 2: the orientation is no unit quaternion"),
+    "configuration beyond": (move(cf="1e99,0,0,0"), "line 2: the robot as described"),
+    "configuration a name": (move(cf="a,0,0,0"), "line 2: a robtarget with expressions"),
+    "open bracket": (move() + "[[[", "is not closed"),
+    "closed bracket": ("MODULE m\n]", "line 2: a bracket ] that nothing opened"),
+    "in a comment": ("! " + move().split("\n")[1], "nothing to correct"),
+    "NUL": ("MODULE m\n\0", "line 2: holds a NUL"),
+}
+SCRIPTS = {
+    "not a number": ("\nmovel(p[nan,0,0,0,0,0])", "line 2: a target p[…] must be six plain numbers"),
+    "five": ("movel(p[1,0,0,0,0])", "six plain numbers"),
+    "infinite": ("movel(p[1e999,0,0,0,0,0])", "inf is not a place"),
+    "far": ("movel(p[100,0,0,0,0,0])", "line 1: the robot as described"),
+    "wound up": ("movel(p[0.5,0,0.5,1e9,0,0])", "1e+09 is not a place"),
+    "cut off": ("movel(p[1,0,0,0,0,0", "is not closed"),
+    "in a text": ('x = "p[1,2,3,4,5,6]"', "nothing to correct"),
+}
+VISITS = {
+    "empty": ("", "is empty"),
+    "not a number": (visit("nan,0,0,0,0,0"), "row 2: 'nan' is not a number"),
+    "degrees": (visit("90,0,0,0,0,0"), "are the joints in degrees?"),
+    "a gap": (visit("1,0,0,0,0,0", 3), "poses count from 0"),
+    "one joint": ("pose,shell,bar,chuck,sphere,q1_rad\n0,s,b,c,s,1\n", "1 joint"),
+}
+ROWS = {
+    "empty": ("", "is empty"),
+    "not a number": (seen_from("nan,0,0,0,0,0"), "row 2 column q1_rad: nan"),
+    "degrees": (seen_from("90,0,0,0,0,0"), "is the column in another unit?"),
+    "another bar": (seen_from("1,0,0,0,0,0").replace("short", "x"), "'x' is not in the rig"),
+}
+RIGS = {
+    "not a number": (edited("irb120.toml", "0.06]", "nan]"), "finite number"),
+    "no bar": ("", "which has none"),
+    "far": (edited("irb120.toml", "0.06]", "6.0]"), "reaches no place"),
+    "an evil name": (edited("irb120.toml", '"c1"', '"c1;rm -rf"'), "needs a name of up to 64 letters"),
+}
+OPTIONS = {
+    f"{PLAN} --minutes 5": "give a budget",
+    f"{PLAN.replace('--poses 36', '--minutes 1e308')}": "--minutes",
+    f"{PLAN.replace('--poses 36', '--minutes nan')}": "--minutes",
+    f"{PLAN.replace('--poses 36', '--poses 99999')}": "ask for fewer poses",
+    f"{PLAN} --dwell-s 1e300": "--dwell-s",
+    f"{PLAN} --region nan:1,0:1,0:1": "LOW below HIGH",
+    f"{PLAN} --region 1e300:2e300,0:1,0:1": "reaches no place of the region",
+    f"{PLAN} --branch 9:1,0:1,0:1,0:1,0:1,0:1": "every LOW must be below its HIGH",
+    f"{PLAN} --branch -9999:9999,0:1,0:1,0:1,0:1,0:1": "outside the joint's limits",
+    f"{PLAN} --reserve-mm 1e9": "lower --reserve-mm",
+    f"{PLAN} --result result.json": "not those of robot irb120",
+    f"{PLAN} --measured rows.csv": "'short' is not in the rig",
+    f"{PLAN} --out irb120.toml": "also read",
+    f"{PLAN} --out nope/x.csv": "the folder nope does not exist",
+    f"{PLAN} --program new.csv": "also read or written",
+    f"{LINE} --length-mm nan": "--length-mm",
+    f"{LINE} --rig-out irb120.toml": "also read",
+    f"{LINE.replace('--lines 2', '--minutes 1')}": "1 minutes are too few",
+    f"{MAP} --vary 2,2": "do not turn about parallel axes",
+    f"{MAP} --at 1e300,0,0,0,0,0": "no joint goes so far",
+    f"{MAP} --at 0,0,0,0,999,0": "joint 5 would be outside its limits",
+    f"{MAP} --task 1e9x1": "needs width and height",
+    f"{MAP} --cell nan": "--cell",
+    f"{MAP} --out new.svg": "also read or written",
+    f"{MAP} --picture result.json": "also read",
+    f"{EXPORT} --adjust nope*": "--adjust nope*: matches no parameter",
+    f"{EXPORT} --adjust *.gain": "leaves nothing",
+    f"{EXPORT} --over targets.csv": "has no column 'kind'",
+    f"{EXPORT} --format ur": "Universal Robots",
+    f"{EXPORT} --out result.json": "also read",
+    f"{CORRECT} --home 1e300,0,0,0,0,0": "no joint goes so far",
+    f"{CORRECT} --work 1e9,0,0,0,0,0": "--work",
+    f"{CORRECT} --margin nan": "--margin",
+    f"{CORRECT} --margin 1.0": "too near a singularity",
+    f"{CORRECT} --residuals new.csv": "also read or written",
+    f"{CORRECT} --out precious.csv": "is nothing that truearm wrote",
+    f"{CORRECT.replace('result.json', '/dev/null')}": "not a regular file",
+    f"{VALIDATE} --rig irb120.toml": "several rigs need names",
+    f"{VALIDATE.replace('rows.csv', 'targets.csv')}": "has no column 'kind'",
+}
+
+
+def cases():
+    """(id, command, what stands in the file `bad` + suffix, suffix, what is said)."""
+    for name, (content, says) in RESULTS.items():
+        for command in ALL if name in READ_BY_ALL else (CORRECT,):
+            yield f"{command.split()[0]} result {name}", command.replace("result.json", "bad"), content, "", says
+    for name, (content, says) in URDFS.items():
+        for command in (EXPORT, CORRECT):
+            yield f"{command.split()[0]} URDF {name}", f"{command} --robot bad.urdf", content, ".urdf", says
+    kinds = (
+        ("targets", CORRECT.replace("targets.csv", "bad.csv"), ".csv", TARGETS),
+        ("RAPID", CORRECT.replace("targets.csv", "bad.mod").replace("new.csv", "new.mod"), ".mod", MODULES),
+        ("URScript", CORRECT.replace("targets.csv", "bad.script").replace("new.csv", "new.script"), ".script", SCRIPTS),
+        ("over", f"{EXPORT} --over bad.csv", ".csv", VISITS),
+        ("rows", VALIDATE.replace("rows.csv", "bad.csv"), ".csv", ROWS),
+        ("measured", f"{REPLAN} --measured bad.csv", ".csv", ROWS),
+        ("rig", PLAN.replace("irb120.toml", "bad.toml"), ".toml", RIGS),
+    )
+    for kind, command, suffix, table_of in kinds:
+        for name, (content, says) in table_of.items():
+            yield f"{kind} {name}", command, content, suffix, says
+    for command, says in OPTIONS.items():
+        yield command[:60] + command[-30:], command, None, "", says
+
+
+@pytest.mark.parametrize(
+    ("command", "content", "suffix", "says"), [c[1:] for c in cases()], ids=[c[0] for c in cases()]
+)
+def test_what_strangers_give(origin, tmp_path, monkeypatch, run, command, content, suffix, says):
+    for path in origin.iterdir():
+        shutil.copy(path, tmp_path)
+    if content is not None:
+        made = content(tmp_path) if callable(content) else content
+        (tmp_path / f"bad{suffix}").write_bytes(made if isinstance(made, bytes) else made.encode())
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    monkeypatch.chdir(tmp_path)
+    done = run(*command.split())
+    said = [line for line in done.err.splitlines(keepends=True) if not line.startswith("planning: ")]
+    told(done._replace(err="".join(said)), says)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
