@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from truearm.commands.recording import plan_rows
@@ -13,10 +14,11 @@ from truearm.files.rig import format_rig
 from truearm.record import ports
 from truearm.record.recorder import RecordSummary, record
 from truearm.record.session_writer import SessionWriter
-from truearm.types import Floats, Plan, Rig
+from truearm.types import Floats, ObservationTable, Plan, Rig
 from truearm_sim import micropython
 from truearm_sim.arm import Arm
 from truearm_sim.lab import Lab
+from truearm_sim.robot import quantised
 from truearm_sim.simbox import Fault, SimulatedBox
 from truearm_sim.world import World, standard_plan
 
@@ -96,6 +98,19 @@ def record_session(
     finally:
         box.close()
     return Recorded(path, summary, world, lab, link.delivered)
+
+
+def measured_by_bars(world):
+    """The true lengths of the world's dwells, repeatability included, as rows with the joints as they are read."""
+    dwells, plan = world.controller.dwells, world.controller.plan
+    rows = np.flatnonzero(plan.dwells)
+    n = len(rows)
+    empty, nan, kind = np.full(n, ""), np.full(n, np.nan), np.full(n, "ball_bar")
+    words = {name: getattr(plan, name)[rows] for name in ("bar", "chuck", "sphere")}
+    words |= dict.fromkeys(("socket", "place", "shell"), empty)
+    source = np.array([f"dwell {i}" for i in range(n)])
+    q = quantised(world.controller.q_held[dwells])
+    return ObservationTable(q=q, kind=kind, value=world.truth.length, sigma=nan, source=source, **words)
 
 
 @pytest.fixture(scope="session")

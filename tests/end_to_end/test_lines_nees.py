@@ -5,7 +5,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from scipy import stats
-from tests.end_to_end.conftest import interpreter
+from tests.end_to_end.conftest import interpreter, measured_by_bars
 
 from truearm.commands.recording import plan_rows
 from truearm.commands.session import observations_of_session
@@ -62,20 +62,6 @@ def shown(world, flaws=None):
     kind, target = np.full(n, "line"), np.full(n, "magnet")
     return ObservationTable(
         q=q, kind=kind, value=nan, sigma=nan, source=source, xyz=xyz, q_rate=rate, line=lines, target=target, **words
-    )
-
-
-def measured_by_bars(world):
-    """The true lengths of the world's dwells, repeatability included, as rows."""
-    dwells, plan = world.controller.dwells, world.controller.plan
-    rows = np.flatnonzero(plan.dwells)
-    n = len(rows)
-    empty, nan, kind = np.full(n, ""), np.full(n, np.nan), np.full(n, "ball_bar")
-    words = {name: getattr(plan, name)[rows] for name in ("bar", "chuck", "sphere")}
-    words |= dict.fromkeys(("socket", "place", "shell"), empty)
-    source = np.array([f"dwell {i}" for i in range(n)])
-    return ObservationTable(
-        q=world.controller.q_held[dwells], kind=kind, value=world.truth.length, sigma=nan, source=source, **words
     )
 
 

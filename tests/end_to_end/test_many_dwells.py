@@ -1,15 +1,17 @@
 """A day of dwells in virtual time, each step a process of its own: nothing lost, and memory that does not follow the length."""
 
 import json
-import math
 import os
 import sys
 import time
 
-import numpy as np
 import pytest
+from tests.end_to_end.conftest import measured_by_bars
 
-from truearm_sim.sensors import repeatability
+from truearm.estimate.identify import identify
+from truearm.files.plan import read_plan
+from truearm.model.robot import builtin_robot
+from truearm_sim.world import World
 
 pytestmark = [pytest.mark.soak, pytest.mark.skipif(not hasattr(os, "wait4"), reason="needs the memory of a child")]
 MOST_MB = 500
@@ -68,8 +70,8 @@ def test_nine_pairings(tmp_path, each):
     measured("plan", "-c", PLAN, tmp_path, poses)
     measured("record", "-c", RECORD, tmp_path)
     measured("sync", "-m", "truearm", "inspect", tmp_path / "session.mcap", "--json", out=tmp_path / "inspect.json")
-    identify = ["identify", tmp_path / "session.mcap", "--robot", "puma560", "--out", tmp_path / "result.json"]
-    measured("identify", "-m", "truearm", *identify, out=tmp_path / "said.txt")
+    options = ["identify", tmp_path / "session.mcap", "--robot", "puma560", "--out", tmp_path / "result.json"]
+    measured("identify", "-m", "truearm", *options, out=tmp_path / "said.txt")
     measured(
         "npz", "-m", "truearm", "export-session", tmp_path / "session.mcap", "--out", tmp_path / "x", "--format", "npz"
     )
@@ -84,8 +86,8 @@ def test_nine_pairings(tmp_path, each):
     assert adc["samples"] == pytest.approx(found["duration_s"] * 1e9 / adc["period_ns"], rel=1e-3)
     result = json.loads((tmp_path / "result.json").read_text())
     assert result["rank"] == 36
-    # The world's own draws are known: chance is only what 36 parameters take of them, a χ² of 36 degrees of freedom.
-    freedom, drawn = poses - 36, float(np.sum(repeatability(SEED, poses) ** 2))
-    expected, sigma = (drawn - 36) / freedom, math.sqrt(2 * 36) / freedom
-    print(f"reduced chi² {result['chi2_reduced']:.4f}; of the drawn repeatability {expected:.4f} ± {sigma:.4f}")
-    assert abs(result["chi2_reduced"] - expected) <= 3.3 * sigma
+    # Sensor, clocks and pairing add nothing: the same fit on what the world's truth is at the joints as they are read.
+    robot, world = builtin_robot("puma560"), World(SEED, read_plan(tmp_path / "plan.csv"))
+    best = identify(robot.chain, world.rig, measured_by_bars(world), free=robot.free)
+    print(f"reduced chi² {result['chi2_reduced']:.5f}, of the world's truth {best.chi2_reduced:.5f}")
+    assert result["chi2_reduced"] == pytest.approx(best.chi2_reduced, abs=5e-4)
