@@ -57,11 +57,30 @@ class TestEarlier:
         gone_on(course, before)
         assert (course.done, course.unplanned, course.lines, course.next) == ({0, 1}, 1, 1, 2)
 
+    def test_a_part_of_a_session_that_was_overwritten_is_not_of_this_one(self, tmp_path):
+        """Recorded anew under the old name (--force): what lay beside it is neither read with it nor in its way."""
+        first = session(tmp_path / "s.mcap", ("dwell", {"pose": 0}))
+        begun = open_session(first).metadata["session"]["utc_ns"]
+        part = session(tmp_path / "s.2.mcap", ("dwell", {"pose": 1}), setup={"of": "s.mcap", "begun": begun})
+        assert session_parts(first) == [first, part]
+        assert earlier(part).first == first
+        session(first, ("dwell", {"pose": 2}))
+        assert session_parts(first) == [first]
+        before = earlier(first)
+        assert (before.dwells, before.out) == ((2,), tmp_path / "s.3.mcap")
+        assert before.begun == open_session(first).metadata["session"]["utc_ns"]
+        assert earlier(part).first == part
+
     def test_a_part_that_was_cut_off(self, tmp_path):
         """Its recorder was killed: what is whole of it counts."""
         path = session(tmp_path / "s.mcap", *[("dwell", {"pose": k}) for k in range(2)])
         path.write_bytes(path.read_bytes()[:-60])
         assert earlier(path).dwells == (0, 1)
+
+    @pytest.mark.parametrize("of", ["", ".", "..", "/", "x/..", "none.mcap", "a\0b", "s.mcap"])
+    def test_a_part_of_what_is_not_there(self, tmp_path, of):
+        path = session(tmp_path / "t.mcap", setup={"of": of})
+        assert earlier(path).first == path
 
     @pytest.mark.parametrize(
         ("names", "of", "says"),
@@ -139,7 +158,9 @@ def test_recorded_on(tmp_path, capsys):
     assert [path.name for path in files] == ["s.mcap", "s.2.mcap", "s.3.mcap"]
     first, *more = [open_session(path) for path in files]
     for number, part in enumerate(more, start=2):
-        assert part.metadata["setup"] == {"robot": "", "osr": "2048", "of": "s.mcap", "part": str(number)}
+        begun = first.metadata["session"]["utc_ns"]
+        of = {"of": "s.mcap", "part": str(number), "begun": begun}
+        assert part.metadata["setup"] == {"robot": "", "osr": "2048", **of}
         assert part.attachments == first.attachments
         assert [m.data for m in part.messages({"/plan"})] == [m.data for m in first.messages({"/plan"})]
         assert json.loads(part.metadata["box"]["ident"])["streams"][0]["osr"] == 2048

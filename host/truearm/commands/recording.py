@@ -180,7 +180,9 @@ def _work(request: Request) -> Work:
     if before is not None:
         work = _going_on(work, request, before)
     setup = {"robot": work.robot or "", "osr": str(work.osr)}
-    return replace(work, setup=setup | ({} if before is None else {"of": before.first.name, "part": str(before.part)}))
+    if before is not None:
+        setup |= {"of": before.first.name, "part": str(before.part), "begun": before.begun}
+    return replace(work, setup=setup)
 
 
 def _with_files(work: Work, request: Request) -> Work:

@@ -32,6 +32,7 @@ class Earlier:
     first: Path
     out: Path
     part: int
+    begun: str  # when, as the first part has it
     setup: Mapping[str, str]
     rows: list[dict[str, Any]] = field(default_factory=list)
     rig_toml: bytes | None = None
@@ -42,9 +43,25 @@ class Earlier:
 
 def session_parts(path: Path) -> list[Path]:
     """A session's file and those that go on from it, in order; of a later part that alone. Raises SessionError."""
+    parts = [path.with_name(f"{path.stem}.{number}{SUFFIX}") for number in _numbers(path)]
+    first = _opened(path) if parts else None
+    return [path, *(part for part in parts if first is not None and _goes_on(_opened(part), first))]
+
+
+def _numbers(path: Path) -> list[int]:
+    """Of the files that by their names are further parts, in order."""
     found = [int(m[2]) for p in path.parent.glob(f"*{SUFFIX}") if (m := _PART.fullmatch(p.stem)) and m[1] == path.stem]
-    parts = [path.with_name(f"{path.stem}.{number}{SUFFIX}") for number in sorted(found) if number > 1]
-    return [path, *(part for part in parts if _opened(part).metadata.get(SETUP, {}).get("of") == path.name)]
+    return sorted(number for number in found if number > 1)
+
+
+def _goes_on(part: Session, first: Session) -> bool:
+    """Whether a part is this session's: a part of an earlier one of that name, which was overwritten, is not."""
+    setup = part.metadata.get(SETUP, {})
+    return setup.get("of") == first.path.name and setup.get("begun") in (None, _begun(first))
+
+
+def _begun(first: Session) -> str:
+    return first.metadata.get("session", {}).get("utc_ns", "")
 
 
 def first_stem(path: Path) -> str:
@@ -92,10 +109,19 @@ def earlier(path: Path) -> Earlier:
                 dwells.append(row.get("pose"))
             elif row.get("kind") == "line" and ("pose" in row or not rows):
                 driven.append(row.get("pose"))
-    part = int(_number(sessions[-1].path)) + 1
+    part = max([1, *_numbers(first)]) + 1
     out = first.with_name(f"{first.stem}.{part}{SUFFIX}")
     return Earlier(
-        first, out, part, setup, rows, sessions[0].attachments.get("rig.toml"), mounted, tuple(dwells), tuple(driven)
+        first,
+        out,
+        part,
+        _begun(sessions[0]),
+        setup,
+        rows,
+        sessions[0].attachments.get("rig.toml"),
+        mounted,
+        tuple(dwells),
+        tuple(driven),
     )
 
 
@@ -119,8 +145,10 @@ def _first(path: Path) -> Path:
         return firsts[0]
     if not path.exists():
         raise InputError(f"--resume {path}: no such file; record a new session with --out")
-    of = _opened(path).metadata.get(SETUP, {}).get("of", "")
-    return path.with_name(Path(of).name) if of and path.with_name(Path(of).name).exists() else path
+    part = _opened(path)
+    of = Path(part.metadata.get(SETUP, {}).get("of", "")).name
+    first = path.with_name(of) if of else path
+    return first if first.is_file() and _goes_on(part, _opened(first)) else path
 
 
 def _number(path: Path) -> int:
