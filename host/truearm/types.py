@@ -117,7 +117,9 @@ class Rig:
     "least_squares" by all its points or "two_point" by its first two. ``line_travel`` [m]: full range of the device's
     transverse sensors, which run over ±line_travel/2; None: as far as they say anything. ``time_offset`` τ [s]: the joints were truly at
     q(t) = q_reading(t + τ), of which only rows with velocities tell; ``time_offset_sigma`` as a Device's sigma. ``joint_cov`` S_q [rad², m²] is the covariance
-    of the joint readings, j×j, empty for none.
+    of the joint readings, j×j, empty for none; where a joint came from either side and nobody knows which, half its ``backlash`` either way
+    is part of it. ``backlash`` (j) [rad, m], empty for none: the links lie half of it behind their encoders, on the side that the joint came from;
+    ``backlash_sigma`` (j): how well it is known.
     """
 
     chucks: Mapping[str, Point] = field(default_factory=dict)
@@ -135,6 +137,8 @@ class Rig:
     time_offset: float = 0.0
     time_offset_sigma: float | None = None
     joint_cov: Matrix = ()
+    backlash: tuple[float, ...] = ()
+    backlash_sigma: tuple[float, ...] = ()
     sockets: Mapping[tuple[str, str], Point] = field(default_factory=dict)  # by place and socket
 
 
@@ -150,7 +154,8 @@ class ObservationTable:
     ``kind`` is ``ball_bar``, ``seat``, ``line``, ``position``, ``pose`` or ``plane``. ``value`` [m]: the measured length
     of a ball-bar row, the distance from the flat of a plane row (NaN: touched, 0), NaN for other kinds. ``xyz`` [m]: the
     measured point of a line, position or pose row in the device's axes; ``rotation`` [rad]: the measured rotation vector
-    of a pose row; ``q_rate``: the joints' velocities, NaN where the robot stood or nobody measured. ``sigma`` [m]: the
+    of a pose row; ``q_rate``: the joints' velocities, NaN where the robot stood or nobody measured; ``side``: in which direction
+    each joint last moved before the robot stood, −1 or 1, NaN where nobody knows. ``sigma`` [m]: the
     standard deviation of each coordinate, NaN where the rig's figure is to be used; ``xyz_sigma`` [m]: of this point's own
     noise along the device's axes, beside that figure, NaN for none. The identifier columns hold ""
     where a row has none. ``rig`` says which of several rigs a row belongs to, ``source`` where a row comes from, for
@@ -172,6 +177,7 @@ class ObservationTable:
     xyz_sigma: Floats = field(default_factory=_absent)  # (n, 3)
     rotation: Floats = field(default_factory=_absent)  # (n, 3)
     q_rate: Floats = field(default_factory=_absent)  # (n, j) rad/s or m/s
+    side: Floats = field(default_factory=_absent)  # (n, j)
     target: Strings = field(default_factory=_absent)  # (n,)
     line: Strings = field(default_factory=_absent)  # (n,)
     tracker: Strings = field(default_factory=_absent)  # (n,)
@@ -182,7 +188,10 @@ class ObservationTable:
         if self.q.ndim != 2:
             raise ValueError(f"q must be (n, j), is {self.q.shape}")
         n = self.q.shape[0]
-        wide = {"q": self.q.shape, "q_rate": self.q.shape, **dict.fromkeys(("xyz", "xyz_sigma", "rotation"), (n, 3))}
+        wide = {
+            **dict.fromkeys(("q", "q_rate", "side"), self.q.shape),
+            **dict.fromkeys(("xyz", "xyz_sigma", "rotation"), (n, 3)),
+        }
         for name in self.__dataclass_fields__:
             shape = wide.get(name, (n,))
             if getattr(self, name) is None:

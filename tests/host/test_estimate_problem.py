@@ -45,7 +45,7 @@ def test_a_bad_cell(column, value, says):
 
 def test_bad_joint_readings():
     with pytest.raises(ProblemError, match="the table has 5 joints, robot puma560 has 6"):
-        build_problem(CHAIN, RIG, replace(TABLE, q=TABLE.q[:, :5], q_rate=TABLE.q_rate[:, :5]))
+        build_problem(CHAIN, RIG, replace(TABLE, q=TABLE.q[:, :5], q_rate=TABLE.q_rate[:, :5], side=TABLE.side[:, :5]))
     q = TABLE.q.copy()
     q[7, 2] = np.nan
     with pytest.raises(ProblemError, match="row 8: a joint reading is not a finite number"):

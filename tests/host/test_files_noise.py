@@ -22,12 +22,13 @@ COV = ((4e-8, 0.0), (0.0, 9e-8))
 
 @pytest.mark.parametrize("prismatic", [False, True])
 def test_a_file_reads_back(prismatic):
-    noise = NoiseFile(COV, {"b46": 9.1e-5})
+    noise = NoiseFile(COV, {"b46": 9.1e-5}, "noise.toml", (3e-4, -1e-5), (2e-5, 0.0))
     text = format_noise(noise, ["joint1: 0.2 mrad"], prismatic)
     assert ("joint_cov_si" in text) == prismatic
     read = parse_noise(text, "noise.toml")
     assert np.allclose(read.joint_cov, COV, rtol=1e-14, atol=0.0)
     assert read.bar_sigma == noise.bar_sigma
+    assert (read.backlash, read.backlash_sigma) == (noise.backlash, noise.backlash_sigma)
     assert looks_like_noise(text.encode())
     assert not looks_like_noise(b'[[bar]]\nname = "b46"')
 
@@ -36,6 +37,8 @@ def test_it_stands_in_for_the_rigs_figures():
     rig = with_noise(RIG, NoiseFile(COV, {"b46": 9.1e-5}))
     assert (rig.joint_cov, rig.bars["b46"].sigma, rig.bars["b61"].sigma) == (COV, 9.1e-5, 84e-6)
     assert with_noise(rig, NoiseFile()).joint_cov == COV
+    worn = with_noise(RIG, NoiseFile(COV, backlash=(3e-4, 0.0), backlash_sigma=(2e-5, 0.0)))
+    assert (worn.backlash, worn.backlash_sigma) == ((3e-4, 0.0), (2e-5, 0.0))
     assert with_noise(RIG, None) is RIG
     with pytest.raises(RigError, match="bar 'b99' is not in the rig, which has b46, b61"):
         check_against_rigs(NoiseFile(bar_sigma={"b99": 1e-4}, name="noise.toml"), {"a": RIG})
@@ -54,6 +57,12 @@ def test_it_stands_in_for_the_rigs_figures():
         ("joint_sigma_rad = [nan]", "finite"),
         ("joint_cov_si = [[1, 2], [2, 1]]", "covariance"),
         ("joint_sigma_rad = [", "noise.toml"),
+        ("backlash_si = [1e-4]", "needs joint_sigma_rad"),
+        ("joint_sigma_rad = [1e-4]\nbacklash_si = [1e-4]", "backlash_sigma_si must be a list of 1 numbers"),
+        ("joint_sigma_rad = [1e-4]\nbacklash_si = 3\nbacklash_sigma_si = [0]", "backlash_si must be a list"),
+        ("joint_sigma_rad = [1e-4]\nbacklash_si = [nan]\nbacklash_sigma_si = [0]", "finite"),
+        ("joint_sigma_rad = [1e-4]\nbacklash_si = [1e-4]\nbacklash_sigma_si = [-1]", "between"),
+        ("joint_sigma_rad = [1e-4]\nbacklash_si = [3e-4]\nbacklash_sigma_si = [0]", "less than half its backlash"),
     ],
 )
 def test_what_is_wrong_is_refused_in_one_line(text, says):

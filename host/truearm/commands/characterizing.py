@@ -87,7 +87,11 @@ def characterized(
             "joint_sigma_si": [one._asdict() for one in told.joint_sigma],
         },
     }
-    return document, NoiseFile(cov, {bar: told.bar_sigma.value})
+    width, known_to = (
+        np.nan_to_num(values) for values in ([one.value for one in told.backlash], told.backlash_sigma)
+    )  # none of a joint that the bar does not show
+    backlash = tuple(width.tolist()), tuple(known_to.tolist())
+    return document, NoiseFile(cov, {bar: told.bar_sigma.value}, parts[0].name, *backlash)
 
 
 def _synced(part: Part, chain: Chain, rig: Rig, bands: Sequence[float]) -> tuple[SyncResult, Visits]:

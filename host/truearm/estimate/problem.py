@@ -18,9 +18,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truearm.errors import ProblemError
+from truearm.estimate.backlash import Backlash
 from truearm.estimate.drafts import KINDS, Draft, Group
 from truearm.estimate.layout import Layout, Scope
-from truearm.estimate.noise import checked_joint_cov
+from truearm.estimate.noise import checked_joint_cov, residual_cov
 from truearm.estimate.prior import robot_prior
 from truearm.model.chain import Chain
 from truearm.observe import ball_bar, plane, pose, position, seat, socket_distance
@@ -30,6 +31,7 @@ from truearm.observe.pose import PoseRows
 from truearm.observe.position import PositionRows
 from truearm.observe.rows import Linearised, take
 from truearm.observe.seat import SeatRows
+from truearm.observe.socket_distance import SocketDistanceRows
 from truearm.types import Floats, ObservationTable, Rig
 
 BLOCK = 4096  # observations evaluated at once: a Jacobian of 54 columns fills 1.8 MB, about the second-level cache
@@ -70,6 +72,11 @@ def build_problem(
         kind, known = str(table.kind[bad[0]]), ", ".join(KINDS)
         raise ProblemError(f"{table.source[bad[0]]}: kind {kind!r} is not known; use one of {known}")
     rigs = _rigs(rig, table)
+    first = next(iter(rigs.values()))
+    joint_cov = checked_joint_cov(first.joint_cov, len(chain.joints))
+    backlash = Backlash.of(first, joint_cov)
+    if backlash is not None:
+        table, joint_cov = replace(table, q=backlash.links(table)), backlash.cov_of_known_sides
     drafts: list[Draft] = []
     for name, one in rigs.items():
         scope = Scope(chain, one, table, f"{name}." if name else "")
@@ -85,8 +92,22 @@ def build_problem(
     names = (*chain.parameter_names, *(u.name for u in free))
     units = (*(p.unit for p in chain.parameters), *(u.unit for u in free))
     groups = tuple(group for draft in drafts for group in draft.make(layout))
-    joint_cov = checked_joint_cov(next(iter(rigs.values())).joint_cov, len(chain.joints))
-    return Problem(chain, names, units, start, prior, groups, len(table), joint_cov)
+    problem = Problem(chain, names, units, start, prior, groups, len(table), joint_cov)
+    return problem if backlash is None else _with_unknown_sides(problem, backlash.unknown(table))
+
+
+def _with_unknown_sides(problem: Problem, sigma: Floats) -> Problem:
+    """The problem with what links may lie beside their encoders by, ``sigma`` (n_rows, j), counted as noise of those rows."""
+    groups: list[Group] = []
+    for group in problem.groups:
+        of_rows = np.zeros((0, 0)) if isinstance(group, SocketDistanceRows) else sigma[group.row]
+        if of_rows.any():
+            jac = evaluate(problem, group, problem.start).jac_joints
+            off = jac.reshape(len(of_rows), -1, jac.shape[-1]) * of_rows[:, None]
+            cov = residual_cov(group.sensor_cov, off.reshape(jac.shape), np.eye(jac.shape[-1]))
+            group = replace(group, sensor_cov=cov)
+        groups.append(group)
+    return replace(problem, groups=tuple(groups))
 
 
 def blocks(problem: Problem, size: int = BLOCK) -> Iterator[Group]:
@@ -131,7 +152,7 @@ def _rigs(rig: Rigs, table: ObservationTable) -> Mapping[str, Rig]:
     if bad.size:
         have = ", ".join(sorted(filter(None, rigs))) or "one rig without a name"
         raise ProblemError(f"{table.source[bad[0]]}: belongs to rig {str(table.rig[bad[0]])!r}; given: {have}")
-    if len({one.joint_cov for one in rigs.values()}) > 1:
+    if len({(one.joint_cov, one.backlash, one.backlash_sigma) for one in rigs.values()}) > 1:
         raise ProblemError("the rigs differ in joint_cov, but it is the robot's; give all rigs the same")
     return rigs
 

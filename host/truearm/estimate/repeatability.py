@@ -60,7 +60,7 @@ class Visited:
 class Repeatability:
     """``along``: spread of the length at one pose from one side, m; ``unexplained``: of it what the readings do not show.
 
-    ``backlash`` (j): rad or m, link behind encoder, full width. ``spread`` (j): of the mean reading at one pose from one side;
+    ``backlash`` (j): rad or m, link behind encoder, full width; ``backlash_sigma`` (j): its standard deviation. ``spread`` (j): of the mean reading at one pose from one side;
     ``difference`` (j): of the mean reading between the sides, up less down. ``bar_sigma`` and ``joint_sigma`` (j) are what an
     identification should be told: see ``repeatability()``. ``misfit``: probability of differences between the sides at
     least as large if backlash were all; NaN where too few visits repeat.
@@ -72,6 +72,7 @@ class Repeatability:
     along: Interval
     unexplained: Interval
     backlash: tuple[Interval, ...]
+    backlash_sigma: tuple[float, ...]
     spread: tuple[Interval, ...]
     difference: tuple[Interval, ...]
     misfit: float
@@ -83,8 +84,8 @@ def repeatability(visited: Visited) -> Repeatability:
     """What the visits say. Raises ProblemError where too few of them repeat.
 
     ``bar_sigma``² is the regression's residual variance less the part of samples and joint readings, which an identification
-    counts by itself. ``joint_sigma``² is the variance of a mean reading plus b²/4: in a calibration each joint comes from
-    either side, so its link is off by ±b/2. b² is too large by its variance in the mean, which errs to the safe side.
+    counts by itself. ``joint_sigma``² is the variance of a mean reading plus b²/4: where the side is not known the link is off
+    by ±b/2. b² is too large by its variance in the mean, which errs to the safe side.
     """
     pose = poses_of(visited.q)
     sided = np.all(visited.side != 0.0, axis=1)
@@ -114,6 +115,7 @@ def repeatability(visited: Visited) -> Repeatability:
         along=_sigma(raw, n - n_sides),
         unexplained=_sigma(pure, n - n_sides),
         backlash=backlash,
+        backlash_sigma=tuple(sigma_b.tolist()),
         spread=tuple(_sigma(_within(column, approach), n - n_sides) for column in visited.q.T),
         difference=tuple(
             _difference(column, pose, side) for column, side in zip(visited.q.T, visited.side.T, strict=True)

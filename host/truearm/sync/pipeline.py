@@ -171,7 +171,8 @@ def observations(
     dwells = without_noisy(dwells)
     driven = tuple(one for one in passes if one is not None)
     used = sum(dwell.n_samples for dwell in dwells if not dwell.reason) + sum(one.n_samples for one in driven)
-    table = table_of(dwells, driven, len(found.joints.step), name)
+    bins = None if are_noted(found.joints) else found.joints.bins
+    table = table_of(dwells, driven, len(found.joints.step), name, bins)
     return SyncResult(table, tuple(dwells), driven, found, found.losses.samples, used)
 
 

@@ -8,13 +8,20 @@ from dataclasses import fields, replace
 import numpy as np
 
 from truearm.sync.dwell import Dwell
+from truearm.sync.joints import Bins
 from truearm.sync.passes import Pass
+from truearm.sync.sides import came_from
 from truearm.types import Floats, ObservationTable, Strings
 
 
-def table_of(dwells: Sequence[Dwell], passes: Sequence[Pass], joints: int, name: str) -> ObservationTable:
-    """A row of each dwell without a reason, then all rows of the passes; ``name`` is the session's, for ``source``."""
-    parts = [_of_dwells(dwells, joints, name)]
+def table_of(
+    dwells: Sequence[Dwell], passes: Sequence[Pass], joints: int, name: str, bins: Bins | None
+) -> ObservationTable:
+    """A row of each dwell without a reason, then all rows of the passes; ``name`` is the session's, for ``source``.
+
+    ``bins``: of the joints, which say from where they came to a dwell.
+    """
+    parts = [_of_dwells(dwells, joints, name, bins)]
     parts += [_of_pass(one, number, name) for number, one in enumerate(passes, start=1) if not one.reason]
     if len(parts) == 1:
         return parts[0]
@@ -22,13 +29,16 @@ def table_of(dwells: Sequence[Dwell], passes: Sequence[Pass], joints: int, name:
     return ObservationTable(**{key: np.concatenate([getattr(part, key) for part in parts]) for key in columns})
 
 
-def _of_dwells(dwells: Sequence[Dwell], joints: int, name: str) -> ObservationTable:
+def _of_dwells(dwells: Sequence[Dwell], joints: int, name: str, bins: Bins | None) -> ObservationTable:
     rows = [(i, dwell) for i, dwell in enumerate(dwells, start=1) if not dwell.reason]
 
     def words(key: str) -> Strings:
         return np.array([dwell.mounted.get(key, "") for _, dwell in rows], dtype=np.str_)
 
-    return _table(
+    side = np.full((len(rows), joints), np.nan)
+    if bins is not None and rows:
+        side[:] = [came_from(bins, dwell) for _, dwell in rows]
+    table = _table(
         q=np.array([dwell.q for _, dwell in rows]).reshape(len(rows), joints),
         kind=np.array(["ball_bar"] * len(rows), dtype=np.str_),  # np.full would keep one letter
         value=np.array([dwell.value for _, dwell in rows], dtype=np.float64),
@@ -36,6 +46,7 @@ def _of_dwells(dwells: Sequence[Dwell], joints: int, name: str) -> ObservationTa
         source=np.array([f"{name} dwell {i}" for i, _ in rows], dtype=np.str_),
         words={key: words(key) for key in ("bar", "chuck", "sphere", "shell")},
     )
+    return replace(table, side=np.where(side == 0.0, np.nan, side))
 
 
 def _of_pass(one: Pass, number: int, name: str) -> ObservationTable:

@@ -18,11 +18,10 @@ from truearm.sync.dwell import Dwell
 from truearm.sync.gather import gather
 from truearm.sync.joints import Bins
 from truearm.sync.pipeline import Messages, SyncResult, disjoint
+from truearm.sync.sides import came_from
 from truearm.sync.statistics import mean_variance
 from truearm.types import Floats, Rig
 
-LEAST = 5e-4  # rad or m; a joint that moved less has come from nowhere: a swing about its place is no approach
-BACK_BINS = 200  # how far back the last motion is looked for: 10 s
 BEFORE_S = 0.6  # of the approach, looked at with each dwell
 LONG_S = 8.0  # a dwell so long shows slow noise
 FAR = 4.0  # bands; a bar that comes from nearer has not come into the band from outside
@@ -111,21 +110,6 @@ def _blocks(messages: Messages, topics: Collection[str], ident: Ident | None) ->
         block = reader.feed(message)
         if block is not None and reader.segment.ident is not None:
             yield block, reader.segment.ident
-
-
-def came_from(bins: Bins, dwell: Dwell) -> Floats:
-    """Direction (j,) of the last motion of each joint before a dwell: −1 or 1, 0 where it did not move or nobody knows."""
-    direction = np.zeros(dwell.q.size)
-    last = dwell.bins[0]
-    while last > 0 and bins.t_first_s[last - 1] >= dwell.stood_s and bins.segment[last - 1] == dwell.segment:
-        last -= 1
-    for k in range(last - 1, max(-1, last - 1 - BACK_BINS), -1):
-        if bins.gap[k + 1] or bins.segment[k] != dwell.segment or np.all(direction):
-            break
-        above, below = bins.high[k] - dwell.q, dwell.q - bins.low[k]
-        new = (direction == 0.0) & (np.maximum(above, below) > LEAST)
-        direction[new] = np.where(above > below, -1.0, 1.0)[new]
-    return direction
 
 
 def stabilisation_time(deviation: Floats, band: float, period_s: float) -> float:
