@@ -206,6 +206,18 @@ def test_a_budget_in_minutes_is_kept():
         plan_ballbar(site, known, pairings, wanted._replace(minutes=0.5), Pace())
 
 
+def test_few_minutes_go_into_few_pairings():
+    """Seven minutes: 18 mounts alone would take nine. Poses of fewer pairings see all parameters, which no one pairing does."""
+    site, known = bench.site("irb120"), bench.known("irb120")
+    wanted = Wanted(minutes=7.0, n_candidates=150, passes=0)
+    found = plan_ballbar(site, known, all_pairings(known.rig), wanted, Pace())
+    assert 5.5 < found.route.minutes <= 7.0
+    assert 3 <= found.route.n_mounts <= 7
+    assert len(found.route.plan) > 35
+    assert found.forecast.rank == known.free.sum()
+    assert found.forecast.cartesian_rms < 1e-3
+
+
 def test_what_cannot_be_planned_is_said():
     site, known = bench.site("irb120"), bench.known("irb120")
     with pytest.raises(PlanError, match="budget"):

@@ -64,6 +64,22 @@ def test_greedy_choices_are_nested():
     assert choose(rows, np.eye(3), 20, "D", passes=0)[:7].tolist() == choose(rows, np.eye(3), 7, "D", passes=0).tolist()
 
 
+def test_a_setup_is_paid_where_it_brings_enough_and_not_again():
+    """Two groups of like candidates; the second alone shows the third unknown."""
+    rng = np.random.default_rng(4)
+    rows = rng.normal(size=(40, 1, 3)) * [1.0, 1.0, 0.0]
+    group = np.arange(40) % 2
+    cheap = choose(rows, np.eye(3), 10, "D", passes=0, group=group, setup=50.0)
+    assert len(set(group[cheap].tolist())) == 1
+    assert (
+        choose(rows, np.eye(3), 10, "D", passes=2, group=group, setup=0.0).tolist()
+        == choose(rows, np.eye(3), 10, "D", passes=2).tolist()
+    )
+    rows[group == 1] += [0.0, 0.0, 30.0]
+    began = group[choose(rows, np.eye(3), 10, "D", passes=3, group=group, setup=50.0)]
+    assert began[0] == 1
+
+
 def test_what_is_known_is_not_measured_again():
     rows = np.array([[[10.0, 0.0]], [[0.0, 1.0]]])
     assert choose(rows, np.eye(2), 1)[0] == 0

@@ -29,7 +29,13 @@ class Criterion(StrEnum):
 RobotOption = Annotated[str, typer.Option(metavar="ROBOT", help="Built-in robot, robot file (.toml) or URDF.")]
 RigOption = Annotated[Path, typer.Option(metavar="FILE", help="Chucks, spheres, bars, targets (.toml).")]
 MinutesOption = Annotated[
-    float | None, typer.Option(min=1.0, max=100_000.0, metavar="M", help="Budget in an operator's minutes, at most.")
+    float | None,
+    typer.Option(
+        min=1.0,
+        max=100_000.0,
+        metavar="M",
+        help="Budget in an operator's minutes, at most; pairings are mounted that are worth the time.",
+    ),
 ]
 CriterionOption = Annotated[
     Criterion,

@@ -23,6 +23,7 @@ from truearm.plan.way import Pace
 from truearm.types import Floats, Plan, Rig
 
 TRIALS = 6  # numbers of poses tried to meet a budget in minutes
+MOVE = 5.0  # s from one pose to the next, via points included, as plans of the three arms have it
 MEETS = 0.95  # of the budget, from which on it is not tried any further
 Say = Callable[[str], None]
 
@@ -90,9 +91,13 @@ def plan_ballbar(
     rows, information, _ = candidate_rows(known, table)
     blocks, root = as_blocks(rows), region_root(known, table, aim)
 
+    names = np.stack([found.bar, found.chuck, found.sphere], axis=1)
+    pairing = np.unique(names, axis=0, return_inverse=True)[1].reshape(-1)
+    setup = 0.0 if wanted.minutes is None else pace.mount / (pace.dwell + MOVE)
+
     def chosen(n: int) -> Plan:
         say(f"the best {n} of {len(found)} candidates")
-        order = choose(blocks, information, n, wanted.criterion, root, wanted.passes)
+        order = choose(blocks, information, n, wanted.criterion, root, wanted.passes, pairing, setup)
         return found.select(np.sort(order))
 
     if wanted.n_poses is not None:
