@@ -1,5 +1,8 @@
 """A simulated box in real time behind a socket or a pseudo-terminal, in a thread, on a stage that tests can move; and its boot drive."""
 
+import mmap
+import os
+import struct
 import threading
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +17,7 @@ from truearm_sim.simbox import SimulatedBox
 from truearm_sim.world import World, standard_plan
 
 MAG_PERIOD_NS = 983_040  # as the converter's
+LONGEST_STEP_NS = 20_000_000
 NOISE_V = 5e-6
 NOISE_PS = 1800.0
 NOISE = np.random.default_rng(4).standard_normal((65_536, 4))
@@ -91,15 +95,43 @@ class BootDrive:
                 self.box.power_cycle(t_ns)
 
 
+class TellsTime:
+    """A box that writes to a file what time it is in its lab, for ``lab_clock/``."""
+
+    def __init__(self, box, path: Path):
+        self._box = box
+        path.write_bytes(bytes(8))
+        with path.open("r+b") as file:
+            self._page = mmap.mmap(file.fileno(), 8)
+
+    def advance(self, t_ns, rx=b"", tx_room=0xFFFF):
+        out = self._box.advance(t_ns, rx, tx_room)
+        self._page[:8] = struct.pack("<q", t_ns)
+        return out
+
+    def output_at(self, t):
+        return self._box.output_at(t)
+
+
+def by_the_labs_clock(path: Path) -> dict[str, str]:
+    """Environment of a process that lives by the clock that ``served(clock=path)`` writes."""
+    return os.environ | {"TRUEARM_LAB_CLOCK": str(path), "PYTHONPATH": str(Path(__file__).parent / "lab_clock")}
+
+
 @contextmanager
-def served(world=None, *, pty=False, drive=None, **options):
-    """(device, world, box) of a box that lives until the end of the block."""
+def served(world=None, *, pty=False, drive=None, clock=None, **options):
+    """(device, world, box) of a box that lives until the end of the block.
+
+    ``clock``: a file for the lab's time, which then falls behind the wall's where the machine is slow.
+    """
     world = world or Stage()
     box = SimulatedBox(world, interpreter(), seed=7, **options)
     shown = box if drive is None else BootDrive(box, drive)
     port, robot = (Terminal() if pty else Port.listen("127.0.0.1", 0)), Port.listen("127.0.0.1", 0)
     stop = threading.Event()
-    thread = threading.Thread(target=serve, args=(world, shown, port, robot), kwargs={"stop": stop.is_set}, daemon=True)
+    how = {"stop": stop.is_set, "longest_step_ns": None if clock is None else LONGEST_STEP_NS}
+    timed = shown if clock is None else TellsTime(shown, clock)
+    thread = threading.Thread(target=serve, args=(world, timed, port, robot), kwargs=how, daemon=True)
     thread.start()
     try:
         yield (port.path if pty else f"socket://127.0.0.1:{port.number}"), world, shown
