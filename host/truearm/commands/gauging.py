@@ -55,7 +55,7 @@ def gauge_channel(
     listed = None if references is None else read_references(references)
     page = out or Path("gauge-" + "".join(c if c.isalnum() or c in "-_" else "_" for c in channel[:40]) + ".html")
     inputs = [] if references is None else [references]
-    check_writable(page, inputs=inputs, ours=None if out else lambda head: MARK.encode() in head)
+    check_writable(page, inputs=inputs, ours=lambda head: MARK.encode() in head)
     with conversation(device, stop=stop) as box:
         stream, index = _find(ident_of(box), channel)
         config = checked_config(box)
