@@ -129,6 +129,21 @@ class TestParts:
         assert [first_stem(path) for path in (other, *parts)] == ["other", "s", "s", "s"]
         assert first_stem(tmp_path / "v1.2.mcap") == "v1.2"
 
+    def test_commands_of_one_file_name_the_others(self, tmp_path, capsys):
+        first = session(tmp_path / "s.mcap")
+        session(tmp_path / "s.2.mcap", setup={"of": "s.mcap"})
+        (tmp_path / "j.csv").write_text("t_s,q1_rad\n0,0\n0,0.1\n")
+        for arguments in (
+            ["export-session", str(first), "--out", str(tmp_path / "tables")],
+            ["add-joints", str(first), str(tmp_path / "j.csv"), "--zero", "0", "--out", str(tmp_path / "o.mcap")],
+        ):
+            assert main(arguments) == 0
+            assert capsys.readouterr().err.startswith("s.mcap goes on in s.2.mcap: ")
+        first.write_bytes(first.read_bytes()[:-60])
+        assert main(["recover", str(first)]) == 0
+        said = "s.mcap goes on in s.2.mcap: name them beside s-recovered.mcap, they are not found by its name\n"
+        assert capsys.readouterr().err == said
+
     def test_inspect_tells_all_of_them(self, tmp_path, capsys):
         session(tmp_path / "s.mcap")
         session(tmp_path / "s.2.mcap", setup={"of": "s.mcap"})

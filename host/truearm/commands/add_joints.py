@@ -53,6 +53,8 @@ def add_joints(
     Example:
       truearm add-joints session.mcap joints.csv --zero 3.2 --out with_joints.mcap
     """
+    from truearm.commands.resuming import say_parts
+    from truearm.commands.terminal import one_line
     from truearm.files.disk import check_writable, sha256
     from truearm.record.robots.afterwards import add_readings
     from truearm.record.session import open_session
@@ -79,6 +81,7 @@ def add_joints(
     typer.echo(
         f"{out}: {count} joint readings added; their times are {'UTC' if zero is None else 'from --zero'}, not arrivals"
     )
+    say_parts(session, f"add the joints to each by itself, and name the files one by one beside {one_line(out.name)}")
 
 
 def _readings(source: Path, topic: str, joints: list[str], allow_damaged: bool) -> Iterator[Reading]:

@@ -51,6 +51,7 @@ def export_session(
     Example:
       truearm export-session session.mcap --out tables --format parquet
     """
+    from truearm.commands.resuming import say_parts
     from truearm.files.columnar import check_format
     from truearm.files.disk import sha256
     from truearm.record.session import open_session
@@ -74,6 +75,7 @@ def export_session(
         raise WriteError(f"{out}: cannot be written: {exc.strerror or exc}; nothing was exported") from exc
     for name, table in document["tables"].items():
         typer.echo(f"{one_line(str(out))}/{name}: {table['rows']} rows")
+    say_parts(session, "export each by itself, its clocks are its own")
 
 
 def _joint_units(robot: str | None) -> tuple[str, ...]:

@@ -37,6 +37,7 @@ def recover(
     Example:
       truearm recover session.mcap --out mended.mcap
     """
+    from truearm.commands.resuming import say_parts
     from truearm.files.disk import check_writable, sha256
     from truearm.record.recover import is_whole
     from truearm.record.session import open_session
@@ -53,6 +54,7 @@ def recover(
     for line in lines(found):
         typer.echo(line)
     typer.echo(f"{one_line(str(out))}: written, a complete session")
+    say_parts(session, f"name them beside {one_line(out.name)}, they are not found by its name")
 
 
 def _write(path: Path, opened: Session, out: Path, said: dict[str, str]) -> Recovered:
