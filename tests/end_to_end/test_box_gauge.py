@@ -133,6 +133,6 @@ def test_a_page_overwrites_nothing_but_a_page(tmp_path, capsys):
     """Said before a place is taken, also of a file that was named."""
     session = tmp_path / "session.mcap"
     session.write_bytes(b"an afternoon")
-    assert main(["box", "gauge", "lvdt", "--device", "/dev/none", "--out", str(session)]) == 2
+    assert box("gauge", "lvdt", "--device", "/dev/none", "--out", session) == 2
     assert "is nothing that truearm wrote; give another name" in capsys.readouterr().err
     assert session.read_bytes() == b"an afternoon"
