@@ -2,8 +2,10 @@
 
 import json
 import os
+import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 from tests.end_to_end.conftest import measured_by_bars
@@ -50,15 +52,25 @@ write_setup(Path(sys.argv[1]), World({SEED}, plan))
 """
 
 
-def measured(name, *command, out=None):
+# A child's peak begins with the memory of the process that starts it, pytest's with all its tests: so a small one does.
+START = """
+import os, sys
+child = os.posix_spawn(sys.executable, [sys.executable, *sys.argv[1:]], os.environ)
+_, status, usage = os.wait4(child, 0)
+print(usage.ru_utime, usage.ru_maxrss / 1024, file=sys.stderr)
+sys.exit(os.waitstatus_to_exitcode(status))
+"""
+
+
+def measured(name, *command, out=os.devnull):
     """Run a Python process; says wall time, processor time and its peak memory, and holds this to MOST_MB."""
     started = time.perf_counter()
-    actions = [] if out is None else [(os.POSIX_SPAWN_OPEN, 1, str(out), os.O_WRONLY | os.O_CREAT, 0o644)]
-    child = os.posix_spawn(sys.executable, [sys.executable, *map(str, command)], os.environ, file_actions=actions)
-    _, status, usage = os.wait4(child, 0)
-    megabytes = usage.ru_maxrss / 1024
-    print(f"{name:10}{time.perf_counter() - started:8.1f} s wall{usage.ru_utime:8.1f} s CPU{megabytes:8.0f} MB")
-    assert os.waitstatus_to_exitcode(status) == 0
+    with Path(out).open("w") as file:
+        whole = [sys.executable, "-c", START, *map(str, command)]
+        done = subprocess.run(whole, stdout=file, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    cpu_s, megabytes = map(float, done.stderr.splitlines()[-1].split())
+    print(f"{name:10}{time.perf_counter() - started:8.1f} s wall{cpu_s:8.1f} s CPU{megabytes:8.0f} MB")
     assert megabytes <= MOST_MB
 
 
