@@ -102,6 +102,10 @@ def test_the_best_region_is_found_by_hand_too():
     assert best_region(grid, 2.0, 0.5).largest == 1.0
     assert best_region(grid, 4.0, 3.0) is None  # a cell is out of reach
     assert best_region(grid, 5.0, 1.0) is None
+    assert best_region(grid, 1.0, 1.0, (0.0, 4.0, 0.0, 2.0))[:3] == ((0.0, 1.0), (0.0, 1.0), 1.0)
+    assert best_region(grid, 1.0, 1.0, (1.0, 3.5, 0.0, 3.0))[:3] == ((1.0, 2.0), (2.0, 3.0), 1.0)
+    assert best_region(grid, 1.0, 1.0, (1.0, 3.0, 0.0, 2.0)).largest == 2.0
+    assert best_region(grid, 3.0, 1.0, (1.0, 3.0, 0.0, 2.0)) is None
 
 
 @pytest.mark.parametrize("joints", [(0, 1), (2, 1), (1, 4)])
@@ -139,6 +143,9 @@ def test_bad_requests_are_one_line(result, tmp_path, run):
         (("map", result, "--at", "1,2"), "needs 6 numbers"),
         (("map", result, "--task", "0x10"), "needs width and height"),
         (("map", result, "--task", "ax10"), "needs width and height"),
+        (("map", result, "--task", "9x9", "--within", "9:1,0:1"), "needs LOW:HIGH,LOW:HIGH"),
+        (("map", result, "--task", "9x9", "--within", "nan:1,0:1"), "needs LOW:HIGH,LOW:HIGH"),
+        (("map", result, "--within", "0:1,0:1"), "give that too"),
         (("map", result, "--cell", "0.1"), "--cell"),
         (("map", tmp_path / "bad.json"), "null_space has the wrong form"),
         (("map", result, "--picture", tmp_path / "mine.svg"), "exists and is nothing"),

@@ -186,6 +186,16 @@ def test_quarter_turns_beyond_half_a_turn_are_found():
     np.testing.assert_allclose(found.q, q, atol=1e-8)
 
 
+def test_axes_on_the_edge_of_a_quarter_turn_are_in_it():
+    """Home positions: axes 1, 4 and 6 at 0, to the digits of a program. Data 0 mean no flipped wrist, wherever the arm was."""
+    chain = builtin_robot("irb120").chain
+    q = np.radians([[0.0, 20.0, 30.0, 0.0, 50.0, 0.0]]) - 2e-5
+    quadrants = np.array([[0.0, np.nan, np.nan, 0.0, np.nan, 0.0]])
+    flipped = np.radians([0.0, 20.0, 30.0, 150.0, -50.0, 150.0])
+    found = search(chain, chain.params_nominal, forward(chain, chain.params_nominal, q), True, flipped, quadrants)
+    np.testing.assert_allclose(found.q, q, atol=1e-8)
+
+
 def test_mountings_are_exactly_what_first_and_last_link_hold(q):
     found = mountings(CHAIN, DESIGN, TRUTH)
     target = Pair(CHAIN, DESIGN, TRUTH, found)

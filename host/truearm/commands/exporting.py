@@ -51,7 +51,7 @@ def export_file(result: Path, out: Path, choice: Choice) -> list[str]:
     write_atomic(out, text)
     return [
         *_mountings_said(calibration, fitted.params, choice),
-        *_refit_said(fitted),
+        *_refit_said(fitted, choice.over),
         f"Written: {one_line(str(out))}",
     ]
 
@@ -129,12 +129,13 @@ def _mountings_said(calibration: Calibration, params: Floats, choice: Choice) ->
     ]
 
 
-def _refit_said(fitted: Refit) -> list[str]:
+def _refit_said(fitted: Refit, over: Path | None) -> list[str]:
     if not fitted.left.size:
         return ["Nothing was refitted: the file holds all that was identified."]
     return [
         f"Refitted over {fitted.left.size} poses: what the file cannot hold or you do not adjust costs {_of(fitted.dropped)}",
         f"where it is simply left out, and {_of(fitted.left)} after the rest has made up for it.",
+        *["Give --over FILE, a plan or a table, to have it best where you work."] * (over is None),
     ]
 
 

@@ -36,17 +36,24 @@ def map_(
     task: Annotated[
         str | None, typer.Option(metavar="WxH", help="Find the best place for a task of this size [mm].")
     ] = None,
+    within: Annotated[
+        str | None,
+        typer.Option(
+            metavar="U0:U1,V0:V1",
+            help="Look for that place only here, along the section's axes [mm]; default: all of it.",
+        ),
+    ] = None,
     own_frames: Annotated[bool, typer.Option("--own-frames", help="Leave out how base and tool were mounted.")] = False,
 ) -> None:
     """Map the robot's error without calibration over a section of its workspace, with the map's own uncertainty.
 
     \b
     Example:
-      truearm map result.json --picture map.svg --task 300x200
+      truearm map result.json --picture map.svg --task 300x200 --within 300:900,0:800
     """
     from truearm.commands.mapping import Choice, map_files
 
-    choice = Choice(robot, base, tip, vary, at, elbow is Elbow.up, 1e-3 * cell, task, own_frames)
+    choice = Choice(robot, base, tip, vary, at, elbow is Elbow.up, 1e-3 * cell, task, own_frames, within)
     for line in map_files(result, out, picture, choice):
         typer.echo(line)
 

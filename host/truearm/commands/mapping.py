@@ -42,6 +42,7 @@ class Choice(NamedTuple):
     cell: float  # m
     task: str | None
     own_frames: bool
+    within: str | None = None
 
 
 def map_files(result: Path, out: Path | None, picture: Path | None, choice: Choice) -> list[str]:
@@ -75,7 +76,7 @@ def _mapped(calibration: Calibration, choice: Choice) -> tuple[ErrorMap, Region 
         if choice.at and i not in varied and not joint.lower <= q[i] <= joint.upper:
             raise InputError(f"--at {choice.at[:60]}: joint {i + 1} would be outside its limits")
     found = error_map(pair, q, varied, choice.cell, calibration.covariance, calibration.unseen, choice.elbow_up)
-    return found, best_region(found, *_size_of(choice.task)) if choice.task else None
+    return found, _best(found, choice)
 
 
 def _pair_of(text: str, n_joints: int) -> tuple[int, int]:
@@ -83,6 +84,27 @@ def _pair_of(text: str, n_joints: int) -> tuple[int, int]:
     if match is None or max(int(match[1]), int(match[2])) > n_joints:
         raise InputError(f"--vary {text[:40]}: needs two joints between 1 and {n_joints}, as 2,3")
     return int(match[1]) - 1, int(match[2]) - 1
+
+
+def _best(found: ErrorMap, choice: Choice) -> Region | None:
+    """The best place for a task, where one was asked for."""
+    if choice.task is None:
+        if choice.within is not None:
+            raise InputError("--within: is of the place for a --task WxH; give that too")
+        return None
+    return best_region(found, *_size_of(choice.task), None if choice.within is None else _span_of(choice.within))
+
+
+def _span_of(text: str) -> tuple[float, float, float, float]:
+    """u0, u1, v0, v1 [m]"""
+    number = r"(-?[0-9]{1,6}(?:\.[0-9]{1,6})?)"
+    match = re.fullmatch(f"{number}:{number},{number}:{number}", text)
+    u0, u1, v0, v1 = (1e-3 * float(part) for part in match.groups()) if match else (0.0,) * 4
+    if u0 >= u1 or v0 >= v1:
+        raise InputError(
+            f"--within {text[:40]}: needs LOW:HIGH,LOW:HIGH in mm along the section's axes, as 300:900,0:800"
+        )
+    return u0, u1, v0, v1
 
 
 def _size_of(text: str) -> tuple[float, float]:

@@ -30,6 +30,7 @@ MOST_CELLS = 250_000
 NEWTON_STEPS = 6  # from a neighbour a cell away it squares its error, 25 mm, down to rounding
 LARGEST_STEP = 0.3  # rad
 MOVES = 1e-6  # m by a null direction whose largest weight is 1
+ROUNDING = 1e-9  # m, at a cell's edge
 STRETCHED = 1e-3  # m²/rad²: below, elbow up and down are hardly told apart
 
 
@@ -185,13 +186,27 @@ def _sigma(pair: Pair, q: Floats, covariance: Floats, unseen: Floats) -> Floats:
     return np.where(moved > MOVES, np.nan, np.sqrt(np.maximum(variance, 0.0)))
 
 
-def best_region(found: ErrorMap, width: float, height: float) -> Region | None:
-    """Where a task of this size (along u and v) [m] errs least at its worst place; None where it fits nowhere."""
+def best_region(
+    found: ErrorMap, width: float, height: float, within: tuple[float, float, float, float] | None = None
+) -> Region | None:
+    """Where a task of this size (along u and v) [m] errs least at its worst place; None where it fits nowhere.
+
+    ``within``: u0, u1, v0, v1 [m], the part of the section that it may lie in. The map knows nothing of what the arm
+    would touch, itself and the table among it.
+    """
     cell = found.u[1] - found.u[0] if found.u.size > 1 else np.inf
     k, n = max(1, int(np.ceil(width / cell - 1e-9))), max(1, int(np.ceil(height / cell - 1e-9)))
     if k > found.u.size or n > found.v.size:
         return None
-    windows = sliding_window_view(found.error, (n, k))
+    error = found.error
+    if within is not None:
+        u0, u1, v0, v1 = np.array(within) + 0.5 * cell * np.array([1.0, -1.0, 1.0, -1.0])
+        inside = (
+            (found.u > u0 - ROUNDING) & (found.u < u1 + ROUNDING),
+            (found.v > v0 - ROUNDING) & (found.v < v1 + ROUNDING),
+        )
+        error = np.where(inside[1][:, None] & inside[0], error, np.nan)
+    windows = sliding_window_view(error, (n, k))
     largest = windows.max(axis=(2, 3))  # NaN where a cell is out of reach
     if np.isnan(largest).all():
         return None

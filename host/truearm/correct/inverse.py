@@ -35,6 +35,7 @@ N_SAMPLES = 20_000  # random joint vectors to start a search from
 N_NEAR = 150  # of them that are looked at for each target, and
 N_STARTS = 24  # started from: those most unlike each other, since an arm of six joints has up to 16 configurations
 PASSES = 6  # of going on from the solution before, whose configuration may be none of those that were found
+EDGE = 0.01  # rad beyond a quarter turn: an axis at 0 stands there to the digits of the program's numbers
 SAME = 1e-6  # rad, m between solutions
 ROOM = 0.05  # rad, m: what a correction moves a joint by, as a rule
 SINGULAR = 0.1  # twice the margin of corrections
@@ -203,8 +204,8 @@ def _unlike(q: Floats) -> Floats:
 
 def _misplaced(q: Floats, quadrants: Floats) -> Floats:
     """(k,) how many joints of q (k, j) are in another quarter turn than they shall be (j,), NaN where it does not matter."""
-    wrong = np.floor(q / (0.5 * np.pi)) != quadrants
-    return np.asarray((wrong & ~np.isnan(quadrants)).sum(axis=-1), dtype=float)
+    beyond = np.abs(q - 0.5 * np.pi * (quadrants + 0.5)) > 0.25 * np.pi + EDGE  # no NaN is
+    return np.asarray(beyond.sum(axis=-1), dtype=float)
 
 
 def _features(poses: Floats, oriented: bool) -> Floats:
