@@ -54,10 +54,11 @@ def test_there_and_back_tells_the_delay(solver):
 @pytest.mark.parametrize("solver", ["lm", "map", "recursive"])
 def test_devices_of_which_nothing_is_declared_tell_it_as_well(solver):
     """A roll that is not known turns freely about the line's axis. Were its step to tilt the axis too (by the square of the
-    roll: 0.1 rad are 100 σ of the axis), a fit would end before the delay is found: 2.3 ms ± 0.08 were said of 8.4."""
+    roll: 0.1 rad are 100 σ of the axis), a fit would end before the delay is found: 2.3 ms ± 0.08 were said of 8.4. With this noise a
+    recursive fit whose passes were not damped ended at a χ² of 8.5."""
     rig, table = observed()
     placed = {name: Device(name, device.sensor_cov) for name, device in rig.lines.items()}
-    noise = np.sqrt(np.diag(SIGMA)) * np.random.default_rng(2).standard_normal(table.xyz.shape)
+    noise = np.sqrt(np.diag(SIGMA)) * np.random.default_rng(5).standard_normal(table.xyz.shape)
     prior = {} if solver == "lm" else {"prior_sigma": wide_prior(CHAIN)}
     rough = replace(table, xyz=table.xyz + noise)
     found = identify(CHAIN, replace(rig, lines=placed), rough, free=ROBOT.free, solver=solver, **prior)
