@@ -10,7 +10,7 @@ from tests.host import plan_bench as bench
 from truearm.errors import PlanError
 from truearm.estimate.identify import identify
 from truearm.model.robot import builtin_robot
-from truearm.plan.ballbar import Wanted, all_pairings, bars_off, plan_ballbar
+from truearm.plan.ballbar import Wanted, all_pairings, plan_ballbar
 from truearm.plan.forecast import Aim, bar_table, forecast
 from truearm.plan.region import parse_region
 from truearm.plan.way import Pace
@@ -33,6 +33,16 @@ def test_budget_and_pairings(name):
     pairings = {(b, c, s) for b, c, s in zip(plan.bar, plan.chuck, plan.sphere, strict=True)}
     assert {p[0] for p in pairings} == set(bench.RIGS[name].bars)
     assert len({p[1:] for p in pairings}) == 9
+
+
+def bars_off(way):
+    """Poses of the plan before which the bar comes off though the pairing stays."""
+    plan = way.plan
+    same = (plan.bar[1:] == plan.bar[:-1]) & (plan.chuck[1:] == plan.chuck[:-1]) & (plan.sphere[1:] == plan.sphere[:-1])
+    again = np.concatenate([[False], same])
+    mounted = np.zeros(len(plan), dtype=bool)
+    mounted[way.pose[way.mount]] = True
+    return np.flatnonzero(again & mounted)
 
 
 @each_robot

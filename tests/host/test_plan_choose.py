@@ -122,8 +122,8 @@ def demo():
     region = around(point_forward(known.chain, known.params, grid.q, spheres))
     middle = np.array([0.0, 0.0, 0.04])  # of the three spheres
     aim = Aim(poses_in(site, region, middle), tuple(rig.spheres))
-    rows, nothing, _ = candidate_rows(known, bar_table(known, found))
-    old, _, _ = candidate_rows(known, bar_table(known, grid))
+    rows, nothing = candidate_rows(known, bar_table(known, found))
+    old, _ = candidate_rows(known, bar_table(known, grid))
     grid_information = nothing + sum(row.T @ row for row in old)
     return as_blocks(rows), nothing, grid_information, region_root(known, bar_table(known, found), aim)
 

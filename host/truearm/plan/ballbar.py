@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truearm.errors import PlanError
 from truearm.model.chain import point_forward
@@ -45,7 +44,6 @@ class BallBarPlan(NamedTuple):
 
     route: Route
     forecast: Forecast
-    n_candidates: int
 
 
 def make_site(known: Known, branch: Branch, limits: Limits, sizes: Sizes, seed: int = 0) -> Site:
@@ -88,7 +86,7 @@ def plan_ballbar(
     found, graphs = roadmaps(site, found)
     aim = _aim(site, found, region, wanted.seed)
     table = bar_table(known, found)
-    rows, information, _ = candidate_rows(known, table)
+    rows, information = candidate_rows(known, table)
     blocks, root = as_blocks(rows), region_root(known, table, aim)
 
     names = np.stack([found.bar, found.chuck, found.sphere], axis=1)
@@ -101,12 +99,12 @@ def plan_ballbar(
         return found.select(np.sort(order))
 
     if wanted.n_poses is not None:
-        say_route = chosen(wanted.n_poses)
-        say(f"the order of {len(say_route)} visits, and ways between them")
-        way = route(site, say_route, pace, graphs)
+        best = chosen(wanted.n_poses)
+        say(f"the order of {len(best)} visits, and ways between them")
+        way = route(site, best, pace, graphs)
     else:
         way = _within(site, chosen, len(found), wanted.minutes or 0.0, pace, graphs)
-    return BallBarPlan(way, forecast(known, bar_table(known, way.plan), aim), len(found))
+    return BallBarPlan(way, forecast(known, bar_table(known, way.plan), aim))
 
 
 def _within(
@@ -150,13 +148,3 @@ def sphere_places(site: Site, plan: Plan) -> Floats:
     """(n, 3) where each pose has the sphere that its bar holds."""
     p_sphere = np.array([site.rig.spheres[name].xyz for name in plan.sphere])
     return point_forward(site.arm.chain, site.arm.params, plan.q, p_sphere)
-
-
-def bars_off(way: Route) -> NDArray[np.intp]:
-    """Poses of the plan before which the bar comes off though the pairing stays."""
-    plan = way.plan
-    same = (plan.bar[1:] == plan.bar[:-1]) & (plan.chuck[1:] == plan.chuck[:-1]) & (plan.sphere[1:] == plan.sphere[:-1])
-    again = np.concatenate([[False], same])
-    mounted = np.zeros(len(plan), dtype=bool)
-    mounted[way.pose[way.mount]] = True
-    return np.flatnonzero(again & mounted)

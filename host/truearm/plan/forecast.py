@@ -41,7 +41,7 @@ class Forecast:
     """What an identification would report of all rows, measured and planned.
 
     ``sigma`` is NaN where nothing is seen of a parameter or it is held. ``cartesian`` (n,) [m]: expected error of
-    the aim's points at its poses, None where no honest figure exists; ``relative`` as in PredictedError.
+    each of the aim's points at each of its poses, None where no honest figure exists; ``relative`` as in PredictedError.
     """
 
     names: tuple[str, ...]
@@ -108,8 +108,8 @@ def forecast(known: Known, planned: ObservationTable, aim: Aim | None = None) ->
     )
 
 
-def candidate_rows(known: Known, planned: ObservationTable) -> tuple[list[Floats], Floats, Floats]:
-    """What ``choose`` needs: rows (w, k) of every planned one, the information (k, k) known, and the columns' unit (k,).
+def candidate_rows(known: Known, planned: ObservationTable) -> tuple[list[Floats], Floats]:
+    """What ``choose`` needs: rows (w, k) of every planned one, and the information (k, k) known.
 
     All in units of the prior: the robot's parameters by ``wide_prior``, the rig's by what the rig says of them; what it
     does not know at all counts as known to a metre or radian. The prior is part of what is known.
@@ -128,7 +128,7 @@ def candidate_rows(known: Known, planned: ObservationTable) -> tuple[list[Floats
         information += np.einsum("nwk,nwl->kl", jac[old], jac[old])
         for row, part in zip(block.row[~old], jac[~old], strict=True):
             rows[row - n_measured] = part
-    return rows, information, unit
+    return rows, information
 
 
 def region_root(known: Known, planned: ObservationTable, aim: Aim) -> Floats:

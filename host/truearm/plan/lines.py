@@ -59,7 +59,6 @@ class LinePlan(NamedTuple):
     visits: Plan  # the stops as the recorder follows them
     forecast: Forecast
     minutes: float
-    n_candidates: int
 
 
 def plan_lines(
@@ -98,9 +97,7 @@ def plan_lines(
     errors = a_priori(site, lines.points, point)
     told = forecast(_with_lines(known, devices), table, aim)
     visits = _visits(stops, names, wanted.passes, target)
-    return LinePlan(
-        lines, errors, _with_lines(known, devices).rig, devices, stops, visits, told, seconds / 60.0, len(far)
-    )
+    return LinePlan(lines, errors, _with_lines(known, devices).rig, devices, stops, visits, told, seconds / 60.0)
 
 
 def _driving(wanted: LinesWanted) -> float:
