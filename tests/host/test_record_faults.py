@@ -2,6 +2,7 @@
 
 import json
 from functools import partial
+from itertools import pairwise
 
 import cbor2
 import pytest
@@ -18,6 +19,7 @@ from record_box import (
     Robot,
     array,
     frame,
+    heartbeat,
     u32,
     u64,
 )
@@ -180,6 +182,18 @@ class TestFaults:
         box.overruns = 4
         lab.at(lab.now + 2 * SECOND, lambda: box.boot(0x2222))
         assert run(lab, box, path.with_name("c"), 4.0).counters.overruns_in_box == 4  # of a boot in its midst: all
+
+    def test_a_box_that_somebody_stopped_is_started_again(self, lab, path):
+        """Its heartbeats say so. One that is late says nothing."""
+        box = Box(lab)
+        lab.at(HOST_0 + 2 * SECOND, lambda: box.send(lambda seq: heartbeat(seq, box.boot_id, box.t_us(), 0)))
+        lab.at(HOST_0 + 4 * SECOND, lambda: setattr(box, "streaming", False))
+        summary = run(lab, box, path, 9.0)
+        assert events(path) == ["start", "box-stopped", "start", "stop"]
+        assert (summary.counters.restarts, [c[0] for c in box.commands if c[0] != 48].count(50)) == (0, 2)
+        came_ns = [m.t_host_ns for m in topics(path)["/box/adc"]]
+        assert 1.0 * SECOND < max(b - a for a, b in pairwise(came_ns)) < 2.5 * SECOND
+        assert max(came_ns) > HOST_0 + 8.5 * SECOND
 
     def test_frames_counted_anew_without_a_restart(self, lab, path):
         """Not of this protocol, but it must neither be taken for a restart nor be asked about for ever."""

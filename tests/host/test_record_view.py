@@ -89,6 +89,25 @@ class TestTravel:
         session.state.block(session.t, Data(0, 0, 0, 0, 983_040, b"", counts.tobytes(), 0))
         assert "rail" in session.row("lvdt").text
 
+    def test_a_stream_that_has_run_dry(self):
+        """The converter has died, the box's heartbeats go on."""
+        session = Session()
+        session.run(0.5)
+        for elapsed_s, box_ok, said in (
+            (12.0, True, "adc 1017.3 Hz"),
+            (13.9, True, "adc 1017.3 Hz"),
+            (20.0, True, "adc NO SAMPLES for 8 s"),
+            (21.0, False, "adc 1017.3 Hz"),
+        ):
+            status = dataclasses.replace(session.status(box_ok=box_ok), elapsed_s=elapsed_s)
+            row = session.state.rates(status)
+            assert row.text.startswith(said)
+            assert row.alarm == ("NO" in said)
+        session.run(0.1)
+        assert session.state.rates(dataclasses.replace(session.status(), elapsed_s=30.0)).text.startswith(
+            "adc 1017.3 Hz"
+        )
+
     def test_on_one_line(self):
         session = Session(plan(*PAIRS))
         session.run(2.0)

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 NEAR_END = 0.1  # of the travel, at either end
 POSITION_BLOCKS = 8  # a tenth of a second: the bar may move
 BAR_CELLS = 31
+DRY_S = 2.0  # of a stream without samples
 LATE_S = 1.0  # a reading older than that is shown as late
 
 
@@ -61,6 +62,7 @@ class LiveState:
         self._asked: dict[str, str] | None = None
         self._lost = (0, 0)
         self._complete = course.complete
+        self._came: dict[int, tuple[int | None, float]] = {}  # of a stream: how far it had come, and since when
 
     # --- what comes
 
@@ -318,10 +320,13 @@ class LiveState:
     def rates(self, status: Status) -> Shown:
         """Rates by the box's own stamps, and what was lost anywhere."""
         counters = status.counters
+        streams = {} if self._ident is None else self._ident.streams
+        dry_s = {k: self._dry_s(k, w.next_n0, status) for k, w in self._windows.items()}
         rates = [
-            f"{self._ident.streams[k].name} {1e9 / w.period_ns:.1f} Hz"
+            f"{streams[k].name} "
+            + (f"{1e9 / w.period_ns:.1f} Hz" if dry_s[k] <= DRY_S else f"NO SAMPLES for {dry_s[k]:.0f} s")
             for k, w in sorted(self._windows.items())
-            if self._ident is not None and w.period_ns
+            if k in streams and w.period_ns
         ]
         lost = (counters.lost_frames, counters.overruns_in_box)
         text = f"{', '.join(rates) or 'no samples'}; {counters.samples} samples, {lost[0]} frames lost"
@@ -332,7 +337,14 @@ class LiveState:
         )
         text += "".join(f", {n} {what}" for n, what in more if n)
         alarm, self._lost = lost != self._lost, lost
-        return Shown("samples", text, alarm or not rates)
+        return Shown("samples", text, alarm or not rates or max(dry_s.values(), default=0.0) > DRY_S)
+
+    def _dry_s(self, stream: int, n0: int | None, status: Status) -> float:
+        """For how long a stream has not gone on, though the box speaks."""
+        before = self._came.get(stream)
+        if before is None or before[0] != n0 or not status.box_ok:
+            before = self._came[stream] = n0, status.elapsed_s
+        return status.elapsed_s - before[1]
 
     def robot(self, status: Status) -> Shown:
         """Its link, its rate, the age of its last reading."""

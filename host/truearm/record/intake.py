@@ -60,10 +60,12 @@ class Intake:
     answer: Answer | None = None
     suspect: bool = False  # the box may have restarted
     restarted: bool = False  # it has
+    stopped: bool = False  # it says that it does not stream, though it was started
     heard_ns: int | None = None  # its last word, or since when it might speak again
     spoke_ns: int | None = None  # its last word
     _expected_seq: int | None = None
     _counted_ns: int = 0  # when the frame before that arrived
+    _idle_us: int | None = None  # the box's time at which it said so first
     _beat: tuple[int, int, int] | None = None  # the last heartbeat's boot id, dropped and overruns
     _streams: dict[int, tuple[str, int]] = field(default_factory=dict)  # id: topic, bytes a sample
     _splitter: FrameSplitter = field(default_factory=FrameSplitter)
@@ -96,6 +98,10 @@ class Intake:
         """The box was asked and has not restarted: count its frames from the next one on."""
         self.suspect = False
         self._expected_seq = None
+
+    def started(self) -> None:
+        """The box was started, and said so."""
+        self.stopped, self._idle_us = False, None
 
     def _take_console(self, t_host_ns: int, data: bytes) -> None:
         self.counters.console_bytes += len(data)
@@ -158,6 +164,12 @@ class Intake:
         self._count_in_box(fields["boot_id"], fields["dropped"], fields["overruns"])
         if self.ident is not None and fields["boot_id"] != self.ident.boot_id:
             self.suspect = True
+        if fields["streaming"]:
+            self._idle_us = None
+        elif self._idle_us is None:
+            self._idle_us = fields["t_us"]
+        elif fields["t_us"] > self._idle_us:  # twice: one may be late
+            self.stopped = True
 
     def _count_in_box(self, boot_id: int, dropped: int, overruns: int) -> None:
         """The box counts since its boot: what it lost before this recording first heard of it is not the recording's."""

@@ -162,7 +162,7 @@ class _Recorder:
         while True:
             try:
                 self._check_end()
-                if self._to_set_up or self._box.restarted:
+                if self._to_set_up or self._box.restarted or self._box.stopped:
                     self._set_up()
                 elif self._to_ask or self._box.suspect:
                     self._ask()
@@ -174,12 +174,15 @@ class _Recorder:
 
     def _set_up(self) -> None:
         self._state = "identifying"
-        self._box.restarted = False
+        if self._box.stopped and not (self._to_set_up or self._box.restarted):
+            self._writer.event("box-stopped", self._clock.now_ns())
+        self._box.restarted = self._box.stopped = False
         self._command(IDENTIFY)
         self._command(STOP, may_fail=True)  # a recorder that was killed left it streaming
         self._configure()
         self._operator.approve(self._ident())
         self._command(START)
+        self._box.started()
         now_ns = self._clock.now_ns()
         self._writer.event("start", now_ns)
         if self._started_ns is None:
