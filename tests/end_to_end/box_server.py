@@ -17,7 +17,7 @@ from truearm_sim.simbox import SimulatedBox
 from truearm_sim.world import World, standard_plan
 
 MAG_PERIOD_NS = 983_040  # as the converter's
-LONGEST_STEP_NS = 20_000_000
+LONGEST_STEP_NS = 4_000_000  # in 2 ms of the wall clock and the time that it takes: nobody is hurried
 NOISE_V = 5e-6
 NOISE_PS = 1800.0
 NOISE = np.random.default_rng(4).standard_normal((65_536, 4))

@@ -194,6 +194,18 @@ def test_answers_to_others_are_not_ours():
         talk(lambda request: reply(request[1] + 1, b"")).command(wire.STOP)
 
 
+def test_an_answer_that_came_while_the_machine_was_busy_is_taken():
+    """The command was not given a turn before its time was over; what the box said lies there."""
+
+    class Busy(Parrot):
+        def now_ns(self):
+            self._now_ns += 10**12
+            return self._now_ns
+
+    link = Busy(lambda request: reply(request[1], b"ok"))
+    assert BoxControl(link, link).command(wire.STOP, retries=1) == b"ok"
+
+
 def test_noise_is_counted_and_survived():
     box = talk(lambda request: b"\0Traceback\r\n\0" + b"\x05" * 300 + b"\0" + reply(request[1], b"ok"))
     assert box.command(wire.STOP) == b"ok"

@@ -164,9 +164,13 @@ class BoxControl:
         self._reply = self._error = None
         for _ in range(retries):
             self._link.write(data)
+            left_ns = retry_ns
             deadline_ns = self._clock.now_ns() + retry_ns
-            while (left_ns := deadline_ns - self._clock.now_ns()) > 0:
-                self._pump(min(left_ns / SECOND, _READ_S))
+            while left_ns > 0:
+                left_ns = (
+                    deadline_ns - self._clock.now_ns()
+                )  # on a busy machine it is over at once, and the answer has come
+                self._pump(min(max(left_ns, 0) / SECOND, _READ_S))
                 self._check_refused(NAMES[kind])
                 if answered():
                     return
