@@ -9,11 +9,12 @@ import json
 import socket
 import struct
 import threading
+import tracemalloc
 from contextlib import suppress
 
 import pytest
 
-from truearm.errors import InputError, LinkClosed, LinkError
+from truearm.errors import InputError, LinkClosed, LinkError, ProtocolError
 from truearm.record.links import HostClock
 from truearm.record.robots import rtde_packages as rtde
 from truearm.record.robots.rtde import RtdeLink
@@ -231,6 +232,22 @@ class TestClient:
         ticks = [0, 1, 2, 5, 6]
         lines = readings(WHOLE, b"".join(data(2047.786 + 0.002 * k) for k in ticks), 5)
         assert [json.loads(line)["seq"] for line in lines] == ticks
+
+    def test_who_talks_without_being_asked_is_none(self):
+        """Packages that are right and that nobody wants: they are not gathered for seconds."""
+
+        def talk(peer):
+            with suppress(OSError):
+                for _ in range(2000):
+                    peer.sendall(1000 * TEXT)
+
+        controller = Controller([], talk)
+        tracemalloc.start()
+        with pytest.raises(ProtocolError, match="sends what is no RTDE"):
+            RtdeLink(controller.url, HostClock())
+        assert tracemalloc.get_traced_memory()[1] < 64 << 20
+        tracemalloc.stop()
+        controller.finish()
 
     def test_an_old_controller_has_another_rate_and_fewer_fields(self):
         script = [

@@ -25,6 +25,7 @@ from truearm.sensors.joints import MAX_T_S, format_reading
 
 PORT = 30004
 ANSWER_NS = 5_000_000_000
+MAX_UNASKED = 1 << 20  # bytes before the stream is started; a controller says a few words, if any
 NEEDED = ("timestamp", "actual_q")
 WANTED = ("target_q", "actual_qd", "actual_current", "actual_digital_input_bits", "robot_mode", "runtime_state")
 KEYS = {
@@ -52,6 +53,7 @@ class RtdeLink:
         self._clock = clock
         self._packages = rtde.Packages()
         self._pending: Arrivals = []  # lines that came while the set-up was under way
+        self._unasked = 0  # bytes of them
         self._awaited: int | None = None  # the type of the answer that is waited for
         self._answers: list[bytes] = []
         self._recipe: rtde.Recipe | None = None
@@ -134,7 +136,11 @@ class RtdeLink:
                     f"{self.name}: the controller closed the connection; is RTDE enabled in its settings?"
                 ) from exc
             for t_host_ns, data in arrivals:
-                self._pending += self._lines(t_host_ns, data)
+                lines = self._lines(t_host_ns, data)
+                self._pending += lines
+                self._unasked += sum(len(line) for _, line in lines)
+                if self._unasked > MAX_UNASKED:
+                    raise self._stranger()
             if self._answers:
                 return self._answers.pop()
             if self._packages.broken:
