@@ -20,7 +20,7 @@ from truearm.errors import InputError, LinkClosed, LinkError
 from truearm.record.robot import MAX_LINE, JointLines
 from truearm.record.robots import rtde
 from truearm.record.robots.bags import bag_files, readings_of_bag
-from truearm.record.robots.lines import LinesLink
+from truearm.record.robots.lines import Dialect, LinesLink
 from truearm.record.robots.table import readings_of_table
 from truearm.sensors.joints import parse_reading
 
@@ -220,7 +220,7 @@ def odd_lines(rng):
 
 
 def read_lines(pieces, of):
-    link, lines = LinesLink(Played(pieces), Clock(), of), []
+    link, lines = LinesLink(Played(pieces), Clock(), Dialect(of)), []
     try:
         while True:
             lines += [data for _, data in link.read(0.0)]

@@ -4,6 +4,7 @@ import json
 import math
 import socket
 import threading
+from contextlib import suppress
 
 import pytest
 
@@ -219,6 +220,29 @@ class TestTcp:
         assert [parse_reading(line) is not None for line in got.splitlines()] == [False, False, True]
         assert got.replace(b"of a line that is too long: ", b"").replace(b"\n", b"") == b"x" * MAX_LINE + reading * 2
 
+    def test_a_header_counts_for_the_connections_behind_it_too(self):
+        """A program prints it once, and goes on when the network is back. The first row of a connection may have lost its head."""
+        listener = socket.create_server(("127.0.0.1", 0))
+
+        def robot():
+            for said in (b"t_s,q1_deg\n1,90\n", b"2.5,90\n13,180\n"):
+                peer, _ = listener.accept()
+                with peer:
+                    peer.sendall(said)
+
+        threading.Thread(target=robot, daemon=True).start()
+        link, lines = open_source(f"lines+tcp://127.0.0.1:{listener.getsockname()[1]}", HostClock()), []
+        for again in (False, True):
+            assert not again or link.reopen(PATIENCE_S)
+            got = b""
+            with suppress(LinkClosed):
+                while True:
+                    got += b"".join(data for _, data in link.read(0.1))
+            lines.append([parse_reading(line) and parse_reading(line).t for line in got.splitlines()])
+        link.close()
+        listener.close()
+        assert lines == [[None, 1.0], [None, 13.0]]
+
     def test_a_header_that_is_not_understood_ends_it(self):
         peer = Peer(b"t_s,q1_degrees\n1,90\n")
         got, end = all_of(open_source(f"lines+tcp://{peer.address}", HostClock()))
@@ -302,7 +326,7 @@ class Played:
 def test_how_the_stream_is_cut_does_not_matter(size):
     sent = b"t_s,q1_deg\n1,90\n" + b'{"names":{"q":"p"}}\n{"t":1,"p":[2]}\n' + b"y" * 9000 + b"\n2,180\n"
     pieces = [sent[i : i + size] for i in range(0, len(sent), size)]
-    link = LinesLink(Played(*pieces), HostClock(), {})
+    link = LinesLink(Played(*pieces), HostClock(), Dialect({}))
     got = b"".join(data for _ in range(len(pieces)) for _, data in link.read(0.0))
     assert [parse_reading(line).q for line in got.splitlines() if parse_reading(line)] == [[90 * DEG], [2.0], [math.pi]]
 

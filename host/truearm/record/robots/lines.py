@@ -170,13 +170,17 @@ def _declared(of: dict[str, str]) -> tuple[Names, Columns | None]:
 
 
 class LinesLink:
-    """The lines of ``link`` in a session's form."""
+    """The lines of ``link`` in a session's form, by a dialect that learns of them what they are.
 
-    def __init__(self, link: Link, clock: Clock, of: dict[str, str]) -> None:
+    ``joined``: its first line may be the rest of one, and numbers without their first digits are numbers too: a row is passed over there.
+    """
+
+    def __init__(self, link: Link, clock: Clock, dialect: Dialect, joined: bool = False) -> None:
         self.name = link.name
         self._link = link
         self._clock = clock
-        self._dialect = Dialect(of)
+        self.dialect = dialect
+        self._joined = joined
         self._runs = Runs(b"\n", MAX_LINE)
         self._end: LinkError | None = None
 
@@ -207,24 +211,29 @@ class LinesLink:
         self._link.close()
 
     def _line(self, whole: bool, line: bytes) -> bytes:
+        joined, self._joined = self._joined, False
         if not whole:
             return OVERLONG + line
         try:
-            return self._dialect.line(line)
+            found = self.dialect.line(line)
+            return line if joined and not line.lstrip().startswith(b"{") else found
         except InputError as exc:
             self._end = ProtocolError(f"{self.name}: {exc}")
             return line
 
 
-def open_lines(url: str, clock: Clock) -> LinesLink:
-    """The source behind ``lines+tcp://`` or ``lines+udp://``. Raises InputError, LinkError."""
+def open_lines(url: str, clock: Clock, dialect: Dialect | None = None) -> LinesLink:
+    """The source behind ``lines+tcp://`` or ``lines+udp://``. ``dialect``: of an earlier connection, whose header still counts.
+
+    Raises InputError, LinkError.
+    """
     address, _, query = url.partition("?")
     try:
         pairs = parse_qsl(query, True, bool(query), max_num_fields=20)
     except ValueError as exc:
         raise InputError(f"{url!r}: what stands behind '?' is no list of NAME=VALUE") from exc
-    of = dict(pairs)
-    _declared(of)  # before anything is opened
+    dialect = dialect or Dialect(dict(pairs))  # refused before anything is opened
     plain = address.removeprefix("lines+")
-    link: Link = UdpLink(plain, clock, name=url) if plain.startswith("udp") else TcpLink(plain, clock, name=url)
-    return LinesLink(link, clock, of)
+    if plain.startswith("udp"):
+        return LinesLink(UdpLink(plain, clock, name=url), clock, dialect)
+    return LinesLink(TcpLink(plain, clock, name=url), clock, dialect, joined=True)

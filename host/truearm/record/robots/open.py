@@ -5,7 +5,7 @@ from __future__ import annotations
 from truearm.errors import InputError
 from truearm.record.links import Clock, Link, TcpLink
 from truearm.record.reopening import Reopening
-from truearm.record.robots.lines import open_lines
+from truearm.record.robots.lines import LinesLink, open_lines
 from truearm.record.robots.rtde import RtdeLink
 
 SCHEMES = ("tcp", "rtde", "lines+tcp", "lines+udp")
@@ -24,7 +24,7 @@ def open_source(url: str, clock: Clock) -> Reopening:
         return Reopening(_Rtde(url, clock))
     if scheme == "tcp":
         return Reopening(lambda: TcpLink(url, clock))
-    return Reopening(lambda: open_lines(url, clock))
+    return Reopening(_Lines(url, clock))
 
 
 class _Rtde:
@@ -36,4 +36,16 @@ class _Rtde:
 
     def __call__(self) -> Link:
         self._last = RtdeLink(self._url, self._clock, None if self._last is None else self._last.first_s)
+        return self._last
+
+
+class _Lines:
+    """Opens connections to one robot, which may have said only once what its columns are."""
+
+    def __init__(self, url: str, clock: Clock) -> None:
+        self._url, self._clock = url, clock
+        self._last: LinesLink | None = None
+
+    def __call__(self) -> Link:
+        self._last = open_lines(self._url, self._clock, None if self._last is None else self._last.dialect)
         return self._last
