@@ -9,10 +9,13 @@ from tests.host import plan_bench as bench
 
 from truearm.cli import main
 from truearm.estimate.identify import identify
+from truearm.export.own import own
+from truearm.export.urdf import new_urdf
 from truearm.files.plan import check_against_rig, read_plan
 from truearm.files.result import RobotFrames, document_of, write_result
 from truearm.files.rig import read_rig, write_rig
 from truearm.files.table import write_table
+from truearm.plan.branches import BRANCHES
 from truearm.plan.forecast import bar_table
 
 COMMON = ("--robot", "irb120", "--bar", "bar25", "--poses", "36", "--candidates", "60")
@@ -55,6 +58,37 @@ def test_plan_measure_identify_plan_again(folder, capsys):
     assert again["rank"] == 30
     first = dict(zip(found.parameter_names, found.sigma, strict=True))
     assert all(p["sigma"] < first[p["name"]] for p in again["parameters"])
+
+
+def test_a_urdf_with_several_ends(folder, capsys):
+    """As makers' files have them: the end is chosen, or is that of the result. What is foretold, identify then says."""
+    chain = bench.known("irb120").chain
+    text = new_urdf(own(chain, chain.params_nominal, chain.params_nominal))
+    camera = '<link name="camera"/><joint name="c" type="fixed"><parent link="tool0"/><child link="camera"/></joint>'
+    plate = camera.replace("camera", "plate").replace('"c"', '"p"')
+    urdf, rig = folder / "arm.urdf", str(folder / "rig.toml")
+    urdf.write_text(text.replace("</robot>", f"{camera}{plate}</robot>"))
+    lower, upper = (np.rad2deg(bound) for bound in (BRANCHES["irb120"].lower, BRANCHES["irb120"].upper))
+    branch = ",".join(f"{a:.6g}:{b:.6g}" for a, b in zip(lower, upper, strict=True))
+    given = ("plan", "ballbar", "--robot", str(urdf), *COMMON[2:], "--rig", rig, f"--branch={branch}", "--json")
+    assert main([*given]) == 2
+    assert "choose a tip among camera, plate" in capsys.readouterr().err
+    assert main([*given, "--tip", "tool0", "--out", str(folder / "arm.csv")]) == 0
+    told = json.loads(capsys.readouterr().out)
+    visits = read_plan(folder / "arm.csv")
+    write_table(folder / "arm_rows.csv", bar_table(bench.known("irb120"), visits.select(visits.dwells)), ("rad",) * 6)
+    result = str(folder / "arm.json")
+    rows = ("identify", str(folder / "arm_rows.csv"), "--robot", str(urdf), "--tip", "tool0", "--rig", rig)
+    assert main([*rows, "--out", result, "--json"]) == 0
+    found = {p["name"]: p["sigma"] for p in json.loads(capsys.readouterr().out)["parameters"] if p["free"]}
+    assert set(found) == {p["name"] for p in told["parameters"]}
+    for parameter in told["parameters"]:
+        sigma = found[parameter["name"]]
+        assert (sigma is None) == (parameter["sigma"] is None)
+        assert sigma is None or parameter["sigma"] == pytest.approx(sigma, rel=1e-3)
+    more = ("--result", result, "--measured", str(folder / "arm_rows.csv"))
+    assert main([*given, *more]) == 0
+    assert json.loads(capsys.readouterr().out)["rows"] == 72
 
 
 LINES = ("--robot", "irb120", "--lines", "2", "--candidates", "6", "--length-mm", "200", "--seed", "3")

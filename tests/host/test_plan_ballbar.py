@@ -9,6 +9,7 @@ from tests.host import plan_bench as bench
 
 from truearm.errors import PlanError
 from truearm.estimate.identify import identify
+from truearm.estimate.prior import free_without_gains, weak_prior
 from truearm.model.robot import builtin_robot
 from truearm.plan.ballbar import Wanted, all_pairings, plan_ballbar
 from truearm.plan.forecast import Aim, bar_table, forecast
@@ -170,6 +171,21 @@ def test_foretold_sigmas_are_those_that_the_identification_reports(name):
     ratio = (told.forecast.sigma / found.sigma)[found.free]
     assert ratio.min() > 0.9
     assert ratio.max() < 1.1
+
+
+def test_foretold_sigmas_know_of_the_prior():
+    """A URDF's constants are all free but for gains, redundant, and identified with a weak prior."""
+    known, plan = bench.known("irb120"), bench.planned("irb120").route.plan
+    prior = weak_prior(known.chain)
+    all_free = replace(known, free=free_without_gains(known.chain), prior_sigma=prior)
+    table = bar_table(known, plan)
+    told = forecast(all_free, table, Aim(plan.q[::5], tuple(known.rig.spheres)))
+    found = identify(known.chain, known.rig, table, free=all_free.free, prior_sigma=prior)
+    assert told.rank == found.rank
+    assert np.array_equal(np.isnan(told.sigma), np.isnan(np.where(found.identifiable, found.sigma, np.nan)))
+    np.testing.assert_allclose(told.sigma[found.identifiable], found.sigma[found.identifiable], rtol=1e-6)
+    without = forecast(replace(all_free, prior_sigma=None), table, Aim(plan.q[::5], tuple(known.rig.spheres)))
+    assert told.cartesian_rms < without.cartesian_rms
 
 
 def test_what_cannot_be_seen_is_named_before_it_is_measured():

@@ -27,6 +27,12 @@ class Criterion(StrEnum):
 
 
 RobotOption = Annotated[str, typer.Option(metavar="ROBOT", help="Built-in robot, robot file (.toml) or URDF.")]
+BaseOption = Annotated[
+    str | None, typer.Option(metavar="LINK", help="Base link of a URDF; default: as in --result, or its only root.")
+]
+TipOption = Annotated[
+    str | None, typer.Option(metavar="LINK", help="End link of a URDF; default: as in --result, or its only one.")
+]
 RigOption = Annotated[Path, typer.Option(metavar="FILE", help="Chucks, spheres, bars, targets (.toml).")]
 MinutesOption = Annotated[
     float | None,
@@ -90,6 +96,8 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print the forecast as 
 def ballbar(
     robot: RobotOption,
     rig: RigOption,
+    base: BaseOption = None,
+    tip: TipOption = None,
     poses: Annotated[int | None, typer.Option(min=1, metavar="N", help="Budget in poses.")] = None,
     minutes: MinutesOption = None,
     criterion: CriterionOption = Criterion.I,
@@ -123,7 +131,7 @@ def ballbar(
     from truearm.commands.planning_text import show
 
     common = Common(
-        robot, rig, minutes, criterion.value, region, candidates, result, tuple(measured or ()), branch, dwell_s, seed,
+        robot, base, tip, rig, minutes, criterion.value, region, candidates, result, tuple(measured or ()), branch, dwell_s, seed,
         out, tuple(program or ()), output_line, input_line,
     )  # fmt: skip
     document = plan_ballbar_files(common, BallBars(poses, tuple(bar or ()), reserve_mm, spread_mm), quiet=as_json)
@@ -134,6 +142,8 @@ def ballbar(
 def line(
     robot: RobotOption,
     rig: RigOption,
+    base: BaseOption = None,
+    tip: TipOption = None,
     lines: Annotated[int | None, typer.Option(min=1, max=100, metavar="N", help="Budget in lines.")] = None,
     minutes: MinutesOption = None,
     length_mm: Annotated[float, typer.Option(min=10.0, max=5000.0, metavar="MM", help="The device's reach.")] = 500.0,
@@ -179,7 +189,7 @@ def line(
     from truearm.commands.planning_text import show
 
     common = Common(
-        robot, rig, minutes, criterion.value, region, candidates, result, tuple(measured or ()), branch, 0.0, seed,
+        robot, base, tip, rig, minutes, criterion.value, region, candidates, result, tuple(measured or ()), branch, 0.0, seed,
         out, tuple(program or ()), output_line, input_line,
     )  # fmt: skip
     device = LineDevice(lines, length_mm, transverse_mm, speed_mm_s, passes, points, target, rig_out)
@@ -190,6 +200,8 @@ def line(
 def characterize(
     robot: RobotOption,
     rig: RigOption,
+    base: BaseOption = None,
+    tip: TipOption = None,
     bar: Annotated[str | None, typer.Option(metavar="NAME", help="Which bar; default: the rig's first.")] = None,
     chuck: Annotated[str | None, typer.Option(metavar="NAME", help="Which chuck; default: the rig's first.")] = None,
     sphere: Annotated[str | None, typer.Option(metavar="NAME", help="Which sphere; default: the rig's first.")] = None,
@@ -223,7 +235,7 @@ def characterize(
     from truearm.commands.planning_text import show_approaches
 
     common = Common(
-        robot, rig, None, "I", None, 400, result, (), branch, dwell_s, seed, out, tuple(program or ()), output_line, input_line,
+        robot, base, tip, rig, None, "I", None, 400, result, (), branch, dwell_s, seed, out, tuple(program or ()), output_line, input_line,
     )  # fmt: skip
     document = plan_approaches_files(common, Approaches(bar, chuck, sphere, poses, rounds, long_s, reserve_mm), as_json)
     show_approaches(document, as_json)

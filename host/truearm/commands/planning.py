@@ -15,10 +15,11 @@ from truearm.commands.calibration import read_calibration
 from truearm.commands.inputs import observed
 from truearm.commands.resuming import with_parts
 from truearm.errors import InputError
+from truearm.estimate.prior import free_without_gains, weak_prior
 from truearm.files.disk import check_writable, write_atomic
 from truearm.files.plan import write_plan
 from truearm.files.rig import read_rig, write_rig
-from truearm.files.robot import joint_units, load_robot, robot_file
+from truearm.files.robot import is_urdf, joint_units, load_robot, robot_file
 from truearm.model.robot import Robot
 from truearm.plan.approaches import ApproachesWanted, plan_approaches
 from truearm.plan.ballbar import Wanted, all_pairings, make_site, plan_ballbar
@@ -49,6 +50,8 @@ class Common(NamedTuple):
     """The command line's options that all plans have."""
 
     robot: str
+    base: str | None  # of a URDF
+    tip: str | None
     rig: Path
     minutes: float | None
     criterion: str
@@ -274,26 +277,30 @@ def _check_finite(**given: float | None) -> None:
 
 def _known(common: Common) -> Known:
     """Robot, rig, model and what was measured, from files."""
-    loaded = load_robot(common.robot)
-    params, values = _model(common.robot, loaded, common.result)
+    loaded, params, values = _model(common)
     around = with_rig_values(read_rig(common.rig), values)
     table = None
     if common.measured:
         same, table = observed(with_parts(list(common.measured)), {"": common.rig}, joint_units(loaded.chain), False)
         if not isinstance(same, Rig):
             raise InputError("--measured: rows of several rigs cannot be planned on; give those of one rig")
+    if is_urdf(common.robot):  # as identify does
+        return Known(
+            loaded.chain, around, params, free_without_gains(loaded.chain), table, values, weak_prior(loaded.chain)
+        )
     return Known(loaded.chain, around, params, loaded.free, table, values)
 
 
-def _model(given: str, robot: Robot, result: Path | None) -> tuple[Floats, dict[str, float]]:
-    """Parameters (p,) to plan with, and what is known of the rig by name."""
-    if result is None:
-        return robot.chain.params_nominal, {}
-    found = read_calibration(result, given)
-    if found.chain.parameter_names != robot.chain.parameter_names:
-        raise InputError(f"{result}: is of other links of {given} than are planned for")
+def _model(common: Common) -> tuple[Robot, Floats, dict[str, float]]:
+    """The robot, parameters (p,) to plan with, and what is known of the rig by name."""
+    if common.result is None:
+        robot = load_robot(common.robot, common.base, common.tip)
+        return robot, robot.chain.params_nominal, {}
+    found = read_calibration(common.result, common.robot, common.base, common.tip)
+    frames = (found.chain.base_frame, found.chain.end_frame) if is_urdf(common.robot) else (common.base, common.tip)
     values = dict(zip(found.stored.parameter_names, found.stored.value.tolist(), strict=True))
-    return found.identified, {name: value for name, value in values.items() if np.isfinite(value)}
+    known = {name: value for name, value in values.items() if np.isfinite(value)}
+    return load_robot(common.robot, *frames), found.identified, known
 
 
 def _check_travel(known: Known, reserve: float, spread_mm: float) -> None:

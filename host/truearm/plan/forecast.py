@@ -65,7 +65,8 @@ class Forecast:
 class Known:
     """What is known before a plan: chain, rig, the parameters the model has now (p,), what is free, and rows measured.
 
-    ``rig_values``: estimates of the rig's unknowns by name, of an earlier result.
+    ``rig_values``: estimates of the rig's unknowns by name, of an earlier result. ``prior_sigma`` (p,): of the robot's
+    parameters, where they will be identified with a prior; inf for none.
     """
 
     chain: Chain
@@ -74,6 +75,7 @@ class Known:
     free: NDArray[np.bool_]  # (p,)
     measured: ObservationTable | None = None
     rig_values: Mapping[str, float] | None = None
+    prior_sigma: Floats | None = None
 
 
 def forecast(known: Known, planned: ObservationTable, aim: Aim | None = None) -> Forecast:
@@ -82,11 +84,13 @@ def forecast(known: Known, planned: ObservationTable, aim: Aim | None = None) ->
     n_robot = int(known.free.sum())
     prior = problem.prior_sigma[columns]
     prior[:n_robot] = np.inf
-    root = with_prior(observe(settled(problem, x), x, columns), np.zeros(prior.size), prior).root
-    parts = spectrum(root)
+    seen_by_rows = with_prior(observe(settled(problem, x), x, columns), np.zeros(prior.size), prior)
+    root, parts = seen_by_rows.root, spectrum(seen_by_rows.root)
     names = [name for name, is_free in zip(problem.names, columns, strict=True) if is_free]
     sight = identifiability(root, n_robot, names)
-    matrix = covariance(parts)
+    believed = np.full(prior.size, np.inf)
+    believed[:n_robot] = np.inf if known.prior_sigma is None else known.prior_sigma[known.free]
+    matrix = covariance(spectrum(with_prior(seen_by_rows, np.zeros(prior.size), believed).root))
     sigma = np.full(len(columns), np.nan)
     sigma[columns] = np.sqrt(np.where(sight.identifiable, np.diag(matrix), np.nan))
     unit = np.array([WEAK_SIGMA[p.unit] for p in known.chain.parameters])[known.free]
