@@ -69,7 +69,7 @@ def judge(kind, folder, data):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("n", [100, pytest.param(1000, marks=pytest.mark.soak)])
+@pytest.mark.parametrize("n", [100, pytest.param(10_000, marks=pytest.mark.soak)])
 def test_damaged(tmp_path, kind, n):
     outcomes = Counter()
     assert judge(kind, tmp_path, KINDS[kind][1].encode()) == "read"
