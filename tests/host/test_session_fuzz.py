@@ -139,7 +139,7 @@ def damaged_stream(rng):
     return "repaired", b"".join(b"\0" + run_of(p) + b"\0" for p in payloads)
 
 
-@pytest.mark.parametrize("n", [200, pytest.param(4000, marks=pytest.mark.soak)])
+@pytest.mark.parametrize("n", [200, pytest.param(10_000, marks=pytest.mark.soak)])
 def test_streams(n):
     outcomes = Counter()
     for seed in range(n):
