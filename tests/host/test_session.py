@@ -271,6 +271,17 @@ class TestStrangers:
         with pytest.raises(SessionError, match="to a size, that is not read"):
             list(open_session(path).messages())
 
+    def test_a_time_that_no_clock_shows(self, tmp_path):
+        """As when bytes of a chunk were changed and its CRC made right again."""
+        writer = SessionWriter(tmp_path / "s.mcap", Lab())
+        writer.add("/robot/joints", 2**62 - 1, b"{}")
+        writer.add("/robot/joints", 2**62, b"{}")
+        writer.close()
+        messages = open_session(tmp_path / "s.mcap").messages()
+        assert next(messages).t_host_ns == 2**62 - 1
+        with pytest.raises(SessionError, match="damaged"):
+            next(messages)
+
     def test_a_damaged_attachment(self, tmp_path):
         written(tmp_path / "s.mcap", 10)
         whole = (tmp_path / "s.mcap").read_bytes()

@@ -234,7 +234,7 @@ def judge_file(session, data, may):
     return "refused"
 
 
-@pytest.mark.parametrize("n", [50, pytest.param(4000, marks=pytest.mark.soak)])
+@pytest.mark.parametrize("n", [50, pytest.param(10_000, marks=pytest.mark.soak)])
 def test_files(session, n):
     outcomes = Counter()
     for seed in range(n):

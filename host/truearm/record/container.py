@@ -36,6 +36,7 @@ RECORD = struct.Struct("<BQ")
 MESSAGE = struct.Struct("<HIQQ")
 _IS_MESSAGE = int(Opcode.MESSAGE)
 _STORED = struct.Struct("<BQHIQQ")  # both
+LATEST_NS = 1 << 62  # 146 years; differences of later times would not fit int64
 FOOTER_BYTES = 20
 # What the library raises for a record that ends early, holds no UTF-8 or claims a length beyond 63 bits.
 UNREADABLE = (McapError, struct.error, ValueError, OverflowError)
@@ -179,7 +180,7 @@ def stored(path: Path, data: bytes, channels: dict[int, str]) -> Iterator[tuple[
             damaged(path, at)
         if opcode == _IS_MESSAGE:
             topic = channels.get(channel) if begin <= end else None
-            if topic is None:
+            if topic is None or t_host_ns >= LATEST_NS:
                 damaged(path, at)
             yield topic, sequence, t_host_ns, begin, end
         elif opcode == Opcode.CHANNEL:
