@@ -145,6 +145,7 @@ class Balanced(HTMLParser):
         assert self.open.pop() == tag
 
 
+@pytest.mark.soak
 def test_quick_is_repeatable(made, tmp_path):
     assert main(["reproduce", "renders", "--quick", "--out", str(tmp_path)]) == 0
     assert json.loads((tmp_path / "numbers.json").read_text("utf-8")) == made["renders"][0]
