@@ -39,7 +39,7 @@ class Cable:
     def __init__(self, box, robot, course):
         self._box, self._robot, self._course = box, robot, list(course)
         self.names = []
-        self._spare = None
+        self._taken = []
         self._terminal = None
         self._plug()
 
@@ -50,7 +50,6 @@ class Cable:
                 self._terminal.close()
                 self._terminal = None
             elif what == "plug":
-                self._spare = Terminal()  # somebody else got the name that was free
                 self._plug()
                 self._box.power_cycle(t_ns)
             else:
@@ -63,6 +62,9 @@ class Cable:
 
     def _plug(self):
         self._terminal = Terminal()
+        while self._terminal.path in self.names:  # somebody else got the name that was free
+            self._taken.append(self._terminal)
+            self._terminal = Terminal()
         self.names.append(self._terminal.path)
 
     def connected(self):
@@ -89,7 +91,7 @@ class Cable:
         ]
 
     def close(self):
-        for terminal in filter(None, (self._terminal, self._spare)):
+        for terminal in filter(None, (self._terminal, *self._taken)):
             terminal.close()
 
 
