@@ -87,9 +87,9 @@ def characterized(
             "joint_sigma_si": [one._asdict() for one in told.joint_sigma],
         },
     }
-    width, known_to = (
-        np.nan_to_num(values) for values in ([one.value for one in told.backlash], told.backlash_sigma)
-    )  # none of a joint that the bar does not show
+    # none of a joint that the bar does not show
+    widths = [one.value for one in told.backlash]
+    width, known_to = (np.nan_to_num(values) for values in (widths, told.backlash_sigma))
     backlash = tuple(width.tolist()), tuple(known_to.tolist())
     return document, NoiseFile(cov, {bar: told.bar_sigma.value}, parts[0].name, *backlash)
 

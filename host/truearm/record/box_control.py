@@ -167,9 +167,8 @@ class BoxControl:
             left_ns = retry_ns
             deadline_ns = self._clock.now_ns() + retry_ns
             while left_ns > 0:
-                left_ns = (
-                    deadline_ns - self._clock.now_ns()
-                )  # on a busy machine it is over at once, and the answer has come
+                # on a busy machine the time may be over at once, and the answer has come
+                left_ns = deadline_ns - self._clock.now_ns()
                 self._pump(min(max(left_ns, 0) / SECOND, _READ_S))
                 self._check_refused(NAMES[kind])
                 if answered():
