@@ -20,10 +20,10 @@ from cobs import cobs
 
 from truearm.record.frames import FrameSplitter
 from truearm.record.links import HostClock
-from truearm.record.session import Session, open_session
 from truearm.record.session_writer import SessionWriter
-from truearm.sensors.ident import Ident, parse_ident
-from truearm.sync.blocks import BoxReader
+from truearm.session.box_ident import Ident, parse_ident
+from truearm.session.sample_blocks import BoxReader
+from truearm.session.session_file import Session, open_session
 from truearm.types import Message
 from truearm_wire.cbor import Tag
 from truearm_wire.frame import frame

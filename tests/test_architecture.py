@@ -9,43 +9,40 @@ import pytest
 ROOT = Path(__file__).parents[1]
 HOST = ROOT / "host" / "truearm"
 
-# room of truearm → rooms it may import besides itself, types and errors
+# modules that every room may use
+COMMON = {"types", "errors", "text", "units", "interrupt", "__version__"}
+# room of truearm → rooms it may import besides itself and COMMON; imports run downwards
 ROOMS = {
     "model": set(),
-    "observe": {"model"},
-    "estimate": {"observe", "model"},
-    "plan": {"estimate", "observe", "model"},
+    "kinds": {"model"},
+    "estimate": {"kinds", "model"},
+    "plan": {"estimate", "kinds", "model"},
     "correct": {"model"},
     "export": {"model"},
-    "sensors": set(),
-    "sync": {"sensors"},
-    "record": {"files", "sensors"},
-    "files": {"model"},
+    "session": set(),
+    "files": {"kinds", "model"},
+    "record": {"files", "session"},
     "report": set(),
-    "reproduce": {"estimate", "observe", "model", "report"},
-    "commands": {
-        "model",
-        "observe",
-        "estimate",
-        "sensors",
-        "sync",
-        "record",
-        "files",
-        "report",
-        "reproduce",
-        "plan",
-        "correct",
-        "export",
-        "cli",
+    "box": {"files", "record", "report", "session"},
+    "live": {"box", "record", "session"},
+    "reproduce": {"estimate", "kinds", "model", "report"},
+    "workflows": {
+        *("box", "live", "record", "session", "files", "report"),
+        *("plan", "correct", "export", "estimate", "kinds", "model"),
     },
-    "cli": {"commands"},
+    "cli": {
+        *("workflows", "box", "live", "record", "session", "files", "report", "reproduce"),
+        *("estimate", "model"),
+    },
     "__main__": {"cli"},
     "types": set(),
     "errors": set(),
+    "text": set(),
+    "interrupt": set(),
 }
-WIRE_ALLOWED = {"record", "sync", "sensors"}
-SIMULATOR_ALLOWED = {"commands"}  # simulate, demo and reproduce alone
-PURE = ("model", "observe", "estimate", "plan")  # compute; touch neither files nor the network
+WIRE_ALLOWED = {"record", "session", "box", "live"}
+SIMULATOR_ALLOWED = {"cli", "workflows"}  # simulate, demo and reproduce alone
+PURE = ("model", "kinds", "estimate", "correct", "plan")  # compute; touch neither files nor the network
 IO_MODULES = {"socket", "serial", "urllib", "http", "subprocess", "shutil", "tempfile", "os", "mcap", "pathlib", "io"}
 DEVICE_MODULES = {"machine", "rp2"}
 # what the firmware may use of MicroPython's library
@@ -91,7 +88,7 @@ def test_host(path):
     assert room in ROOMS, f"{room} is a new room: say in ROOMS whom it may import"
     for name in imports(path):
         top, *rest = name.split(".")
-        if top == "truearm" and rest and rest[0] not in ("types", "errors", "__version__", room):
+        if top == "truearm" and rest and rest[0] not in COMMON | {room}:
             assert rest[0] in ROOMS[room], f"{room} may not import {name}"
         assert top != "truearm_wire" or room in WIRE_ALLOWED | SIMULATOR_ALLOWED, f"{room} may not import {name}"
         assert top != "truearm_sim" or room in SIMULATOR_ALLOWED, f"{room} may not import {name}"
@@ -197,6 +194,6 @@ def test_the_code_flow_page_names_what_exists():
 
 def test_the_check_of_the_page_finds_what_is_gone():
     known = defined_names()
-    page = "`Box.step()` `Box.nothing()` `sync.pipeline.survey()` `sync.clock.survey()` `gone()` `Gone` `sync/gone.py`"
-    assert missing_names(page, known) == {"Box.nothing", "sync.clock.survey", "gone", "Gone"}
-    assert missing_files(page) == {"sync/gone.py"}
+    page = "`Box.step()` `Box.nothing()` `session.pipeline.survey()` `session.hull.survey()` `gone()` `Gone` `session/gone.py`"
+    assert missing_names(page, known) == {"Box.nothing", "session.hull.survey", "gone", "Gone"}
+    assert missing_files(page) == {"session/gone.py"}

@@ -17,7 +17,7 @@ from truearm.estimate.lm import DAMPING_START
 from truearm.estimate.problem import build_problem
 from truearm.estimate.solution import Options
 from truearm.model.chain import point_forward
-from truearm.model.folding import _folded
+from truearm.model.constant_folding import _folded
 from truearm.model.robot import builtin_robot
 from truearm.types import BallBar, Device, ObservationTable, Point, Rig
 

@@ -14,5 +14,5 @@ health    counters, heartbeat, LED, garbage collection at a chosen moment
 VERSION   of the firmware
 """
 
-MARK = "truearm_box 0.3.0"  # in one piece, so that it can be read in an image (host/truearm/files/uf2.py)
+MARK = "truearm_box 0.3.0"  # in one piece, so that it can be read in an image (host/truearm/box/uf2.py)
 VERSION = MARK[12:]

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from truearm.errors import PlanError
 from truearm.model.chain import Chain, point_forward
-from truearm.observe.rotation import rotation, rotation_vector
+from truearm.model.rotation import rotation, rotation_vector
 from truearm.types import Device, Floats, Matrix, Plan, Rig
 from truearm_sim.paths import Path, target_of
 from truearm_sim.robot import Controller

@@ -8,15 +8,15 @@ from itertools import pairwise
 import numpy as np
 
 from truearm.errors import PlanError
-from truearm.files import plan as plan_file
+from truearm.files import plan_file
 from truearm.model.robot import builtin_robot
-from truearm.plan.ballbar import make_site
+from truearm.plan.ball_bar_plan import make_site
+from truearm.plan.bar_paths import way_without_bar
 from truearm.plan.branches import branch_of
+from truearm.plan.cartesian_lines import Shape, candidate_lines
+from truearm.plan.collision_shapes import Sizes
 from truearm.plan.forecast import Known
-from truearm.plan.shapes import Sizes
-from truearm.plan.site import Limits, Site
-from truearm.plan.straight import Shape, candidate_lines
-from truearm.plan.way import way_without_bar
+from truearm.plan.measurement_limits import Limits, Site
 from truearm.types import Floats, Plan, Point, Rig
 from truearm_sim.line_device import REACH
 from truearm_sim.world import DESIGN, ROBOT

@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 from truearm.correct.inverse import inverse
 from truearm.errors import PlanError
 from truearm.model.chain import Chain, forward
-from truearm.observe.rotation import rotation, rotation_vector
+from truearm.model.rotation import rotation, rotation_vector
 from truearm.types import Floats, Plan, Rig
 
 KNOT = 0.005  # m

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from truearm.record.joint_lines import END
 from truearm.record.links import HostClock
-from truearm.record.robot import END
 
 from .simbox import SimulatedBox
 from .world import World

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.files import plan as plan_file
+from truearm.files import plan_file
 from truearm.model.chain import Chain, point_forward
 from truearm.model.robot import builtin_robot
 from truearm.plan.shells import plan_shells

@@ -9,7 +9,7 @@ import sys
 def run() -> None:
     """Run the command line and end the process with its exit code."""
     try:
-        from truearm.cli import main
+        from truearm.cli.main import main
 
         sys.exit(main())
     except KeyboardInterrupt:  # while modules are being imported

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from truearm.files.uf2 import read_uf2
+from truearm.box.uf2 import read_uf2
 from truearm_sim import node
 
 ROOT = Path(__file__).parents[2]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from tests.end_to_end.conftest import interpreter
 
-from truearm.cli import main
+from truearm.cli.main import main
 from truearm_sim.sensors import SOUND, VOLTS_PER_COUNT
 from truearm_sim.serve import Port, Terminal, serve
 from truearm_sim.simbox import SimulatedBox

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from truearm.commands.recording import plan_rows
-from truearm.files.rig import format_rig
+from truearm.files.rig_file import format_rig
 from truearm.record import ports
 from truearm.record.recorder import RecordSummary, record
 from truearm.record.session_writer import SessionWriter
 from truearm.types import Floats, ObservationTable, Plan, Rig
+from truearm.workflows.record import plan_rows
 from truearm_sim import micropython
 from truearm_sim.arm import Arm
 from truearm_sim.lab import Lab

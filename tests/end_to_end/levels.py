@@ -13,9 +13,9 @@ from tests.end_to_end.conftest import interpreter
 
 from truearm.record.recorder import RecordSummary, record
 from truearm.record.session_writer import SessionWriter
-from truearm.sensors.data import data_of, decode
-from truearm.sensors.ident import Ident
-from truearm.sync.blocks import BoxReader
+from truearm.session.box_ident import Ident
+from truearm.session.data_frames import data_of, decode
+from truearm.session.sample_blocks import BoxReader
 from truearm.types import Message
 from truearm_sim.chip import ChipBox
 from truearm_sim.hardware import Edge, PowerOn

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tests.end_to_end.levels import LEVELS, MAG_PERIOD_NS, lab_of, record_lab, samples
 
-from truearm.sensors.ident import find_channel
+from truearm.session.box_ident import find_channel
 from truearm_sim import sensors
 from truearm_sim.hardware import Edge
 from truearm_sim.simbox import Fault

@@ -9,13 +9,13 @@ import pytest
 from tests.end_to_end.conftest import record_session
 from tests.host.ros_bags import joint_state, write_bag
 
-from truearm.cli import main
-from truearm.commands.add_joints import _joint_names, _readings
-from truearm.commands.session import observations_of_session
+from truearm.cli.add_joints import _joint_names, _readings
+from truearm.cli.main import main
 from truearm.errors import InputError
-from truearm.record.robots.afterwards import Anchors
-from truearm.record.session import open_session
+from truearm.record.robots.add_readings import Anchors
 from truearm.record.session_writer import SessionWriter
+from truearm.session.session_file import open_session
+from truearm.workflows.session_observations import observations_of_session
 
 NAMES = [f"joint{i}" for i in range(6)]
 SCRAMBLED = [2, 1, 0, 5, 3, 4]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from tests.end_to_end.box_server import MAG_PERIOD_NS, Stage, box, served
 
-from truearm.commands.box_link import conversation
+from truearm.box.conversation import conversation
 from truearm.record import ports
 from truearm_sim.box import BoxSetup
 

@@ -4,10 +4,10 @@ import cbor2
 import pytest
 from tests.end_to_end.levels import LEVELS, lab_of
 
-from truearm.commands.gauging import sample
+from truearm.box.control import MAX_WAITING, BoxControl, NoAnswer
+from truearm.box.gauge_run import sample
+from truearm.box.selftest import FAIL, PASS, WARN, findings
 from truearm.errors import LinkError, ProtocolError, RefusedError
-from truearm.record.box_control import MAX_WAITING, BoxControl, NoAnswer
-from truearm.sensors.selftest import FAIL, PASS, WARN, findings
 from truearm_sim.sensors import calibration
 from truearm_wire import messages as wire
 from truearm_wire.frame import frame

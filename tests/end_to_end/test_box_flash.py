@@ -9,7 +9,7 @@ import pytest
 from tests.end_to_end.box_server import BootDrive, box, by_the_labs_clock, served
 from tests.host.test_uf2 import image
 
-from truearm.files.boot_drive import find_drives
+from truearm.box.boot_drive import find_drives
 from truearm_sim.chip import STORE, ChipBox, make_flash, read_flash
 
 HUNG_S = 1800  # of the wall clock's time: nothing is measured by it
@@ -153,7 +153,7 @@ def test_files_onto_a_stock_micropython(fake_mpremote, no_ports, capsys):
     ],
 )
 def test_boards_that_cannot_serve(fake, code, says, fake_mpremote, monkeypatch, capsys):
-    monkeypatch.setattr("truearm.commands.box_flash._to_prompt", lambda device, stop: None)
+    monkeypatch.setattr("truearm.cli.box_flash._to_prompt", lambda device, stop: None)
     log = fake_mpremote(**fake)
     assert box("flash", "--stock", "--device", "/dev/ttyACM9") == code
     assert says in capsys.readouterr().err

@@ -15,10 +15,10 @@ from truearm.record.links import HostClock, backlog_of
 from truearm.record.ports import BoxPort
 from truearm.record.recorder import record
 from truearm.record.reopening import Reopening
-from truearm.record.session import open_session
 from truearm.record.session_writer import SessionWriter
-from truearm.sync.blocks import BoxReader
-from truearm.sync.clock import fit_clock
+from truearm.session.device_clock_fit import fit_clock
+from truearm.session.sample_blocks import BoxReader
+from truearm.session.session_file import open_session
 
 OSR = 1024  # 4069 Hz, four channels: 313 blocks a second, 77 kB
 BUSY_S = 2.0
@@ -144,12 +144,12 @@ def test_a_terminal_that_stands_still(device, tmp_path):
 
 def test_a_view_that_fails(device, tmp_path, monkeypatch, capsys):
     """An error in the view ends the view."""
-    from truearm.cli import main
+    from truearm.cli.main import main
 
     def fail(*_):
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr("truearm.commands.live_state.LiveState.line", fail)
+    monkeypatch.setattr("truearm.live.state.LiveState.line", fail)
     out = tmp_path / "s.mcap"
     assert main(["record", "--device", device, "--duration", "3", "--out", str(out)]) == 0
     assert "the view failed (ZeroDivisionError: a bug); the recording did not" in capsys.readouterr().err

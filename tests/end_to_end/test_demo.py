@@ -7,7 +7,7 @@ import re
 import pytest
 from tests.end_to_end.conftest import truearm
 
-from truearm.cli import main
+from truearm.cli.main import main
 from truearm_sim import micropython
 
 

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from truearm.cli import main
+from truearm.cli.main import main
 
 SENSORS_MM = math.hypot(0.062, 0.1, 0.062)  # norm of a point's declared errors
 

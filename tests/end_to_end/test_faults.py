@@ -8,7 +8,7 @@ import pytest
 from mcap.reader import make_reader
 from tests.end_to_end.conftest import record_session, truearm
 
-from truearm.commands.session import observations_of_session
+from truearm.workflows.session_observations import observations_of_session
 from truearm_sim.lab import STEP_NS
 from truearm_sim.simbox import Fault
 from truearm_wire.frame import frame

@@ -8,10 +8,10 @@ import pytest
 from tests.end_to_end.conftest import truearm
 from tests.end_to_end.levels import LEVELS, wait_until_ready
 
-from truearm.commands.recording import plan_rows
-from truearm.files.rig import format_rig
+from truearm.files.rig_file import format_rig
 from truearm.record.recorder import record
 from truearm.record.session_writer import SessionWriter
+from truearm.workflows.record import plan_rows
 from truearm_sim import sensors
 from truearm_sim.lab import Lab
 from truearm_sim.simbox import SimulatedBox

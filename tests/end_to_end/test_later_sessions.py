@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from tests.end_to_end.conftest import record_session
 
-from truearm.cli import main
-from truearm.files.rig import write_rig
+from truearm.cli.main import main
+from truearm.files.rig_file import write_rig
 from truearm.model.robot import builtin_robot
 from truearm_sim.world import standard_rig
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import pytest
 from tests.end_to_end.conftest import record_session
 
-from truearm.commands.session import attached_rig, observations_of_session
 from truearm.estimate.identify import identify
 from truearm.estimate.prior import wide_prior
 from truearm.model.robot import builtin_robot
-from truearm.record.session import open_session
+from truearm.session.session_file import open_session
+from truearm.workflows.session_observations import attached_rig, observations_of_session
 from truearm_sim.line_plan import drawn_line_plan, line_rig
 
 DELAY_S = 8e-3

@@ -7,17 +7,17 @@ import pytest
 from scipy import stats
 from tests.end_to_end.conftest import interpreter, measured_by_bars
 
-from truearm.commands.recording import plan_rows
-from truearm.commands.session import observations_of_session
 from truearm.estimate.identify import identify
 from truearm.estimate.prior import weak_prior
-from truearm.files.plan import concatenate
-from truearm.files.rig import format_rig
+from truearm.files.plan_file import concatenate
+from truearm.files.rig_file import format_rig
 from truearm.model.chain import point_forward
 from truearm.model.robot import builtin_robot
 from truearm.record.recorder import record
 from truearm.record.session_writer import SessionWriter
 from truearm.types import ObservationTable
+from truearm.workflows.record import plan_rows
+from truearm.workflows.session_observations import observations_of_session
 from truearm_sim.lab import FROM_ROBOT, Lab
 from truearm_sim.line_device import Flaws, drive_errors
 from truearm_sim.line_plan import TARGETS, drawn_line_plan, line_rig

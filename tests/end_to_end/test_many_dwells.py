@@ -11,7 +11,7 @@ import pytest
 from tests.end_to_end.conftest import measured_by_bars
 
 from truearm.estimate.identify import identify
-from truearm.files.plan import read_plan
+from truearm.files.plan_file import read_plan
 from truearm.model.robot import builtin_robot
 from truearm_sim.world import World
 
@@ -22,8 +22,8 @@ SEED = 1
 RECORD = f"""
 import sys
 from pathlib import Path
-from truearm.commands.demo import record_virtually
-from truearm.files.plan import read_plan
+from truearm.cli.demo import record_virtually
+from truearm.files.plan_file import read_plan
 from truearm_sim import micropython
 from truearm_sim.simbox import SimulatedBox
 from truearm_sim.world import World
@@ -39,7 +39,7 @@ box.close()
 PLAN = f"""
 import sys
 from pathlib import Path
-from truearm.commands.demo import write_setup
+from truearm.cli.demo import write_setup
 from truearm.model.robot import builtin_robot
 from truearm.plan.shells import plan_shells
 from truearm_sim.robot import SPEED

@@ -18,16 +18,16 @@ from tests.host import plan_bench as bench
 from tests.host.correct_bench import visited
 from tests.host.target_bench import driven, miss, rapid, script, table
 
-from truearm.cli import main
+from truearm.cli.main import main
 from truearm.correct.inverse import singular_value
-from truearm.files.plan import read_plan
-from truearm.files.rig import write_rig
-from truearm.files.robot import load_robot
-from truearm.files.table import write_table
-from truearm.files.targets import parse_targets
+from truearm.files.observation_table import write_table
+from truearm.files.plan_file import read_plan
+from truearm.files.rig_file import write_rig
+from truearm.files.robot_file import load_robot
+from truearm.files.target_table import parse_targets
 from truearm.model.chain import forward
 from truearm.model.robot import builtin_robot
-from truearm.plan.ballbar import all_pairings
+from truearm.plan.ball_bar_plan import all_pairings
 from truearm.plan.forecast import bar_table
 from truearm.plan.shells import candidates
 

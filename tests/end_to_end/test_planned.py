@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from tests.end_to_end.conftest import record_session
 
-from truearm.cli import main
-from truearm.files.plan import read_plan
-from truearm.files.rig import write_rig
+from truearm.cli.main import main
+from truearm.files.plan_file import read_plan
+from truearm.files.rig_file import write_rig
 from truearm_sim.robot import new_pairing
 from truearm_sim.world import standard_rig
 

@@ -10,7 +10,7 @@ import pytest
 from mcap.reader import make_reader
 from tests.end_to_end.conftest import truearm
 
-from truearm.commands.session import observations_of_session
+from truearm.workflows.session_observations import observations_of_session
 from truearm_sim.clocks import draw_clocks
 
 

@@ -7,9 +7,9 @@ import pytest
 from tests.end_to_end.conftest import truearm
 from tests.end_to_end.test_real_time import Simulator
 
-from truearm.commands.inspect import ident_of
-from truearm.record.session import open_session
-from truearm.sync.blocks import BoxReader
+from truearm.session.sample_blocks import BoxReader
+from truearm.session.session_file import open_session
+from truearm.workflows.inspect import ident_of
 
 pytestmark = pytest.mark.soak
 LOAD = "while True: sum(k * k for k in range(100_000))"

@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 from tests.end_to_end.conftest import interpreter, record_session
 
-from truearm.cli import main
-from truearm.commands.inputs import observed
-from truearm.commands.recording import plan_rows
-from truearm.commands.resuming import SETUP, session_parts, with_parts
-from truearm.commands.session import observations_of_session
-from truearm.files.rig import format_rig
+from truearm.cli.main import main
+from truearm.files.rig_file import format_rig
 from truearm.record.recorder import record
-from truearm.record.session import open_session
 from truearm.record.session_writer import SessionWriter
-from truearm.sync.blocks import BoxReader
-from truearm.sync.joints import JointReader
+from truearm.session.joint_readings import JointReader
+from truearm.session.sample_blocks import BoxReader
+from truearm.session.session_file import open_session
+from truearm.workflows.inputs import observed
+from truearm.workflows.record import plan_rows
+from truearm.workflows.session_observations import observations_of_session
+from truearm.workflows.session_parts import SETUP, session_parts, with_parts
 from truearm_sim.lab import Lab
 from truearm_sim.serve import Port, Terminal, serve
 from truearm_sim.simbox import SimulatedBox

@@ -6,8 +6,8 @@ import numpy as np
 from tests.end_to_end.conftest import truearm
 from tests.end_to_end.test_real_time import Simulator
 
-from truearm.cli import main
-from truearm.record.session import open_session
+from truearm.cli.main import main
+from truearm.session.session_file import open_session
 from truearm_sim.world import World, standard_plan
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from tests.end_to_end.conftest import record_session
 
-from truearm.commands.session import observations_of_session
 from truearm.estimate.identify import identify
 from truearm.model.robot import builtin_robot
+from truearm.workflows.session_observations import observations_of_session
 from truearm_sim.arm import Arm
 from truearm_sim.lab import HOST_AT_START_NS
 from truearm_sim.robot import STEP, quantised

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from truearm.cli import main
-from truearm.commands.simulate import visits
-from truearm.files.plan import read_plan, write_plan
-from truearm.files.rig import read_rig, write_rig
+from truearm.cli.main import main
+from truearm.cli.simulate import visits
+from truearm.files.plan_file import read_plan, write_plan
+from truearm.files.rig_file import read_rig, write_rig
 from truearm_sim.line_plan import drawn_line_plan, line_rig
 from truearm_sim.world import World, standard_plan, standard_rig
 

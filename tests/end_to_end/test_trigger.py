@@ -8,11 +8,11 @@ import pytest
 from tests.end_to_end.conftest import interpreter
 from typer.testing import CliRunner
 
-from truearm.cli import app
+from truearm.cli.main import app
 from truearm.record.recorder import record
-from truearm.record.session import open_session
 from truearm.record.session_writer import SessionWriter
-from truearm.sync.pipeline import survey
+from truearm.session.pipeline import survey
+from truearm.session.session_file import open_session
 from truearm_sim.chip import ChipBox
 from truearm_sim.lab import HOST_AT_START_NS, Lab
 from truearm_sim.simbox import SimulatedBox

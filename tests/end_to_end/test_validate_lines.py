@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.end_to_end.conftest import record_session
 
-from truearm.cli import main
+from truearm.cli.main import main
 from truearm.model.robot import builtin_robot
 from truearm_sim.line_plan import drawn_line_plan, line_rig
 

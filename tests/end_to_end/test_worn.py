@@ -8,12 +8,12 @@ from scipy import stats
 from tests.end_to_end.conftest import truearm
 from tests.end_to_end.test_real_time import Simulator
 
-from truearm.cli import main
-from truearm.commands.recording import plan_rows
-from truearm.files.noise import read_noise
-from truearm.files.rig import format_rig, write_rig
+from truearm.cli.main import main
+from truearm.files.noise_file import read_noise
+from truearm.files.rig_file import format_rig, write_rig
 from truearm.record.recorder import record
 from truearm.record.session_writer import SessionWriter
+from truearm.workflows.record import plan_rows
 from truearm_sim import serve
 from truearm_sim.arm import WORN
 from truearm_sim.lab import Lab

@@ -4,13 +4,13 @@ import functools
 
 from truearm.model.robot import builtin_robot
 from truearm.plan.approaches import ApproachesWanted, plan_approaches
-from truearm.plan.ballbar import make_site
+from truearm.plan.ball_bar_plan import make_site
+from truearm.plan.bar_paths import Pace
 from truearm.plan.branches import branch_of
+from truearm.plan.collision_shapes import Sizes
 from truearm.plan.forecast import Known
+from truearm.plan.measurement_limits import Limits, Pairing, Site
 from truearm.plan.route import Route
-from truearm.plan.shapes import Sizes
-from truearm.plan.site import Limits, Pairing, Site
-from truearm.plan.way import Pace
 from truearm_sim.world import standard_rig
 
 PAIRING = Pairing("bar46", "c1", "s1")

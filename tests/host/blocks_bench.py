@@ -5,7 +5,7 @@ from dataclasses import asdict
 import numpy as np
 from sync_stream import CHANNELS, PERIOD_NS, Box
 
-from truearm.sync.blocks import BoxReader
+from truearm.session.sample_blocks import BoxReader
 
 BLOCK_NS = 13 * PERIOD_NS
 COUNTS = np.arange(13 * CHANNELS).reshape(13, CHANNELS)

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truearm.sync.blocks import BoxReader
-from truearm.sync.clock import fit_clock
-from truearm.sync.robot_clock import Arrivals, fit_robot_clock
+from truearm.session.device_clock_fit import fit_clock
+from truearm.session.robot_clock import Arrivals, fit_robot_clock
+from truearm.session.sample_blocks import BoxReader
 from truearm.types import Message
 from truearm_wire.messages import HEARTBEAT, SYNC_REPLY, encode_payload, names
 

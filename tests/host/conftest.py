@@ -9,9 +9,9 @@ from command_line import Outcome, Run
 from identify_bench import SIGMA, exact_lengths
 from record_box import Lab
 
-from truearm import cli
-from truearm.files.rig import write_rig
-from truearm.files.table import write_table
+from truearm.cli import main as cli
+from truearm.files.observation_table import write_table
+from truearm.files.rig_file import write_rig
 from truearm.types import ObservationTable, Rig
 
 

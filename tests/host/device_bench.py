@@ -3,9 +3,9 @@
 import numpy as np
 from puma_bench import CHAIN, TRUTH, random_poses
 
+from truearm.kinds.plane import frame_of
 from truearm.model.chain import forward, point_forward, point_jacobians
-from truearm.observe.plane import frame_of
-from truearm.observe.rotation import rotation, rotation_vector
+from truearm.model.rotation import rotation, rotation_vector
 from truearm.types import ObservationTable, Point
 
 TARGETS = {

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from command_line import Run
 
-from truearm.files.rig import write_rig
-from truearm.files.robot import load_robot
-from truearm.files.table import write_table
+from truearm.files.observation_table import write_table
+from truearm.files.rig_file import write_rig
+from truearm.files.robot_file import load_robot
 from truearm.model.chain import point_forward
 from truearm.types import BallBar, ObservationTable, Point, Rig
 

@@ -7,12 +7,12 @@ import numpy as np
 
 from truearm.model.chain import forward, joint_frames, joint_jacobian
 from truearm.model.robot import builtin_robot
-from truearm.plan.ballbar import Wanted, all_pairings, make_site, plan_ballbar
+from truearm.plan.ball_bar_plan import Wanted, all_pairings, make_site, plan_ballbar
+from truearm.plan.bar_paths import Pace
 from truearm.plan.branches import branch_of
+from truearm.plan.collision_shapes import Sizes
 from truearm.plan.forecast import Known
-from truearm.plan.shapes import Sizes
-from truearm.plan.site import Limits
-from truearm.plan.way import Pace
+from truearm.plan.measurement_limits import Limits
 from truearm.types import BallBar, Point, Rig
 from truearm_sim.world import standard_rig
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from truearm.model.chain import forward, joint_jacobian, point_forward, point_jacobians
 from truearm.model.robot import builtin_robot
-from truearm.observe.rotation import rotation
+from truearm.model.rotation import rotation
 from truearm.types import BallBar, ObservationTable, Point, Rig
 
 ROBOT = builtin_robot("puma560")

@@ -5,8 +5,8 @@ import json
 from record_box import run_of
 
 from truearm.record.recorder import record
-from truearm.record.session import open_session
 from truearm.record.session_writer import SessionWriter
+from truearm.session.session_file import open_session
 
 
 def run(lab, box, path, seconds=3.0, **options):

@@ -7,11 +7,11 @@ import cbor2
 import numpy as np
 from record_box import ident
 
-from truearm.commands.course import Course
-from truearm.commands.live_state import LiveState
+from truearm.live.progress import Course
+from truearm.live.state import LiveState
 from truearm.record.status import Counters, Status
-from truearm.sensors.data import Data
-from truearm.sensors.ident import decode_ident
+from truearm.session.box_ident import decode_ident
+from truearm.session.data_frames import Data
 from truearm.types import BallBar, Rig
 
 S = 1_000_000_000

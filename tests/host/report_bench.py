@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 from scipy import stats
 
-from truearm.report.page import CalibrationPage
+from truearm.report.calibration_page import CalibrationPage
 from truearm.report.words import KINDS
 from truearm.types import (
     Addition,

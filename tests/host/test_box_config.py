@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from truearm.errors import ConfigError
-from truearm.files.box_config import (
+from truearm.box.configuration import (
     channel_names,
     differences,
     format_config,
     with_assignment,
     with_file,
 )
-from truearm.files.box_rules import check
+from truearm.box.configuration_rules import check
+from truearm.errors import ConfigError
 
 
 def firmware_rules():
@@ -236,6 +236,6 @@ def test_the_rules_are_those_of_the_firmware(seed, value):
         ours = ""
     except ConfigError as exc:
         ours = str(exc)
-    if taken and ours:  # a decimal beyond what any host can read (sensors/ident.py), which the box does not look at
+    if taken and ours:  # a decimal beyond what any host can read (session/box_ident.py), which the box does not look at
         assert any(abs(e) > 300 for e in exponents(config))
     assert taken or ours

@@ -11,22 +11,22 @@ from scipy import stats
 from sync_stream import stream_of
 from world_stream import HOST_NS, messages_of
 
-from truearm.commands.characterizing import Part, characterized
-from truearm.commands.resuming import SETUP
 from truearm.estimate.identify import identify
 from truearm.estimate.problem import build_problem
 from truearm.estimate.recursive import rows_of
-from truearm.files.noise import NoiseFile, read_noise, with_noise
-from truearm.files.plan import write_plan
-from truearm.files.rig import format_rig
+from truearm.files.noise_file import NoiseFile, read_noise, with_noise
+from truearm.files.plan_file import write_plan
+from truearm.files.rig_file import format_rig
 from truearm.model.chain import along, trace_point
 from truearm.model.robot import builtin_robot
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
-from truearm.sync.pipeline import observations
-from truearm.sync.sides import came_from
-from truearm.sync.visits import visits
+from truearm.session.approach_sides import came_from
+from truearm.session.pipeline import observations
+from truearm.session.visits import visits
 from truearm.types import Message
+from truearm.workflows.characterize import Part, characterized
+from truearm.workflows.session_parts import SETUP
 from truearm_sim import robot, sensors
 from truearm_sim.arm import Arm
 from truearm_sim.world import REPEATABILITY, World, standard_plan, standard_rig

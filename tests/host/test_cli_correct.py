@@ -12,11 +12,11 @@ from puma_bench import CHAIN, DESIGN, damped
 from scipy.spatial.transform import Rotation
 from tests.host.target_bench import driven, miss, rapid, script, table
 
-from truearm import cli
-from truearm.files.programs import read_program
-from truearm.files.robot import load_robot
-from truearm.files.table import read_table
-from truearm.files.targets import parse_targets
+from truearm.cli import main as cli
+from truearm.files.observation_table import read_table
+from truearm.files.robot_file import load_robot
+from truearm.files.target_programs import read_program
+from truearm.files.target_table import parse_targets
 from truearm.model.chain import forward, joint_jacobian
 from truearm.types import Plan
 from truearm_sim.world import World, standard_rig

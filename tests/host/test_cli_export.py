@@ -9,10 +9,10 @@ from puma_bench import CHAIN, DESIGN, TRUTH
 
 from truearm.correct.inverse import inverse
 from truearm.estimate.identify import identify
-from truearm.files.result import read_result
-from truearm.files.rig import read_rig
-from truearm.files.robot import joint_units, load_robot
-from truearm.files.table import read_table, write_table
+from truearm.files.observation_table import read_table, write_table
+from truearm.files.result_file import read_result
+from truearm.files.rig_file import read_rig
+from truearm.files.robot_file import joint_units, load_robot
 from truearm.model.chain import forward
 from truearm.types import ObservationTable
 

@@ -5,7 +5,7 @@ import re
 import pytest
 import typer
 
-from truearm import cli
+from truearm.cli import main as cli
 
 
 def commands(command, name=""):

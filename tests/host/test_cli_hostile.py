@@ -11,8 +11,8 @@ from tests.host.puma_bench import RIG, SIGMA, TRUTH, lengths
 from tests.host.puma_bench import table as rows_of
 from tests.host.target_bench import rapid, script, table
 
-from truearm.files.rig import write_rig
-from truearm.files.table import write_table
+from truearm.files.observation_table import write_table
+from truearm.files.rig_file import write_rig
 
 CORRECT = "correct result.json targets.csv --out new.csv"
 PLAN = "plan ballbar --robot irb120 --rig irb120.toml --poses 36 --bar bar25 --candidates 60 --out new.csv"

@@ -14,9 +14,9 @@ from command_line import Run, told
 from identify_bench import MUKCA, SIGMA, exact_lengths, identified
 from result_schema import check_schema
 
-from truearm.commands.show import advice, predicted
-from truearm.files.rig import write_rig
-from truearm.files.table import concatenate, read_table, write_table
+from truearm.cli.identify_text import advice, predicted
+from truearm.files.observation_table import concatenate, read_table, write_table
+from truearm.files.rig_file import write_rig
 from truearm.types import Device, ObservationTable, Rig
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from command_line import Outcome, Run, process, told
 
-from truearm.commands.identify import Loss, Solver
+from truearm.cli.identify import Loss, Solver
 from truearm.estimate.identify import SOLVERS
 from truearm.estimate.robust import LOSSES
 from truearm.model.robot import builtin_names
@@ -95,7 +95,7 @@ def test_help_names_what_there_is(run: Run) -> None:
 
 
 def test_help_imports_nothing_slow() -> None:
-    code = "import sys, truearm.cli; truearm.cli.main(['--help']); print({'numpy', 'scipy'} & set(sys.modules))"
+    code = "import sys, truearm.cli.main as cli; cli.main(['--help']); print({'numpy', 'scipy'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert done.stdout.splitlines()[-1] == "set()"
 

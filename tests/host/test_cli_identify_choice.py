@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from truearm.commands.choice import free_parameters, held_out_rows
 from truearm.errors import InputError
-from truearm.files.table import concatenate, parse_table
+from truearm.files.observation_table import concatenate, parse_table
 from truearm.types import ObservationTable
+from truearm.workflows.selection import free_parameters, held_out_rows
 
 NAMES = ("joint1.offset", "joint1.gain", "link2.x", "link2.y")
 

@@ -12,9 +12,9 @@ from command_line import Run, told
 from identify_bench import MUKCA, ROOT, SIGMA, identified
 from result_schema import KIND_RMS, LISTS, OBJECTS, PARAMETER, SCALARS, check_schema
 
-from truearm import cli
-from truearm.files.result import parse_result, read_result
-from truearm.files.robot import load_robot
+from truearm.cli import main as cli
+from truearm.files.result_file import parse_result, read_result
+from truearm.files.robot_file import load_robot
 from truearm.types import ObservationTable, Rig
 
 

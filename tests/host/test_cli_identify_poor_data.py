@@ -21,10 +21,10 @@ from puma_bench import (
     vertical_tool_poses,
 )
 
-from truearm import cli
-from truearm.commands.identify import Solver
-from truearm.files.rig import write_rig
-from truearm.files.table import write_table
+from truearm.cli import main as cli
+from truearm.cli.identify import Solver
+from truearm.files.observation_table import write_table
+from truearm.files.rig_file import write_rig
 
 UNITS = ("rad",) * 6
 

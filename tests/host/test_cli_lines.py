@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from line_stream import MAGNET, line_session, some_lines, true_params
 
-from truearm.files.rig import format_rig
-from truearm.observe.rotation import rotation_vector
+from truearm.files.rig_file import format_rig
+from truearm.model.rotation import rotation_vector
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.types import Device, Point, Rig

@@ -10,9 +10,9 @@ import pytest
 from puma_bench import CHAIN, DESIGN, TRUTH
 
 from truearm.correct.error_map import ErrorMap, best_region, error_map
-from truearm.correct.pair import Pair
+from truearm.correct.model_pair import Pair
 from truearm.errors import RobotError
-from truearm.files.result import read_result
+from truearm.files.result_file import read_result
 from truearm.model.chain import forward, joint_frames
 from truearm.model.robot import builtin_robot
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from truearm.cli import main
+from truearm.cli.main import main
 
 Run = Callable[..., tuple[int, str]]
 JOINTS = ",".join(f"q{i}_rad" for i in range(1, 7))

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from tests.host import plan_bench as bench
 
-from truearm.cli import main
+from truearm.cli.main import main
 from truearm.estimate.identify import identify
-from truearm.export.own import own
+from truearm.export.link_frames import own
 from truearm.export.urdf import new_urdf
-from truearm.files.plan import check_against_rig, read_plan
-from truearm.files.result import RobotFrames, document_of, write_result
-from truearm.files.rig import read_rig, write_rig
-from truearm.files.table import write_table
+from truearm.files.observation_table import write_table
+from truearm.files.plan_file import check_against_rig, read_plan
+from truearm.files.result_file import RobotFrames, document_of, write_result
+from truearm.files.rig_file import read_rig, write_rig
 from truearm.plan.branches import BRANCHES
 from truearm.plan.forecast import bar_table
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from puma_bench import CHAIN, DESIGN, PAIRS, RIG, SIGMA, TRUTH, lengths, table
 
-from truearm.files.rig import write_rig
-from truearm.files.table import write_table
+from truearm.files.observation_table import write_table
+from truearm.files.rig_file import write_rig
 
 MUKCA = Path(__file__).parents[1] / "data" / "mukca"
 UNITS = ("rad",) * 6

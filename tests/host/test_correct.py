@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from truearm.correct.correction import METHODS, correct
 from truearm.correct.inverse import inverse, search, singular_value, turned, within
-from truearm.correct.pair import Pair
+from truearm.correct.model_pair import Pair
 from truearm.model.chain import forward
 from truearm.model.mountings import mountings
 from truearm.model.poses import apart, inverted, moved, pose_of, six_of

@@ -8,8 +8,8 @@ from puma_bench import CHAIN, FREE, RIG, SIGMA, random_table
 
 from truearm.errors import ProblemError
 from truearm.estimate.identify import identify
-from truearm.estimate.noise import residual_cov
 from truearm.estimate.problem import build_problem, evaluate
+from truearm.estimate.residual_noise import residual_cov
 from truearm.types import Device, Point
 
 B = np.array([4e-4, 2e-4, 3e-4, 5e-4, 2e-4, 8e-4])

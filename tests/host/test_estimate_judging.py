@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from tests.host import plan_bench as bench
 
-from truearm.estimate.judging import expected, judge
-from truearm.files.table import concatenate
+from truearm.estimate.validation import expected, judge
+from truearm.files.observation_table import concatenate
 from truearm.model.chain import point_forward
-from truearm.observe.rotation import rotation
-from truearm.plan.ballbar import all_pairings
+from truearm.model.rotation import rotation
+from truearm.plan.ball_bar_plan import all_pairings
+from truearm.plan.bar_paths import Pace
+from truearm.plan.cartesian_lines import Shape
 from truearm.plan.forecast import bar_table
-from truearm.plan.lines import LinesWanted, line_rows, plan_lines
+from truearm.plan.line_plan import LinesWanted, line_rows, plan_lines
 from truearm.plan.shells import candidates
-from truearm.plan.straight import Shape
-from truearm.plan.way import Pace
 from truearm.types import Plan, Point
 
 NAME = "irb120"

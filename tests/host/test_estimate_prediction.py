@@ -12,7 +12,7 @@ from truearm.estimate.identify import identify
 from truearm.estimate.prediction import MOST_POSES, orientation_residuals, predicted_point_error
 from truearm.estimate.uncertainty import predicted_error
 from truearm.model.chain import point_forward, point_jacobians
-from truearm.observe.rotation import rotation, rotation_vector
+from truearm.model.rotation import rotation, rotation_vector
 from truearm.types import Device, Plane, Rig
 
 SENSOR = ((1e-8, 0.0, 0.0), (0.0, 1e-8, 0.0), (0.0, 0.0, 1e-8))  # m²: 0.1 mm each axis

@@ -14,8 +14,8 @@ from truearm.estimate.information import covariance, observe, spectrum, with_pri
 from truearm.estimate.problem import build_problem
 from truearm.estimate.recursive import Filter, Rows, rows_of, run, start, update
 from truearm.estimate.recursive import minimise as pass_after_pass
-from truearm.estimate.rows import deleted_distance, gate
 from truearm.estimate.solution import Options
+from truearm.estimate.whitened_rows import deleted_distance, gate
 
 PRIOR = {ULB.parameter_names[i]: 0.052 for i in OFFSETS}
 

@@ -20,7 +20,7 @@ from puma_bench import (
     table,
 )
 
-from truearm.estimate import relabel
+from truearm.estimate import label_search as relabel
 from truearm.estimate.identify import identify
 from truearm.types import ObservationTable, Rig
 

@@ -12,9 +12,9 @@ import yourdfpy
 from puma_bench import CHAIN, DESIGN, TRUTH
 
 from truearm.errors import RobotError
-from truearm.export.own import own
+from truearm.export.link_frames import own
 from truearm.export.refit import refit
-from truearm.export.tables import dh_table, modified_dh_table, sheth_uicker_table
+from truearm.export.toml_tables import dh_table, modified_dh_table, sheth_uicker_table
 from truearm.export.ur import KEYS, SEGMENTS, ur_segments, ur_yaml
 from truearm.export.urdf import edited, joint_origins, new_urdf
 from truearm.model.chain import forward

@@ -13,18 +13,18 @@ import pytest
 from record_box import Lab
 from sync_stream import BLOCK, PERIOD_NS, RIG, Box, metres_of, session, stream_of
 
-from truearm.cli import main
-from truearm.commands.inspect import ident_of
+from truearm.cli.main import main
 from truearm.errors import SessionError
-from truearm.files.rig import write_rig
-from truearm.files.table import read_table
-from truearm.record.session import open_session
+from truearm.files.observation_table import read_table
+from truearm.files.rig_file import write_rig
 from truearm.record.session_writer import SessionWriter
-from truearm.sync.blocks import BoxReader
-from truearm.sync.joints import parse_lines
-from truearm.sync.pipeline import observations, survey
-from truearm.sync.tabulate import MAX_TABLES, tabulate
+from truearm.session.joint_readings import parse_lines
+from truearm.session.pipeline import observations, survey
+from truearm.session.sample_blocks import BoxReader
+from truearm.session.session_columns import MAX_TABLES, tabulate
+from truearm.session.session_file import open_session
 from truearm.types import Message
+from truearm.workflows.inspect import ident_of
 
 WORDS = ("reason", "kind", "event", "shell", "bar", "chuck", "sphere")
 FORMATS = ("csv", "npz", "parquet")
@@ -204,7 +204,7 @@ def test_optional_keys_of_readings():
 
 
 def test_keys_that_come_later_begin_another_table(monkeypatch):
-    monkeypatch.setattr("truearm.sync.tabulate.LINES", 4)
+    monkeypatch.setattr("truearm.session.session_columns.LINES", 4)
     rows = [{"t": 0.1 * k, "q": [0.1], **({"effort": [2.0]} if k >= 5 else {})} for k in range(12)]
     messages = stream_of(joint_lines(rows))
     batches = list(tabulate(messages, survey(messages)))
@@ -304,7 +304,7 @@ class TestRefusals:
         """Nothing is left, not even a part of a table."""
         code = (
             "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))\n"
-            "from truearm.cli import main; sys.exit(main(sys.argv[1:]))"
+            "from truearm.cli.main import main; sys.exit(main(sys.argv[1:]))"
         )
         arguments = ["export-session", str(made[1]), "--out", str(tmp_path / "x"), "--format", format]
         done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, timeout=60)

@@ -13,10 +13,10 @@ from test_files_plan import MOVING
 from test_files_rig import FULL
 
 from truearm.errors import TruearmError
-from truearm.files.plan import read_plan
-from truearm.files.rig import read_rig
-from truearm.files.table import LARGEST, read_table
-from truearm.files.targets import read_targets
+from truearm.files.observation_table import LARGEST, read_table
+from truearm.files.plan_file import read_plan
+from truearm.files.rig_file import read_rig
+from truearm.files.target_table import read_targets
 
 DATA = Path(__file__).parents[1] / "data" / "mukca"
 TABLE = "kind,q1_deg,q2_mm,length_mm,sigma_mm,bar,chuck,sphere,place,socket\n" + "".join(

@@ -6,10 +6,17 @@ import json
 import numpy as np
 import pytest
 
-from truearm.cli import main
+from truearm.cli.main import main
 from truearm.errors import RigError
-from truearm.files.noise import NoiseFile, check_against_rigs, format_noise, looks_like_noise, parse_noise, with_noise
-from truearm.files.rig import write_rig
+from truearm.files.noise_file import (
+    NoiseFile,
+    check_against_rigs,
+    format_noise,
+    looks_like_noise,
+    parse_noise,
+    with_noise,
+)
+from truearm.files.rig_file import write_rig
 from truearm.types import BallBar, Point, Rig
 
 RIG = Rig(

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from truearm.errors import PlanError
-from truearm.files.plan import check_against_rig, concatenate, format_plan, parse_plan, read_plan, write_plan
+from truearm.files.plan_file import check_against_rig, concatenate, format_plan, parse_plan, read_plan, write_plan
 from truearm.types import Device, Plan, Point, Rig
 
 GOOD = """\

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from truearm.errors import ProgramError
-from truearm.files.programs import MAX_DEPTH, parse_program, poses_of, quadrants_of, read_program, with_poses
+from truearm.files.target_programs import MAX_DEPTH, parse_program, poses_of, quadrants_of, read_program, with_poses
 from truearm.model.poses import apart, pose_of
 
 RAPID = (

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from truearm.errors import InputError
-from truearm.files.result import RobotFrames, document_of, format_document, input_of, parse_result, write_result
-from truearm.files.table import parse_table
+from truearm.files.observation_table import parse_table
+from truearm.files.result_file import RobotFrames, document_of, format_document, input_of, parse_result, write_result
 from truearm.types import Addition, Estimate, HeldOut, NullDirection, Observability, Relabelling
 
 ROBOT = RobotFrames("arm", "base", "tip", ("rad",))

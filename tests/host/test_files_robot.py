@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from truearm.errors import RobotError
-from truearm.files.robot import joint_units, load_robot, robot_file
+from truearm.files.robot_file import joint_units, load_robot, robot_file
 
 PANDA = Path(__file__).parents[1] / "data" / "mukca" / "panda.urdf"
 

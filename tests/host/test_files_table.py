@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from truearm.errors import TableError
-from truearm.files.table import (
+from truearm.files.observation_table import (
     NEEDS,
     check_against_rig,
     concatenate,

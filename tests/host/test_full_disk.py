@@ -16,12 +16,12 @@ from record_real import box_on_a_socket
 from test_record_command import RIG, posix
 from test_session import written
 
-from truearm.record.session import open_session
+from truearm.session.session_file import open_session
 
 pytestmark = posix
 
 KIB = 40  # of the small disk; what is written before the first sample is 12 KiB, of which the rig is most
-RUN = "import sys; from truearm.cli import main; sys.exit(main(sys.argv[1:]))"
+RUN = "import sys; from truearm.cli.main import main; sys.exit(main(sys.argv[1:]))"
 LIMIT = f"import resource, signal; resource.setrlimit(resource.RLIMIT_FSIZE, ({KIB << 10}, {KIB << 10}))\n"
 
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.polynomial import polynomial
 
-from truearm.sensors.gauge import SPARE, chosen, fit, fits, head_of, possible_orders, rounded
+from truearm.box.gauge_polynomial import SPARE, chosen, fit, fits, head_of, possible_orders, rounded
 
 TRUTH = np.array([-4.2e-4, 3.79e-2, 2.1e-4, -3.3e-4])  # an LVDT's: zero, gain, and 0.5 % of curvature, m and V
 
@@ -93,7 +93,7 @@ def test_what_is_chosen_predicts_better_than_the_highest_order():
     ids=["strong", "straight", "quadratic of 4 sigma", "cubic of 3 sigma", "quintic"],
 )
 def test_how_good_the_choice_is(n, poly):
-    """The figures of sensors/gauge.py: the order found, and the error between the points against the best order in hindsight.
+    """The figures of box/gauge_polynomial.py: the order found, and the error between the points against the best order in hindsight.
 
     300 runs there. Here 100: a share of 0.76 is known to 0.043, so 0.63 is three of these below it; an RMS error to some 7 %.
     """

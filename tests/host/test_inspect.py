@@ -9,13 +9,13 @@ import pytest
 from mcap.reader import SeekingReader
 from sync_stream import PERIOD_NS, RIG, ident_document, session
 
-from truearm.commands.inspect import shown
-from truearm.commands.session import observations_of_session
 from truearm.errors import SessionError
-from truearm.files.rig import write_rig
+from truearm.files.rig_file import write_rig
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.types import Message
+from truearm.workflows.inspect import shown
+from truearm.workflows.session_observations import observations_of_session
 
 EVIL = b'Traceback:\r\n  File "\x1b]0;owned\x07\x1b[2J\xff\x9b31m"\r\nline two\n'
 

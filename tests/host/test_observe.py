@@ -7,9 +7,9 @@ import pytest
 from puma_bench import BARS, CHAIN, CHUCKS, SPHERES, TRUTH, all_pairs, lengths, random_poses, table
 
 from truearm.estimate.problem import blocks, build_problem, evaluate
+from truearm.kinds import seat
+from truearm.kinds.linearised import take
 from truearm.model.chain import forward, point_forward
-from truearm.observe import seat
-from truearm.observe.rows import take
 from truearm.types import BallBar, ObservationTable, Point, Rig, SocketDistance
 
 UNKNOWN_RIG = Rig(

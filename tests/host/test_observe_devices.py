@@ -9,12 +9,12 @@ from puma_bench import CHAIN, TRUTH, random_poses
 
 from truearm.estimate.information import observe, spectrum
 from truearm.estimate.problem import blocks, build_problem, evaluate
+from truearm.kinds.line import PLACEMENTS
+from truearm.kinds.plane import frame_of
+from truearm.kinds.pose import PoseRows
+from truearm.kinds.position import place
 from truearm.model.chain import about, joint_jacobian, point_jacobians, trace_point
-from truearm.observe.line import PLACEMENTS
-from truearm.observe.plane import frame_of
-from truearm.observe.pose import PoseRows
-from truearm.observe.position import place
-from truearm.observe.rotation import rotation, rotation_vector, skew
+from truearm.model.rotation import rotation, rotation_vector, skew
 from truearm.types import Device, Plane, Point, Rig
 
 COV = ((1e-8, 1e-9, 0.0), (1e-9, 2e-8, 0.0), (0.0, 0.0, 3e-8))

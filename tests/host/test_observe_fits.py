@@ -27,12 +27,12 @@ from truearm.estimate.fit import fit
 from truearm.estimate.identify import identify
 from truearm.estimate.information import observe, seen, spectrum, weighed
 from truearm.estimate.lm import DAMPING_START
-from truearm.estimate.noise import checked_joint_cov, residual_cov, whiten
 from truearm.estimate.problem import build_problem
-from truearm.estimate.rows import whitened_blocks
+from truearm.estimate.residual_noise import checked_joint_cov, residual_cov, whiten
 from truearm.estimate.solution import Options
+from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.model.chain import point_forward
-from truearm.observe.rotation import rotation, rotation_vector
+from truearm.model.rotation import rotation, rotation_vector
 from truearm.types import Device, Plane, Point, Rig
 
 # Renders (1991), III-C; the sixth-but-one of S_q is missing in print, its neighbours' order is taken.

@@ -14,8 +14,8 @@ from truearm.plan.approaches import (
     sides,
     telling,
 )
-from truearm.plan.site import Limits, allowed, free_travel
-from truearm.plan.way import Pace
+from truearm.plan.bar_paths import Pace
+from truearm.plan.measurement_limits import Limits, allowed, free_travel
 
 
 @pytest.mark.parametrize("joints", [1, 4, 6, 7, 8])

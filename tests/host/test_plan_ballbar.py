@@ -11,10 +11,10 @@ from truearm.errors import PlanError
 from truearm.estimate.identify import identify
 from truearm.estimate.prior import free_without_gains, weak_prior
 from truearm.model.robot import builtin_robot
-from truearm.plan.ballbar import Wanted, all_pairings, plan_ballbar
+from truearm.plan.ball_bar_plan import Wanted, all_pairings, plan_ballbar
+from truearm.plan.bar_paths import Pace
 from truearm.plan.forecast import Aim, bar_table, forecast
 from truearm.plan.region import parse_region
-from truearm.plan.way import Pace
 from truearm.types import Plan
 
 each_robot = pytest.mark.parametrize("name", bench.ROBOTS)

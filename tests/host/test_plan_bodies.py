@@ -7,8 +7,8 @@ from tests.host import plan_bench as bench
 
 from truearm.model.chain import forward, joint_frames
 from truearm.model.robot import builtin_names, builtin_robot
-from truearm.plan.bodies import BODIES, SHORT, along_joints
-from truearm.plan.shapes import Sizes, body_ends, clear, make_shapes, segment_distance
+from truearm.plan.arm_capsules import BODIES, SHORT, along_joints
+from truearm.plan.collision_shapes import Sizes, body_ends, clear, make_shapes, segment_distance
 from truearm.types import Point, Rig
 
 

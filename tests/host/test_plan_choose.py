@@ -10,9 +10,9 @@ from truearm.errors import PlanError
 from truearm.model.chain import point_forward
 from truearm.plan.choose import CRITERIA, as_blocks, choose, condensed, value
 from truearm.plan.forecast import Aim, bar_table, candidate_rows, region_root
+from truearm.plan.measurement_limits import Pairing
 from truearm.plan.region import around, poses_in
 from truearm.plan.shells import candidates, plan_shells
-from truearm.plan.site import Pairing
 
 
 def problem(n=12, width=1, k=3, seed=0):

@@ -13,16 +13,16 @@ from tests.host.urscript_machine import run_urscript
 
 from truearm.errors import PlanError
 from truearm.estimate.identify import identify
-from truearm.files.plan import format_plan, parse_plan
+from truearm.files.plan_file import format_plan, parse_plan
 from truearm.model.chain import forward, joint_frames, point_forward
+from truearm.plan.bar_paths import Pace
+from truearm.plan.cartesian_lines import Shape, a_priori, candidate_lines, driven_lines
+from truearm.plan.collision_shapes import Sizes, device_is_clear, make_shapes
 from truearm.plan.forecast import forecast
-from truearm.plan.lines import SETUP, LinesWanted, line_rows, plan_lines
-from truearm.plan.programs import program
+from truearm.plan.line_plan import SETUP, LinesWanted, line_rows, plan_lines
 from truearm.plan.region import Region
-from truearm.plan.shapes import Sizes, device_is_clear, make_shapes
+from truearm.plan.route_program import program
 from truearm.plan.stops import SETTLE, Signals, Task
-from truearm.plan.straight import Shape, a_priori, candidate_lines, driven_lines
-from truearm.plan.way import Pace
 from truearm.types import NullDirection, Point, Rig
 
 POINT = np.array([0.03, -0.02, 0.12])

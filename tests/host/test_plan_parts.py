@@ -11,12 +11,12 @@ from tests.host import plan_bench as bench
 
 from truearm.errors import PlanError
 from truearm.model.robot import builtin_robot
-from truearm.plan.ballbar import all_pairings
+from truearm.plan.ball_bar_plan import all_pairings
+from truearm.plan.bar_paths import onto_shell, samples, way_with_bar, way_without_bar
 from truearm.plan.branches import BRANCHES, branch_of
-from truearm.plan.shapes import make_shapes, segment_distance
+from truearm.plan.collision_shapes import make_shapes, segment_distance
+from truearm.plan.measurement_limits import Pairing, allowed, bar_vectors
 from truearm.plan.shells import candidates
-from truearm.plan.site import Pairing, allowed, bar_vectors
-from truearm.plan.way import onto_shell, samples, way_with_bar, way_without_bar
 
 coordinate = st.floats(-1.0, 1.0).map(lambda v: round(v, 3))
 ends = st.tuples(*(st.tuples(coordinate, coordinate, coordinate) for _ in range(4)))

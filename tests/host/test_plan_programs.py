@@ -11,7 +11,7 @@ from tests.host.rapid_machine import run_rapid
 from tests.host.urscript_machine import run_urscript
 
 from truearm.errors import PlanError
-from truearm.plan.programs import program
+from truearm.plan.route_program import program
 from truearm.plan.stops import SETTLE, TIMEOUT, Signals, Stop, Task, identifier, plain
 
 MACHINES = {".script": run_urscript, ".mod": run_rapid}

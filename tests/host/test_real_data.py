@@ -7,9 +7,9 @@ import pytest
 
 from truearm.estimate.identify import identify
 from truearm.estimate.prior import free_without_gains, weak_prior
-from truearm.files.rig import read_rig
-from truearm.files.robot import joint_units, load_robot
-from truearm.files.table import read_table
+from truearm.files.observation_table import read_table
+from truearm.files.rig_file import read_rig
+from truearm.files.robot_file import joint_units, load_robot
 
 MUKCA = Path(__file__).parents[1] / "data" / "mukca"
 

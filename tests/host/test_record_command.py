@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 from record_real import PATIENCE_S, box_on_a_socket, play, real_time_box, serve_robot
 
-from truearm.cli import main
-from truearm.commands.mounted import parse_mounted
-from truearm.commands.recording import MODULATOR_HZ, nearest_osr, plan_rows
+from truearm.cli.main import main
 from truearm.errors import InputError
-from truearm.files.plan import write_plan
+from truearm.files.plan_file import write_plan
+from truearm.live.mounted import parse_mounted
 from truearm.record.links import HostClock
-from truearm.record.session import open_session
+from truearm.session.session_file import open_session
 from truearm.types import Plan
+from truearm.workflows.record import MODULATOR_HZ, nearest_osr, plan_rows
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals or a pseudo-terminal")
 

@@ -21,9 +21,9 @@ from truearm.errors import LinkClosed, LinkError, ProtocolError
 from truearm.record.intake import Answer, Intake
 from truearm.record.probes import Probes
 from truearm.record.recorder import record
-from truearm.record.session import open_session
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
+from truearm.session.session_file import open_session
 
 
 class TestProtocol:

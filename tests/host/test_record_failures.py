@@ -14,11 +14,11 @@ import pytest
 from record_real import PATIENCE_S, box_on_a_socket, play, real_time_box
 from test_record_command import RIG, posix
 
-from truearm.cli import main
+from truearm.cli.main import main
 from truearm.errors import LinkError
+from truearm.record.joint_lines import MAX_RUBBISH
 from truearm.record.links import _READ_BYTES, _READ_ITEMS, HostClock, SerialLink, TcpLink
-from truearm.record.robot import MAX_RUBBISH
-from truearm.record.session import open_session
+from truearm.session.session_file import open_session
 
 PRECIOUS = b"an earlier recording"
 
@@ -124,7 +124,7 @@ def test_interrupted_before_the_box_answered(out):
         silent(peer)
 
     with server(listen) as address:
-        command = [sys.executable, "-c", "import sys; from truearm.cli import main; sys.exit(main())", "record"]
+        command = [sys.executable, "-c", "import sys; from truearm.cli.main import main; sys.exit(main())", "record"]
         process = subprocess.Popen(
             [*command, "--device", f"socket://{address}", "--out", str(out)], stderr=subprocess.PIPE, text=True
         )

@@ -26,10 +26,10 @@ from record_box import (
 from record_files import events, received, run, topics
 
 from truearm.errors import LinkClosed
-from truearm.record.session import open_session
-from truearm.sensors.ident import parse_ident_json
-from truearm.sync.blocks import BoxReader
-from truearm.sync.joints import JointReader
+from truearm.session.box_ident import parse_ident_json
+from truearm.session.joint_readings import JointReader
+from truearm.session.sample_blocks import BoxReader
+from truearm.session.session_file import open_session
 
 
 class TestFaults:

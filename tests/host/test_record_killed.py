@@ -13,10 +13,10 @@ from record_box import run_of
 from record_real import box_on_a_socket, serve_robot
 from test_record_command import RIG
 
-from truearm.cli import main
+from truearm.cli.main import main
 from truearm.record.frames import frame_type, payload_of
 from truearm.record.links import HostClock
-from truearm.record.session import open_session
+from truearm.session.session_file import open_session
 from truearm_wire.messages import HEARTBEAT
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")

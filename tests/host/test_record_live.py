@@ -9,11 +9,11 @@ import pytest
 from record_box import ident
 from record_live import NOISE, PAIRS, S, Session, plan
 
-from truearm.commands.course import Course
-from truearm.commands.live_state import LiveState
+from truearm.live.progress import Course
+from truearm.live.state import LiveState
 from truearm.record.status import Counters, Status
-from truearm.sensors.data import Data
-from truearm.sensors.ident import decode_ident
+from truearm.session.box_ident import decode_ident
+from truearm.session.data_frames import Data
 
 
 class TestDwells:

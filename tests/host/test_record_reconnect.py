@@ -9,14 +9,14 @@ from record_box import HOST_0, MS, SECOND, Box, ComingBack, Robot
 from record_files import events, run, topics
 from record_real import PATIENCE_S, OnTerminals, real_time_box
 
-from truearm.cli import main
+from truearm.cli.main import main
 from truearm.errors import LinkClosed, LinkError, ProtocolError
+from truearm.record.joint_lines import END
 from truearm.record.links import Backlog
 from truearm.record.recorder import PATIENCE_S as WAITS_S
 from truearm.record.reopening import Reopening
-from truearm.record.robot import END
-from truearm.record.session import open_session
-from truearm.sync.joints import JointReader
+from truearm.session.joint_readings import JointReader
+from truearm.session.session_file import open_session
 
 
 def joints_of(path):

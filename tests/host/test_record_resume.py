@@ -9,14 +9,14 @@ from record_files import events
 from record_real import box_on_a_socket
 from test_record_command import CALIBRATED, RIG
 
-from truearm.cli import main
-from truearm.commands.course import Course
-from truearm.commands.resuming import earlier, first_stem, gone_on, is_part, session_parts, with_parts
-from truearm.files.plan import write_plan
+from truearm.cli.main import main
+from truearm.files.plan_file import write_plan
+from truearm.live.progress import Course
 from truearm.record.links import HostClock
-from truearm.record.session import open_session
 from truearm.record.session_writer import SessionWriter
+from truearm.session.session_file import open_session
 from truearm.types import Plan
+from truearm.workflows.session_parts import earlier, first_stem, gone_on, is_part, session_parts, with_parts
 
 ROWS = [
     {"pose": k, "shell": "a", "bar": bar, "chuck": "c1", "sphere": "s1", "q": [0.5 * k, 0.0]}

@@ -2,7 +2,7 @@
 
 import pytest
 
-from truearm.record.robot import MAX_LINE, JointLines
+from truearm.record.joint_lines import MAX_LINE, JointLines
 
 GOOD = b'{"t": 1.5, "seq": 3, "q": [0.1, -2]}'
 

@@ -17,7 +17,7 @@ from record_box import (
 from record_files import events, received, run, topics
 
 from truearm.errors import LinkClosed
-from truearm.record.session import open_session
+from truearm.session.session_file import open_session
 
 
 class TestCleanRun:

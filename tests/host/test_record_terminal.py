@@ -19,12 +19,12 @@ from record_files import events
 from record_real import PATIENCE_S, box_on_a_socket
 from test_record_command import CALIBRATED
 
-from truearm.cli import main
-from truearm.record.session import open_session
+from truearm.cli.main import main
+from truearm.session.session_file import open_session
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs a pseudo-terminal")
 CONTROL_C, CONTROL_Z = b"\x03", b"\x1a"
-RUN = "import sys; from truearm.cli import main; sys.exit(main())"
+RUN = "import sys; from truearm.cli.main import main; sys.exit(main())"
 
 
 class OnTerminal:
@@ -201,7 +201,7 @@ from types import SimpleNamespace
 from serial.tools import list_ports
 port = lambda name: SimpleNamespace(device=name, vid=0x2E8A, pid=5, serial_number="E" + name[-1], product="truearm", description="")
 list_ports.comports = lambda: [port("/dev/none1"), port("/dev/none2")]
-from truearm.cli import main
+from truearm.cli.main import main
 sys.exit(main())
 """
 

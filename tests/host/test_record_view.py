@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from record_live import PAIRS, TODAY, Session, box, plan
 
-from truearm.commands.box_check import Purpose, Verdict, check_box
-from truearm.commands.course import Course
-from truearm.commands.keys import LONGEST, Typed
-from truearm.commands.live_state import LiveState
-from truearm.commands.live_view import WAITING, View
+from truearm.box.readiness import Purpose, Verdict, check_box
 from truearm.errors import InputError
-from truearm.sensors.data import Data
+from truearm.live.keyboard import LONGEST, Typed
+from truearm.live.progress import Course
+from truearm.live.state import LiveState
+from truearm.live.view import WAITING, View
+from truearm.session.data_frames import Data
 from truearm.types import Rig
 
 

@@ -12,10 +12,10 @@ from mcap.records import Chunk
 from mcap.stream_reader import breakup_chunk
 from test_session import written
 
-from truearm.cli import main
+from truearm.cli.main import main
 from truearm.errors import SessionError
 from truearm.record.recover import recover
-from truearm.record.session import open_session
+from truearm.session.session_file import open_session
 
 
 @pytest.fixture

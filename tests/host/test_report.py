@@ -10,10 +10,10 @@ import pytest
 from report_bench import Strict, both, cells_of, drawings, make_page, rms, titles
 from scipy import stats
 
+from truearm.report.calibration_page import doubts, looks_like_page, render, verdict
 from truearm.report.findings import chi2_words
-from truearm.report.page import doubts, looks_like_page, render, verdict
-from truearm.report.rows import law_of, rows_by_kind, summaries
-from truearm.report.text import figures, number
+from truearm.report.page_text import figures, number
+from truearm.report.residual_rows import law_of, rows_by_kind, summaries
 from truearm.report.words import KINDS
 from truearm.types import (
     Addition,

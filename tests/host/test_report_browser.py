@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from report_bench import Strict, drawings, full_page, titles
 
-from truearm.report.page import render
+from truearm.report.calibration_page import render
 
 # --- the page in a browser
 

@@ -11,12 +11,12 @@ from report_bench import HOSTILE, SIGMA, drawings, make_page
 from scipy import integrate, stats
 
 from truearm.report import svg
+from truearm.report.calibration_page import render
 from truearm.report.correlation import correlation
 from truearm.report.figures import MAX_POINTS, figures_of
-from truearm.report.page import render
-from truearm.report.rows import Law, law_of, rows_by_kind
-from truearm.report.tables import direction_words
-from truearm.report.text import escape, figures, number
+from truearm.report.page_tables import direction_words
+from truearm.report.page_text import escape, figures, number
+from truearm.report.residual_rows import Law, law_of, rows_by_kind
 from truearm.types import (
     NullDirection,
 )

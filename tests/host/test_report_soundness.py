@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from report_bench import HOSTILE, Strict, drawings, make_page
 
-from truearm.report.page import render
+from truearm.report.calibration_page import render
 from truearm.types import (
     NullDirection,
 )

@@ -8,11 +8,11 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from truearm.cli import main
-from truearm.commands.reproduce import planned_bench, write
+from truearm.cli.main import main
+from truearm.cli.reproduce import planned_bench, write
+from truearm.kinds.line import PLACEMENTS
 from truearm.model.chain import forward, point_forward
 from truearm.model.robot import builtin_robot
-from truearm.observe.line import PLACEMENTS
 from truearm.report.reproduce_page import (
     IN_KIND,
     NOT_JUDGED,
@@ -25,7 +25,7 @@ from truearm.report.reproduce_page import (
     render,
 )
 from truearm.reproduce import goswami, renders
-from truearm.reproduce.lines import ANGLE_SIGMA, line_rig, measured_lines
+from truearm.reproduce.line_bench import ANGLE_SIGMA, line_rig, measured_lines
 
 PAPERS = ("goswami", "renders")
 ULB = builtin_robot("ulb")

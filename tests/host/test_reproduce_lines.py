@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from truearm.model.robot import builtin_robot
-from truearm.reproduce.lines import measured_lines
+from truearm.reproduce.line_bench import measured_lines
 from truearm.reproduce.renders import CASE_E, CASE_F, GEAR, N_LINES, N_POINTS, case, drawn_case, errors_added
 
 CHAIN = builtin_robot("ulb").chain

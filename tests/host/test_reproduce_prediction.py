@@ -8,8 +8,8 @@ import pytest
 
 from truearm.estimate.problem import build_problem
 from truearm.model.robot import builtin_robot
-from truearm.reproduce.lines import line_rig, measured_lines
-from truearm.reproduce.prediction import DEVICE_SIGMA, N_LINES, PLACING, convergence, placed
+from truearm.reproduce.line_bench import line_rig, measured_lines
+from truearm.reproduce.prediction_errors import DEVICE_SIGMA, N_LINES, PLACING, convergence, placed
 
 ULB = builtin_robot("ulb")
 LARGE = 1e6  # "an arbitrary large number" (II-I)

@@ -13,7 +13,7 @@ from ros_bags import STORAGES, joint_state, write_bag
 
 from truearm.errors import InputError
 from truearm.record.robots.bags import bag_files, is_bag, readings_of_bag
-from truearm.sensors.joints import parse_reading
+from truearm.session.joint_line import parse_reading
 
 TOPIC = "/joint_states"
 # As Universal Robots' driver publishes them: the elbow first.

@@ -17,12 +17,12 @@ from mutations import is_clear
 from ros_bags import joint_state, write_bag
 
 from truearm.errors import InputError, LinkClosed, LinkError
-from truearm.record.robot import MAX_LINE, JointLines
+from truearm.record.joint_lines import MAX_LINE, JointLines
 from truearm.record.robots import rtde
 from truearm.record.robots.bags import bag_files, readings_of_bag
-from truearm.record.robots.lines import Dialect, LinesLink
-from truearm.record.robots.table import readings_of_table
-from truearm.sensors.joints import parse_reading
+from truearm.record.robots.joint_table import readings_of_table
+from truearm.record.robots.text_lines import Dialect, LinesLink
+from truearm.session.joint_line import parse_reading
 
 rounds = pytest.mark.parametrize("n", [500, pytest.param(10_000, marks=pytest.mark.soak)])
 NUMBERS = [0, 1, 2, 3, 4, 0x7F, 0x80, 0xFF, 0x100, 0x7FFF, 0x8000, 0xFFFF]

@@ -9,13 +9,13 @@ from contextlib import suppress
 import pytest
 
 from truearm.errors import InputError, LinkClosed, LinkError, TableError
+from truearm.record.joint_lines import MAX_LINE
 from truearm.record.links import HostClock
-from truearm.record.robot import MAX_LINE
-from truearm.record.robots.columns import read_columns
-from truearm.record.robots.lines import Dialect, LinesLink, open_lines
-from truearm.record.robots.open import open_source
-from truearm.record.robots.table import readings_of_table
-from truearm.sensors.joints import parse_reading
+from truearm.record.robots.addresses import open_source
+from truearm.record.robots.joint_columns import read_columns
+from truearm.record.robots.joint_table import readings_of_table
+from truearm.record.robots.text_lines import Dialect, LinesLink, open_lines
+from truearm.session.joint_line import parse_reading
 
 PATIENCE_S = 5.0  # only a broken link waits so long
 DEG = math.pi / 180.0

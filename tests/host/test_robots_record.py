@@ -9,8 +9,8 @@ import pytest
 from test_record_command import box_on_a_socket
 from test_record_failures import server
 
-from truearm.cli import main
-from truearm.record.session import open_session
+from truearm.cli.main import main
+from truearm.session.session_file import open_session
 
 
 def rows_of(path):

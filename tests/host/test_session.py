@@ -19,8 +19,8 @@ from mcap.writer import Writer
 from record_box import MS, SECOND, Lab
 
 from truearm.errors import InputError, SessionError, TruearmError
-from truearm.record.session import MAX_CHUNK_BYTES, open_session
 from truearm.record.session_writer import CHUNK_NS, SessionWriter
+from truearm.session.session_file import MAX_CHUNK_BYTES, open_session
 from truearm.types import Message
 
 
@@ -225,7 +225,7 @@ class TestStrangers:
         assert [damage.at for damage in session.damage] == [chunk]
 
     def test_the_crc_is_read_in_blocks(self, tmp_path, monkeypatch):
-        monkeypatch.setattr("truearm.record.session._CRC_BLOCK", 100)
+        monkeypatch.setattr("truearm.session.session_file._CRC_BLOCK", 100)
         messages = written(tmp_path / "s.mcap", 60)
         assert list(open_session(tmp_path / "s.mcap").messages()) == messages
 

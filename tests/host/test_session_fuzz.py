@@ -26,17 +26,17 @@ from mutations import (
 from record_box import Lab, run_of
 from sync_stream import BLOCK, PERIOD_NS, Box, ident_document
 
-from truearm.commands.inspect import describe
 from truearm.errors import TruearmError
 from truearm.record.intake import Intake
 from truearm.record.probes import Probes
 from truearm.record.recover import recover
-from truearm.record.session import open_session
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
-from truearm.sensors.ident import parse_ident
-from truearm.sync.blocks import BoxReader
+from truearm.session.box_ident import parse_ident
+from truearm.session.sample_blocks import BoxReader
+from truearm.session.session_file import open_session
 from truearm.types import Message
+from truearm.workflows.inspect import describe
 from truearm_wire.frame import frame
 
 BLOCKS = 40

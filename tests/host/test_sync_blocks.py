@@ -8,10 +8,10 @@ import pytest
 from blocks_bench import BLOCK_NS, COUNTS, account, box_with, data_places, read
 from sync_stream import PERIOD_NS, Box, ident_document
 
-from truearm.sensors.data import Data
-from truearm.sensors.ident import parse_ident
-from truearm.sync.losses import Losses
-from truearm.sync.streams import StreamTrack
+from truearm.session.box_ident import parse_ident
+from truearm.session.data_frames import Data
+from truearm.session.losses import Losses
+from truearm.session.sample_streams import StreamTrack
 from truearm.types import Message
 from truearm_wire import messages as wire
 from truearm_wire.cbor import Tag

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sync_stream import PERIOD_NS, Box, ident_document
 
-from truearm.sensors.data import data_of, decode, usual_data
-from truearm.sensors.ident import parse_ident
-from truearm.sync.blocks import BoxReader
+from truearm.session.box_ident import parse_ident
+from truearm.session.data_frames import data_of, decode, usual_data
+from truearm.session.sample_blocks import BoxReader
 from truearm.types import Message
 from truearm_wire import messages as wire
 from truearm_wire.cbor import Tag

@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from truearm.sync.clock import fit_clock
-from truearm.sync.frames import Exchange
-from truearm.sync.hull import line_under, lower_hull
-from truearm.sync.lines import RATE_LIMIT
+from truearm.session.box_messages import Exchange
+from truearm.session.clock_lines import RATE_LIMIT
+from truearm.session.device_clock_fit import fit_clock
+from truearm.session.hull import line_under, lower_hull
 
 TAIL_NS = 150e3
 

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from truearm.sync.dwell import DwellRules, find_dwells
-from truearm.sync.joints import JointReader
-from truearm.sync.pairing import BACK, REPEAT, Marks, Plan, match_plan, nearest_pose
-from truearm.sync.statistics import mean_of
+from truearm.session.dwell_pairing import BACK, REPEAT, Marks, Plan, match_plan, nearest_pose
+from truearm.session.dwells import DwellRules, find_dwells
+from truearm.session.joint_readings import JointReader
+from truearm.session.sample_statistics import mean_of
 from truearm.types import Message
 
 HZ = 125.0

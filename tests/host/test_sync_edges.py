@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from truearm.sync.clock import fit_clock
-from truearm.sync.edges import Output, fit_edges, match, with_edges
-from truearm.sync.frames import Exchange
-from truearm.sync.inputs import UNKNOWN, InputTrack, bits_of
-from truearm.sync.joints import JointReader
+from truearm.session.box_messages import Exchange
+from truearm.session.device_clock_fit import fit_clock
+from truearm.session.joint_readings import JointReader
+from truearm.session.robot_inputs import UNKNOWN, InputTrack, bits_of
+from truearm.session.trigger_edges import Output, fit_edges, match, with_edges
 from truearm.types import Message
 
 CYCLE_S = 0.002

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from truearm.sync import joints as joints_module
-from truearm.sync.dwell import DwellRules, find_dwells
-from truearm.sync.holes import Holes
-from truearm.sync.joints import JointReader, parse_lines
+from truearm.session import joint_readings as joints_module
+from truearm.session.dwells import DwellRules, find_dwells
+from truearm.session.joint_readings import JointReader, parse_lines
+from truearm.session.missing_numbers import Holes
 from truearm.types import Message
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from sync_stream import RIG, session, stream_of
 
-from truearm.sync.pipeline import observations
+from truearm.session.pipeline import observations
 from truearm.types import Message
 
 

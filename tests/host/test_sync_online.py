@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from tests.host.test_sync_clock import TAIL_NS, True_, exchanges, shape
 
-from truearm.sync.clock import fit_clock
-from truearm.sync.frames import Exchange
-from truearm.sync.online import MOST_EXCHANGES, OnlineClock
+from truearm.session.box_messages import Exchange
+from truearm.session.device_clock_fit import fit_clock
+from truearm.session.online_clock import MOST_EXCHANGES, OnlineClock
 
 
 def in_order(every):

@@ -12,10 +12,10 @@ from line_stream import DESIGN, MAGNET, STEP, LineBox, line_session, robot_lines
 from sync_stream import PERIOD_NS, renumber, stream_of
 
 from truearm.errors import RigError
-from truearm.sync.legs import find_legs
-from truearm.sync.local_fit import MISSED, fit_locally
-from truearm.sync.passes import REASONS, LineRules
-from truearm.sync.pipeline import observations, survey
+from truearm.session.legs import find_legs
+from truearm.session.line_passes import REASONS, LineRules
+from truearm.session.local_fit import MISSED, fit_locally
+from truearm.session.pipeline import observations, survey
 from truearm.types import Device, Point, Rig
 
 LATENCY_S = 0.4e-3  # shortest of the robot's link: it stays in the joints' time, as part of τ

@@ -9,13 +9,13 @@ import pytest
 from sync_stream import PERIOD_NS, RIG, Box, counts_of, ident_document, renumber, session, stream_of
 
 from truearm.errors import RigError, SessionError
-from truearm.sensors.ident import parse_ident
-from truearm.sync.blocks import BoxReader
-from truearm.sync.clock import fit_clock
-from truearm.sync.dwell import REASONS, DwellRules
-from truearm.sync.frames import Exchange
-from truearm.sync.gather import gather
-from truearm.sync.pipeline import observations, survey
+from truearm.session.box_ident import parse_ident
+from truearm.session.box_messages import Exchange
+from truearm.session.device_clock_fit import fit_clock
+from truearm.session.dwell_samples import gather
+from truearm.session.dwells import REASONS, DwellRules
+from truearm.session.pipeline import observations, survey
+from truearm.session.sample_blocks import BoxReader
 from truearm.types import Message
 
 

@@ -10,9 +10,9 @@ from sync_stream import stream_of
 
 from truearm.estimate.identify import identify
 from truearm.estimate.prior import wide_prior
-from truearm.observe.rotation import rotation_vector
-from truearm.sync.passes import LineRules
-from truearm.sync.pipeline import observations
+from truearm.model.rotation import rotation_vector
+from truearm.session.line_passes import LineRules
+from truearm.session.pipeline import observations
 from truearm.types import Device, Point, Rig
 
 DELAY_S = 8e-3

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from truearm.box.uf2 import BLOCK, CHIPS, MAX_BYTES, boot_checksum, parse_uf2, read_uf2
 from truearm.errors import ImageError
-from truearm.files.uf2 import BLOCK, CHIPS, MAX_BYTES, boot_checksum, parse_uf2, read_uf2
 
 RP2040 = 0xE48BFF56
 

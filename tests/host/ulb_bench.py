@@ -9,7 +9,7 @@ import numpy as np
 
 from truearm.model.chain import forward, joint_jacobian, point_forward
 from truearm.model.robot import builtin_robot
-from truearm.observe.rotation import rotation, rotation_vector
+from truearm.model.rotation import rotation, rotation_vector
 from truearm.types import Device, ObservationTable, Rig
 
 CHAIN = builtin_robot("ulb").chain

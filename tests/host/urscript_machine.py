@@ -1,8 +1,8 @@
 """URScript for tests: the part of the language that measuring and corrected programs use, executed; anything else is a fault.
 
 After Universal Robots' script manual: what is sent to the controller's port begins with a ``def`` in the first column, ends with
-its ``end`` there, all other lines are indented, and it runs when the ``end`` has arrived. Independent of ``truearm.plan.urscript`` and of
-``truearm.files.programs``: tokens, grammar and meaning are here once more.
+its ``end`` there, all other lines are indented, and it runs when the ``end`` has arrived. Independent of ``truearm.plan.route_urscript`` and of
+``truearm.files.target_programs``: tokens, grammar and meaning are here once more.
 """
 
 import re

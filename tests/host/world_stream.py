@@ -11,8 +11,8 @@ import cbor2
 import numpy as np
 from sync_stream import Box
 
-from truearm.commands.recording import plan_rows
 from truearm.types import Message
+from truearm.workflows.record import plan_rows
 from truearm_sim import sensors
 from truearm_sim.world import World
 from truearm_wire import messages as wire

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from truearm.errors import PlanError
-from truearm.files.plan import concatenate
+from truearm.files.plan_file import concatenate
 from truearm.model.chain import forward, point_forward
 from truearm.model.robot import builtin_robot
-from truearm.observe.rotation import rotation, rotation_vector
+from truearm.model.rotation import rotation, rotation_vector
 from truearm.types import Device
 from truearm_sim import line_device, robot, sensors
 from truearm_sim.line_device import BY_HAND, Flaws

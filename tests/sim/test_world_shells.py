@@ -6,8 +6,9 @@ import pytest
 from truearm.errors import PlanError
 from truearm.model.chain import along, forward, joint_jacobian, trace_point
 from truearm.model.robot import builtin_robot
-from truearm.plan import shells, tour
-from truearm.plan.inverse import PUMA_ELBOW_UP, inverse, make_arm
+from truearm.plan import shells
+from truearm.plan import visit_order as tour
+from truearm.plan.branch_inverse import PUMA_ELBOW_UP, inverse, make_arm
 from truearm.types import Point, Rig
 from truearm_sim.world import World, standard_plan, standard_rig
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from truearm.correct.false_target import false_target
 from truearm.correct.inverse import Inverse, inverse, search, singular_value, within
 from truearm.correct.joint_space import joint_space
+from truearm.correct.model_pair import Pair, in_rig, reached, told
 from truearm.correct.offsets import offsets
-from truearm.correct.pair import Pair, in_rig, reached, told
 from truearm.model.poses import apart
 from truearm.types import Floats
 

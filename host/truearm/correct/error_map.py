@@ -20,7 +20,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from truearm.correct.inverse import within
-from truearm.correct.pair import Pair, reached, told
+from truearm.correct.model_pair import Pair, reached, told
 from truearm.errors import RobotError
 from truearm.model.chain import joint_frames, joint_jacobian, point_jacobians
 from truearm.types import Floats

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from truearm.correct.inverse import inverse
-from truearm.correct.pair import Pair, reached, told
+from truearm.correct.model_pair import Pair, reached, told
 from truearm.model.poses import apart, moved
 from truearm.types import Floats
 

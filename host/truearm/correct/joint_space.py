@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from truearm.correct.inverse import jacobian, scaled
-from truearm.correct.pair import Pair, reached
+from truearm.correct.model_pair import Pair, reached
 from truearm.model.poses import apart
 from truearm.types import Floats
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from truearm.correct.pair import Pair
+from truearm.correct.model_pair import Pair
 from truearm.model.mountings import gain_of, offset_of
 from truearm.types import Floats
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from truearm.errors import ProblemError
-from truearm.estimate.layout import (
+from truearm.estimate.unknowns import (
     XYZ,
     Layout,
     Number,
@@ -24,16 +24,16 @@ from truearm.estimate.layout import (
     point_numbers,
     use,
 )
+from truearm.kinds import line, plane, position
+from truearm.kinds.ball_bar import BallBarRows
+from truearm.kinds.linearised import Indices
+from truearm.kinds.plane import PlaneRows
+from truearm.kinds.pose import PoseRows
+from truearm.kinds.position import PositionRows
+from truearm.kinds.seat import SeatRows
+from truearm.kinds.socket_distance import SocketDistanceRows
 from truearm.model.chain import point_forward
-from truearm.observe import line, plane, position
-from truearm.observe.ball_bar import BallBarRows
-from truearm.observe.plane import PlaneRows
-from truearm.observe.pose import PoseRows
-from truearm.observe.position import PositionRows
-from truearm.observe.rotation import rotation, rotation_vector
-from truearm.observe.rows import Indices
-from truearm.observe.seat import SeatRows
-from truearm.observe.socket_distance import SocketDistanceRows
+from truearm.model.rotation import rotation, rotation_vector
 from truearm.types import Device, Floats, Point, Rig, Strings
 
 Group = BallBarRows | SeatRows | SocketDistanceRows | PositionRows | PoseRows | PlaneRows

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from truearm.estimate import lm
 from truearm.estimate.information import Information, covariance, observe, spectrum, weighed, with_prior
+from truearm.estimate.parameter_update import stepper
 from truearm.estimate.problem import Problem
 from truearm.estimate.robust import STAGES, sandwich
-from truearm.estimate.rows import observe_robustly
 from truearm.estimate.solution import Options, Solution, prior_error, whole
-from truearm.estimate.stepping import stepper
+from truearm.estimate.whitened_rows import observe_robustly
 from truearm.types import Floats
 
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from truearm.errors import ProblemError
 from truearm.estimate import ls, recursive, renders1991
 from truearm.estimate import map as map_
-from truearm.estimate.additions import additions
 from truearm.estimate.fit import fit
+from truearm.estimate.further_measurements import additions
 from truearm.estimate.identifiability import (
     hardly_seen,
     hardly_told,
@@ -23,17 +23,17 @@ from truearm.estimate.identifiability import (
     told_apart,
 )
 from truearm.estimate.information import Information, half, observe, spectrum, with_prior
-from truearm.estimate.judging import has_freedom
+from truearm.estimate.label_search import relabellings
 from truearm.estimate.lm import DAMPING_START
 from truearm.estimate.prior import WEAK_SIGMA
 from truearm.estimate.problem import Problem, Rigs, build_problem, settled
-from truearm.estimate.relabel import relabellings
 from truearm.estimate.robust import LOSSES
-from truearm.estimate.rows import only, standardised
 from truearm.estimate.solution import Options, Solution, Solver, of_data
 from truearm.estimate.uncertainty import goodness, prior_shares
+from truearm.estimate.validation import has_freedom
+from truearm.estimate.whitened_rows import only, standardised
+from truearm.kinds.socket_distance import SocketDistanceRows
 from truearm.model.chain import Chain
-from truearm.observe.socket_distance import SocketDistanceRows
 from truearm.types import Estimate, Floats, HeldOut, NullDirection, ObservationTable
 
 SOLVERS: Mapping[str, Solver] = {

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from scipy.linalg import get_lapack_funcs
 
 from truearm.estimate.drafts import Group
-from truearm.estimate.noise import residual_cov, whiten
 from truearm.estimate.problem import Problem, blocks, evaluate, pieces
-from truearm.model.folding import folded
-from truearm.observe.rows import Linearised
-from truearm.observe.socket_distance import SocketDistanceRows
+from truearm.estimate.residual_noise import residual_cov, whiten
+from truearm.kinds.linearised import Linearised
+from truearm.kinds.socket_distance import SocketDistanceRows
+from truearm.model.constant_folding import folded
 from truearm.types import Floats
 
 RANK_TOLERANCE = 1e-10  # of the largest singular value; analytic Jacobians leave 1e-15 where nothing is seen

@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.estimate.information import Information, Spectrum, seen, spectrum
-from truearm.estimate.stepping import Step, added
+from truearm.estimate.parameter_update import Step, added
 from truearm.types import Floats
 
 DAMPING_START = 1e-4

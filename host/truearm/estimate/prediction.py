@@ -21,8 +21,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from truearm.estimate.problem import Rigs, build_problem, evaluate
+from truearm.kinds.pose import WIDTH, PoseRows
 from truearm.model.chain import Chain, point_jacobians
-from truearm.observe.pose import WIDTH, PoseRows
 from truearm.types import Estimate, Floats, ObservationTable, PredictedError, Rig
 
 MOST_POSES = 500  # of a large table an even choice: the Jacobian, 1500 × 54, is then 0.6 MB

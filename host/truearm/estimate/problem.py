@@ -20,18 +20,18 @@ import numpy as np
 from truearm.errors import ProblemError
 from truearm.estimate.backlash import Backlash
 from truearm.estimate.drafts import KINDS, Draft, Group
-from truearm.estimate.layout import Layout, Scope
-from truearm.estimate.noise import checked_joint_cov, residual_cov
 from truearm.estimate.prior import robot_prior
+from truearm.estimate.residual_noise import checked_joint_cov, residual_cov
+from truearm.estimate.unknowns import Layout, Scope
+from truearm.kinds import ball_bar, plane, pose, position, seat, socket_distance
+from truearm.kinds.ball_bar import BallBarRows
+from truearm.kinds.linearised import Linearised, take
+from truearm.kinds.plane import PlaneRows
+from truearm.kinds.pose import PoseRows
+from truearm.kinds.position import PositionRows
+from truearm.kinds.seat import SeatRows
+from truearm.kinds.socket_distance import SocketDistanceRows
 from truearm.model.chain import Chain
-from truearm.observe import ball_bar, plane, pose, position, seat, socket_distance
-from truearm.observe.ball_bar import BallBarRows
-from truearm.observe.plane import PlaneRows
-from truearm.observe.pose import PoseRows
-from truearm.observe.position import PositionRows
-from truearm.observe.rows import Linearised, take
-from truearm.observe.seat import SeatRows
-from truearm.observe.socket_distance import SocketDistanceRows
 from truearm.types import Floats, ObservationTable, Rig
 
 BLOCK = 4096  # observations evaluated at once: a Jacobian of 54 columns fills 1.8 MB, about the second-level cache

@@ -45,10 +45,10 @@ from numpy.typing import NDArray
 
 from truearm.estimate import lm
 from truearm.estimate.information import covariance, observe, spectrum, with_prior
+from truearm.estimate.parameter_update import Step, added, stepper
 from truearm.estimate.problem import Problem
-from truearm.estimate.rows import GATE_LEVEL, deleted_distance, gate, only, whitened_blocks
 from truearm.estimate.solution import Options, Solution, prior_error, whole
-from truearm.estimate.stepping import Step, added, stepper
+from truearm.estimate.whitened_rows import GATE_LEVEL, deleted_distance, gate, only, whitened_blocks
 from truearm.types import Floats
 
 DIFFUSE = 10.0  # σ of an unknown without prior; 1e5 times what a millimetre's work would leave, 1e-10 in the result

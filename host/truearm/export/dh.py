@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.errors import RobotError
-from truearm.export.own import Own
+from truearm.export.link_frames import Own
 from truearm.model.poses import inverted
 from truearm.types import Floats
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from truearm.errors import RobotError
-from truearm.export.own import Own, check_gains
+from truearm.export.link_frames import Own, check_gains
 from truearm.model.poses import inverted, six_of
 from truearm.model.transforms import elementary
 from truearm.types import Floats

@@ -21,7 +21,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from truearm.errors import RobotError
-from truearm.export.own import Own, check_gains, joint_motion
+from truearm.export.link_frames import Own, check_gains, joint_motion
 from truearm.model.chain import Chain, Element
 from truearm.model.poses import inverted, six_of
 from truearm.model.transforms import elementary

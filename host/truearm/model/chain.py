@@ -36,7 +36,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from truearm.errors import RobotError
-from truearm.model.folding import Constants, Folded, constants_of, folded, new_numbers, on_axis
+from truearm.model.constant_folding import Constants, Folded, constants_of, folded, new_numbers, on_axis
 from truearm.model.transforms import MOTIONS, apply, axis_of, cos_sin, cross, elementary, move, turn
 from truearm.types import Floats
 

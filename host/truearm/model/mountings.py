@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.model.chain import Chain, Element
-from truearm.model.folding import folded
+from truearm.model.constant_folding import folded
 from truearm.model.poses import inverted
 from truearm.model.transforms import elementary
 from truearm.types import Floats

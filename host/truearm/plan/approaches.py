@@ -20,11 +20,11 @@ from scipy.linalg import hadamard
 
 from truearm.errors import PlanError
 from truearm.model.chain import along, point_forward, trace_point
-from truearm.plan.ballbar import Say
+from truearm.plan.ball_bar_plan import Say
+from truearm.plan.bar_paths import Pace, move_seconds, samples, way_with_bar, way_without_bar
+from truearm.plan.measurement_limits import Pairing, Site, all_allowed, free_travel
 from truearm.plan.route import Route
 from truearm.plan.shells import candidates
-from truearm.plan.site import Pairing, Site, all_allowed, free_travel
-from truearm.plan.way import Pace, move_seconds, samples, way_with_bar, way_without_bar
 from truearm.types import Floats, Plan
 
 FARTHEST = 0.05  # rad that a joint goes away

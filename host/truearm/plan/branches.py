@@ -10,7 +10,7 @@ import numpy as np
 
 from truearm.errors import PlanError
 from truearm.model.chain import Chain
-from truearm.plan.inverse import PUMA_ELBOW_UP, Branch
+from truearm.plan.branch_inverse import PUMA_ELBOW_UP, Branch
 
 
 def _degrees(lower: list[float], upper: list[float], clearance: float, height: float = 0.08) -> Branch:

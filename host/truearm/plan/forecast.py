@@ -20,7 +20,7 @@ from truearm.estimate.information import covariance, observe, seen, spectrum, wi
 from truearm.estimate.prediction import MOVES, body_motion
 from truearm.estimate.prior import WEAK_SIGMA, WIDE_SIGMA, wide_prior
 from truearm.estimate.problem import Problem, build_problem, settled
-from truearm.estimate.rows import whitened_blocks
+from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.model.chain import Chain, point_forward, point_jacobians
 from truearm.types import Floats, NullDirection, ObservationTable, Plan, Point, Rig
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from truearm.errors import PlanError
 from truearm.model.chain import point_forward
-from truearm.plan.site import Site, allowed
+from truearm.plan.measurement_limits import Site, allowed
 from truearm.types import Floats
 
 N_POSES = 300

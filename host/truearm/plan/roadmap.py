@@ -16,8 +16,8 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import KDTree
 
-from truearm.plan.site import Pairing, Site, allowed, of_pairing, pairing_at
-from truearm.plan.way import way_with_bar
+from truearm.plan.bar_paths import way_with_bar
+from truearm.plan.measurement_limits import Pairing, Site, allowed, of_pairing, pairing_at
 from truearm.types import Floats, Plan
 
 NEIGHBOURS = 8

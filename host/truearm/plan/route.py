@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import PlanError
+from truearm.plan.bar_paths import Pace, move_seconds, way_without_bar
+from truearm.plan.measurement_limits import Pairing, Site, of_pairing, pairing_at
 from truearm.plan.roadmap import Roadmap, make_roadmap, passable
 from truearm.plan.shells import move_costs
-from truearm.plan.site import Pairing, Site, of_pairing, pairing_at
 from truearm.plan.stops import Stop, plain
-from truearm.plan.tour import short_tour
-from truearm.plan.way import Pace, move_seconds, way_without_bar
+from truearm.plan.visit_order import short_tour
 from truearm.types import Floats, Plan
 
 NEAR = 12  # poses to which the way is looked at before the order is chosen

@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 
 from truearm.errors import PlanError
 from truearm.model.chain import Chain, forward, joint_frames, point_forward
-from truearm.plan.inverse import PUMA_ELBOW_UP, Arm, Branch, inverse, make_arm
-from truearm.plan.site import Pairing, Site, allowed
-from truearm.plan.tour import short_tour, untangled, without_dearest
+from truearm.plan.branch_inverse import PUMA_ELBOW_UP, Arm, Branch, inverse, make_arm
+from truearm.plan.measurement_limits import Pairing, Site, allowed
+from truearm.plan.visit_order import short_tour, untangled, without_dearest
 from truearm.types import BallBar, Floats, Plan, Point, Rig
 
 # Between the tool's axis and the direction to the chuck. It is what tells the radius of a shell from the robot's size:

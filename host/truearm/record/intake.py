@@ -21,9 +21,9 @@ from truearm.record.operator import Operator
 from truearm.record.probes import Probes
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
-from truearm.sensors.data import Data, data_of, decode, too_many, usual_data
-from truearm.sensors.ident import Ident, decode_ident
-from truearm.sensors.pages import Pages
+from truearm.session.box_ident import Ident, decode_ident
+from truearm.session.data_frames import Data, data_of, decode, too_many, usual_data
+from truearm.session.pages import Pages
 from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, IDENT, REPLY, SYNC_REPLY
 
 _TOPICS = {

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from truearm.record.status import Status
-from truearm.sensors.data import Data
-from truearm.sensors.ident import Ident
+from truearm.session.box_ident import Ident
+from truearm.session.data_frames import Data
 
 
 class Wish(NamedTuple):

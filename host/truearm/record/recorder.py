@@ -14,14 +14,14 @@ from typing import Any
 
 from truearm.errors import LinkClosed, LinkError, ProtocolError, TruearmError
 from truearm.record.intake import Answer, Intake
+from truearm.record.joint_lines import EXPECTED, RobotIntake
 from truearm.record.links import Clock, Link, Reopenable, backlog_of
 from truearm.record.operator import Operator
 from truearm.record.probes import Probes
 from truearm.record.requests import Requests
-from truearm.record.robot import EXPECTED, RobotIntake
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters, RecordSummary, Status
-from truearm.sensors.ident import Ident
+from truearm.session.box_ident import Ident
 from truearm_wire.messages import CONFIGURE, IDENTIFY, START, STOP, SYNC_REQUEST
 
 SECOND = 1_000_000_000

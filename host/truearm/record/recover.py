@@ -10,10 +10,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from truearm.record.container import CHANNELS
-from truearm.record.salvage import Damage
-from truearm.record.session import Session
 from truearm.record.session_writer import SessionWriter, media_type
+from truearm.session.mcap_records import CHANNELS
+from truearm.session.salvage import Damage
+from truearm.session.session_file import Session
 
 _CIRCLE = 2**32
 _WRITERS_OWN = ("session-end", CHANNELS)  # metadata that the writer writes itself

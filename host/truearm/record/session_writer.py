@@ -27,8 +27,8 @@ from mcap.writer import CompressionType, Writer
 
 from truearm import __version__
 from truearm.errors import InputError, LinkError, WriteError
-from truearm.record.container import CHANNELS, CRC, metadata_crc
 from truearm.record.links import Clock
+from truearm.session.mcap_records import CHANNELS, CRC, metadata_crc
 
 CHUNK_NS = 800_000_000  # with the recorder's pace of 50 ms no message waits longer than 1 s
 _CHUNK_BYTES = 1 << 20

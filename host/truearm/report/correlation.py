@@ -8,7 +8,7 @@ import numpy as np
 
 from truearm.report import svg
 from truearm.report.figures import Figure
-from truearm.report.text import number
+from truearm.report.page_text import number
 from truearm.types import Estimate, Floats
 
 

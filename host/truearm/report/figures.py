@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.report import svg
-from truearm.report.rows import Rows, law_of, rms
-from truearm.report.text import counted, figures, number
+from truearm.report.page_text import counted, figures, number
+from truearm.report.residual_rows import Rows, law_of, rms
 from truearm.report.words import KINDS
 from truearm.types import Estimate, Floats
 

@@ -9,8 +9,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from truearm.report.rows import Summary, row_name
-from truearm.report.text import ABSENT, counted, escape, figures, millimetres, number
+from truearm.report.page_text import ABSENT, counted, escape, figures, millimetres, number
+from truearm.report.residual_rows import Summary, row_name
 from truearm.report.words import KINDS, OBSERVABILITY, kind_name, proposal
 from truearm.types import Addition, Estimate, ObservationTable, PredictedError, Relabelling
 

@@ -11,9 +11,9 @@ from importlib.resources import files
 import numpy as np
 
 from truearm.report import svg
-from truearm.report.page import POLICY
-from truearm.report.tables import fact_list
-from truearm.report.text import escape, figures, number
+from truearm.report.calibration_page import POLICY
+from truearm.report.page_tables import fact_list
+from truearm.report.page_text import escape, figures, number
 from truearm.types import Floats
 
 MARK = "<!-- truearm box gauge -->"  # by which a page of ours is known

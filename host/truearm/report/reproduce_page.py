@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
+from truearm.report.calibration_page import POLICY
 from truearm.report.figures import Figure
-from truearm.report.page import POLICY
-from truearm.report.tables import step_table
-from truearm.report.text import ABSENT, escape, figures
+from truearm.report.page_tables import step_table
+from truearm.report.page_text import ABSENT, escape, figures
 
 REPRODUCED, NOT_REPRODUCED, IN_KIND, OURS = "reproduced", "not reproduced", "in kind", "ours alone"
 NOT_JUDGED = "not judged"

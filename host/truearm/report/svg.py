@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from truearm.report.text import MINUS, SUPERSCRIPT, escape
+from truearm.report.page_text import MINUS, SUPERSCRIPT, escape
 from truearm.types import Floats
 
 SMALLEST = 1e-15  # of what a log axis shows; noise-free residuals are rounding or exactly zero

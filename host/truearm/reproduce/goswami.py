@@ -24,7 +24,7 @@ from truearm.estimate.solution import Options
 from truearm.estimate.uncertainty import predicted_error
 from truearm.model.chain import Chain, point_forward
 from truearm.model.robot import Robot
-from truearm.reproduce.lines import gear_error
+from truearm.reproduce.line_bench import gear_error
 from truearm.types import Estimate, Floats, ObservationTable, Point, Rig
 
 NOISE = 0.084e-3  # m, the paper's RMS residual

@@ -10,9 +10,9 @@ import numpy as np
 
 from truearm.report import svg
 from truearm.report.figures import Figure, by_longitude, convergence, histogram
+from truearm.report.page_text import BORDER, figures, number
 from truearm.report.reproduce_page import Chapter, Claim, Table
-from truearm.report.rows import rows_by_kind
-from truearm.report.text import BORDER, figures, number
+from truearm.report.residual_rows import rows_by_kind
 from truearm.reproduce import goswami
 from truearm.reproduce.goswami import NOISE, Bench, Errors
 from truearm.types import Estimate, Floats

@@ -21,7 +21,7 @@ from truearm.estimate.problem import Problem, build_problem
 from truearm.estimate.solution import Options
 from truearm.estimate.uncertainty import CartesianError, tolerance_error
 from truearm.model.chain import Chain, point_forward, point_jacobians
-from truearm.reproduce.lines import ANGLE_SIGMA, Session, line_rig, measured_lines, prior_of
+from truearm.reproduce.line_bench import ANGLE_SIGMA, Session, line_rig, measured_lines, prior_of
 from truearm.types import Floats
 
 # III-E and III-F, errors identified [rad, m]; III-F prints its lengths as Δα2, Δα4, Δα6, Δα6: a2, d4, a6, d6.

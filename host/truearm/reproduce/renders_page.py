@@ -6,15 +6,15 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from truearm.kinds.line import PLACEMENTS
 from truearm.model.chain import Chain
 from truearm.model.robot import builtin_robot
-from truearm.observe.line import PLACEMENTS
+from truearm.report.page_text import figures, number
 from truearm.report.reproduce_page import Chapter, Claim, Table
-from truearm.report.text import figures, number
 from truearm.reproduce import renders
 from truearm.reproduce.goswami_page import Step
-from truearm.reproduce.lines import ANGLE_SIGMA, LENGTH_SIGMA, measured_lines
-from truearm.reproduce.prediction import Convergence, convergence
+from truearm.reproduce.line_bench import ANGLE_SIGMA, LENGTH_SIGMA, measured_lines
+from truearm.reproduce.prediction_errors import Convergence, convergence
 from truearm.reproduce.renders import CASE_E, CASE_F, GEAR, N_LINES, N_POINTS, WIDE, Case
 from truearm.reproduce.renders_plots import map_figure, prediction_figure, runs_figure
 from truearm.types import Floats

@@ -8,7 +8,7 @@ import numpy as np
 
 from truearm.report import svg
 from truearm.report.figures import Figure
-from truearm.report.text import figures
+from truearm.report.page_text import figures
 from truearm.reproduce.renders import Section
 from truearm.types import Floats
 

@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from truearm.errors import InputError, SessionError
-from truearm.files.columns import shown
-from truearm.record.robots.table import NO_ARRIVAL, Reading
-from truearm.record.session import open_session
-from truearm.sensors.joints import MAX_JOINTS, are_joints, format_reading
+from truearm.files.observation_columns import shown
+from truearm.record.robots.joint_table import NO_ARRIVAL, Reading
+from truearm.session.joint_line import MAX_JOINTS, are_joints, format_reading
+from truearm.session.session_file import open_session
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore

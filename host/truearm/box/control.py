@@ -1,0 +1,241 @@
+"""A conversation with a box apart from a recording: commands and their answers, documents in pages, and what it sends meanwhile.
+
+As in the recorder time comes from the clock and passes in ``Link.read`` alone, so all of this runs in the simulator's virtual
+time too. A command is repeated with the same id until it is answered, which the box takes for one command (SPEC §6).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple, NoReturn
+
+import cbor2
+
+from truearm.errors import LinkError, ProtocolError, RefusedError
+from truearm.record.fields import fields_of
+from truearm.record.frames import FrameSplitter, frame_seq, frame_type
+from truearm.record.links import Clock, Link
+from truearm.record.requests import Requests
+from truearm.session.box_ident import Ident, decode_ident
+from truearm.session.data_frames import Data, data_of, decode, usual_data
+from truearm.session.pages import Pages
+from truearm_wire import messages as wire
+from truearm_wire.cbor import CborError, encode
+
+SECOND = 1_000_000_000
+RETRY_NS = SECOND // 2
+RETRIES = 10  # 5 s: a box that was just plugged in waits 2 s before it runs
+SELF_TEST_RETRY_NS = 4 * SECOND  # it measures for about a second
+CONFIG_PAGES_MAX = 16  # that a box takes
+MAX_WAITING = 20_000  # frames that nobody fetched; the oldest go
+_READ_S = 0.05
+_SEQ_MASK, _SEQ_HALF = 2**32 - 1, 2**31
+_DEPTH = 16
+_REFERENCES = (25, 28, 29, 256)  # tags by which a short document would stand for an endless one
+
+NAMES = {
+    wire.IDENTIFY: "identify",
+    wire.CONFIGURE: "configure",
+    wire.START: "start",
+    wire.STOP: "stop",
+    wire.GET_CONFIG: "get-config",
+    wire.PUT_CONFIG: "put-config",
+    wire.SELF_TEST: "self-test",
+    wire.TO_REPL: "to-repl",
+    wire.RESET: "reset",
+    wire.PULSE: "pulse",
+}
+
+
+class Sent(NamedTuple):
+    """A frame that the box sent: ``data`` for samples, else the kind's elements by name; and the host's time of its arrival."""
+
+    t_host_ns: int
+    kind: int
+    data: Data | None
+    fields: dict[str, Any]
+
+
+class NoAnswer(LinkError):
+    """The box is silent, though the link is whole."""
+
+
+class BoxControl:
+    """The host's side of a conversation. ``ident`` is what the box said last of itself; ``console_bytes`` counts what was no
+    frame, ``lost_frames`` gaps in the box's count of them; ``heartbeat`` is the last one, by name."""
+
+    def __init__(self, link: Link, clock: Clock) -> None:
+        self.ident: Ident | None = None
+        self.console_bytes = 0
+        self.lost_frames = 0
+        self.heartbeat: dict[str, Any] = {}
+        self._next_seq: int | None = None
+        self._link = link
+        self._clock = clock
+        self._requests = Requests(clock.now_ns())
+        self._splitter = FrameSplitter()
+        self._ident_pages, self._reply_pages = Pages(), Pages()
+        self._waiting: deque[Sent] = deque(maxlen=MAX_WAITING)
+        self._awaited = 0
+        self._reply: bytes | None = None
+        self._error: tuple[int, str] | None = None
+        self._identified = 0  # the req_id of the last ident
+
+    # --- what may be asked
+
+    def identify(self, retries: int = RETRIES) -> Ident:
+        """Raises LinkError if the box does not answer, ProtocolError if it speaks another protocol."""
+        self._send(wire.IDENTIFY, (), lambda: self._identified == self._awaited, RETRY_NS, retries)
+        if self.ident is None:
+            raise ProtocolError(f"{self._link.name}: the box answers but does not say what it is; update its firmware")
+        return self.ident
+
+    def command(self, kind: int, *arguments: Any, retry_ns: int = RETRY_NS, retries: int = RETRIES) -> bytes:
+        """The document that answers a command, b"" for most.
+
+        Raises LinkError if there is no answer, RefusedError if the box refuses.
+        """
+        self._send(kind, arguments, lambda: self._reply is not None, retry_ns, retries)
+        return self._reply or b""
+
+    def config(self) -> dict[str, Any]:
+        """The box's configuration (SPEC §5)."""
+        return self._document(self.command(wire.GET_CONFIG), "configuration")
+
+    def put_config(self, config: dict[str, Any]) -> Ident:
+        """Store a configuration in the box; returns the ident that follows it. Raises as ``command``, and ProtocolError if it is too long."""
+        try:
+            pages = wire.pages(encode(config))
+        except CborError as exc:
+            raise ProtocolError(f"the configuration does not fit the wire: {exc}") from exc
+        if len(pages) > CONFIG_PAGES_MAX:
+            raise ProtocolError(f"the configuration is too long: {len(pages)} pages, a box takes {CONFIG_PAGES_MAX}")
+        for page, count, data in pages:
+            self.command(wire.PUT_CONFIG, page, count, data)
+        return self.identify()
+
+    def self_test(self) -> dict[str, Any]:
+        """The results (SPEC §5) by name."""
+        return self._document(self.command(wire.SELF_TEST, retry_ns=SELF_TEST_RETRY_NS, retries=3), "self-test")
+
+    def reset(self, mode: int) -> None:
+        """Restart the box, or have it enter its boot loader. A link that is lost meanwhile is what was asked for."""
+        try:
+            self.command(wire.RESET, mode)
+        except (RefusedError, NoAnswer):
+            raise
+        except LinkError:
+            return
+
+    @property
+    def now_s(self) -> float:
+        """The host's time [s]."""
+        return self._clock.now_ns() / SECOND
+
+    def probe(self) -> tuple[int, int]:
+        """Send a clock request; returns its id and the host's time before it [ns]. The answer comes as a frame."""
+        number, data = self._requests.make(wire.SYNC_REQUEST)
+        return number, self._link.write(data)
+
+    def sent(self, timeout_s: float) -> Iterator[Sent]:
+        """The frames that came, waiting up to ``timeout_s`` for the first bytes."""
+        if not self._waiting:
+            self._pump(timeout_s)
+        while self._waiting:
+            yield self._waiting.popleft()
+
+    # --- how
+
+    def _document(self, data: bytes, what: str) -> dict[str, Any]:
+        try:
+            refused = dict.fromkeys(_REFERENCES, _refuse)
+            document = cbor2.loads(data, max_depth=_DEPTH, allow_indefinite=False, semantic_decoders=refused)
+        except cbor2.CBORError as exc:
+            raise ProtocolError(f"{self._link.name}: the box's {what} cannot be decoded ({exc})") from exc
+        if not isinstance(document, dict) or not all(isinstance(key, str) for key in document):
+            raise ProtocolError(f"{self._link.name}: the box's {what} is no table")
+        return document
+
+    def _send(
+        self, kind: int, arguments: tuple[Any, ...], answered: Callable[[], bool], retry_ns: int, retries: int
+    ) -> None:
+        self._awaited, data = self._requests.make(kind, *arguments)
+        self._reply = self._error = None
+        for _ in range(retries):
+            self._link.write(data)
+            left_ns = retry_ns
+            deadline_ns = self._clock.now_ns() + retry_ns
+            while left_ns > 0:
+                # on a busy machine the time may be over at once, and the answer has come
+                left_ns = deadline_ns - self._clock.now_ns()
+                self._pump(min(max(left_ns, 0) / SECOND, _READ_S))
+                self._check_refused(NAMES[kind])
+                if answered():
+                    return
+        raise NoAnswer(
+            f"{self._link.name}: no answer to {NAMES[kind]!r} in {retries * retry_ns / SECOND:g} s; "
+            "is this a truearm box, and does its firmware run?"
+        )
+
+    def _check_refused(self, name: str) -> None:
+        if self._error is not None:
+            code, text = self._error
+            raise RefusedError(f"{self._link.name}: the box refuses {name!r}: {text[:200]}", code)
+
+    def _pump(self, timeout_s: float) -> None:
+        for t_host_ns, data in self._link.read(timeout_s):
+            for is_frame, item in self._splitter.push(data):
+                if is_frame:
+                    self._take(t_host_ns, item)
+                else:
+                    self.console_bytes += len(item)
+
+    def _take(self, t_host_ns: int, payload: bytes) -> None:
+        kind = frame_type(payload)
+        self._count(frame_seq(payload))
+        if kind == wire.DATA:
+            data = usual_data(payload) or _unusual_data(payload)
+            if data is not None:
+                self._waiting.append(Sent(t_host_ns, kind, data, {}))
+            return
+        fields = None if kind is None else fields_of(kind, payload)
+        if kind is None or fields is None:
+            return
+        if kind == wire.IDENT:
+            self._take_ident(fields)
+        elif kind == wire.REPLY:
+            document = self._reply_pages.push(fields["req_id"], fields["page"], fields["pages"], fields["data"])
+            if document is not None and fields["req_id"] == self._awaited:
+                self._reply = document
+        elif kind == wire.ERROR:
+            if fields["req_id"] == self._awaited:
+                self._error = fields["code"], fields["text"]
+        else:
+            if kind == wire.HEARTBEAT:
+                self.heartbeat = fields
+            self._waiting.append(Sent(t_host_ns, kind, None, fields))
+
+    def _count(self, seq: int | None) -> None:
+        """A gap is counted; a count that goes back is a frame that came late, or a box that restarted."""
+        if seq is None:
+            return
+        gap = 0 if self._next_seq is None else (seq - self._next_seq) & _SEQ_MASK
+        if gap < _SEQ_HALF:
+            self.lost_frames += gap
+        self._next_seq = (seq + 1) & _SEQ_MASK
+
+    def _take_ident(self, fields: dict[str, Any]) -> None:
+        document = self._ident_pages.push(fields["req_id"], fields["page"], fields["pages"], fields["data"])
+        if document is not None:
+            self.ident = decode_ident(document)
+            self._identified = fields["req_id"]
+
+
+def _unusual_data(payload: bytes) -> Data | None:
+    elements = decode(payload)
+    return None if elements is None else data_of(elements)
+
+
+def _refuse(_: object) -> NoReturn:
+    raise ValueError("references are not on this wire")

@@ -1,0 +1,62 @@
+"""What the subcommands of ``truearm box`` share: the option that names a box, and a conversation with it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from truearm.errors import RefusedError
+
+if TYPE_CHECKING:
+    from truearm.box.control import BoxControl
+    from truearm.session.box_ident import Ident
+
+DEVICE_HELP = "The box: /dev/ttyACM0, COM3 or socket://127.0.0.1:7007."
+Device = Annotated[str, typer.Option(metavar="DEVICE", help=DEVICE_HELP)]
+Stop = Annotated[
+    bool, typer.Option("--stop", help="Stop the box first if it streams, as a recorder that was killed leaves it.")
+]
+RETRIES = 10  # half a second each
+STREAMING = 4  # the error's code, protocol/SPEC.md §4
+
+
+@contextmanager
+def conversation(device: str, stop: bool = False, retries: int = RETRIES) -> Iterator[BoxControl]:
+    """A conversation with the box at ``device``, which has said what it is; with ``stop`` it does not stream any more.
+
+    Raises LinkError, ProtocolError; a refusal because the box streams says what to do.
+    """
+    from truearm.box.control import BoxControl
+    from truearm.record.links import HostClock, SerialLink
+    from truearm_wire.messages import STOP
+
+    clock = HostClock()
+    link = SerialLink(device, clock)
+    try:
+        box = BoxControl(link, clock)
+        box.identify(retries)
+        if stop:
+            box.command(STOP)
+        yield box
+    except RefusedError as exc:
+        if exc.code == STREAMING:
+            text = f"{device}: the box is streaming; end the recording first, or give --stop if nothing records it"
+            raise RefusedError(text, STREAMING) from exc
+        raise
+    finally:
+        link.close()
+
+
+def ident_of(box: BoxControl) -> Ident:
+    """What the box said of itself when the conversation began, or since."""
+    return box.ident or box.identify()
+
+
+def one_line_of(ident: Ident) -> str:
+    """A box in a few words."""
+    document = ident.document
+    board = f" on {document['board']}" if isinstance(document.get("board"), str) else ""
+    return f"truearm box {document.get('uid', '')!s:.32}, firmware {ident.firmware:.32}{board[:40]}"

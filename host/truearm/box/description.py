@@ -1,0 +1,93 @@
+"""What ``truearm box`` prints: a box, its ports, its self-test in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from truearm.text import one_line
+
+if TYPE_CHECKING:
+    from truearm.box.selftest import Finding
+    from truearm.session.box_ident import Channel, Ident, Stream
+
+_LENGTHS = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6}
+
+
+def ident_lines(ident: Ident) -> list[str]:
+    """Everything that the operator may want to know of a box."""
+    document = ident.document
+    rows = [
+        ("firmware", f"{ident.firmware or 'unknown'} on {document.get('board', 'an unknown board')}"),
+        ("protocol", ".".join(map(str, document.get("protocol", [])))),
+        ("uid", str(document.get("uid", ""))),
+        ("boot", f"{ident.boot_id:08x}"),
+    ]
+    lines = [f"{name:<10}{one_line(value)}" for name, value in rows]
+    for stream in ident.streams.values():
+        lines += ["", f"stream {stream.name}: {_rate(stream)}"]
+        described = document["streams"][list(ident.streams).index(stream.id)]["channels"]
+        lines += [f"  {_channel(c, entry)}" for c, entry in zip(stream.channels, described, strict=True)]
+    for fault in ident.faults:
+        lines += ["", f"warning: {one_line(fault)}"]
+    if isinstance(document.get("last_error"), str):
+        lines += ["", "its last traceback (truearm box reset forgets it):"]
+        lines += ["  " + one_line(line) for line in document["last_error"].splitlines()]
+    return lines
+
+
+def _rate(stream: Stream) -> str:
+    rate = f"{1e9 / stream.period_ns:.2f} samples a second" if stream.period_ns else "no fixed rate"
+    osr = f", osr {stream.osr}" if stream.osr else ""
+    return f"{rate}{osr}, group delay {stream.group_delay_ns / 1e6:.3f} ms"
+
+
+def _channel(channel: Channel, entry: Any) -> str:
+    if channel.fault:
+        return f"{one_line(channel.name):<18}cannot be used: {channel.fault}"
+    gain = entry.get("gain", 1)
+    text = f"{one_line(channel.name):<18}{channel.scale:.6g} {one_line(channel.unit)} a count, gain {gain!s:.6}"
+    if not channel.poly:
+        return text + ", not calibrated"
+    calibration = entry.get("calibration", {})
+    made = " ".join(one_line(str(calibration[key])) for key in ("serial", "date") if calibration.get(key))
+    return f"{text}, calibrated to {one_line(channel.calibrated_unit)} by {len(channel.poly)} coefficients ({made or 'no serial, no date'})"
+
+
+def finding_lines(findings: Iterable[Finding]) -> list[str]:
+    """One line a result, and what to do about it under it."""
+    lines = []
+    for finding in findings:
+        lines.append(
+            f"{finding.verdict.upper():<5} {one_line(finding.what)}{': ' + one_line(finding.value) if finding.value else ''}"
+        )
+        if finding.advice:
+            lines.append(f"      {one_line(finding.advice)}")
+    return lines
+
+
+def length_scale(unit: str) -> float | None:
+    """Metres a unit of length; None for any other unit."""
+    return _LENGTHS.get(unit)
+
+
+def shown(value: float, spread: float, unit: str) -> str:
+    """A value with its spread: lengths in mm and µm, times in µs, all else as it is."""
+    metres = length_scale(unit)
+    if not math.isfinite(value):
+        return "–"
+    if metres is not None:
+        return f"{1e3 * metres * value:.4f} mm ± {1e6 * metres * spread:.1f} µm"
+    if unit == "s":
+        return f"{1e6 * value:.4f} µs ± {1e9 * spread:.1f} ns"
+    return f"{value:.6f} {unit} ± {1e6 * spread:.1f} µ{unit}"
+
+
+def port_lines(rows: Sequence[dict[str, Any]], drives: Sequence[str]) -> list[str]:
+    """A table of ports and what answered there."""
+    lines = [f"{drive}: a chip in its boot loader; flash it with truearm box flash IMAGE.uf2" for drive in drives]
+    for row in rows:
+        usb = f" ({row['usb']} {row['product']})".replace("( ", "(") if row["usb"] or row["product"] else ""
+        lines.append(one_line(f"{row['device']}{usb}: {row['answer']}"))
+    return lines or ["no box was found; is it plugged in? A box without firmware needs truearm box flash"]

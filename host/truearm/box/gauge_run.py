@@ -1,0 +1,248 @@
+"""A sensor's calibration against reference readings, into the box: what ``truearm box gauge`` does."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import typer
+
+from truearm.box.configuration import change_lines, checked_config
+from truearm.box.conversation import conversation, ident_of
+from truearm.box.gauge_result import HEAD, MAG, Place, calibrate, with_calibration, words, write_page
+from truearm.errors import InputError, LinkError, TableError
+from truearm.text import one_line
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from truearm.box.control import BoxControl
+    from truearm.session.box_ident import Channel, Ident, Stream
+
+UNITS = {"mm": 1e-3, "um": 1e-6, "in": 25.4e-3}
+SETTLE_S = 0.2  # the converter's filter fills, and a hand leaves the stage
+PATIENCE_S = 5.0
+MAX_REFERENCES = 1000
+MAX_BYTES = 1 << 18
+MAX_METRES = 10.0
+STILL_MOVES = 5.0  # standard deviations of a drift
+FEWEST = 16  # samples of which a mean and its error can be told
+
+
+def gauge_channel(
+    channel: str,
+    device: str,
+    references: Path | None,
+    unit: str,
+    seconds: float,
+    order: int | None,
+    serial: str | None,
+    out: Path | None,
+    yes: bool,
+    stop: bool,
+) -> None:
+    """What ``truearm box gauge`` does with its options."""
+    from truearm.files.disk import check_writable
+    from truearm.report.gauge_page import MARK
+
+    if unit not in UNITS:
+        raise InputError(f"--unit {unit[:20]!r} is not one of {', '.join(UNITS)}")
+    listed = None if references is None else read_references(references)
+    page = out or Path("gauge-" + "".join(c if c.isalnum() or c in "-_" else "_" for c in channel[:40]) + ".html")
+    inputs = [] if references is None else [references]
+    check_writable(page, inputs=inputs, ours=lambda head: MARK.encode() in head)
+    with conversation(device, stop=stop) as box:
+        stream, index = _find(ident_of(box), channel)
+        config = checked_config(box)
+        places = _gather(box, stream, index, seconds, listed, UNITS[unit], unit)
+        result, tried = calibrate(places, order, stream.name == MAG)
+        for line in words(places, result, tried, stream.channels[index]):
+            typer.echo(line)
+        new = with_calibration(config, stream, index, places, result, serial)
+        write_page(page, channel, stream.channels[index], places, result, tried, new)
+        typer.echo(f"{page}: residuals and orders")
+        changes = change_lines(config, new)
+        for line in changes:
+            typer.echo(line)
+        if not changes:
+            typer.echo("the box has this calibration already")
+        elif yes or _agreed():
+            box.put_config(new)
+            typer.echo(f"{device}: stored and in force")
+        else:
+            typer.echo(f"{device}: unchanged")
+
+
+def read_references(path: Path) -> list[float]:
+    """The references [m] of a CSV file. Raises TableError."""
+    from truearm.files.disk import read_text
+
+    rows = list(csv.reader(io.StringIO(read_text(path, MAX_BYTES, TableError))))
+    columns = [cell.strip() for cell in rows[0]] if rows else []
+    found = [(k, unit) for k, name in enumerate(columns) for unit in UNITS if name == f"reference_{unit}"]
+    if len(found) != 1:
+        raise TableError(f"{path}: needs one column named reference_mm, reference_um or reference_in")
+    at, unit = found[0]
+    values = []
+    for number, row in enumerate(rows[1:], 2):
+        if any(cell.strip() for cell in row):
+            cell = row[at] if at < len(row) else ""
+            try:
+                values.append(parse_reference(cell, UNITS[unit]))
+            except InputError as exc:
+                raise TableError(f"{path}: row {number}: {exc}") from exc
+    if not 1 <= len(values) <= MAX_REFERENCES:
+        raise TableError(f"{path}: has {len(values)} references; 1 to {MAX_REFERENCES} are possible")
+    return values
+
+
+def parse_reference(text: str, scale: float) -> float:
+    """A reference [m] as it was typed. Raises InputError."""
+    try:
+        value = float(text.strip().replace(",", ".")) * scale
+    except ValueError:
+        value = math.nan
+    if not abs(value) <= MAX_METRES:
+        raise InputError(f"{text.strip()[:40]!r} is no reading of a reference")
+    return value
+
+
+def _find(ident: Ident, name: str) -> tuple[Stream, int]:
+    from truearm.session.box_ident import find_channel
+
+    found = find_channel(ident, name)
+    if found is None:
+        names = ", ".join(c.name for stream in ident.streams.values() for c in stream.channels)
+        off = "; its stream is off (truearm box config set magnetostrictive.period_us=983.04)" if name == HEAD else ""
+        raise InputError(f"the box has no channel {name[:40]!r}{off}; there are {names}")
+    if found[0].channels[found[1]].fault:
+        raise InputError(f"channel {name} cannot be used: {found[0].channels[found[1]].fault}")
+    return found
+
+
+# --- at the stage
+
+
+def _gather(
+    box: BoxControl, stream: Stream, index: int, seconds: float, listed: list[float] | None, scale: float, unit: str
+) -> list[Place]:
+    """Ask for references and sample at each, until they end."""
+    places: list[Place] = []
+    for reference in _listed(listed) if listed is not None else _typed(places, scale, unit):
+        counts = sample(box, stream, seconds)
+        problem = trouble(counts[:, index], stream)
+        if problem:
+            typer.echo(f"  not taken: {problem}")
+            continue
+        place = _place(reference, counts[:, index], stream, stream.channels[index], box)
+        places.append(place)
+        typer.echo(f"  {_placewords(len(places), place, stream.channels[index])}")
+    return places
+
+
+def _listed(references: Sequence[float]) -> Iterator[float]:
+    for number, reference in enumerate(references, 1):
+        line = _ask(f"{number} of {len(references)}: set {1e3 * reference:.4f} mm, then Enter (s: skip, q: enough): ")
+        if line is None or line == "q":
+            return
+        if line != "s":
+            yield reference
+
+
+def _typed(places: list[Place], scale: float, unit: str) -> Iterator[float]:
+    while len(places) < MAX_REFERENCES:
+        line = _ask(f"reference [{unit}] (empty: done, undo): ")
+        if not line:
+            return
+        if line == "undo":
+            typer.echo(f"  {'dropped place ' + str(len(places)) if places else 'there is none'}")
+            del places[-1:]
+            continue
+        try:
+            yield parse_reference(line, scale)
+        except InputError as exc:
+            typer.echo(f"  {exc}; type a number of {unit}")
+
+
+def _ask(prompt: str) -> str | None:
+    """A line of standard input, None at its end."""
+    typer.echo(prompt, nl=False)
+    try:
+        return input().strip()
+    except EOFError:
+        typer.echo()
+        return None
+
+
+def _agreed() -> bool:
+    return (_ask("store it in the box? [y/N] ") or "").lower() in ("y", "yes")
+
+
+def sample(box: BoxControl, stream: Stream, seconds: float) -> NDArray[np.int32]:
+    """Counts (n, channels) of a stream over so many seconds. The box is started and stopped.
+
+    Raises LinkError if too few samples come.
+    """
+    from truearm_wire.messages import START, STOP
+
+    skip, wanted = (max(1, round(s * 1e9 / stream.period_ns)) for s in (SETTLE_S, seconds))
+    box.command(START)
+    try:
+        blocks = _collect(box, stream, skip, max(wanted, FEWEST), SETTLE_S + seconds + PATIENCE_S)
+    finally:
+        box.command(STOP)
+        for _ in box.sent(0.0):  # what was under way
+            continue
+    return np.concatenate(blocks)
+
+
+def _collect(box: BoxControl, stream: Stream, skip: int, wanted: int, patience_s: float) -> list[NDArray[np.int32]]:
+    """Blocks of ``wanted`` samples in all, from number ``skip`` on."""
+    blocks: list[NDArray[np.int32]] = []
+    width = len(stream.channels)
+    have, end_s = 0, box.now_s + patience_s
+    while box.now_s < end_s:
+        for data in (sent.data for sent in box.sent(0.05)):
+            if data is None or data.stream != stream.id or data.n0 < skip or len(data.samples) % (4 * width):
+                continue
+            blocks.append(np.frombuffer(data.samples, "<i4").reshape(-1, width))
+            have += len(blocks[-1])
+            if have >= wanted:
+                return blocks
+    raise LinkError(f"the box sent {have} of {wanted} samples of {stream.name} in {patience_s:.0f} s")
+
+
+def trouble(counts: NDArray[np.int32], stream: Stream) -> str:
+    """Why these counts (n,) are no reading; "" if they are."""
+    from truearm.session.lvdt import railed
+
+    if stream.name != MAG:
+        return (
+            "the input is at the converter's rail; move the sensor, or lower the gain" if railed(counts).any() else ""
+        )
+    missing = int(np.count_nonzero(counts == 0))
+    if 2 * missing > counts.size or counts.size - missing < FEWEST:
+        return f"{missing} of {counts.size} stop pulses are missing; is the magnet on the rod?"
+    return ""
+
+
+def _place(reference: float, counts: NDArray[np.int32], stream: Stream, channel: Channel, box: BoxControl) -> Place:
+    from truearm.session.lvdt import volts
+    from truearm.session.sample_statistics import mean_of
+
+    good = counts[counts != 0] if stream.name == MAG else counts
+    beat = box.heartbeat.get("temperature_mdegc")
+    return Place(reference, mean_of(volts(good, channel)), None if beat is None else beat / 1000)
+
+
+def _placewords(number: int, place: Place, channel: Channel) -> str:
+    mean = place.mean
+    noisy = f"noise {mean.noise:.2g}, mean ± {math.sqrt(mean.variance):.2g} {channel.unit}"
+    moves = abs(mean.drift) > STILL_MOVES * mean.drift_sigma > 0.0
+    still = "; it still moved while it was sampled, undo and take it again" if moves else ""
+    return one_line(f"{number}: {1e3 * place.reference:.4f} mm at {mean.mean:.8g} {channel.unit} ({noisy}){still}")

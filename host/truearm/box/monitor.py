@@ -1,0 +1,235 @@
+"""What a box measures and how well it does, live: what ``truearm box monitor`` shows."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import typer
+
+from truearm.box.conversation import conversation, ident_of, one_line_of
+from truearm.errors import InputError
+from truearm.text import one_line
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from truearm.box.control import BoxControl, Sent
+    from truearm.session.box_ident import Channel, Ident, Stream
+    from truearm.session.online_clock import OnlineClock
+
+WINDOW_S = 1.0  # of samples that a shown value is the mean of
+PROBE_S = 0.25
+SHOW_S = 0.5
+PLAIN_S = 1.0
+MAX_PROBES = 64  # under way
+
+
+@dataclass
+class Window:
+    """The last second of a stream."""
+
+    blocks: deque[NDArray[np.int32]] = field(default_factory=deque)
+    samples: int = 0
+    next_n0: int | None = None
+    lost: int = 0
+    period_ns: int = 0
+
+    def take(self, n0: int, counts: NDArray[np.int32], period_ns: int) -> None:
+        if self.next_n0 is not None and n0 > self.next_n0:
+            self.lost += n0 - self.next_n0
+        self.next_n0 = n0 + len(counts)
+        self.period_ns = period_ns or self.period_ns
+        self.blocks.append(counts)
+        self.samples += len(counts)
+        longest = max(1, round(WINDOW_S * 1e9 / self.period_ns)) if self.period_ns else 1000
+        while len(self.blocks) > 1 and self.samples - len(self.blocks[0]) >= longest:
+            self.samples -= len(self.blocks.popleft())
+
+
+def _clock() -> OnlineClock:
+    from truearm.session.online_clock import OnlineClock  # with scipy, which --help does without
+
+    return OnlineClock()
+
+
+@dataclass
+class Watch:
+    """What was seen of a box since it was started. Times in s and ns of the host's clock."""
+
+    ident: Ident
+    windows: dict[int, Window] = field(default_factory=dict)
+    heartbeat: dict[str, Any] = field(default_factory=dict)
+    clock: OnlineClock = field(default_factory=_clock)
+    probes: dict[int, int] = field(default_factory=dict)
+    edges: int = 0
+    restarts: int = 0
+
+    def asked(self, number: int, t0_ns: int) -> None:
+        self.probes[number] = t0_ns
+        while len(self.probes) > MAX_PROBES:
+            del self.probes[next(iter(self.probes))]
+
+    def take(self, sent: Sent) -> None:
+        """A frame that came."""
+        from truearm_wire.messages import EVENT, HEARTBEAT, SYNC_REPLY
+
+        if sent.data is not None:
+            stream = self.ident.streams.get(sent.data.stream)
+            if stream is not None and len(sent.data.samples) % (4 * len(stream.channels)) == 0:
+                counts = np.frombuffer(sent.data.samples, "<i4").reshape(-1, len(stream.channels))
+                self.windows.setdefault(stream.id, Window()).take(sent.data.n0, counts, sent.data.period_ns)
+        elif sent.kind == HEARTBEAT:
+            self.heartbeat = sent.fields
+        elif sent.kind == EVENT:
+            self.edges += 1
+        elif sent.kind == SYNC_REPLY and sent.fields["id"] in self.probes:
+            t0_ns = self.probes.pop(sent.fields["id"])
+            self.clock.add(t0_ns, sent.fields["t1_us"], sent.fields["t2_us"], sent.t_host_ns)
+
+
+def monitor_box(device: str, duration: float | None, plain: bool) -> None:
+    """What ``truearm box monitor`` does with its options."""
+    from truearm.interrupt import asked_to_stop
+
+    if duration is not None and not 0 < duration < math.inf:
+        raise InputError(f"--duration {duration:g} is no time; give seconds above 0")
+    with conversation(device, stop=True) as box, asked_to_stop() as interrupted:
+        typer.echo(one_line_of(ident_of(box)))
+        watch = _watch(box, duration, interrupted, plain or not sys.stdout.isatty())
+    typer.echo(_totals(watch, box))
+
+
+def _watch(box: BoxControl, duration: float | None, interrupted: Callable[[], bool], plain: bool) -> Watch:
+    from truearm_wire.messages import START, STOP
+
+    watch = Watch(ident_of(box))
+    begun = time.monotonic()
+    next_probe = begun
+    every = PLAIN_S if plain else SHOW_S
+    next_show = begun + every
+    with ExitStack() as stack:
+        show = _plain if plain else _live(stack)
+        stack.callback(box.command, STOP)
+        box.command(START)
+        while not interrupted() and (duration is None or time.monotonic() < begun + duration):
+            for sent in box.sent(0.05):
+                watch.take(sent)
+            if ident_of(box).boot_id != watch.ident.boot_id:
+                watch = Watch(ident_of(box), restarts=watch.restarts + 1)
+                box.command(START)
+            now = time.monotonic()
+            if now >= next_probe:
+                next_probe = now + PROBE_S
+                watch.asked(*box.probe())
+            if now >= next_show:
+                next_show = now + every
+                show(rows_of(watch, now - begun, box))
+    return watch
+
+
+Rows = list[tuple[str, str]]
+
+
+def rows_of(watch: Watch, elapsed_s: float, box: BoxControl) -> Rows:
+    """(what, value) of everything that is shown."""
+    rows: Rows = [("time", f"{elapsed_s:.0f} s")]
+    for stream in watch.ident.streams.values():
+        rows += _stream_rows(stream, watch.windows.get(stream.id))
+    rows.append(("clock", clock_words(watch)))
+    if watch.heartbeat:
+        beat = watch.heartbeat
+        rows.append(
+            ("box", f"{beat['temperature_mdegc'] / 1000:.1f} °C, longest loop {beat['loop_max_us'] / 1000:.1f} ms")
+        )
+    rows.append(("losses", losses(watch, box)))
+    return rows
+
+
+def _stream_rows(stream: Stream, window: Window | None) -> Rows:
+    if window is None:
+        return [(stream.name, "no samples yet")]
+    rate = f"{1e9 / window.period_ns:.2f} Hz" if window.period_ns else "no fixed rate"
+    rows = [(stream.name, f"{rate}, {window.lost} samples lost")]
+    counts = np.concatenate(window.blocks)
+    return rows + [(one_line(c.name), value_of(counts[:, k], c, stream)) for k, c in enumerate(stream.channels)]
+
+
+def value_of(counts: NDArray[np.int32], channel: Channel, stream: Stream) -> str:
+    """The mean of counts (n,) in the channel's best unit, with the standard deviation of one sample."""
+    from truearm.box.description import shown
+    from truearm.session.lvdt import railed
+
+    if channel.fault:
+        return channel.fault
+    if stream.name == "mag":
+        counts = counts[counts != 0]
+        if not counts.size:
+            return "no stop pulses; is the magnet on the rod?"
+    elif railed(counts).any():
+        return "at the converter's rail"
+    values = counts * channel.scale
+    if channel.poly:
+        values = np.polynomial.polynomial.polyval(values, channel.poly)
+    return shown(
+        float(np.mean(values)), float(np.std(values)), channel.calibrated_unit if channel.poly else channel.unit
+    )
+
+
+def clock_words(watch: Watch) -> str:
+    """How well the host knows the box's clock by the exchanges of the last minute."""
+    now = watch.clock.estimate()
+    if now is None:
+        return "not known yet"
+    return (
+        f"± {now.bound_ns / 1000:.0f} µs, host {now.rate_ppm:+.1f} ppm faster, "
+        f"round trip {now.rtt_min_ns / 1000:.0f} µs at best"
+    )
+
+
+def losses(watch: Watch, box: BoxControl) -> str:
+    """What went wrong, 0 included."""
+    beat = watch.heartbeat
+    parts = [f"{box.lost_frames} frames on the link", f"{beat.get('overruns', 0)} samples in the box"]
+    words = (
+        ("crc_errors", "wrong CRCs of the converter"),
+        ("converter_resets", "converter resets"),
+        ("missing_stops", "missing stops"),
+        ("bad_frames", "bad frames received"),
+    )
+    parts += [f"{beat[key]} {text}" for key, text in words if beat.get(key)]
+    parts += [f"{watch.restarts} restarts"] * (watch.restarts > 0) + [f"{watch.edges} trigger edges"] * (
+        watch.edges > 0
+    )
+    return ", ".join(parts)
+
+
+def _plain(rows: Rows) -> None:
+    print("; ".join(f"{name} {value}" for name, value in rows), flush=True)
+
+
+def _live(stack: ExitStack) -> Callable[[Rows], None]:
+    from rich.live import Live
+    from rich.table import Table
+    from rich.text import Text
+
+    live = stack.enter_context(Live(auto_refresh=False, transient=False))
+
+    def show(rows: Rows) -> None:
+        table = Table.grid(padding=(0, 2))
+        for name, value in rows:
+            table.add_row(Text(name), Text(value))
+        live.update(table, refresh=True)
+
+    return show
+
+
+def _totals(watch: Watch, box: BoxControl) -> str:
+    return f"ended; lost: {losses(watch, box)}"

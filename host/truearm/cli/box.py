@@ -1,0 +1,144 @@
+"""``truearm box``: find a sensor box, flash it, ask it, test it, set it up, calibrate its sensors, watch it."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Any
+
+import typer
+
+from truearm.box.conversation import Device, Stop, conversation, ident_of, one_line_of
+from truearm.cli.box_config import config
+from truearm.cli.box_flash import flash
+from truearm.cli.box_gauge import gauge
+from truearm.cli.box_monitor import monitor
+from truearm.errors import InputError, TruearmError
+
+Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+_LIST_RETRIES = 6  # 3 s: a box that was just plugged in waits 2 s before it runs
+
+app = typer.Typer(
+    name="box",
+    help="A sensor box: find, flash, ask, test, set up, calibrate and watch it.",
+    epilog="Example: truearm box test --device /dev/ttyACM0",
+    rich_markup_mode=None,
+    add_completion=False,
+)
+
+
+@app.callback(invoke_without_command=True)
+def _box(context: typer.Context) -> None:
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+@app.command("list")
+def list_boxes(
+    device: Annotated[
+        list[str] | None, typer.Option(metavar="DEVICE", help="Ask there too, socket://127.0.0.1:7007 say; repeatable.")
+    ] = None,
+    every: Annotated[bool, typer.Option("--all", help="Ask every serial port, not only those of a Pico.")] = False,
+    as_json: Json = False,
+) -> None:
+    """List the boxes that are plugged in.
+
+    Serial ports with the USB identity of a Pico are asked what they are (a box that is being recorded is in use and says so), and
+    boot drives are named. Other serial devices may not like to be asked: --all or --device does.
+
+    Example: truearm box list
+    """
+    from truearm.box.boot_drive import find_drives
+    from truearm.box.description import port_lines
+    from truearm.box.uf2 import CHIPS
+    from truearm.record.ports import UsbPort, usb_ports
+
+    ports = [port for port in usb_ports() if port.candidate or every]
+    known = {port.device for port in ports}
+    ports += [UsbPort(name, "", "", "", True) for name in dict.fromkeys(device or []) if name not in known]
+    rows = [_asked(port) for port in ports]
+    drives = [str(drive) for chip in CHIPS.values() for drive in find_drives(chip.board)]
+    if as_json:
+        typer.echo(json.dumps({"ports": rows, "boot_drives": drives}, indent=2))
+        return
+    for line in port_lines(rows, drives):
+        typer.echo(line)
+
+
+def _asked(port: Any) -> dict[str, Any]:
+    """A port, and what answers there."""
+    row = {"device": port.device, "usb": port.usb, "serial": port.serial, "product": port.product, "box": None}
+    try:
+        with conversation(port.device, retries=_LIST_RETRIES) as box:
+            ident = ident_of(box)
+    except InputError:
+        raise
+    except TruearmError as exc:
+        return {**row, "answer": str(exc).removeprefix(f"{port.device}: ")}
+    faults = f"; {'; '.join(ident.faults)}" if ident.faults else ""
+    return {**row, "box": dict(ident.document), "answer": one_line_of(ident) + faults}
+
+
+@app.command()
+def info(device: Device, as_json: Json = False) -> None:
+    """Print what a box says of itself: firmware, streams, channels, calibrations, faults.
+
+    Example: truearm box info --device /dev/ttyACM0
+    """
+    from truearm.box.description import ident_lines
+
+    with conversation(device) as box:
+        ident = ident_of(box)
+    if as_json:
+        typer.echo(json.dumps(ident.document, indent=2))
+        return
+    for line in ident_lines(ident):
+        typer.echo(line)
+
+
+@app.command("test")
+def self_test(device: Device, stop: Stop = False, as_json: Json = False) -> None:
+    """Have a box test itself, and print each result with what to do about it.
+
+    Exit code 1 if something failed. A warning is something that was not measured or is near its limit.
+
+    Example: truearm box test --device /dev/ttyACM0
+    """
+    from truearm.box.description import finding_lines
+    from truearm.box.selftest import FAIL, WARN, findings
+
+    with conversation(device, stop=stop) as box:
+        results = box.self_test()
+        ident = box.identify()  # its faults are those of this test
+    found = findings(results)
+    failed, warned = (sum(f.verdict == verdict for f in found) for verdict in (FAIL, WARN))
+    if as_json:
+        typer.echo(json.dumps([vars(f) for f in found], indent=2))
+    else:
+        typer.echo(one_line_of(ident))
+        for line in finding_lines(found):
+            typer.echo(line)
+        for fault in ident.faults:
+            if not fault.startswith("the box says 'self-test"):
+                typer.echo(f"warning: {fault}")
+        typer.echo(f"{len(found) - failed - warned} passed, {warned} with a warning, {failed} failed")
+    if failed:
+        raise typer.Exit(1)
+
+
+@app.command()
+def reset(device: Device, stop: Stop = False) -> None:
+    """Restart a box. It forgets the traceback that it kept.
+
+    Example: truearm box reset --device /dev/ttyACM0
+    """
+    from truearm_wire.messages import RESTART
+
+    with conversation(device, stop=stop) as box:
+        box.reset(RESTART)
+    typer.echo(f"{device}: the box restarts")
+
+
+app.command()(flash)
+app.command()(gauge)
+app.command()(monitor)
+app.add_typer(config, name="config")

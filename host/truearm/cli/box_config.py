@@ -1,0 +1,110 @@
+"""``truearm box config``: what a box is told, out to a file and back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from truearm.box.conversation import Device, Stop, conversation
+from truearm.errors import ConfigError, InputError
+
+config = typer.Typer(
+    help="What a box is told: rates, channels, calibrations, its magnetostrictive sensor.",
+    epilog="Example: truearm box config get --device /dev/ttyACM0 --out box.toml",
+    rich_markup_mode=None,
+    add_completion=False,
+)
+
+
+@config.callback(invoke_without_command=True)
+def _config(context: typer.Context) -> None:
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+@config.command()
+def get(
+    device: Device,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write it there (.toml) instead of printing it.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
+    stop: Stop = False,
+) -> None:
+    """Print a box's configuration as TOML, in units for people.
+
+    Example: truearm box config get --device /dev/ttyACM0 --out box.toml
+    """
+    from truearm.box.configuration import format_config
+    from truearm.files.disk import check_writable, write_atomic
+
+    if out is not None:
+        check_writable(out)
+        if out.exists() and not force:
+            raise InputError(f"{out}: exists; choose another name or give --force")
+    with conversation(device, stop=stop) as box:
+        text = format_config(box.config())
+    if out is None:
+        typer.echo(text, nl=False)
+    else:
+        write_atomic(out, text)
+        typer.echo(f"{out}: the configuration of {device}")
+
+
+@config.command("set")
+def put(
+    changes: Annotated[
+        list[str], typer.Argument(metavar="FILE.toml | KEY=VALUE...", help="A file as get writes it, or single values.")
+    ],
+    device: Device,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what would change, and change nothing.")] = False,
+    stop: Stop = False,
+) -> None:
+    """Change a box's configuration; print what changes.
+
+    What is not given stays as it is. The box stores it at once and keeps it when power fails in the middle: then it has the old
+    one or the new one.
+
+    \b
+    Example:
+      truearm box config set osr=2048 channel.lvdt.gain=2 magnetostrictive.us_per_inch=9.031 --device /dev/ttyACM0
+    """
+    from truearm.box.configuration import change_lines, checked_config
+
+    texts = _read(changes)
+    with conversation(device, stop=stop) as box:
+        before = checked_config(box)
+        after = _changed(before, texts)
+        changes_said = change_lines(before, after)
+        for line in changes_said:
+            typer.echo(line)
+        if not changes_said:
+            typer.echo(f"{device}: nothing changes")
+        elif dry_run:
+            typer.echo(f"{device}: unchanged (--dry-run)")
+        else:
+            box.put_config(after)
+            typer.echo(f"{device}: stored and in force")
+
+
+def _read(changes: list[str]) -> list[tuple[str, str | None]]:
+    """(name of a file, its text) or (KEY=VALUE, None) of each argument."""
+    from truearm.box.configuration import MAX_BYTES
+    from truearm.files.disk import read_text
+
+    found: list[tuple[str, str | None]] = []
+    for change in changes:
+        is_value = "=" in change and not Path(change).is_file()
+        found.append((change, None if is_value else read_text(Path(change), MAX_BYTES, ConfigError)))
+    return found
+
+
+def _changed(config: dict[str, Any], texts: list[tuple[str, str | None]]) -> dict[str, Any]:
+    from truearm.box.configuration import with_assignment, with_file
+    from truearm.box.configuration_rules import check
+
+    for name, text in texts:
+        config = with_assignment(config, name) if text is None else with_file(config, text, name)
+    return check(config)

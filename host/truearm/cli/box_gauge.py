@@ -1,0 +1,41 @@
+"""``truearm box gauge``: a sensor's calibration against reference readings, into the box."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from truearm.box.conversation import Device, Stop
+
+
+def gauge(
+    channel: Annotated[str, typer.Argument(metavar="CHANNEL", help="lvdt, transverse_a, magnetostrictive …")],
+    device: Device,
+    references: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The references in order (.csv with a column reference_mm, _um or _in)."),
+    ] = None,
+    unit: Annotated[str, typer.Option(metavar="UNIT", help="Of what is typed: mm, um or in.")] = "mm",
+    seconds: Annotated[float, typer.Option(metavar="S", min=0.1, max=600, help="Samples at each place.")] = 2.0,
+    order: Annotated[
+        int | None, typer.Option(metavar="N", min=1, max=7, help="Of the polynomial; default: by the left-out error.")
+    ] = None,
+    serial: Annotated[str | None, typer.Option(metavar="TEXT", help="Of the sensor; default: as before.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="The page; default gauge-CHANNEL.html.")] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Store the calibration without asking.")] = False,
+    stop: Stop = False,
+) -> None:
+    """Calibrate a sensor against a reference: gauge blocks, a micrometer, a stage with a scale.
+
+    Set the reference, type what it reads, and leave it alone while the box samples; five places or more, over the whole travel,
+    best there and back. An empty line ends, "undo" drops the last place. The order of the polynomial is the lowest whose error at
+    places that were left out is as small as the best one's; the magnetostrictive sensor gets its velocity of sound and delay. A
+    page shows what is left, and if you agree the box stores the calibration with its date and temperature.
+
+    Example: truearm box gauge lvdt --device /dev/ttyACM0
+    """
+    from truearm.box.gauge_run import gauge_channel
+
+    gauge_channel(channel, device, references, unit, seconds, order, serial, out, yes, stop)

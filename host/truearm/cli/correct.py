@@ -1,0 +1,83 @@
+"""``truearm correct``: targets or a program in, what to tell the controller out."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from truearm.cli.options import IdentifiedBaseOption, IdentifiedRobotOption, IdentifiedTipOption, ResultArgument
+
+MOST_STEPS = 50
+
+
+class Method(StrEnum):
+    """Names of ``correct.correction.METHODS``, which --help must not import."""
+
+    newton = "newton"
+    false_target = "false-target"
+    joints = "joints"
+    offsets = "offsets"
+
+
+def correct(
+    result: ResultArgument,
+    targets: Annotated[
+        Path,
+        typer.Argument(metavar="TARGETS", help="Targets (.csv), a RAPID module (.mod, .prg) or a URScript (.script)."),
+    ],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Write the corrected table or program here.")],
+    robot: IdentifiedRobotOption = None,
+    base: IdentifiedBaseOption = None,
+    tip: IdentifiedTipOption = None,
+    method: Annotated[
+        Method,
+        typer.Option(
+            help="newton: full inverse of the identified robot. false-target, joints, offsets: Renders 1991 (32), (34), (35)."
+        ),
+    ] = Method.newton,
+    steps: Annotated[
+        int, typer.Option(min=1, max=MOST_STEPS, metavar="N", help="Apply false-target or joints so often.")
+    ] = 1,
+    own_frames: Annotated[
+        bool,
+        typer.Option(
+            "--own-frames",
+            help="Targets lie in the robot's own base and flange frames: do not correct how base and tool were mounted.",
+        ),
+    ] = False,
+    work: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,Z,RX,RY,RZ", help="Frame that the targets are in, in the base frame [mm, deg]."),
+    ] = None,
+    tool: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z,RX,RY,RZ", help="The tool's pose in the end frame [mm, deg].")
+    ] = None,
+    home: Annotated[
+        str | None,
+        typer.Option(
+            metavar="Q1,Q2,...", help="Joints near those of the first target, to choose the configuration [deg, mm]."
+        ),
+    ] = None,
+    residuals: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write every target's error before and after as a table (.csv).")
+    ] = None,
+    margin: Annotated[
+        float, typer.Option(min=1e-4, max=1.0, metavar="SIGMA", help="Refuse targets nearer to a singularity.")
+    ] = 0.05,
+) -> None:
+    """Correct targets, so that the true robot goes where they say.
+
+    Of a program only the numbers of its targets change. Nothing is written where one target cannot be corrected.
+
+    \b
+    Example:
+      truearm correct result.json program.mod --robot irb120 --out corrected.mod
+    """
+    from truearm.workflows.correct import Choice, correct_file
+
+    choice = Choice(robot, base, tip, method.value, steps, own_frames, work, tool, home, margin, residuals)
+    for line in correct_file(result, targets, out, choice):
+        typer.echo(line)

@@ -1,0 +1,70 @@
+"""``truearm export``: a calibrated robot as the files that other programs read."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from truearm.cli.options import IdentifiedBaseOption, IdentifiedRobotOption, IdentifiedTipOption, ResultArgument
+
+
+class Format(StrEnum):
+    """What can be written."""
+
+    urdf = "urdf"
+    ur = "ur"
+    dh = "dh"
+    dh_hayati = "dh-hayati"
+    mdh = "mdh"
+    sheth_uicker = "sheth-uicker"
+
+
+def export(
+    result: ResultArgument,
+    form: Annotated[
+        Format,
+        typer.Option(
+            "--format",
+            help="urdf: the robot's own URDF with other origins, or a new one. ur: Universal Robots' kinematics (YAML). "
+            "dh, dh-hayati, mdh (Craig), sheth-uicker: tables, as robot files (TOML).",
+        ),
+    ],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Write it here.")],
+    robot: IdentifiedRobotOption = None,
+    base: IdentifiedBaseOption = None,
+    tip: IdentifiedTipOption = None,
+    own_frames: Annotated[
+        bool,
+        typer.Option("--own-frames", help="Leave out how base and tool were mounted; the ends stay as described."),
+    ] = False,
+    adjust: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PATTERN",
+            help="Change only parameters that match, as 'joint*.offset'; all others stay as described (repeatable).",
+        ),
+    ] = None,
+    over: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Where a refit shall be good: the poses of a table or a plan (.csv). Default: anywhere within the limits.",
+        ),
+    ] = None,
+) -> None:
+    """Write a calibrated robot for other programs.
+
+    What a format cannot hold, or the user cannot adjust, is made up for by the rest, and the error that remains is said.
+
+    \b
+    Example:
+      truearm export result.json --format urdf --robot panda.urdf --out calibrated.urdf
+    """
+    from truearm.workflows.export import Choice, export_file
+
+    choice = Choice(form.value, robot, base, tip, own_frames, tuple(adjust or ()), over)
+    for line in export_file(result, out, choice):
+        typer.echo(line)

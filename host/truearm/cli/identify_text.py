@@ -1,0 +1,332 @@
+"""A result as a person reads it: parameters in mm and deg, what cannot be seen, errors, what to do next.
+
+Everything is taken from the content of result.json, so that what is printed and what is stored cannot differ.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+from collections.abc import Mapping, Sized
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from truearm.report.words import kind_name, proposal, time_offset
+from truearm.text import one_line
+
+Document = Mapping[str, Any]
+
+# unit, factor, decimals
+BORDER = {"m": ("mm", 1e3, 4), "rad": ("deg", 180.0 / math.pi, 5), "1": ("", 1.0, 6), "s": ("ms", 1e3, 4)}
+MAX_DIRECTIONS = 6
+MAX_TERMS = 4
+SMALLEST_WEIGHT = 0.005  # below it "0.00" would be shown
+MAX_ROWS = 6
+RESIDUALS = {"ball_bar": 1, "seat": 3, "line": 3, "position": 3, "pose": 6, "plane": 1}  # of an observation
+CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
+
+
+def show_result(document: Document, out: Path | None) -> None:
+    """Print the content of a result.json; ``out`` is where it was written, if it was."""
+    # Names come from strangers' files: no markup. Into a pipe rich would wrap at 80 columns.
+    width = None if sys.stdout.isatty() else 120
+    console = Console(markup=False, highlight=False, emoji=False, width=width)
+    for line in relabelled(document):
+        console.print(line)
+    console.print(headline(document))
+    console.print(how(document))
+    console.print(_parameter_table(document))
+    for line in unseen(document):
+        console.print(line)
+    console.print(_error_table(document))
+    notes = (timing, chi2_notes, suspects, held_out_notes, predicted, seen)
+    for line in (line for words in notes for line in words(document)):
+        console.print(line)
+    for line in advice(document, out):
+        console.print(line)
+
+
+def relabelled(document: Document) -> list[str]:
+    """Warnings of rows that fit another chuck or sphere than they name, or that this was not looked for."""
+    entries = document["relabellings"]
+    if document["relabelling_search"] == "too many groups":
+        return [
+            "Wrong labels? The residuals are as large as wrong chucks or spheres would make them, but the rows have too "
+            "many pairings to search them all. Identify fewer pairings at a time."
+        ]
+    if not entries:
+        return []
+    rows: dict[str, list[str]] = {}
+    for entry in entries:
+        change = f"named {_pairing(entry['was'])}, fit {_pairing(entry['fits'])}"
+        rows.setdefault(change, []).extend(entry["rows"])
+    before, after = (_mm(entries[0][key]) for key in ("rms_before_mm", "rms_after_mm"))
+    return [
+        *(f"Wrong label? {_rows(sources)}: {change}." for change, sources in rows.items()),
+        f"As labelled the RMS error is {before} mm, put right {after} mm. What follows is as labelled.",
+    ]
+
+
+def _rows(sources: list[str]) -> str:
+    if len(sources) == 1:
+        return one_line(sources[0])
+    return f"{len(sources)} rows from {one_line(sources[0])} to {one_line(sources[-1])}"
+
+
+def _pairing(names: list[str]) -> str:
+    return f"chuck {one_line(names[0])}, sphere {one_line(names[1])}"
+
+
+def headline(document: Document) -> str:
+    """One line: the robot, the observations, how the solver ended."""
+    fitted: dict[str, int] = {}
+    for entry in document["observations"]:
+        fitted[entry["kind"]] = fitted.get(entry["kind"], 0) + entry["fitted"]
+    kinds = ", ".join(f"{n} {kind}" for kind, n in fitted.items() if n)
+    held = sum(k["held_out"] for k in document["observations"])
+    rows = kinds + (f" to fit, {held} held out" if held else " to fit")
+    end = f"{document['status']} in {document['iterations']} iterations"
+    return f"{one_line(document['robot']['name'])}: {rows}; {end}; rank {document['rank']} of {document['n_free']} free"
+
+
+def how(document: Document) -> str:
+    """One line: the solver and what it believed."""
+    prior = "without a prior" if document["prior"] == "none" else f"with a {document['prior']} prior of the robot"
+    loss = "" if document["loss"] == "linear" else f", {document['loss']} loss"
+    return f"Solved by {document['solver']} {prior}{loss}."
+
+
+def _parameter_table(document: Document) -> Table:
+    table = Table(box=None, pad_edge=False)
+    table.add_column("parameter", overflow="fold")
+    for title in ("nominal", "value", "change", "sigma"):
+        table.add_column(title, justify="right", no_wrap=True)
+    table.add_column("unit")
+    for parameter in document["parameters"]:
+        if parameter["free"]:
+            table.add_row(*parameter_cells(parameter))
+    return table
+
+
+def parameter_cells(parameter: Mapping[str, Any]) -> tuple[str, ...]:
+    """Name, nominal, value, change, sigma and unit of a parameter as text, in mm, deg or 1."""
+    unit, factor, decimals = BORDER[parameter["unit"]]
+    nominal, value, sigma = (parameter[key] for key in ("nominal", "value", "sigma"))
+    if parameter["unit"] == "s" and sigma is None:
+        value = None  # a time offset that is not seen may be anything
+    change = value - nominal if None not in (nominal, value) else None
+    numbers = [f"{factor * v:.{decimals}f}" if v is not None else "-" for v in (nominal, value)]
+    numbers.append(f"{factor * change:+.{decimals}f}" if change is not None else "-")
+    numbers.append(f"{factor * sigma:.2g}" if sigma is not None else "not seen")
+    return (one_line(parameter["name"]), *numbers, unit)
+
+
+def unseen(document: Document) -> list[str]:
+    """What the observations cannot see, a line each."""
+    directions, weak = document["null_space"], document["hardly_seen"]
+    if not directions and not weak:
+        return ["The observations see every free parameter."]
+    lines = []
+    if directions:
+        what = _counted(directions, "combination")
+        which = "it" if what[:2] == "1 " else "them"
+        lines.append(f"{what} of parameters cannot be seen; predictions do not depend on {which}:")
+        lines += _directions(directions, "null_space")
+    if weak:
+        what = _counted(weak, "combination")
+        lines.append(
+            f"{what} of parameters {'is' if what[:2] == '1 ' else 'are'} hardly seen, less well than a drawing tells "
+            "(1 mm, 5 mrad, 0.001 of a gain; 1 ms):"
+        )
+        lines += _directions(weak, "hardly_seen")
+    return lines
+
+
+def _directions(directions: list[Mapping[str, Any]], field: str) -> list[str]:
+    lines = [f"  {direction_text(direction)}" for direction in directions[:MAX_DIRECTIONS]]
+    if len(directions) > MAX_DIRECTIONS:
+        lines.append(f"  and {len(directions) - MAX_DIRECTIONS} more ({field} in the JSON result)")
+    return lines
+
+
+def direction_text(direction: Mapping[str, Any]) -> str:
+    """A null direction as "1.00 link1.z - 0.50 link2.z", its largest terms first."""
+    terms = sorted(zip(direction["weights"], direction["names"], strict=True), key=lambda t: -abs(t[0]))
+    shown = [(weight, name) for weight, name in terms[:MAX_TERMS] if abs(weight) >= SMALLEST_WEIGHT]
+    words = [f"{'-' if weight < 0.0 else '+'} {abs(weight):.2f} {one_line(name)}" for weight, name in shown]
+    more = f" and {len(terms) - len(shown)} smaller" if len(terms) > len(shown) else ""
+    return " ".join(words).removeprefix("+ ") + more
+
+
+def _error_table(document: Document) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for title in ("error [mm]", "before", "after", "rows"):
+        table.add_column(title, justify="left" if title == "error [mm]" else "right")
+    entries = document["observations"]
+    fitted = sum(k["fitted"] for k in entries)
+    table.add_row("fitted, RMS", _mm(document["rms_before_mm"]), _mm(document["rms_after_mm"]), str(fitted))
+    for entry in (k for k in entries if k["fitted"] and len(entries) > 1):
+        cells = (_mm(entry["rms_before_mm"]), _mm(entry["rms_after_mm"]), str(entry["fitted"]))
+        table.add_row(f"  {_of(entry)}", *cells)
+    if document["held_out"]:
+        for key, title in (("rms_mm", "RMS"), ("mean_mm", "mean"), ("max_mm", "largest")):
+            before, after = (document[name] or {} for name in ("held_out_before", "held_out"))
+            rows = str(document["held_out"]["n"])
+            table.add_row(f"held out, {title}", _mm(before.get(key)), _mm(after.get(key)), rows)
+    return table
+
+
+def _of(entry: Mapping[str, Any]) -> str:
+    """A kind of observation, and its rig where there are several."""
+    return one_line(f"{entry['rig']}: {kind_name(entry['kind'])}" if entry["rig"] else kind_name(entry["kind"]))
+
+
+def predicted(document: Document) -> list[str]:
+    """How far the tool may be off, and measured orientations."""
+    lines = [
+        f"Rotation of the {_of(entry)} rows: {entry['rms_rotation_deg']:.3g} deg RMS after."
+        for entry in document["observations"]
+        if entry["rms_rotation_deg"] is not None
+    ]
+    error = document["predicted_error"]
+    if error is None:
+        lines.append("How far the tool may be off is not determined: what is not seen, or hardly, would move it.")
+    else:
+        where = " (the base's own place apart)" if error["relative"] else ""
+        lines.append(
+            f"By these sigmas the tool errs by {_mm(error['rms_mm'])} mm RMS over {error['n']} poses{where}, at most "
+            f"{_mm(error['max_mm'])} mm, at {one_line(error['at'])}."
+        )
+    return lines
+
+
+def seen(document: Document) -> list[str]:
+    """The observability indices of the set that can be told apart."""
+    indices = document["observability"]
+    if indices is None or any(value is None for value in indices.values()):
+        return []
+    named = ", ".join(f"{name.upper()} {value:.3g}" for name, value in indices.items())
+    return [f"Observability of {_counted(document['suggested_free'], 'parameter')}: {named} (larger is better)."]
+
+
+def timing(document: Document) -> list[str]:
+    """How late the joint readings are, of each rig that has a time offset."""
+    offsets = [p for p in document["parameters"] if p["unit"] == "s" and p["free"]]
+    return [time_offset(one_line(p["name"]), p["value"], p["sigma"]) for p in offsets]
+
+
+def chi2_notes(document: Document) -> list[str]:
+    """χ² and where it should be."""
+    low, high = document["chi2_band"]
+    if None in (low, high, document["chi2_reduced"]):
+        return []
+    chi2 = document["chi2_reduced"]
+    where = "within" if low <= chi2 <= high else "above" if chi2 > high else "below"
+    return [f"χ² per degree of freedom {chi2:.3g}, {where} the {low:.3g} to {high:.3g} of right sigmas (95 %)."]
+
+
+def suspects(document: Document) -> list[str]:
+    """The rows that disagree with all others."""
+    rows = document["suspect"]
+    if not rows:
+        return []
+    named = ", ".join(f"{one_line(row['source'])} ({row['distance']:.1f} σ)" for row in rows[:MAX_ROWS])
+    more = f" and {len(rows) - MAX_ROWS} more (suspect in the JSON result)" if len(rows) > MAX_ROWS else ""
+    out = sum(row["weight"] == 0.0 for row in rows)
+    end = f"; {out} left out of the fit" if out else ""
+    who = "1 row disagrees" if len(rows) == 1 else f"{len(rows)} rows disagree"
+    return [f"{who} with all others beyond chance{end}: {named}{more}."]
+
+
+def held_out_notes(document: Document) -> list[str]:
+    """What the held-out error does not say by itself."""
+    held_out, notes = document["held_out"], []
+    if held_out and held_out["n_settled"]:
+        notes.append(f"{held_out['n_settled']} unknowns of the rig were settled on the held-out rows themselves.")
+    if held_out and held_out["n_left_out"]:
+        notes.append(
+            f"{held_out['n_left_out']} held-out rows are not judged: they fit such unknowns whatever they say."
+        )
+    if held_out is None and document["held_out_by"]:
+        notes.append(
+            "No held-out row can judge: each fits unknowns of the rig whatever it says; measure more rows there."
+        )
+    return notes
+
+
+def _mm(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4f}"
+
+
+def advice(document: Document, out: Path | None) -> list[str]:
+    """What to do next, a line each."""
+    lines = []
+    if document["solver"] == "renders-1991":
+        lines.append(f"The solver {one_line(document['message'])}.")
+    elif document["status"] != "converged":
+        lines.append(_stopped(document))
+    if document["chi2_reduced"] is not None and document["chi2_reduced"] > CHI2_DOUBTFUL:
+        factor = math.sqrt(document["chi2_reduced"])
+        # Least squares and robust losses read the noise from the residuals.
+        read_off = document["solver"] == "ls" or document["loss"] != "linear"
+        prior = ", or the prior is too tight" * (document["prior"] != "none")
+        lines.append(
+            f"Residuals are {factor:.1f} times what the declared sigmas allow: the robot has errors that these parameters "
+            f"do not model, or the sigmas are too small{prior}."
+            + " The sigmas above are too small by as much."
+            * (not read_off)
+        )
+    spare = sum(RESIDUALS[k["kind"]] * k["fitted"] for k in document["observations"]) - document["rank"]
+    if spare < document["rank"]:
+        lines.append(
+            f"Only {max(spare, 0)} residuals more than the {document['rank']} combinations that they determine: the error "
+            "after says little, so many can be fitted to anything. Measure more, and judge by rows held out."
+        )
+    lines += further_measurements(document)
+    if document["held_out"] is None:
+        lines.append(
+            "Next: judge the result on rows that it has not seen, with --hold-out shell=..., place=... or 0.2."
+        )
+    if out is None:
+        lines.append("Next: keep the result with --out result.json.")
+    else:
+        lines.append(f"Written: {one_line(str(out))}")
+    return lines
+
+
+def _stopped(document: Document) -> str:
+    """Why a fit may not have come to its end: what is hardly seen is a long valley, in which Levenberg–Marquardt creeps."""
+    raised = "Raise --max-iterations, or check" if document["status"] == "max_iterations" else "Check"
+    line = f"The fit stopped early: {one_line(document['message'])}. {raised} the units."
+    if any(re.fullmatch(r"(.*\.)?line\.[^.]*\.rx", parameter["name"]) for parameter in document["parameters"]):
+        line += " A straight line hardly shows its device's roll: give it in the rig, with turn_sigma_deg."
+    if document["hardly_seen"] and document["prior"] == "none":
+        line += " What is hardly seen makes a fit creep: a prior holds it, as --solver map has."
+    return line
+
+
+def further_measurements(document: Document) -> list[str]:
+    """The most useful proposal of each kind."""
+    best: dict[str, Mapping[str, Any]] = {}
+    for addition in document["additions"]:  # the most useful first
+        best.setdefault(addition["kind"], addition)
+    return [
+        f"Next: {_proposal(a)} to tell {_counted(a['parameters'], 'more parameter')}: {_few(a)}." for a in best.values()
+    ]
+
+
+def _counted(things: Sized, name: str) -> str:
+    return f"{len(things)} {name}{'s' * (len(things) != 1)}"
+
+
+def _proposal(addition: Mapping[str, Any]) -> str:
+    return proposal(addition["kind"], [one_line(name) for name in addition["names"]])
+
+
+def _few(addition: Mapping[str, Any]) -> str:
+    names = [one_line(name) for name in addition["parameters"]]
+    return ", ".join(names[:MAX_TERMS]) + (f" and {len(names) - MAX_TERMS} others" if len(names) > MAX_TERMS else "")

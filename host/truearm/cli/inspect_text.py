@@ -1,0 +1,275 @@
+"""A session's content as a person reads it; everything is taken from the document that ``--json`` prints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from truearm.text import one_line
+
+DWELLS = 24  # listed one by one
+LOSSES = (
+    ("frames_lost", "frames lost on the link"),
+    ("frames_duplicated", "frames doubled"),
+    ("frames_malformed", "frames malformed"),
+    ("frames_unknown", "frames of unknown types"),
+    ("samples_lost", "samples lost with frames"),
+    ("samples_overrun", "samples overrun in the box"),
+    ("blocks_without_ident", "blocks that no ident describes"),
+    ("converter_faults", "blocks with a converter fault"),
+    ("console_runs", "runs of bytes that are no frame"),
+    ("restarts", "restarts of the box"),
+    ("sync_unanswered", "clock requests unanswered"),
+)
+BOX = (
+    ("dropped", "frames dropped by the box"),
+    ("short_writes", "short writes of the box"),
+    ("overruns", "overruns by the box's count"),
+    ("bad_frames", "bad frames received by the box"),
+    ("crc_errors", "damaged frames of the box's converter"),
+    ("converter_resets", "resets of the box's converter by itself"),
+    ("missing_stops", "magnetostrictive shots without a stop"),
+)
+
+
+def lines(document: Mapping[str, Any]) -> Iterator[str]:
+    """The lines to print. Names from the file have their control characters made visible; console text has so already."""
+    state = ", cut off at its end: its recorder was killed or is still running" if document["truncated"] else ""
+    yield f"{one_line(document['file'])}: {document['duration_s']:.1f} s{state}"
+    yield from _damage(document["damage"])
+    yield from _session(document)
+    yield from _topics(document["topics"])
+    yield from _streams(document["streams"])
+    yield from _losses(document["losses"])
+    yield from _console(document)
+    yield from _clock(document["clock"])
+    yield from _robot(document["robot"], document["metadata"]["joints-added"])
+    yield from _dwells(document)
+
+
+def _damage(damage: list[Mapping[str, Any]]) -> Iterator[str]:
+    from truearm.session.salvage import words_of
+
+    for piece in damage:
+        yield "  " + words_of(piece["at"], piece["lost_s"], piece["of_s"])
+    if damage:
+        yield "  what is lost there is among the losses below, though no link lost it"
+
+
+def _session(document: Mapping[str, Any]) -> Iterator[str]:
+    session = document["metadata"]["session"]
+    if recovered := document["metadata"]["recovered"]:
+        lost = recovered.get("messages_lost", "?")
+        yield "  " + one_line(f"recovered from {recovered.get('source', '?')}: {lost} messages known to be lost")
+    said = [f"truearm {session['version']}"] if "version" in session else []
+    said += [f"{session['clock']} clock"] if "clock" in session else []
+    said += [f"firmware {', '.join(document['firmware'])}"] if document["firmware"] else []
+    said += [f"attached {', '.join(document['attachments'])}"] if document["attachments"] else []
+    if said:
+        yield "  " + one_line("; ".join(said))
+
+
+def _topics(topics: Mapping[str, Any]) -> Iterator[str]:
+    yield f"{'topic':24} {'messages':>9} {'rate/Hz':>9} {'silent/s':>9} {'bytes':>11}"
+    for name, topic in topics.items():
+        rate = _number(topic["rate_hz"], ".2f")
+        silence = f"{topic['longest_silence_s']:.3f}"
+        yield f"{one_line(name):24} {topic['messages']:>9} {rate:>9} {silence:>9} {topic['bytes']:>11}"
+
+
+def _streams(streams: list[Mapping[str, Any]]) -> Iterator[str]:
+    for stream in streams:
+        yield (
+            f"stream {one_line(stream['name'])} ({one_line(', '.join(stream['channels']))}): {stream['samples']} samples, "
+            f"{_number(stream['rate_nominal_hz'], '.4f')} Hz nominal, {_number(stream['rate_measured_hz'], '.4f')} by the "
+            f"box's stamps, {_number(stream['rate_by_host_hz'], '.4f')} by the host's clock; whole pieces: {stream['pieces']}"
+        )
+
+
+def _losses(losses: Mapping[str, Any]) -> Iterator[str]:
+    yield f"frames: {losses['frames']} received, {losses['samples']} samples in {losses['blocks']} blocks"
+    counts = [(losses[key], text) for key, text in LOSSES] + [(losses["box"][key], text) for key, text in BOX]
+    wrong = [f"  {count:>6} {text}" for count, text in counts if count]
+    wrong += [f"  the box was silent from {gap['from_s']:.1f} to {gap['to_s']:.1f} s" for gap in losses["silences"]]
+    if losses["samples_missing"]:
+        wrong.append(f"  {losses['samples_missing']:>6} samples missing by the nominal rate while it was silent")
+    yield from wrong or ["  nothing lost, nothing doubled, no restart"]
+    box = losses["box"]
+    if box["heartbeats"]:
+        yield (
+            f"  {box['heartbeats']} heartbeats: longest loop {box['loop_max_us']} µs, longest collection "
+            f"{box['gc_max_us']} µs, least free heap {box['heap_free_min']} bytes"
+        )
+
+
+def _console(document: Mapping[str, Any]) -> Iterator[str]:
+    losses = document["losses"]
+    if not losses["console_runs"]:
+        return
+    yield (
+        f"not frames: {losses['console_runs']} runs, {losses['console_bytes']} bytes; "
+        f"{losses['console_text_runs']} of them text"
+    )
+    for run in document["console"]:
+        for line in run.splitlines():
+            yield "  | " + line
+    if losses["console_runs"] > len(document["console"]):
+        yield f"  | … {losses['console_runs'] - len(document['console'])} more"
+
+
+def _clock(reports: list[Mapping[str, Any]]) -> Iterator[str]:
+    if not reports:
+        yield "clock: no exchange was answered; samples cannot be placed in time"
+    for report in reports:
+        yield (
+            f"clock, segment {report['segment']}: {report['exchanges']} exchanges ({report['rejected']} rejected) in "
+            f"{report['windows']} windows; host − device {1e-9 * report['offset_ns']:.6f} s, {report['rate_ppm']:+.3f} ppm "
+            f"(range {report['rate_range_ppm']:.3f})"
+        )
+        yield (
+            f"  error at most {1e-3 * report['bound_ns']:.1f} µs, of which ±{1e-3 * report['half_asymmetry_ns']:.1f} µs no "
+            f"exchange can show; spread {_number(report['spread_ns'], '.2f', 1e-3)} µs; round trip "
+            f"{1e-3 * report['rtt_min_ns']:.1f} µs at least, median {1e-3 * report['rtt_median_ns']:.1f}"
+        )
+
+
+def _robot(robot: Mapping[str, Any], added: Mapping[str, str]) -> Iterator[str]:
+    if not robot["readings"]:
+        sent = f"; {robot['console_bytes']} bytes that are none" if robot["console_bytes"] else ""
+        yield f"robot: no joint readings{sent}"
+        return
+    yield (
+        f"robot: {robot['readings']} readings of {robot['joints']} joints at {_number(robot['rate_hz'], '.2f')} Hz; "
+        f"{'unknown' if robot['lost'] is None else robot['lost']} lost, {robot['gaps']} gaps, {robot['late']} late, {robot['duplicated']} doubled, "
+        f"{robot['malformed']} malformed, {robot['restarts']} restarts"
+    )
+    if added:
+        when = added.get("time", "?")
+        yield "  " + one_line(
+            f"added afterwards from {added.get('source', '?')}, nobody saw them arrive: their time is {when}, its error unknown"
+        )
+        return
+    for report in robot["clock"]:
+        yield from _edges(report["edges"])
+        yield (
+            f"  clock: {report['rate_ppm']:+.3f} ppm, spread {_number(report['spread_ns'], '.1f', 1e-3)} µs, arrivals "
+            f"{1e-3 * report['jitter_ns']:.0f} µs above the fastest on average; a constant latency cannot be seen"
+        )
+
+
+def _edges(edges: Mapping[str, Any] | None) -> Iterator[str]:
+    if edges is None:
+        return
+    wrong = [
+        f"{edges[key]} {text}"
+        for key, text in (
+            ("unseen", "shown by no reading"),
+            ("unclear", "not told apart"),
+            ("rejected", "rejected by the others"),
+            ("stray", "changes of the input without an edge"),
+        )
+        if edges[key]
+    ]
+    counts = "; ".join([f"{edges['used']} of {edges['edges']} edges used", *wrong])
+    if not edges["used"]:
+        yield f"  trigger: no input follows the box's output ({edges['edges']} edges); is it wired, and are the readings' inputs recorded?"
+        return
+    use = "in use" if edges["in_use"] else "not in use, arrivals tell more"
+    yield (
+        f"  trigger on input {edges['input']} ({use}): {counts}; error at most {1e-3 * edges['bound_ns']:.0f} µs, the delay of the input beside; "
+        f"the link's shortest latency is {1e-3 * edges['shortest_latency_ns']:.0f} µs"
+    )
+
+
+def _dwells(document: Mapping[str, Any]) -> Iterator[str]:
+    dwells, passes = document["dwells"], document["passes"]
+    if passes["found"] and not document["plan_poses"] and not any("bar" in row for row in dwells["table"]):
+        yield f"dwells: {dwells['found']} stops, none with a ball-bar"
+        yield from _passes(passes)
+        yield from _events(document)
+        return
+    became = f", {dwells['observations']} observations" if dwells["observations"] is not None else ""
+    planned = f" ({document['plan_poses']} poses planned)" if document["plan_poses"] else ""
+    yield f"dwells: {dwells['found']} found{planned}{became}"
+    for reason, count in dwells["rejected"].items():
+        yield f"  {count:>6} rejected: {reason}{_explained(reason, bool(document['plan_poses']))}"
+    yield from _dwell_table(dwells["table"])
+    if dwells["not_paired"]:
+        yield f"  not paired with bars: {dwells['not_paired']}"
+    yield from _passes(passes)
+    yield from _events(document)
+
+
+def _events(document: Mapping[str, Any]) -> Iterator[str]:
+    if document["events"]:
+        yield "events: " + one_line(", ".join(f"{count} {kind}" for kind, count in document["events"].items()))
+
+
+def _passes(passes: Mapping[str, Any]) -> Iterator[str]:
+    """Nothing where no line was planned or driven."""
+    if not passes["planned"] and not passes["found"]:
+        return
+    if passes["found"] is None:
+        yield f"lines: {passes['planned']} planned; not paired"
+        return
+    yield f"lines: {passes['planned']} planned, {passes['found']} driven, {passes['points']} points"
+    for reason, count in passes["rejected"].items():
+        yield f"  {count:>6} rejected: {reason}"
+    good = [row for row in passes["table"] if not row["reason"]]
+    if good:
+        late_s = max(row["time_sigma_s"] for row in good)
+        off_m = max(row["time_sigma_s"] * row["speed_m_s"] for row in good)
+        yield (
+            f"  points are windows of {max(row['window_s'] for row in good):.2f} s; their time is known to {1e6 * late_s:.0f} µs, "
+            f"{1e6 * off_m:.0f} µm at their speed, but for a constant delay, which identify finds of lines there and back"
+        )
+    yield f"  {'pass':>6} {'t robot/s':>10} {'mm/s':>7} {'points':>6} {'noise x, y, z/µm':>17} {'joints/µrad':>11}  line"
+    shown = passes["table"] if len(passes["table"]) <= DWELLS else [row for row in passes["table"] if row["reason"]]
+    for row in shown[:DWELLS]:
+        yield _pass_line(row)
+    if len(shown) > DWELLS:
+        yield f"  … {len(shown) - DWELLS} more; --json has all"
+
+
+def _pass_line(row: Mapping[str, Any]) -> str:
+    noise = " ".join(_number(value, ".1f", 1e6) for value in row["noise_m"])
+    joints = _number(max(row["joint_noise"], default=None), ".1f", 1e6)
+    way = {1: ", up", -1: ", down"}.get(row["direction"], "")
+    dropped = "".join(f", {count} points not made: {reason}" for reason, count in row["dropped"].items())
+    became = f", {row['reason']}" if row["reason"] else ""
+    return (
+        f"  {row['pass']:>6} {row['t_robot_s']:>10.1f} {_number(row['speed_m_s'], '.1f', 1e3):>7} {row['points']:>6} {noise:>17} "
+        f"{joints:>11}  {one_line(row['line'])}{way}{became}{dropped}"
+    )
+
+
+def _dwell_table(rows: list[Mapping[str, Any]]) -> Iterator[str]:
+    """All dwells of a short session; of a long one those that were rejected."""
+    good = sorted(row["settling_s"] for row in rows if not row["reason"])
+    if good:
+        yield f"  settled after {good[len(good) // 2]:.2f} s in the middle, {good[-1]:.2f} s at most"
+    shown = rows if len(rows) <= DWELLS else [row for row in rows if row["reason"]]
+    if shown:
+        yield f"  {'dwell':>6} {'t robot/s':>10} {'settling/s':>10} {'used/s':>7} {'pose':>5}  of"
+    for row in shown[:DWELLS]:
+        fittings = " ".join(row[key] for key in ("bar", "chuck", "sphere") if key in row)
+        became = f"{row['reason']}: {row['detail']}" if row["detail"] else row["reason"]
+        pose = "-" if row["pose"] is None else row["pose"]
+        yield (
+            f"  {row['dwell']:>6} {row['t_robot_s']:>10.1f} {row['settling_s']:>10.2f} {row['used_s']:>7.2f} {pose:>5}  "
+            f"{one_line(fittings) or '-'}{', ' if became else ''}{one_line(became)}"
+        )
+    if len(shown) > DWELLS:
+        yield f"  … {len(shown) - DWELLS} more; --json has all"
+
+
+def _explained(reason: str, planned: bool) -> str:
+    if reason != "no plan match":
+        return ""
+    if planned:
+        return " (the robot stood where the plan has no pose; these look like stops between poses)"
+    return " (there is no plan, and nothing says which bar, chuck and sphere were mounted; see record --help)"
+
+
+def _number(value: float | None, form: str, factor: float = 1.0) -> str:
+    return "-" if value is None else format(factor * value, form)

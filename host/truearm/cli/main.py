@@ -1,0 +1,137 @@
+"""The command line: one typer app; errors become one line on stderr and an exit code.
+
+Exit codes: 0 done (a rank that is not full or a fit that stopped early is a result, not an error), 1 the box or the
+robot failed, 2 the user's input is wrong, 130 interrupted. To add a command, write ``cli/NAME.py`` and add it to
+``COMMANDS``. ``truearm box`` has subcommands of its own (cli/box.py).
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+from collections.abc import Sequence
+from typing import Annotated, cast
+
+import typer
+
+from truearm import __version__
+from truearm.cli.add_joints import add_joints
+from truearm.cli.box import app as box
+from truearm.cli.characterize import characterize
+from truearm.cli.correct import correct
+from truearm.cli.demo import demo
+from truearm.cli.export import export
+from truearm.cli.export_session import export_session
+from truearm.cli.identify import identify
+from truearm.cli.inspect import inspect
+from truearm.cli.map import map_
+from truearm.cli.plan import app as plan
+from truearm.cli.record import record
+from truearm.cli.recover import recover
+from truearm.cli.reproduce import reproduce
+from truearm.cli.simulate import simulate
+from truearm.cli.validate import validate
+from truearm.errors import TruearmError
+from truearm.text import one_line
+
+COMMANDS = (
+    demo,
+    simulate,
+    record,
+    recover,
+    add_joints,
+    inspect,
+    characterize,
+    export_session,
+    identify,
+    validate,
+    map_,
+    correct,
+    export,
+    reproduce,
+)
+
+# Options and arguments that typer rejects raise a UsageError. That class lives in click or, in later versions, inside
+# typer, which exports only its subclass BadParameter.
+_UsageError = cast(type[typer.BadParameter], typer.BadParameter.__mro__[1])
+
+app = typer.Typer(
+    name="truearm",
+    help="Record a sensor box and a robot, identify the robot's kinematic parameters, see what was gained.",
+    epilog="Example: truearm demo",
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+for _command in COMMANDS:
+    app.command(_command.__name__.strip("_").replace("_", "-"))(_command)
+app.add_typer(box, name="box")
+app.add_typer(plan)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"truearm {__version__}")
+        raise typer.Exit
+
+
+@app.callback(invoke_without_command=True)
+def _root(
+    context: typer.Context,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and leave.")
+    ] = False,
+) -> None:
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run ``truearm`` with ``arguments`` (``sys.argv`` without the first if None); returns the exit code."""
+    if sys.stdout is None or sys.stderr is None:  # closed by the caller: what would be said goes nowhere
+        sys.stdout = sys.stdout or open(os.devnull, "w")
+        sys.stderr = sys.stderr or open(os.devnull, "w")
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a Latin-1 terminal must not end a run at its first "σ"
+            stream.reconfigure(errors="backslashreplace")
+    try:
+        return _run(sys.argv[1:] if arguments is None else list(arguments))
+    except TruearmError as exc:
+        _complain(str(exc))
+        return exc.exit_code
+    except _UsageError as exc:
+        message = exc.format_message().replace("Value error, ", "")  # words of the parser's own
+        _complain(f"{message} (see {exc.ctx.command_path if exc.ctx else 'truearm'} --help)")
+        return 2
+    except (KeyboardInterrupt, typer.Abort):
+        _complain("interrupted")
+        return 130
+    except BrokenPipeError:  # the reader of our output left, as `| head` does
+        _discard_stdout()
+        return 1
+    except OSError as exc:  # files and links raise errors of ours; what is left is standard output, on a full disk say
+        _discard_stdout()
+        _complain(f"cannot write: {exc.strerror or exc}")
+        return 1
+
+
+def _discard_stdout() -> None:
+    """What is still in its buffer would raise again at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+
+
+def _run(arguments: list[str]) -> int:
+    command = typer.main.get_command(app)
+    try:
+        # Not command.main(): it prints errors in a box of several lines and swallows KeyboardInterrupt.
+        with command.make_context("truearm", list(arguments), obj=arguments) as context:
+            command.invoke(context)
+        sys.stdout.flush()
+    except typer.Exit as exc:
+        return int(exc.exit_code)
+    return 0
+
+
+def _complain(message: str) -> None:
+    print("truearm: " + one_line(message), file=sys.stderr)

@@ -1,0 +1,241 @@
+"""``truearm plan``: which poses to measure, in which order, and what they will tell, before anything is measured."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(
+    name="plan",
+    help="Plan what to measure; say what it will tell before anything is measured.",
+    epilog="Example: truearm plan ballbar --robot puma560 --rig rig.toml --minutes 40 --out plan.csv",
+    rich_markup_mode=None,
+    no_args_is_help=False,
+)
+
+
+class Criterion(StrEnum):
+    """Names of ``plan.choose.CRITERIA``."""
+
+    D = "D"
+    A = "A"
+    E = "E"
+    I = "I"  # noqa: E741
+
+
+RobotOption = Annotated[str, typer.Option(metavar="ROBOT", help="Built-in robot, robot file (.toml) or URDF.")]
+BaseOption = Annotated[
+    str | None, typer.Option(metavar="LINK", help="Base link of a URDF; default: as in --result, or its only root.")
+]
+TipOption = Annotated[
+    str | None, typer.Option(metavar="LINK", help="End link of a URDF; default: as in --result, or its only one.")
+]
+RigOption = Annotated[Path, typer.Option(metavar="FILE", help="Chucks, spheres, bars, targets (.toml).")]
+MinutesOption = Annotated[
+    float | None,
+    typer.Option(
+        min=1.0,
+        max=100_000.0,
+        metavar="M",
+        help="Budget in an operator's minutes, at most; pairings are mounted that are worth the time.",
+    ),
+]
+CriterionOption = Annotated[
+    Criterion,
+    typer.Option(help="I: the error in the region. D: all parameters at once. A: their mean. E: the worst of them."),
+]
+RegionOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X0:X1,Y0:Y1,Z0:Z1", help="Where accuracy is wanted [mm, base frame]; default: around the poses."
+    ),
+]
+ResultOption = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Plan with the model of an earlier result.json instead of the design."),
+]
+MeasuredOption = Annotated[
+    list[Path] | None,
+    typer.Option(metavar="FILE", help="Sessions and tables that count as measured already (repeatable)."),
+]
+BranchOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="LOW:HIGH,…",
+        help="Joint bounds of the configuration to stay in [deg]; known for irb120, puma560, ur5e.",
+    ),
+]
+SeedOption = Annotated[int, typer.Option(min=0, metavar="N", help="Of everything that is drawn by chance.")]
+OutOption = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the plan that record follows (CSV).")]
+ProgramOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        metavar="FILE", help="Write the program: .script (URScript), .mod (RAPID), .csv (all stops) (repeatable)."
+    ),
+]
+InputOption = Annotated[
+    int | None,
+    typer.Option(min=0, metavar="N", help="Digital input on which the box answers; default: not waited for."),
+]
+OutputOption = Annotated[
+    int, typer.Option(min=0, metavar="N", help="Digital output that says 'at rest' or 'on the line' (UR).")
+]
+ReserveOption = Annotated[
+    float | None,
+    typer.Option(
+        min=0.0, metavar="MM", help="Travel kept for what the model does not know; default 22, 3 with --result."
+    ),
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the forecast as JSON and nothing else.")]
+
+
+@app.command("ballbar")
+def ballbar(
+    robot: RobotOption,
+    rig: RigOption,
+    base: BaseOption = None,
+    tip: TipOption = None,
+    poses: Annotated[int | None, typer.Option(min=1, metavar="N", help="Budget in poses.")] = None,
+    minutes: MinutesOption = None,
+    criterion: CriterionOption = Criterion.I,
+    region: RegionOption = None,
+    bar: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this bar (repeatable).")] = None,
+    candidates: Annotated[int, typer.Option(min=9, max=100_000, metavar="N", help="Poses to choose from.")] = 5000,
+    result: ResultOption = None,
+    measured: MeasuredOption = None,
+    branch: BranchOption = None,
+    reserve_mm: ReserveOption = None,
+    spread_mm: Annotated[
+        float, typer.Option(min=0.0, metavar="MM", help="Vary the bar's length about mid-travel, to tell its gain.")
+    ] = 0.0,
+    dwell_s: Annotated[float, typer.Option(min=0.5, max=600.0, metavar="S", help="Rest at a pose.")] = 2.0,
+    seed: SeedOption = 0,
+    out: OutOption = None,
+    program: ProgramOption = None,
+    output_line: OutputOption = 0,
+    input_line: InputOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Plan ball-bar poses on shells about the chucks.
+
+    Prints rank, what stays unseen, the sigma of every parameter, the error to be expected in the region, and minutes.
+
+    \b
+    Example:
+      truearm plan ballbar --robot puma560 --rig rig.toml --minutes 40 --out plan.csv --program plan.script
+    """
+    from truearm.cli.plan_text import show
+    from truearm.workflows.plan import BallBars, Common, plan_ballbar_files
+
+    common = Common(
+        robot, base, tip, rig, minutes, criterion.value, region, candidates, result, tuple(measured or ()), branch, dwell_s, seed,
+        out, tuple(program or ()), output_line, input_line,
+    )  # fmt: skip
+    document = plan_ballbar_files(common, BallBars(poses, tuple(bar or ()), reserve_mm, spread_mm), quiet=as_json)
+    show(document, as_json)
+
+
+@app.command("line")
+def line(
+    robot: RobotOption,
+    rig: RigOption,
+    base: BaseOption = None,
+    tip: TipOption = None,
+    lines: Annotated[int | None, typer.Option(min=1, max=100, metavar="N", help="Budget in lines.")] = None,
+    minutes: MinutesOption = None,
+    length_mm: Annotated[float, typer.Option(min=10.0, max=5000.0, metavar="MM", help="The device's reach.")] = 500.0,
+    transverse_mm: Annotated[
+        float, typer.Option(min=1.0, max=500.0, metavar="MM", help="Full range of the transverse sensors.")
+    ] = 15.0,
+    speed_mm_s: Annotated[float, typer.Option(min=1.0, max=1000.0, metavar="MM/S", help="Speed on the lines.")] = 50.0,
+    passes: Annotated[
+        int, typer.Option(min=1, max=20, metavar="N", help="Drive each line there and back, N times.")
+    ] = 1,
+    points: Annotated[
+        int, typer.Option(min=3, max=500, metavar="N", help="Points of a way that count as measured.")
+    ] = 12,
+    target: Annotated[
+        str | None, typer.Option(metavar="NAME", help="The rig's target that is measured; default: its only one.")
+    ] = None,
+    criterion: CriterionOption = Criterion.I,
+    region: RegionOption = None,
+    candidates: Annotated[int, typer.Option(min=1, max=5000, metavar="N", help="Lines to choose from.")] = 120,
+    result: ResultOption = None,
+    measured: MeasuredOption = None,
+    branch: BranchOption = None,
+    seed: SeedOption = 0,
+    out: OutOption = None,
+    rig_out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the rig with these lines, for record and identify (.toml)."),
+    ] = None,
+    program: ProgramOption = None,
+    output_line: OutputOption = 0,
+    input_line: InputOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Plan lines for a line device, driven there and back, preferring where the a-priori error is large.
+
+    Prints where each line lies, what stays unseen, the sigma of every parameter, the error to be expected, and minutes.
+
+    \b
+    Example:
+      truearm plan line --robot ur5e --rig rig.toml --lines 6 --out lines.csv --rig-out lines.toml --program lines.script
+    """
+    from truearm.cli.plan_text import show
+    from truearm.workflows.plan import Common, LineDevice, plan_line_files
+
+    common = Common(
+        robot, base, tip, rig, minutes, criterion.value, region, candidates, result, tuple(measured or ()), branch, 0.0, seed,
+        out, tuple(program or ()), output_line, input_line,
+    )  # fmt: skip
+    device = LineDevice(lines, length_mm, transverse_mm, speed_mm_s, passes, points, target, rig_out)
+    show(plan_line_files(common, device), as_json)
+
+
+@app.command("characterize")
+def characterize(
+    robot: RobotOption,
+    rig: RigOption,
+    base: BaseOption = None,
+    tip: TipOption = None,
+    bar: Annotated[str | None, typer.Option(metavar="NAME", help="Which bar; default: the rig's first.")] = None,
+    chuck: Annotated[str | None, typer.Option(metavar="NAME", help="Which chuck; default: the rig's first.")] = None,
+    sphere: Annotated[str | None, typer.Option(metavar="NAME", help="Which sphere; default: the rig's first.")] = None,
+    poses: Annotated[int, typer.Option(min=1, max=50, metavar="N", help="Poses that are visited again and again.")] = 4,
+    rounds: Annotated[
+        int, typer.Option(min=2, max=100, metavar="N", help="Times each pose is reached from each of eight sides.")
+    ] = 4,
+    long_s: Annotated[
+        float, typer.Option(min=2.0, max=60.0, metavar="S", help="Long rest at each pose, for the noise.")
+    ] = 20.0,
+    result: ResultOption = None,
+    branch: BranchOption = None,
+    reserve_mm: ReserveOption = None,
+    dwell_s: Annotated[float, typer.Option(min=1.5, max=600.0, metavar="S", help="Rest at a pose.")] = 2.0,
+    seed: SeedOption = 0,
+    out: OutOption = None,
+    program: ProgramOption = None,
+    output_line: OutputOption = 0,
+    input_line: InputOption = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print what is planned as JSON and nothing else.")] = False,
+) -> None:
+    """Plan a short run that tells how well the robot repeats: a few poses, reached from both sides of every joint.
+
+    Record it, then let truearm characterize read the session.
+
+    \b
+    Example:
+      truearm plan characterize --robot puma560 --rig rig.toml --out approaches.csv --program approaches.script
+    """
+    from truearm.cli.plan_text import show_approaches
+    from truearm.workflows.plan import Approaches, Common, plan_approaches_files
+
+    common = Common(
+        robot, base, tip, rig, None, "I", None, 400, result, (), branch, dwell_s, seed, out, tuple(program or ()), output_line, input_line,
+    )  # fmt: skip
+    document = plan_approaches_files(common, Approaches(bar, chuck, sphere, poses, rounds, long_s, reserve_mm), as_json)
+    show_approaches(document, as_json)

@@ -1,0 +1,87 @@
+"""A plan's forecast as a person reads it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import typer
+
+from truearm.cli.identify_text import BORDER, MAX_TERMS
+
+
+def show(document: Mapping[str, Any], as_json: bool) -> None:
+    """Print it."""
+    if as_json:
+        typer.echo(json.dumps(document, indent=1))
+        return
+    for line in [*_visits(document), *_known_after(document), *_region(document)]:
+        typer.echo(line)
+    for path in document["written"]:
+        typer.echo(f"written: {path}")
+
+
+def show_approaches(document: Mapping[str, Any], as_json: bool) -> None:
+    """What ``plan characterize`` planned."""
+    if as_json:
+        typer.echo(json.dumps(document, indent=1))
+        return
+    typer.echo(
+        f"{document['poses']} poses of bar {document['bar']} from {document['chuck']} to {document['sphere']}, "
+        f"{document['via_points']} places to come from, {document['minutes']:.0f} minutes"
+    )
+    for path in document["written"]:
+        typer.echo(f"written: {path}")
+
+
+def _visits(document: Mapping[str, Any]) -> list[str]:
+    if "lines" not in document:
+        return [
+            f"{document['poses']} poses, {document['via_points']} via points, {document['mounts']} mounts of the bar: "
+            f"{document['minutes']:.0f} minutes"
+        ]
+    lines = []
+    for place in document["lines"]:
+        ends = " to ".join(", ".join(f"{v:.0f}" for v in place[end]) for end in ("from_mm", "to_mm"))
+        turn = ", ".join(f"{v:.4f}" for v in place["rotation_rad"])
+        lines.append(
+            f"{place['line']:<8} {ends} mm, rotation_rad = [{turn}]; error before about {place['a_priori_mm']:.1f} mm"
+        )
+    return [*lines, f"{len(document['lines'])} lines: {document['minutes']:.0f} minutes"]
+
+
+def _known_after(document: Mapping[str, Any]) -> list[str]:
+    lines = [f"rank {document['rank']}; what will be known after {document['rows']} observations:"]
+    lines += [f"  {parameter['name']:<24}{_in_words(parameter)}" for parameter in document["parameters"]]
+    for key, what in (("null_space", "not seen"), ("hardly_seen", "hardly seen")):
+        for direction in document[key]:
+            lines.append(f"{what}: {_direction(direction)}")
+    if "poses" in document and document["poses"] < document["rank"] + len(document["null_space"]):
+        lines.append(
+            f"Next: {document['poses']} poses are fewer than there are unknowns; give more, or spend less on mounts with --bar NAME."
+        )
+    return lines
+
+
+def _direction(weights: Mapping[str, float]) -> str:
+    """Its largest terms; --json has all."""
+    terms = sorted(weights.items(), key=lambda term: -abs(term[1]))
+    rest = f" and {len(terms) - MAX_TERMS} others" * (len(terms) > MAX_TERMS)
+    return " ".join(f"{weight:+.2f}·{name}" for name, weight in terms[:MAX_TERMS]) + rest
+
+
+def _region(document: Mapping[str, Any]) -> list[str]:
+    if document["cartesian_rms_mm"] is None:
+        return ["error in the region: none can be given, something unseen moves the tool"]
+    relative = ", but for how the base stands" * document["cartesian_relative"]
+    return [
+        f"error in the region: {document['cartesian_rms_mm']:.3f} mm RMS, "
+        f"{document['cartesian_worst_mm']:.3f} mm at its worst pose{relative}"
+    ]
+
+
+def _in_words(parameter: Mapping[str, Any]) -> str:
+    unit, factor, _ = BORDER[parameter["unit"]]
+    sigma = parameter["sigma"]
+    return "not seen" if sigma is None else f"± {factor * sigma:.2g} {unit}".rstrip()

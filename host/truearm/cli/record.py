@@ -1,0 +1,90 @@
+"""``truearm record``: a session file from a box and, if there is one, a robot."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from truearm.errors import InputError
+
+USUAL_HZ = 1000.0
+_PATIENCE_S = 600.0
+
+
+def record(
+    device: Annotated[
+        str | None,
+        typer.Option(
+            metavar="DEVICE",
+            help="The box: /dev/ttyACM0, COM3 or socket://127.0.0.1:7007. Default: the one that is plugged in.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The session file to write (.mcap). --resume names its own."),
+    ] = None,
+    resume: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Go on with this session, with its plan, rig, rate and robot, in a further file beside it; a folder that holds "
+            "one session does too.",
+        ),
+    ] = None,
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            metavar="URL",
+            help="The robot's joint readings: tcp://127.0.0.1:7008 (JSON lines), rtde://192.168.0.2 (Universal Robots), "
+            "lines+tcp:// or lines+udp:// (CSV, or JSON with names and units of its own: docs/robots.md). None: the sensor "
+            "alone tells the dwells.",
+        ),
+    ] = None,
+    plan: Annotated[Path | None, typer.Option(metavar="FILE", help="The poses that the robot visits (.csv).")] = None,
+    rig: Annotated[Path | None, typer.Option(metavar="FILE", help="Chucks, spheres, bars (.toml).")] = None,
+    mounted: Annotated[
+        str | None,
+        typer.Option(metavar="LIST", help="What is mounted: bar=bar46,chuck=c1,sphere=s1 or line=l1,target=t1."),
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option(metavar="HZ", help="Samples a second (1000); the nearest of the box's rates.")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(metavar="S", help="End after so many seconds; default: as above.")
+    ] = None,
+    patience: Annotated[
+        float, typer.Option(metavar="S", help="How long to wait for a box or robot whose link was lost; 0: not.")
+    ] = _PATIENCE_S,
+    plain: Annotated[
+        bool, typer.Option("--plain", help="A line an event and one a second, as when there is no terminal.")
+    ] = False,
+    unchecked: Annotated[
+        bool, typer.Option("--unchecked", help="Record even if the box cannot measure what the plan or the rig is for.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite the session file.")] = False,
+) -> None:
+    """Record a sensor box and a robot into a session file.
+
+    Ends with Ctrl-C, with q and Enter, after --duration, when the robot says that it has ended (docs/robots.md), or when a box or a
+    robot that was lost or closed its stream did not come back in --patience; each completes the file. An earlier file is overwritten
+    (--force) only once the box has started. On a terminal lines may be typed meanwhile: Enter confirms
+    the pairing that was asked for, bar=NAME,chuck=NAME,sphere=NAME or line=NAME,target=NAME says another one, note TEXT is kept.
+
+    \b
+    Example:
+      truearm record --robot tcp://127.0.0.1:7008 --rig rig.toml --plan plan.csv --out session.mcap
+      truearm record --resume session.mcap
+    """
+    from truearm.workflows.record import Request, nearest_osr, record_request
+
+    osr = None if rate is None else nearest_osr(rate)
+    if duration is not None and not 0 < duration < math.inf:
+        raise InputError(f"--duration {duration:g} is no time; give seconds above 0")
+    if not 0 <= patience < math.inf:
+        raise InputError(f"--patience {patience:g} is no time; give seconds, 0 to end at once")
+    record_request(
+        Request(device, out, resume, robot, plan, rig, mounted, osr, duration, patience, plain, unchecked, force)
+    )

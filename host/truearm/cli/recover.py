@@ -1,0 +1,100 @@
+"""``truearm recover``: a complete session from one that is damaged or was cut off."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from truearm.errors import InputError, SessionError, WriteError
+from truearm.text import one_line
+
+if TYPE_CHECKING:
+    from truearm.record.recover import Recovered
+    from truearm.session.session_file import Session
+
+SHOWN = 10  # damaged places that are listed
+
+
+def recover(
+    session: Annotated[Path, typer.Argument(metavar="SESSION", help="A damaged or unfinished session file (.mcap).")],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The session to write; default: SESSION's name, -recovered.mcap."),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite the file to write.")] = False,
+) -> None:
+    """Write a new, complete session with all that is whole of a damaged or unfinished one.
+
+    For a file whose recorder was killed, whose disk was full or whose bytes were damaged. The file itself is not changed. What is
+    saved and what is lost is said by place, time and topic; what is lost stays a gap. A file that is whole is left
+    alone. Exit code 0 if there is a complete file in the end, 2 if nothing could be saved.
+
+    \b
+    Example:
+      truearm recover session.mcap --out mended.mcap
+    """
+    from truearm.files.disk import check_writable, sha256
+    from truearm.record.recover import is_whole
+    from truearm.session.session_file import open_session
+    from truearm.workflows.session_parts import say_parts
+
+    opened = open_session(session, allow_damaged=True)
+    out = out or session.with_name(f"{session.stem}-recovered.mcap")
+    if is_whole(opened):
+        typer.echo(f"{one_line(str(session))}: is whole; there is nothing to recover, and nothing was written")
+        return
+    check_writable(out, inputs=[session])
+    if out.exists() and not force:
+        raise InputError(f"{out}: exists; choose another name or give --force")
+    found = _write(session, opened, out, {"source": session.name, "sha256": sha256(session)})
+    for line in lines(found):
+        typer.echo(line)
+    typer.echo(f"{one_line(str(out))}: written, a complete session")
+    say_parts(session, f"name them beside {one_line(out.name)}, they are not found by its name")
+
+
+def _write(path: Path, opened: Session, out: Path, said: dict[str, str]) -> Recovered:
+    """Write beside ``out`` and rename: whoever finds it finds it whole."""
+    from truearm.record.recover import recover as recover_session
+
+    try:
+        with tempfile.TemporaryDirectory(prefix=".truearm-", dir=out.parent) as folder:
+            partial = Path(folder) / "session.mcap"
+            found = recover_session(opened, partial, said)
+            if not found.topics and not opened.metadata:
+                raise SessionError(f"{path}: holds nothing that could be saved")
+            os.replace(partial, out)
+    except (OSError, WriteError) as exc:
+        raise WriteError(f"{out}: cannot be written: {exc.strerror}; {path} is as it was", exc.strerror or "") from exc
+    return found
+
+
+def lines(found: Recovered) -> list[str]:
+    """What was saved and what was lost, for people."""
+    from truearm.session.salvage import words_of
+
+    messages = sum(account.saved for account in found.topics.values())
+    said = [f"saved  {messages} messages of {found.seconds:.1f} s, {_named(found.attachments, 'attachment')}"]
+    width = max((len(topic) for topic in found.topics), default=0)
+    for topic, account in found.topics.items():
+        lost = f", {account.lost} lost" if account.lost else ""
+        said.append(f"         {one_line(topic):<{width}}  {account.saved}{lost}")
+    for damage in found.damage[:SHOWN]:
+        words = words_of(damage.at, damage.lost_s, damage.of_s)
+        said.append(f"lost   {words}" + ("" if damage.at is None else f", from {damage.from_s:.1f} s on"))
+    if len(found.damage) > SHOWN:
+        said.append(f"lost   and in {len(found.damage) - SHOWN} places more")
+    if found.cut_off:
+        said.append(
+            "lost   the end: it was cut off, so what came behind (a second, if the recorder was killed) cannot be counted"
+        )
+    said.append(f"       {found.unread_bytes} bytes stand in no whole record")
+    return said
+
+
+def _named(names: tuple[str, ...], what: str) -> str:
+    return f"{what} {', '.join(map(one_line, names))}" if names else f"no {what}"

@@ -1,0 +1,117 @@
+"""Where each number of the rig stands in a problem: unknowns after the robot's params, known constants after those."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from truearm.errors import ProblemError
+from truearm.kinds.linearised import Indices
+from truearm.model.chain import Chain
+from truearm.types import BallBar, ObservationTable, Plane, Point, Rig, Strings
+
+XYZ = ("x", "y", "z")
+
+
+class Scope(NamedTuple):
+    """One rig, the table that holds its rows, and ``prefix``, which the names of its unknowns begin with."""
+
+    chain: Chain
+    rig: Rig
+    table: ObservationTable
+    prefix: str
+
+
+class Number(NamedTuple):
+    """A number of the rig: known exactly (sigma 0), with a prior (finite), or without (inf)."""
+
+    name: str
+    unit: str
+    value: float
+    sigma: float
+
+
+class Used(NamedTuple):
+    """The distinct things that some rows use (chucks, bars, …), their numbers, and which of them each row uses."""
+
+    labels: list[Hashable]
+    numbers: list[list[Number]]  # one inner list a thing
+    which: Indices  # (n,)
+
+
+class Layout:
+    """Indices of numbers into x followed by constants; a thing used in two roles has its numbers once.
+
+    Raises ProblemError for a value that is not finite or a sigma that is negative or no number.
+    """
+
+    def __init__(self, n_robot: int, used: Sequence[Used]) -> None:
+        every = {number.name: number for group in used for thing in group.numbers for number in thing}
+        for number in every.values():
+            if not (np.isfinite(number.value) and number.sigma >= 0.0):
+                raise ProblemError(
+                    f"{number.name} is {number.value:g} ± {number.sigma:g}; it must be finite, sigma ≥ 0"
+                )
+        self.unknown = [number for number in every.values() if number.sigma > 0.0]
+        known = [number for number in every.values() if number.sigma == 0.0]
+        self.constants = np.array([number.value for number in known])
+        self._at = {number.name: n_robot + i for i, number in enumerate([*self.unknown, *known])}
+
+    def index(self, used: Used) -> Indices:
+        """(n, c) indices of what each row uses."""
+        table = np.array([[self._at[number.name] for number in thing] for thing in used.numbers], dtype=np.intp)
+        return np.asarray(table[used.which])
+
+
+def enumerate_labels(labels: Sequence[Hashable]) -> tuple[list[Hashable], Indices]:
+    """Distinct labels in order of appearance, and which of them each row has."""
+    order = {label: i for i, label in enumerate(dict.fromkeys(labels))}
+    return list(order), np.fromiter(map(order.__getitem__, labels), dtype=np.intp, count=len(labels))
+
+
+def look_up(
+    scope: Scope, rows: Indices, column: Strings, known: Mapping[str, Any], what: str
+) -> tuple[list[Hashable], Indices]:
+    """The distinct names of a column, checked against the rig, and which of them each row has.
+
+    An empty name means the only one there is. Raises ProblemError that names the first row of a name that the rig does
+    not have.
+    """
+    names, which = enumerate_labels(column[rows].tolist())
+    labels: list[Hashable] = []
+    for i, name in enumerate(names):
+        label = next(iter(known)) if name == "" and len(known) == 1 else str(name)
+        if label not in known:
+            source = scope.table.source[rows[int(np.argmax(which == i))]]
+            have = ", ".join(sorted(known)) or "none"
+            raise ProblemError(f"{source}: {what} {label!r} is not in the rig, which has {have}")
+        labels.append(label)
+    return labels, which
+
+
+def use(scope: Scope, rows: Indices, column: Strings, known: Mapping[str, Point | BallBar | Plane], what: str) -> Used:
+    """Look a column's names up in the rig (``look_up``), with the numbers that stand for them."""
+    labels, which = look_up(scope, rows, column, known, what)
+    return Used(labels, [_numbers(f"{scope.prefix}{what}.{label}", known[str(label)]) for label in labels], which)
+
+
+def point_numbers(name: str, point: Point) -> list[Number]:
+    """Three coordinates of a point of the rig."""
+    return [Number(f"{name}.{k}", "m", v, or_inf(point.sigma)) for k, v in zip(XYZ, point.xyz, strict=True)]
+
+
+def or_inf(sigma: float | None) -> float:
+    """A rig's sigma as a number: None, not known at all, is inf."""
+    return np.inf if sigma is None else sigma
+
+
+def _numbers(name: str, thing: Point | BallBar | Plane) -> list[Number]:
+    if isinstance(thing, BallBar):
+        zero = Number(f"{name}.zero", "m", thing.zero, thing.zero_sigma)
+        return [zero, Number(f"{name}.gain", "1", thing.gain, thing.gain_sigma)]
+    if isinstance(thing, Plane):
+        tilts = [Number(f"{name}.tilt{k}", "rad", 0.0, or_inf(thing.tilt_sigma)) for k in (1, 2)]
+        return [Number(f"{name}.offset", "m", 0.0, or_inf(thing.offset_sigma)), *tilts]
+    return point_numbers(name, thing)

@@ -1,0 +1,117 @@
+"""A robot judged by observations that it was not fitted to: which rows can judge, and what they say.
+
+What the rig does not know (a socket's place, a line's pose, a ball's) is settled on the judging rows themselves, with the
+robot fixed, as nothing could be predicted there otherwise. Rows that fit such unknowns whatever they say are no judges.
+
+How large an error should be if the robot is as it was identified, with covariance P, follows from both. Of whitened rows
+with noise ε and the robot's error δ, r = ε − A δ, the rig's unknowns J u (with their priors, as rows of their own below J)
+take the part H r away, H = U₁U₁ᵀ of the thin SVD's U₁ beside J. What is left has the covariance
+
+    (I − H) + (I − H) A P Aᵀ (I − H) .
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.estimate.fit import fit
+from truearm.estimate.information import RANK_TOLERANCE
+from truearm.estimate.lm import DAMPING_START
+from truearm.estimate.prediction import MOVES
+from truearm.estimate.problem import Problem, Rigs, build_problem, evaluate, settled
+from truearm.estimate.solution import Options
+from truearm.estimate.whitened_rows import whitened_blocks
+from truearm.kinds.socket_distance import SocketDistanceRows
+from truearm.model.chain import Chain
+from truearm.types import Floats, ObservationTable
+
+LEAST_FREEDOM = 1e-6  # share of a row's residuals that must be left to judge by; rounding leaves 1e-12
+
+
+class Judgement(NamedTuple):
+    """What n rows say of a robot."""
+
+    error: Floats  # (n,) m, norm of each row's residual
+    judging: NDArray[np.bool_]  # (n,) False for rows that fit whatever they say
+    n_settled: int  # unknowns of the rig that were settled on these rows
+    problem: Problem
+    x: Floats  # (P,)
+
+
+class Expected(NamedTuple):
+    """What n rows should say of a robot that is as identified: mean squares [m²] of the errors."""
+
+    by_noise: Floats  # (n,) by the sigmas that rig and table declare
+    by_parameters: Floats  # (n,) by the parameters' covariance
+    unseen: NDArray[np.bool_]  # (n,) rows that a direction moves of which the identification saw nothing
+
+
+def judge(chain: Chain, rig: Rigs, table: ObservationTable, params: Floats) -> Judgement:
+    """Judge the robot with parameters (p,) by a table. Raises ProblemError as ``build_problem``."""
+    problem = build_problem(chain, rig, table)
+    # The known distance between sockets must not help to place them: the error is the spread about each socket.
+    problem = replace(problem, groups=tuple(g for g in problem.groups if not isinstance(g, SocketDistanceRows)))
+    x = np.concatenate([params, problem.start[problem.n_robot :]])
+    rig_only = np.arange(x.size) >= problem.n_robot
+    found = fit(problem, rig_only, x, Options(), DAMPING_START)
+    error, judging = np.abs(found.information.residual), has_freedom(problem, rig_only, found.x)
+    return Judgement(error, judging, int(rig_only.sum()), problem, found.x)
+
+
+def expected(judgement: Judgement, covariance: Floats, unseen: Floats) -> Expected:
+    """What the rows of a judgement should say, with the robot's covariance (p, p) and ``unseen`` directions (p, d).
+
+    The largest weight of each direction is 1.
+    """
+    problem, x, p = settled(judgement.problem, judgement.x), judgement.x, judgement.problem.n_robot
+    parts = [part for part in whitened_blocks(problem, x, np.ones(x.size, dtype=bool)) if part.row is not None]
+    jac = np.concatenate([part.jac.reshape(-1, x.size) for part in parts])
+    taken = _taken(jac[:, p:], problem.prior_sigma[p:])
+    left = jac[:, :p] - taken @ (taken.T @ jac[:, :p])
+    by_noise, by_parameters = np.zeros(problem.n_rows), np.zeros(problem.n_rows)
+    moved = np.zeros(problem.n_rows, dtype=bool)
+    at = 0
+    for part in parts:
+        n, width, _ = part.jac.shape
+        root = part.noise_root[:, :3]  # to m; what follows in a pose is its rotation
+        mine = slice(at, at + n * width)
+        fitted, by_robot = (root @ whole[mine].reshape(n, width, -1) for whole in (taken, left))
+        by_noise[part.row] = (root**2).sum(axis=(1, 2)) - (fitted**2).sum(axis=(1, 2))
+        by_parameters[part.row] = np.einsum("nwp,pr,nwr->n", by_robot, covariance, by_robot, optimize=True)
+        moved[part.row] = np.abs(by_robot @ unseen).max(axis=(1, 2), initial=0.0) > MOVES
+        at += n * width
+    return Expected(np.maximum(by_noise, 0.0), np.maximum(by_parameters, 0.0), moved)
+
+
+def _taken(jac: Floats, prior_sigma: Floats) -> Floats:
+    """U₁ (m, r) of whitened derivatives (m, u) by the rig's unknowns."""
+    known = np.isfinite(prior_sigma)
+    stacked = np.concatenate([jac, np.diag(1.0 / np.where(known, prior_sigma, np.inf))[known]])
+    stacked = stacked / np.maximum(np.linalg.norm(stacked, axis=0), 1e-300)
+    basis, weight, _ = np.linalg.svd(stacked, full_matrices=False)
+    return np.asarray(basis[: len(jac), weight > RANK_TOLERANCE * weight.max(initial=0.0)])
+
+
+def has_freedom(problem: Problem, columns: NDArray[np.bool_], x: Floats) -> NDArray[np.bool_]:
+    """Rows (n,) that the unknowns x[columns], settled on them, could not make to fit whatever they say.
+
+    The trace of a row's block of the hat matrix J (JᵀJ)⁺ Jᵀ is its number of residuals where they fit by construction:
+    the only seat in a socket, say.
+    """
+    free = np.ones(problem.n_rows, dtype=bool)
+    if not columns.any():
+        return free
+    groups = [group for group in problem.groups if not isinstance(group, SocketDistanceRows)]
+    whole = [(group.row, evaluate(problem, group, x).jac_params[:, columns]) for group in groups]
+    basis, weight, _ = np.linalg.svd(np.concatenate([jac for _, jac in whole]), full_matrices=False)
+    hat = np.sum(basis[:, weight > RANK_TOLERANCE * weight.max(initial=0.0)] ** 2, axis=1)
+    at = 0
+    for row, jac in whole:
+        share = hat[at : at + len(jac)].reshape(row.size, -1).mean(axis=1)
+        free[row[share > 1.0 - LEAST_FREEDOM]] = False
+        at += len(jac)
+    return free

@@ -1,0 +1,131 @@
+"""Observations one by one, whitened: what a solver needs that weighs or judges single observations.
+
+``information.observe`` folds all rows into one triangle at once. A robust loss, the recursive filter and standardised
+residuals need each observation's own rows before that, w of them for an observation of w scalar residuals, whitened by
+C⁻¹ = L Lᵀ so that their noise has unit covariance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from truearm.estimate.information import Information, fold, note
+from truearm.estimate.problem import Problem, blocks, evaluate
+from truearm.estimate.residual_noise import residual_cov, whiten
+from truearm.estimate.robust import Moments, weigh
+from truearm.kinds.linearised import Indices, take
+from truearm.kinds.socket_distance import SocketDistanceRows
+from truearm.types import Floats
+
+GATE_LEVEL = 1e-6  # a clean row is suspected once in a million
+ALONE = 1e-9  # 1 − leverage, below which a residual is rounding and says nothing
+
+
+class Block(NamedTuple):
+    """Some observations of one kind, linearised and whitened."""
+
+    row: Indices | None  # (n,) rows of the table; None for distances between sockets, which are knowledge, not data
+    jac: Floats  # (n, w, k)
+    residual: Floats  # (n, w)
+    noise_root: Floats  # (n, w, w) noise_root @ whitened is in m (rad) again
+
+
+def whitened_blocks(
+    problem: Problem, x: Floats, columns: NDArray[np.bool_], residual_m: Floats | None = None
+) -> Iterator[Block]:
+    """All observations at x (P,), derivatives by x[columns]; ``residual_m`` (n_rows,) takes the residuals in metres."""
+    for block in blocks(problem):
+        lin = evaluate(problem, block, x)
+        if residual_m is not None:
+            note(block, lin.residual, residual_m)
+        cov = residual_cov(block.sensor_cov, lin.jac_joints, problem.joint_cov)
+        stacked = np.concatenate([lin.jac_params[:, columns], lin.residual[:, None]], axis=1)
+        stacked = stacked.reshape(len(cov), cov.shape[1], -1)
+        whiten(stacked.T, cov)
+        row = None if isinstance(block, SocketDistanceRows) else block.row
+        yield Block(row, stacked[:, :, :-1], stacked[:, :, -1], _root(cov))
+
+
+def observe_robustly(
+    problem: Problem, x: Floats, columns: NDArray[np.bool_], loss: str
+) -> tuple[Information, Moments, Floats]:
+    """Like ``information.observe``, each observation weighted by √w(s) of the loss; χ² is then Σρ(s).
+
+    Also returns the moments for ``robust.sandwich`` and the weights (n_rows,).
+    """
+    k = int(columns.sum())
+    triangle = np.zeros((k + 1, k + 1))
+    residual, weights = np.full(problem.n_rows, np.nan), np.ones(problem.n_rows)
+    moments, chi2, count = Moments(), 0.0, 0
+    for block in whitened_blocks(problem, x, columns, residual):
+        length, width = np.linalg.norm(block.residual, axis=1), block.residual.shape[1]
+        seen = weigh("linear" if block.row is None else loss, length, width)
+        if block.row is not None:
+            weights[block.row] = seen.weight
+        moments = moments.plus(seen, length, width)
+        chi2 += float(seen.cost.sum())
+        count += block.residual.size
+        stacked = np.concatenate([block.jac, block.residual[..., None]], axis=2) * np.sqrt(seen.weight)[:, None, None]
+        triangle = fold(triangle, stacked.reshape(-1, k + 1))
+    return Information(triangle[:k, :k], triangle[:k, k], chi2, count, residual), moments, weights
+
+
+def deleted_distance(jac: Floats, residual: Floats, covariance_root: Floats, weight: Floats) -> Floats:
+    """(n,) squared distance of each observation from what all others say of it; χ² of its width for a clean one.
+
+    jac (n, w, k), residual e (n, w) at the estimate, S (k, ·) with P = S Sᵀ, and the weights ω (n,) with which they took
+    part. With the leverage H = J P Jᵀ, an observation taken out leaves the residual (I − ωH)⁻¹e, whose covariance is
+    I + H(I − ωH)⁻¹ by what is then known; so the distance is, along the eigenvectors of H,
+
+        Σ e² / [(1 − ωh)(1 − ωh + h)] ,   e²/(1 − h) for ω = 1 and e²/(1 + h) for ω = 0.
+
+    An observation that alone determines an unknown has h = 1 and e = 0: nothing contradicts it, its distance is 0.
+    """
+    seen = jac @ covariance_root
+    if jac.shape[1] == 1:
+        h, along = np.einsum("nik,nik->ni", seen, seen), residual
+    else:
+        h, vectors = np.linalg.eigh(seen @ seen.swapaxes(1, 2))
+        along = (vectors.swapaxes(1, 2) @ residual[..., None])[..., 0]
+    left = 1.0 - weight[:, None] * h
+    alone = left <= ALONE
+    left = np.where(alone, 1.0, left)
+    return np.asarray(np.where(alone, 0.0, along**2 / (left * (left + h))).sum(axis=1))
+
+
+def gate(width: NDArray[np.intp] | int, level: float = GATE_LEVEL) -> Floats:
+    """Squared distance that a clean row of ``width`` residuals exceeds with probability ``level``."""
+    return np.asarray(special.chdtri(width, level))
+
+
+def standardised(
+    problem: Problem, x: Floats, columns: NDArray[np.bool_], covariance_root: Floats, weight: Floats
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """(n_rows,) distance of each row from what all others say of it, in σ, and whether it lies beyond the gate."""
+    distance, beyond = np.full(problem.n_rows, np.nan), np.zeros(problem.n_rows, dtype=bool)
+    for block in whitened_blocks(problem, x, columns):
+        if block.row is not None:
+            square = deleted_distance(block.jac, block.residual, covariance_root, weight[block.row])
+            distance[block.row], beyond[block.row] = np.sqrt(square), square > gate(block.residual.shape[1])
+    return distance, beyond
+
+
+def only(problem: Problem, used: NDArray[np.bool_]) -> Problem:
+    """The problem without the table's rows that are not ``used`` (n_rows,); rows keep their numbers."""
+    groups = (g if isinstance(g, SocketDistanceRows) else take(g, used[g.row]) for g in problem.groups)
+    return replace(problem, groups=tuple(g for g in groups if isinstance(g, SocketDistanceRows) or len(g.row)))
+
+
+def _root(cov: Floats) -> Floats:
+    """L (n, w, w) of variances (n, w) or covariances (n, w, w)."""
+    if cov.ndim == 3:
+        return np.asarray(np.linalg.cholesky(cov))
+    out = np.zeros((*cov.shape, cov.shape[1]))
+    out[:, range(cov.shape[1]), range(cov.shape[1])] = np.sqrt(cov)
+    return out

@@ -1,0 +1,118 @@
+"""Calibrated robots as robot files (TOML, docs/robot-format.md): tables to read, and to identify from again.
+
+Every convention has its table: ``dh`` and ``modified_dh`` rows between base and tool, ``sheth_uicker`` links of six. The
+mountings stand in base and tool, or in the first and the last link; the comment at the top has them by themselves.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from truearm.errors import RobotError
+from truearm.export.dh import dh_rows
+from truearm.export.link_frames import Own
+from truearm.model.chain import Joint
+from truearm.model.poses import six_of
+from truearm.types import Floats
+
+SIX = ("x_m", "y_m", "z_m", "alpha_rad", "beta_rad", "gamma_rad")
+NO_LIMIT = 20.0 * math.pi  # rad: ten turns either way, for a joint without limits
+
+
+def sheth_uicker_table(robot: Own, comment: str = "") -> str:
+    """Links of six constants, joints about or along z; holds everything."""
+    links = [robot.first, *robot.links[1:-1], robot.last]
+    lines = _head(robot, "sheth_uicker", comment)
+    for i, link in enumerate(links):
+        lines += ["", f"[link{i + 1}]", *_six(link)]
+        if i < len(robot.joints):
+            lines += _joint(i, robot, float(robot.offsets[i]))
+    return "\n".join([*lines, ""])
+
+
+def dh_table(robot: Own, nominal: Own, hayati: bool = False, comment: str = "") -> str:
+    """Distal rows, with β if ``hayati`` and needed. Raises RobotError for what rows cannot say well."""
+    _check_turning(robot)
+    rows = dh_rows(robot, nominal, hayati)
+    lines = [*_head(robot, "dh", comment), "", "[base]", *_six(robot.base @ rows.base)]
+    for i in range(len(robot.joints)):
+        has_beta = not math.isnan(rows.beta[i])
+        lines += _joint(i, robot, float(rows.theta[i] + robot.offsets[i]))
+        lines.append("d_m = 0.0" if has_beta else _parameter("d_m", rows.d[i]))
+        lines += [_parameter("a_m", rows.a[i]), _parameter("alpha_rad", rows.alpha[i])]
+        lines += [_parameter("beta_rad", rows.beta[i])] * has_beta
+    return "\n".join([*lines, "", "[tool]", *_six(rows.tool @ robot.tool), ""])
+
+
+def modified_dh_table(robot: Own, nominal: Own, comment: str = "") -> str:
+    """Craig's rows: a and α of a row are those that the distal form has one row earlier."""
+    _check_turning(robot)
+    rows = dh_rows(robot, nominal)
+    lines = [*_head(robot, "modified_dh", comment), "", "[base]", *_six(robot.base @ rows.base)]
+    for i in range(len(robot.joints)):
+        a, alpha = (rows.a[i - 1], rows.alpha[i - 1]) if i else (0.0, 0.0)
+        lines += _joint(i, robot, float(rows.theta[i] + robot.offsets[i]))
+        lines += [_parameter("alpha_rad", alpha), _parameter("a_m", a), _parameter("d_m", rows.d[i])]
+    return "\n".join([*lines, "", "[tool]", *_six(rows.tool @ robot.tool), ""])
+
+
+def _check_turning(robot: Own) -> None:
+    for joint in robot.joints:
+        if joint.kind != "revolute":
+            raise RobotError(
+                f"joint {joint.name} slides; rows of four are written of turning joints only, use sheth-uicker"
+            )
+
+
+def _head(robot: Own, convention: str, comment: str) -> list[str]:
+    return [
+        *(f"# {line}" for line in comment.splitlines()),
+        *([""] if comment else []),
+        f"name = {_text(robot.name)}",
+        f'convention = "{convention}"',
+        'source = "truearm export"',
+        'nominal = "calibrated"',
+        f"base_frame = {_text(robot.base_frame)}",
+        f"end_frame = {_text(robot.end_frame)}",
+    ]
+
+
+def _text(text: str) -> str:
+    """A TOML basic string; JSON's escapes are TOML's."""
+    return json.dumps(text, ensure_ascii=False)
+
+
+def _six(pose: Floats) -> list[str]:
+    return [_parameter(key, value) for key, value in zip(SIX, six_of(pose), strict=True)]
+
+
+def _joint(i: int, robot: Own, offset: float) -> list[str]:
+    joint = robot.joints[i]
+    unit = "m" if joint.kind == "prismatic" else "rad"
+    lower, upper = _limits(joint)
+    return [
+        "",
+        f"[joint{i + 1}]  # {one_line(joint.name)}",
+        f'kind = "{joint.kind}"',
+        f"lower_{unit} = {lower!r}",
+        f"upper_{unit} = {upper!r}",
+        _parameter(f"offset_{unit}", offset),
+        f"gain = {{ calibrated = {float(robot.gains[i])!r}, held = true }}",
+    ]
+
+
+def _limits(joint: Joint) -> Sequence[float]:
+    return [float(np.clip(value, -NO_LIMIT, NO_LIMIT)) for value in (joint.lower, joint.upper)]
+
+
+def _parameter(key: str, value: float) -> str:
+    return f"{key} = {{ calibrated = {float(value) + 0.0!r} }}"
+
+
+def one_line(text: str) -> str:
+    """A name as it may stand in a comment."""
+    return "".join(c for c in text if c.isprintable())[:100]

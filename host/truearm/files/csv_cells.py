@@ -1,0 +1,120 @@
+"""The cells of a CSV file: rows of equal width as text, and columns of them as identifiers or numbers in SI units.
+
+Every complaint names the file, the row (as an editor counts, the header being row 1) and the column.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from itertools import islice
+from typing import NamedTuple
+
+import numpy as np
+
+from truearm.errors import TableError
+from truearm.files.observation_columns import Column, shown
+from truearm.types import Floats
+
+MAX_ROWS = 200_000  # 250 times the paper's grid of 800 poses
+MAX_COLUMNS = 200
+MAX_CELL = 200
+
+SCALE = {"rad": 1.0, "deg": math.pi / 180.0, "m": 1.0, "mm": 1e-3}
+
+# No dots: the names of parameters, socket.<place>.<socket>.x, are made of identifiers.
+_ID = re.compile(r"[\w-]{1,64}")
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+
+
+class Row(NamedTuple):
+    """A row that is not blank, and where an editor shows it; the header is row 1."""
+
+    number: int
+    cells: list[str]
+
+
+def read_cells(text: str, name: str) -> tuple[list[str], list[Row]]:
+    """Header and rows as stripped text, all of one width; blank lines are passed over."""
+    reader = csv.reader(io.StringIO(text, newline=None), strict=True)
+    filled = (Row(reader.line_num, [cell.strip() for cell in cells]) for cells in reader if cells)
+    try:
+        rows = list(islice(filled, MAX_ROWS + 2))
+    except csv.Error as exc:
+        raise TableError(f"{name} row {reader.line_num}: is not CSV: {exc}") from exc
+    if not rows:
+        raise TableError(f"{name}: is empty; a table has a header row, and rows below it")
+    header = rows[0].cells
+    if len(header) == 1 and re.search(r"[;\t]", header[0]):
+        raise TableError(f"{name}: columns are separated by ';' or tabs; separate them by commas")
+    if len(header) > MAX_COLUMNS:
+        raise TableError(f"{name}: has {len(header)} columns; the most is {MAX_COLUMNS}")
+    if len(rows) > MAX_ROWS + 1:
+        raise TableError(f"{name}: has more than {MAX_ROWS} rows; split it or thin it out")
+    for row in rows[1:]:
+        if len(row.cells) != len(header):
+            raise TableError(f"{name} row {row.number}: has {len(row.cells)} cells, the header has {len(header)}")
+    return header, rows[1:]
+
+
+def identifiers(rows: list[Row], column: Column | None, name: str) -> np.ndarray:
+    """A column of names; "" where the column or a cell is empty."""
+    if column is None:
+        return np.full(len(rows), "", dtype="U1")
+    for row in rows:
+        cell = row.cells[column.position]
+        if cell and not _ID.fullmatch(cell):
+            raise TableError(
+                f"{name} row {row.number} column {column.name}: {shown(cell)} is no identifier; "
+                "use up to 64 letters, digits, '-' and '_'"
+            )
+    return np.array([row.cells[column.position] for row in rows])
+
+
+def numbers(
+    rows: list[Row],
+    column: Column | None,
+    name: str,
+    largest: float,
+    *,
+    positive: bool = False,
+    required: bool = False,
+) -> Floats:
+    """A column of numbers in SI units; NaN where the column or, unless ``required``, a cell is empty."""
+    if column is None:
+        return np.full(len(rows), np.nan)
+    scale = SCALE[column.unit.removesuffix("_s")]
+    out = np.empty(len(rows))
+    for i, row in enumerate(rows):
+        cell = row.cells[column.position]
+        where = f"{name} row {row.number} column {column.name}"
+        out[i] = np.nan if not cell and not required else scale * number(cell, where)
+        if abs(out[i]) > largest:
+            raise TableError(f"{where}: {shown(cell)} is too large for {column.unit}; is the column in another unit?")
+        if positive and out[i] <= 0.0:
+            raise TableError(f"{where}: {shown(cell)} must be greater than 0")
+    return out
+
+
+def together(columns: list[Floats], rows: list[Row], what: str, name: str) -> Floats:
+    """Columns side by side (n, c), each row having all of them or none."""
+    out = np.stack(columns, axis=1)
+    missing = np.isnan(out)
+    bad = np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1))
+    if bad.size:
+        raise TableError(f"{name} row {rows[bad[0]].number}: needs {what}, or none of them")
+    return out
+
+
+def number(cell: str, where: str) -> float:
+    """A finite decimal number."""
+    if not cell:
+        raise TableError(f"{where}: is empty; every row needs a number here")
+    if cell.lower().lstrip("+-") in ("nan", "inf", "infinity"):
+        raise TableError(f"{where}: {cell} is not a finite number; leave out rows without a reading")
+    # float() would take "1_000" and digits of other scripts; a table with them was not written as numbers.
+    if len(cell) > MAX_CELL or not _NUMBER.fullmatch(cell):
+        raise TableError(f"{where}: {shown(cell)} is not a number")
+    return float(cell)

@@ -1,0 +1,48 @@
+"""A line device: a target that the robot drives along a straight line, measured in the device's axes.
+
+y is the longitudinal coordinate (magnetostrictive, about 1 m), x and z are the two transverse ones (magnetic, some
+millimetres). Each placement of the device is a line with six unknowns of its own (Renders, Rossignol, Becquet, Hanus
+1991, II-H); the geometry and its derivatives are those of a tracker with a very long, thin field (``position.py``).
+
+Points exactly on a line (transverse readings 0) do not see the device's roll about it: one direction less a line.
+
+The line stands in the room by hand, so it is first placed by its own readings through the nominal robot
+(``PLACEMENTS``): by least squares of all its points, or, as Renders III-G 5 a, by its first two points alone. Least
+squares starts nearer: two neighbours lie some centimetres apart, and by as many millimetres as the nominal robot errs
+between them the far end is off by a multiple. Both fits end at the same place. The paper then leaves the two points out
+of the identification; here they stay in, for a placement is a start and what is known of the device's pose is said by
+its sigma. Whoever gives the placed pose a prior as tight as the two points themselves has to take them out of the table.
+
+A placement turns the device so that its points' line falls on the line where the nominal robot has them. About that
+line it turns as little as can be from the declared orientation, if one is known (``turn_sigma``): the points of a line
+hardly show the roll, what they seem to say of it through a nominal robot that errs by more than they leave the line is
+chance, and a prior about chance is false. A fit would have to creep away from it against that prior.
+
+The time offset needs the line driven there and back: at constant speed in one direction τ cannot be told from the
+device's longitudinal place.
+"""
+
+from __future__ import annotations
+
+from truearm.kinds import position
+from truearm.kinds.position import PositionRows, evaluate, nearest_rotation
+from truearm.types import Floats
+
+__all__ = ["PLACEMENTS", "PositionRows", "evaluate", "place"]
+
+PLACEMENTS = ("least_squares", "two_point")
+
+
+def place(xyz: Floats, p_base: Floats, declared: Floats, rule: str, roll_known: bool) -> tuple[Floats, Floats]:
+    """Position (3,) and rotation (3, 3) of a line device by one of PLACEMENTS.
+
+    ``xyz`` (n, 3) are its readings in the order in which they were taken, ``p_base`` (n, 3) where the nominal robot has
+    them, ``declared`` (3, 3) the orientation that the rig declares. Unless ``roll_known`` the roll about the line is
+    that of the best fit of all points.
+    """
+    about = declared if roll_known else position.place(xyz, p_base, declared)[1]
+    used = slice(2) if rule == "two_point" else slice(None)
+    xyz, p_base = xyz[used], p_base[used]
+    middle_device, middle_base = xyz.mean(axis=0), p_base.mean(axis=0)
+    rot = nearest_rotation((p_base - middle_base).T @ (xyz - middle_device), about, most=1)
+    return middle_base - rot @ middle_device, rot

@@ -1,0 +1,60 @@
+"""A pose measured by a tracker: the target's position and the end frame's orientation, in the tracker's axes.
+
+The first three residuals are those of ``position.py``. The measured orientation M (of the robot's end frame) and the
+predicted one P = R_dᵀ·R(q) differ by the rotation vector ρ = log(M Pᵀ), measured − predicted to first order. A small
+turn δφ of the end about the base axes makes P exp([R_dᵀδφ]×)P, so with log(exp(ρ)·exp(−δ)) = ρ − J_r⁻¹(ρ) δ and
+J_r(ρ) = J_l(ρ)ᵀ
+
+    ∂predicted = J_l(ρ)⁻ᵀ R_dᵀ (∂φ_end − ∂φ_device) .
+
+The end's turn about a direction u per parameter is the wrench of a pure couple u on that parameter's twist
+(``chain.about``), as a coordinate's derivative is that of a force (``chain.along``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from truearm.kinds.linearised import Linearised, gather, no_columns, scatter
+from truearm.kinds.position import PositionRows, in_device_axes, joints_in_time
+from truearm.model.chain import Chain, about, forward, trace_point
+from truearm.model.rotation import left_jacobian, rotation, rotation_vector
+from truearm.types import Floats
+
+WIDTH = 6  # scalar residuals an observation: x, y, z [m] and a rotation vector [rad], in the tracker's axes
+
+
+@dataclass(frozen=True)
+class PoseRows(PositionRows):
+    """n measured poses: points, and orientations of the end frame; ``sensor_cov`` is (n, 6) or (n, 6, 6)."""
+
+    rotation: Floats  # (n, 3) measured rotation vector from the tracker's axes to the end frame, rad
+
+
+def evaluate(chain: Chain, rows: PoseRows, x: Floats) -> Linearised:
+    """Residuals (6n,) and their derivatives at x (P,)."""
+    p = len(chain.parameters)
+    q, params = joints_in_time(rows, x), x[:p]
+    trace = trace_point(chain, params, q, gather(x, rows.constants, rows.target))
+    device = gather(x, rows.constants, rows.device)
+    rot = rotation(device[:, 3:]) @ rows.reference
+    point = in_device_axes(trace, rows, x, device, rot)
+    predicted = np.swapaxes(rot, 1, 2) @ forward(chain, params, q)[:, :3, :3]
+    rho = rotation_vector(rotation(rows.rotation) @ np.swapaxes(predicted, 1, 2))
+    # Row k of J_l(ρ)⁻ᵀ R_dᵀ, as a direction in the base frame.
+    directions = np.asarray(np.linalg.solve(np.swapaxes(left_jacobian(rho), 1, 2), np.swapaxes(rot, 1, 2)), dtype=float)
+    axes = np.swapaxes(directions, 0, 1)
+    derivative = about(trace, axes)
+    by_rig = no_columns(derivative.wrenches, x.size - p)
+    scatter(by_rig, rows.device[:, 3:] - p, -np.einsum("wni,nik->wnk", axes, left_jacobian(device[:, 3:])))
+    by_time = (derivative.jac_joints * rows.q_rate).sum(axis=2, keepdims=True)
+    scatter(by_rig, rows.time_offset - p, by_time)
+    return Linearised(
+        np.concatenate([point.residual.reshape(-1, 3), rho], axis=1).ravel(),
+        np.concatenate([point.wrenches, derivative.wrenches]),
+        point.twists,
+        np.concatenate([point.by_rig, by_rig]),
+        np.concatenate([point.by_joints, derivative.jac_joints]),
+    )

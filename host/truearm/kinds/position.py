@@ -1,0 +1,110 @@
+"""A target on the tool, measured as a point in a device's own axes: a tracker, or a line device (``line.py``).
+
+Predicted is m = R_dᵀ (T(q)·s − p_d) with the device's pose (R_d, p_d) in the base frame; the residual stays in the
+device's axes, where the sensors' covariance S_x is declared. With r = T(q)·s − p_d = R_d·m, moving the device by δp and
+turning it by a small δφ about the base axes changes the prediction by
+
+    δm = −R_dᵀ (δp + δφ × r) = −R_dᵀ (I, −[R_d m]×) (δp; δφ) ,
+
+Renders' (1991) device Jacobian (27), (28) with its lever in base axes: the printed one has [m]×, right only for a device
+parallel to the base. A device's parameters are x, y, z (p_d, m) and rx, ry, rz, a rotation vector ω about the base axes
+away from the orientation R_r that the rig declares (the identity where it declares none): R_d = exp([ω]×)·R_r and
+δφ = J_l(ω) δω.
+
+The joints were truly at q(t) = q_reading(t + τ), to first order q_reading + q̇·τ; so ∂m/∂τ = J_q·q̇ and the residual's
+derivative is −J_q·q̇.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from truearm.kinds.linearised import Indices, Linearised, gather, no_columns, scatter
+from truearm.model.chain import Chain, PointTrace, along, trace_point
+from truearm.model.rotation import left_jacobian, rotation
+from truearm.model.transforms import cross
+from truearm.types import Floats
+
+WIDTH = 3  # scalar residuals an observation: x, y, z in the device's axes
+STRAIGHT = 1e-9  # points that leave a line by 3e-5 of its length do not show the roll about it
+
+
+@dataclass(frozen=True)
+class PositionRows:
+    """n measured points; indices point into x followed by ``constants``."""
+
+    row: Indices  # (n,) rows of the table
+    sensor_cov: Floats  # (n, 3) or (n, 3, 3) m², in the device's axes
+    q: Floats  # (n, j)
+    q_rate: Floats  # (n, j), 0 where the robot stood
+    xyz: Floats  # (n, 3) measured, m, in the device's axes
+    target: Indices  # (n, 3) in the end frame
+    device: Indices  # (n, 6) x, y, z, rx, ry, rz
+    reference: Floats  # (n, 3, 3) declared orientation R_r of the device
+    time_offset: Indices  # (n, 1)
+    constants: Floats
+
+
+def evaluate(chain: Chain, rows: PositionRows, x: Floats) -> Linearised:
+    """Residuals (3n,) and their derivatives at x (P,)."""
+    q = joints_in_time(rows, x)
+    trace = trace_point(chain, x[: len(chain.parameters)], q, gather(x, rows.constants, rows.target))
+    device = gather(x, rows.constants, rows.device)
+    if (rows.device == rows.device[:1]).all():  # one device, as a rule
+        device = device[:1]
+    return in_device_axes(trace, rows, x, device, rotation(device[:, 3:]) @ rows.reference[: len(device)])
+
+
+def joints_in_time(rows: PositionRows, x: Floats) -> Floats:
+    """(n, j) the joint readings moved by the time offset."""
+    return np.asarray(rows.q + rows.q_rate * gather(x, rows.constants, rows.time_offset))
+
+
+def in_device_axes(trace: PointTrace, rows: PositionRows, x: Floats, device: Floats, rot: Floats) -> Linearised:
+    """The residual and its derivatives for traced targets, devices (n or 1, 6) and their orientations (n or 1, 3, 3)."""
+    p = len(trace.chain.parameters)
+    lever = trace.p_base - device[:, :3]  # r
+    predicted = np.einsum("nik,ni->nk", rot, lever)
+    axes = np.moveaxis(rot, 2, 0)  # (3, n or 1, 3) the device's, in the base frame
+    derivative = along(trace, axes)
+    by_rig = no_columns(derivative.wrenches, x.size - p)
+    scatter(by_rig, rows.target - p, derivative.jac_point)
+    if (rows.device < x.size).any():
+        scatter(by_rig, rows.device[:, :3] - p, np.broadcast_to(-axes, (WIDTH, *lever.shape)))
+        # −u·(δφ × r) = (u × r)·δφ
+        moment = np.moveaxis(cross(np.moveaxis(axes, 2, 0), lever.T[:, None]), 0, 2)
+        scatter(by_rig, rows.device[:, 3:] - p, np.einsum("wni,nik->wnk", moment, left_jacobian(device[:, 3:])))
+    if (rows.time_offset < x.size).any():
+        by_time = (derivative.jac_joints * rows.q_rate).sum(axis=2, keepdims=True)
+        scatter(by_rig, rows.time_offset - p, by_time)
+    residual = (rows.xyz - predicted).ravel()
+    return Linearised(residual, derivative.wrenches, derivative.twists, by_rig, derivative.jac_joints)
+
+
+def place(p_device: Floats, p_base: Floats, declared: Floats) -> tuple[Floats, Floats]:
+    """The pose of a device that brings points (n, 3) of its own axes onto points of the base, by least squares.
+
+    Returns its position (3,) and rotation (3, 3). What the points do not show of the orientation stays as ``declared``
+    (3, 3): the roll about points on one line, all of it for a single point.
+    """
+    middle_device, middle_base = p_device.mean(axis=0), p_base.mean(axis=0)
+    rot = nearest_rotation((p_base - middle_base).T @ (p_device - middle_device), declared)
+    return middle_base - rot @ middle_device, rot
+
+
+def nearest_rotation(correlation: Floats, declared: Floats, most: int = 2) -> Floats:
+    """The rotation R (3, 3) of the largest tr(Rᵀ H); among equals the one turned least away from ``declared`` R_r.
+
+    With ``correlation`` H (3, 3) = Σ p_base p_deviceᵀ = U S Vᵀ and two singular values that count, R = U diag(1, 1, ±1) Vᵀ
+    (Arun, Huang, Blostein 1987; the sign keeps it a rotation). Of points on a line one counts: H says that v₁ is turned to
+    u₁ and no more, so R = u₁v₁ᵀ + U⊥ Q V⊥ᵀ, with Q (2, 2) in the same way nearest to what R_r has there. Of a single point
+    none counts, and R = R_r. ``most`` 1 lets but one count: the roll about the line is then the declared one, whatever
+    the points say of it.
+    """
+    u, size, vt = np.linalg.svd(correlation)
+    k = min(most, int((size > STRAIGHT * size[0]).sum()), 2)
+    left, _, right = np.linalg.svd(u[:, k:].T @ declared @ vt[k:].T)
+    left[:, -1] *= np.sign(np.linalg.det(u) * np.linalg.det(vt) * np.linalg.det(left) * np.linalg.det(right))
+    return np.asarray(u[:, :k] @ vt[:k] + u[:, k:] @ left @ right @ vt[k:])

@@ -1,0 +1,51 @@
+"""Which box: the one that is named, the only one that is plugged in, or the one that the operator picks."""
+
+from __future__ import annotations
+
+import sys
+
+from truearm.errors import InputError
+from truearm.text import one_line
+
+NONE = (
+    "no box is plugged in: no serial port has a Pico's USB identity. Plug it in (a new Pico: truearm box flash), name its port "
+    "with --device, or try all with truearm box list --all; truearm simulate is a box without hardware"
+)
+
+
+def choose_box(device: str | None) -> str:
+    """The device of the box.
+
+    Of several the operator is asked on a terminal. Raises InputError where there is none, or several and nobody to ask.
+    """
+    from truearm.record.ports import find_boxes
+
+    if device is not None:
+        return device
+    boxes = find_boxes()
+    if not boxes:
+        raise InputError(NONE)
+    if len(boxes) == 1:
+        print(f"box: {one_line(boxes[0].device)} ({_words(boxes[0].product, boxes[0].serial)})", file=sys.stderr)
+        return boxes[0].device
+    listed = [f"{one_line(box.device)} ({_words(box.product, box.serial)})" for box in boxes]
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        raise InputError(f"{len(boxes)} boxes are plugged in: {', '.join(listed)}; name one with --device")
+    return boxes[_ask(listed)].device
+
+
+def _words(product: str, serial: str) -> str:
+    return one_line(f"{product}, serial {serial}" if serial else product)
+
+
+def _ask(listed: list[str]) -> int:
+    print("Which box?", file=sys.stderr)
+    for number, text in enumerate(listed, start=1):
+        print(f"  {number}  {text}", file=sys.stderr)
+    while True:
+        print(f"1 to {len(listed)}: ", end="", file=sys.stderr, flush=True)
+        answer = sys.stdin.readline()
+        if not answer:
+            raise InputError("no box was chosen; name one with --device")
+        if answer.strip().isdecimal() and 1 <= int(answer) <= len(listed):
+            return int(answer) - 1

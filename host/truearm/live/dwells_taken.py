@@ -1,0 +1,140 @@
+"""Dwells and lines as they are taken, for the operator to see: what stood still, for how long, and what the sensors said meanwhile."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from truearm.session.sample_statistics import LEAST_LAGS, mean_of
+from truearm.session.standstill import JOINTS, SENSOR, Resting
+from truearm.types import Floats
+
+SETTLE_NS = 500_000_000  # of a rest, left out at its beginning
+ENOUGH_NS = 1_600_000_000  # settling, a second of samples and the guard at the end, as sync.dwell has them
+GUARD_NS = 100_000_000
+BLOCKS = 20_000  # remembered, a minute at 4 kHz
+READINGS = 1000  # remembered, two seconds at 500 Hz
+DRIFT_SIGMAS = 6.0
+MICRON = 1e-6
+LEAST_STROKE = 0.02  # m
+LEAST_SPEED = 0.005  # m/s
+
+
+class Seen(NamedTuple):
+    """A dwell: host times, the sensor's mean [m], noise of a sample [m] and drift [m]; NaN without samples. ``q``: None without a robot."""
+
+    begin_ns: int
+    end_ns: int
+    mean: float
+    noise: float
+    drift: float
+    settled: bool
+    q: Floats | None
+
+
+class OwnTime:
+    """Instants of a clock of its own in the host's, by the fastest arrival so far: arrivals come in bursts where a machine is busy, which is
+    no standing still. What may be off is a latency, and a drift of CREEP."""
+
+    CREEP = 1e-4
+    RESTART_NS = 1_000_000_000
+
+    def __init__(self) -> None:
+        self._offset_ns: float | None = None
+        self._last_ns = 0
+
+    def host_ns(self, own_ns: int, arrival_ns: int) -> int:
+        """The host's time of what was stamped ``own_ns`` and arrived then. A clock that steps back by a second begins anew."""
+        offset = float(arrival_ns - own_ns)
+        if self._offset_ns is not None and own_ns > self._last_ns - self.RESTART_NS:
+            offset = min(offset, self._offset_ns + self.CREEP * max(0, own_ns - self._last_ns))
+            own_last = max(own_ns, self._last_ns)  # one stream's block may begin before another's
+        else:
+            own_last = own_ns
+        self._offset_ns, self._last_ns = offset, own_last
+        return own_ns + int(offset)
+
+
+class LiveDwells:
+    """By the joints where there is a robot, else by the sensor alone. Times are the host's, of the instants and not of arrivals."""
+
+    def __init__(self, with_robot: bool) -> None:
+        self._with_robot = with_robot
+        self._rest = Resting(*JOINTS) if with_robot else Resting(*SENSOR)
+        self._blocks: deque[tuple[int, int, float, float]] = deque(maxlen=BLOCKS)  # time, n, mean, variance
+        self._readings: deque[tuple[int, Floats]] = deque(maxlen=READINGS)
+
+    def samples(self, t_ns: int, extension: Floats) -> Seen | None:
+        """Samples (n,) [m] arrived; the dwell that they ended."""
+        self._blocks.append((t_ns, extension.size, float(extension.mean()), float(extension.var())))
+        if self._with_robot:
+            return None
+        low, high = extension.min(keepdims=True), extension.max(keepdims=True)
+        return self._seen(self._rest.feed(t_ns, low, high))
+
+    def joints(self, t_ns: int, q: Floats) -> Seen | None:
+        """A reading (j,); the dwell that it ended."""
+        if self._readings and self._readings[-1][1].shape != q.shape:
+            return None
+        ended = self._seen(self._rest.feed(t_ns, q, q))
+        self._readings.append((t_ns, q))
+        return ended
+
+    @property
+    def standing_ns(self) -> int | None:
+        """For how long it has stood still, up to the last reading: behind it nobody knows. None while it moves."""
+        since_ns = self._rest.since_ns
+        return None if since_ns is None else self._rest.last_ns - since_ns
+
+    @property
+    def q(self) -> Floats | None:
+        """The last joints."""
+        return self._readings[-1][1] if self._readings else None
+
+    def under_way(self) -> Seen | None:
+        """The dwell under way, as if it ended with the last reading; None while it moves, or too short."""
+        since_ns = self._rest.since_ns
+        return None if since_ns is None else self._seen((since_ns, self._rest.last_ns))
+
+    def _seen(self, rest: tuple[int, int] | None) -> Seen | None:
+        if rest is None or rest[1] - rest[0] < ENOUGH_NS:
+            return None
+        begin, end = rest[0] + SETTLE_NS, rest[1] - GUARD_NS
+        q = next((q for t_ns, q in reversed(self._readings) if t_ns <= end), None)
+        used = np.array([block for block in self._blocks if begin <= block[0] <= end]).reshape(-1, 4)
+        if len(used) < 2 * LEAST_LAGS:
+            return Seen(*rest, float("nan"), float("nan"), float("nan"), False, q)
+        mean = mean_of(used[:, 2])
+        noise = float(np.sqrt(np.average(used[:, 3], weights=used[:, 1])))
+        settled = abs(mean.drift) <= max(MICRON, DRIFT_SIGMAS * mean.drift_sigma)
+        return Seen(*rest, mean.mean, noise, mean.drift, settled, q)
+
+
+class Strokes:
+    """Lines driven past a line device, by its longitudinal sensor: one each way."""
+
+    def __init__(self) -> None:
+        self._run: list[tuple[int, float]] = []  # first and last of a run in one direction
+        self._last: tuple[int, float] | None = None
+
+    def feed(self, t_ns: int, position: float) -> tuple[float, float] | None:
+        """Length [m] and mean speed [m/s] of the stroke that ended with this position [m]."""
+        last, self._last = self._last, (t_ns, position)
+        if last is None or t_ns <= last[0]:
+            return None
+        speed = (position - last[1]) / (1e-9 * (t_ns - last[0]))
+        moving = abs(speed) >= LEAST_SPEED
+        if self._run:
+            way = self._run[-1][1] - self._run[0][1]
+            if moving and speed * way > 0:
+                self._run[-1] = (t_ns, position)
+                return None
+            (t0, x0), (t1, x1) = self._run
+            self._run = []
+            if abs(x1 - x0) >= LEAST_STROKE:
+                return abs(x1 - x0), abs(x1 - x0) / (1e-9 * (t1 - t0))
+        if moving:
+            self._run = [last, (t_ns, position)]
+        return None

@@ -1,0 +1,40 @@
+"""What is mounted, as it is typed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from truearm.errors import InputError
+from truearm.live.progress import MOUNTABLE
+
+if TYPE_CHECKING:
+    from truearm.types import Rig
+
+
+def parse_mounted(text: str) -> dict[str, str]:
+    """``bar=bar46,chuck=c1`` as a mapping. Raises InputError."""
+    mounting: dict[str, str] = {}
+    for entry in text.split(","):
+        key, separator, name = (part.strip() for part in entry.partition("="))
+        if key not in MOUNTABLE or not separator or not name:
+            raise InputError(f"mounted: {entry[:40]!r} is not KEY=NAME with a key of {', '.join(MOUNTABLE)}")
+        if key in mounting:
+            raise InputError(f"mounted: names a {key} twice")
+        mounting[key] = name
+    return mounting
+
+
+def check_mounted(mounting: Mapping[str, str], rig: Rig, name: str) -> None:
+    """Raise InputError for something that the rig called ``name`` does not have; a rig without lines takes any."""
+    known = (
+        ("bar", rig.bars),
+        ("chuck", rig.chucks),
+        ("sphere", rig.spheres),
+        ("line", rig.lines or None),
+        ("target", rig.targets or None),
+    )
+    for key, names in known:
+        if key in mounting and names is not None and mounting[key] not in names:
+            listed = ", ".join(sorted(names)) or "none"
+            raise InputError(f"mounted: {key} {mounting[key][:40]!r} is not in {name} (it has {listed})")

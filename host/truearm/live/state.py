@@ -1,0 +1,396 @@
+"""What the operator of a recording is shown, made of what the recorder hands on: no input, no output, and no part in the recording."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from truearm.box.monitor import Window, value_of
+from truearm.box.readiness import LINE_CHANNELS, LVDT
+from truearm.live.dwells_taken import ENOUGH_NS, LiveDwells, OwnTime, Seen, Strokes
+from truearm.live.progress import Course, words_of
+from truearm.record.operator import Wish
+from truearm.session.box_ident import find_channel
+from truearm.session.joint_line import parse_reading
+from truearm.session.lvdt import METRES, extension, railed
+from truearm.text import one_line
+
+if TYPE_CHECKING:
+    from truearm.record.status import Status
+    from truearm.session.box_ident import Ident
+    from truearm.session.data_frames import Data
+    from truearm.session.online_clock import OnlineEstimate
+    from truearm.types import Floats, Rig
+
+NEAR_END = 0.1  # of the travel, at either end
+POSITION_BLOCKS = 8  # a tenth of a second: the bar may move
+BAR_CELLS = 31
+DRY_S = 2.0  # of a stream without samples
+LATE_S = 1.0  # a reading older than that is shown as late
+
+
+class Shown(NamedTuple):
+    """A line of the view; ``alarm``: the operator should look."""
+
+    name: str
+    text: str
+    alarm: bool = False
+
+
+class LiveState:
+    """Fed in order of arrival. ``wishes`` are events that the recorder shall write, ``said`` lines for the operator, both to be taken."""
+
+    def __init__(self, course: Course, rig: Rig | None, with_robot: bool) -> None:
+        self.course = course
+        self.wishes: deque[Wish] = deque()
+        self.said: deque[str] = deque(maxlen=1000)
+        self.last = ""
+        self._rig, self._with_robot = rig, with_robot
+        self._ident: Ident | None = None
+        self._windows: dict[int, Window] = {}
+        self._dwells = LiveDwells(with_robot)
+        self._box_time, self._robot_time = OwnTime(), OwnTime()
+        self._strokes = Strokes()
+        self._counted = False  # the dwell under way, which is
+        self._pose: int | None = None  # of the plan, and called
+        self._label = ""
+        self._readings: deque[int] = deque(maxlen=200)
+        self._near_end: set[str] = set()  # channels
+        self._asked: dict[str, str] | None = None
+        self._lost = (0, 0)
+        self._complete = course.complete
+        self._came: dict[int, tuple[int | None, float]] = {}  # of a stream: how far it had come, and since when
+
+    # --- what comes
+
+    def ident(self, ident: Ident) -> None:
+        """What the box says of itself, at the beginning and after a restart."""
+        self._ident = ident
+        self._windows.clear()
+
+    def block(self, t_ns: int, data: Data) -> None:
+        """Samples of a stream."""
+        stream = None if self._ident is None else self._ident.streams.get(data.stream)
+        if stream is None or len(data.samples) % (4 * len(stream.channels)):
+            return
+        t_ns = self._box_time.host_ns(1000 * data.t0_us, t_ns)
+        counts = np.frombuffer(data.samples, "<i4").reshape(-1, len(stream.channels))
+        self._windows.setdefault(stream.id, Window()).take(data.n0, counts, data.period_ns)
+        for k, channel in enumerate(stream.channels):
+            if channel.fault or channel.calibrated_unit not in METRES or not channel.poly:
+                continue
+            if channel.name == LVDT and not railed(counts[:, k]).any():
+                self._ended(self._dwells.samples(t_ns, extension(counts[:, k], channel)))
+            elif channel.name == LINE_CHANNELS[0] and (seen := counts[counts[:, k] != 0, k]).size:
+                self._stroke(self._strokes.feed(t_ns, float(extension(seen, channel).mean())))
+
+    def reading(self, t_ns: int, line: bytes) -> None:
+        """A joint reading."""
+        self._readings.append(t_ns)
+        reading = parse_reading(line)
+        if reading is not None:
+            t_ns = self._robot_time.host_ns(int(1e9 * reading.t), t_ns)
+            self._ended(self._dwells.joints(t_ns, np.array(reading.q)))
+
+    def look(self) -> None:
+        """To be called now and then: a dwell may have become long enough, a pairing may have to be changed."""
+        standing = self._dwells.standing_ns
+        if standing is None:
+            self._counted = False
+        elif standing >= ENOUGH_NS and not self._counted and self._may_count():
+            self._take(self._dwells.q)
+        change = self.course.change()
+        if change != self._asked:
+            self._asked = change
+            if change is not None:
+                self.said.append(f"now mount {words_of(change)}; then press Enter")
+        self._watch_travel()
+
+    def close(self) -> None:
+        """The recording ends: so does a dwell under way."""
+        if self._counted:
+            self._ended(self._dwells.under_way())
+
+    # --- what the operator says
+
+    def command(self, text: str) -> None:
+        """A line that was typed: Enter confirms what is asked for, a number takes a pairing of the plan, ``bar=…,chuck=…`` names one,
+        ``note …`` is kept, ``q`` ends the recording, all else is explained."""
+        text = text.strip()
+        word, _, rest = text.partition(" ")
+        pairings = self.course.pairings()
+        if text == "q":
+            self.wishes.append(Wish("end", {}))
+        elif word == "note" and rest.strip():
+            self.wishes.append(Wish("note", {"text": rest.strip()[:500]}))
+            self.said.append(f"noted: {rest.strip()[:500]}")
+        elif text == "" and (change := self.course.change()) is not None:
+            self._mount(change)
+        elif text.isdecimal() and 1 <= int(text) <= len(pairings):
+            self._mount(pairings[int(text) - 1])
+        elif "=" in text:
+            self._mount_named(text.removeprefix("m ").strip())
+        else:
+            self.said.append("; ".join(f"{n} {words_of(p)}" for n, p in enumerate(pairings, start=1)) + HELP)
+
+    def _mount_named(self, text: str) -> None:
+        from truearm.errors import InputError
+        from truearm.live.mounted import check_mounted, parse_mounted
+
+        try:
+            pairing = parse_mounted(text)
+            if self._rig is not None:
+                check_mounted(pairing, self._rig, "the rig")
+        except InputError as exc:
+            self.said.append(str(exc))
+            return
+        self._mount(pairing)
+
+    def _mount(self, pairing: Mapping[str, str]) -> None:
+        self.course.mount(pairing)
+        self.wishes.append(Wish("mounted", dict(self.course.mounted)))
+        self.said.append(f"mounted: {words_of(self.course.mounted)}")
+
+    # --- dwells and lines
+
+    def _may_count(self) -> bool:
+        return not self._lines_alone() and self._within_travel()
+
+    def _take(self, q: Floats | None) -> None:
+        """The dwell under way, or that just ended, is one."""
+        course = self.course
+        self._counted = True
+        pose = course.visit(q if self._with_robot else None)
+        row = {} if pose is None else course.rows[pose]
+        self._pose = pose
+        self._label = f"dwell {course.taken}" + (f" (pose {pose})" if pose is not None else "")
+        if pose is None and course.rows:
+            self._label = "a stop beside the plan"
+        other = [key for key in ("bar", "chuck", "sphere") if row.get(key) and row[key] != course.mounted.get(key)]
+        if other:
+            planned = ", ".join(f"{key} {row[key]}" for key in other)
+            self.said.append(f"warning: pose {pose} is planned with {planned}; mounted is {words_of(course.mounted)}")
+        self._say_complete()
+
+    def _ended(self, seen: Seen | None) -> None:
+        if seen is not None and not self._counted and self._may_count():
+            self._take(seen.q)  # nobody looked between its becoming long enough and its end
+        if seen is None or not self._counted:
+            return
+        self._counted = False
+        fields: dict[str, Any] = {"begin_ns": seen.begin_ns, "end_ns": seen.end_ns, "settled": seen.settled}
+        value = "no samples of the LVDT"
+        if np.isfinite(seen.mean):
+            value = f"{1e3 * seen.mean:+.4f} mm, noise {1e6 * seen.noise:.1f} µm, drift {1e6 * seen.drift:+.1f} µm"
+            fields |= {"mean_m": seen.mean, "noise_m": seen.noise}
+        if self._pose is not None:
+            fields["pose"] = self._pose
+        state = "settled" if seen.settled else "NOT settled"
+        self.last = f"{self._label}: {(seen.end_ns - seen.begin_ns) / 1e9:.1f} s, {value}, {state}"
+        self.said.append(self.last)
+        self.wishes.append(Wish("dwell", fields))
+
+    def _stroke(self, stroke: tuple[float, float] | None) -> None:
+        if stroke is None:
+            return
+        row = self.course.drive(self._dwells.q if self._with_robot else None)
+        length, speed = stroke
+        where = "a way beside the plan"
+        if row is not None or not self.course.rows:
+            where = f"line {self.course.lines}" + (f" (row {row})" if row is not None else "")
+        self.last = f"{where}: {1e3 * length:.1f} mm at {1e3 * speed:.1f} mm/s"
+        self.said.append(self.last)
+        fields: dict[str, Any] = {"length_m": length, "speed_m_s": speed}
+        self.wishes.append(Wish("line", fields if row is None else {**fields, "pose": row}))
+        self._say_complete()
+
+    def _say_complete(self) -> None:
+        if self.course.complete and not self._complete:
+            self._complete = True
+            self.said.append("all of the plan is taken; q and Enter end the recording")
+
+    def _lines_alone(self) -> bool:
+        """Whether the plan has no dwells: then a stop is none."""
+        return bool(self.course.rows) and not self.course.planned
+
+    # --- where the sensors are
+
+    def _place(self, name: str) -> tuple[float | None, str]:
+        """What a channel shows [m], None where that is not known, and what is wrong."""
+        found = None if self._ident is None else find_channel(self._ident, name)
+        if found is None:
+            return None, ""
+        stream, index = found
+        window, channel = self._windows.get(stream.id), stream.channels[index]
+        if window is None or channel.fault or channel.calibrated_unit not in METRES or not channel.poly:
+            return None, ""
+        counts = np.concatenate(list(window.blocks)[-POSITION_BLOCKS:])[:, index]
+        if railed(counts).any():
+            return None, "at the converter's rail: the bar is off, or a wire is"
+        return float(extension(counts, channel).mean()), ""
+
+    def _position(self) -> tuple[float | None, float | None, str]:
+        """Extension [m], half the travel [m] of the bar that is mounted, and what is wrong; None where not known."""
+        position, wrong = self._place(LVDT)
+        bar = None if self._rig is None else self._rig.bars.get(self.course.mounted.get("bar", ""))
+        return position, None if bar is None else 0.5 * bar.travel, wrong
+
+    def _within_travel(self) -> bool:
+        position, half, wrong = self._position()
+        if position is None:
+            return self._with_robot or not wrong
+        return half is None or abs(position) <= half
+
+    def _watch_travel(self) -> None:
+        """Of the bar's LVDT, or of what is across a line."""
+        if "line" in self.course.mounted:
+            travel = None if self._rig is None else self._rig.line_travel
+            half = None if travel is None else 0.5 * travel
+            places = {name: self._place(name)[0] for name in LINE_CHANNELS[1:]}
+        else:
+            places, half = {LVDT: self._position()[0]}, self._position()[1]
+        near = set[str]()
+        for name, position in places.items():
+            if position is None or half is None or abs(position) <= (1.0 - 2.0 * NEAR_END) * half:
+                continue
+            near.add(name)
+            if name not in self._near_end:
+                self.said.append(f"warning: {name} is at {1e3 * position:+.2f} mm of ±{1e3 * half:.1f} mm")
+        self._near_end = near
+
+    # --- what is shown
+
+    def rows(self, status: Status, clock: OnlineEstimate | None) -> list[Shown]:
+        """The whole view."""
+        rows = [Shown("state", f"{status.state}, {status.elapsed_s:.0f} s", not status.box_ok)]
+        rows += [] if "line" in self.course.mounted else [self.travel()]
+        for stream in () if self._ident is None else self._ident.streams.values():
+            window = self._windows.get(stream.id)
+            for k, channel in enumerate(stream.channels):
+                if channel.name != LVDT and window is not None and window.blocks:
+                    counts = np.concatenate(window.blocks)[:, k]
+                    alarm = channel.name in self._near_end
+                    rows.append(Shown(one_line(channel.name), value_of(counts, channel, stream), alarm))
+        rows.append(self.rates(status))
+        rows.append(Shown("clock", clock_words(status, clock)))
+        if self._with_robot:
+            rows.append(self.robot(status))
+        rows.append(self.progress(status))
+        change = self.course.change()
+        rows.append(Shown("mounted", words_of(self.course.mounted)))
+        if change is not None:
+            rows.append(Shown("change", f"mount {words_of(change)}; then press Enter", True))
+        rows.append(Shown("last", self.last or "nothing yet"))
+        return rows
+
+    def line(self, status: Status, clock: OnlineEstimate | None) -> str:
+        """The view on one line, for a log."""
+        place = self.along() if "line" in self.course.mounted else self.travel(drawn=False)
+        rows = [place, self.rates(status), Shown("clock", clock_words(status, clock))]
+        rows += [self.robot(status)] if self._with_robot else []
+        return "; ".join(f"{row.name} {row.text}" for row in (*rows, self.progress(status)))
+
+    def travel(self, drawn: bool = True) -> Shown:
+        """The LVDT within its travel."""
+        position, half, wrong = self._position()
+        if position is None:
+            return Shown("lvdt", wrong or "no calibrated LVDT", bool(wrong))
+        text = f"{1e3 * position:+.4f} mm"
+        if half is None:
+            return Shown("lvdt", text)
+        text += f" of ±{1e3 * half:.1f} mm"
+        place = round((BAR_CELLS - 1) * (0.5 + 0.5 * max(-1.0, min(1.0, position / half))))
+        bar = "".join("●" if k == place else "┼" if k == BAR_CELLS // 2 else "─" for k in range(BAR_CELLS))
+        alarm = abs(position) > (1.0 - 2.0 * NEAR_END) * half
+        over = " BEYOND ITS TRAVEL" if abs(position) > half else " near its end" if alarm else ""
+        return Shown("lvdt", f"├{bar}┤ {text}{over}" if drawn else text + over, alarm)
+
+    def along(self) -> Shown:
+        """Where the magnet is on the line device."""
+        found = None if self._ident is None else find_channel(self._ident, LINE_CHANNELS[0])
+        window = None if found is None else self._windows.get(found[0].id)
+        if found is None or window is None or not window.blocks:
+            return Shown("line", "no readings of its longitudinal sensor")
+        counts = np.concatenate(window.blocks)[-1:, found[1]]
+        return Shown("line", value_of(counts, found[0].channels[found[1]], found[0]).partition(" ±")[0])
+
+    def rates(self, status: Status) -> Shown:
+        """Rates by the box's own stamps, and what was lost anywhere."""
+        counters = status.counters
+        streams = {} if self._ident is None else self._ident.streams
+        dry_s = {k: self._dry_s(k, w.next_n0, status) for k, w in self._windows.items()}
+        rates = [
+            f"{streams[k].name} "
+            + (f"{1e9 / w.period_ns:.1f} Hz" if dry_s[k] <= DRY_S else f"NO SAMPLES for {dry_s[k]:.0f} s")
+            for k, w in sorted(self._windows.items())
+            if k in streams and w.period_ns
+        ]
+        lost = (counters.lost_frames, counters.overruns_in_box)
+        text = f"{', '.join(rates) or 'no samples'}; {counters.samples} samples, {lost[0]} frames lost"
+        more = (
+            (lost[1], "samples lost in the box"),
+            (counters.restarts, "restarts"),
+            (counters.link_losses, "times unplugged"),
+        )
+        text += "".join(f", {n} {what}" for n, what in more if n)
+        alarm, self._lost = lost != self._lost, lost
+        return Shown("samples", text, alarm or not rates or max(dry_s.values(), default=0.0) > DRY_S)
+
+    def _dry_s(self, stream: int, n0: int | None, status: Status) -> float:
+        """For how long a stream has not gone on, though the box speaks."""
+        before = self._came.get(stream)
+        if before is None or before[0] != n0 or not status.box_ok:
+            before = self._came[stream] = n0, status.elapsed_s
+        return status.elapsed_s - before[1]
+
+    def robot(self, status: Status) -> Shown:
+        """Its link, its rate, the age of its last reading."""
+        age = status.robot_age_s
+        if not status.robot_ok:
+            return Shown("robot", f"lost, last reading {_age(age)}; trying to reach it again", True)
+        times = self._readings
+        rate = (
+            f"{1e9 * (len(times) - 1) / (times[-1] - times[0]):.1f} readings/s"
+            if len(times) > 1 and times[-1] > times[0]
+            else "no readings yet"
+        )
+        late = age is None or age > LATE_S
+        return Shown("robot", f"{rate}, last {_age(age)}", late)
+
+    def progress(self, status: Status) -> Shown:
+        """Dwells and lines taken, and whether the robot may move on."""
+        course = self.course
+        if self._lines_alone():
+            return Shown("lines", f"{course.lines} of {course.planned_lines}")
+        parts = [f"{course.taken} of {course.planned}" if course.planned else f"{course.taken}"]
+        if course.planned and course.unplanned:
+            parts.append(f"{course.unplanned} beside the plan")
+        if course.lines or course.planned_lines:
+            parts.append(f"lines {course.lines}" + (f" of {course.planned_lines}" if course.planned_lines else ""))
+        standing = self._dwells.standing_ns
+        if standing is not None and self._is_heard(status):
+            parts.append(f"standing for {standing / 1e9:.1f} s" + (", enough" if self._counted else ""))
+        return Shown("dwells", ", ".join(parts))
+
+    def _is_heard(self, status: Status) -> bool:
+        """Whether that which tells the dwells speaks."""
+        if not self._with_robot:
+            return status.box_ok
+        return bool(status.robot_ok) and (status.robot_age_s or 0.0) <= LATE_S
+
+
+HELP = " · Enter: mounted as asked · NUMBER or bar=NAME,chuck=NAME,sphere=NAME or line=NAME,target=NAME: mounted · note TEXT · q: end"
+
+
+def clock_words(status: Status, clock: OnlineEstimate | None) -> str:
+    """How well the host knows the box's clock."""
+    if clock is None:
+        return "not known yet" if status.rtt_us is None else f"round trip {status.rtt_us:.0f} µs at best"
+    return f"± {clock.bound_ns / 1000:.0f} µs, round trip {clock.rtt_min_ns / 1000:.0f} µs at best"
+
+
+def _age(age_s: float | None) -> str:
+    return "never" if age_s is None else f"{age_s:.1f} s ago"

@@ -1,0 +1,333 @@
+"""What the operator of a recording sees and says: on a terminal live, else a line an event and one a second.
+
+The recorder hands everything on through queues and never waits: a thread of its own makes the view of it and writes it to a descriptor of
+its own. A terminal that stands still (Ctrl-S, a connection that hangs), an error in the view or a view that is too slow stop the view alone.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from datetime import date
+from typing import TYPE_CHECKING, Any
+
+from truearm.box.readiness import Purpose, check_box
+from truearm.errors import InputError
+from truearm.live.keyboard import Typed, may_ask, typed_lines
+from truearm.live.state import HELP, LiveState, Shown
+from truearm.record.joint_lines import SILENCE_S
+from truearm.record.operator import Operator, Wish
+from truearm.text import one_line
+
+if TYPE_CHECKING:
+    from truearm.record.status import Status
+    from truearm.session.box_ident import Ident
+    from truearm.session.data_frames import Data
+    from truearm.session.online_clock import OnlineClock, OnlineEstimate
+
+LIVE_S, PLAIN_S = 0.25, 1.0
+LOOK_S = 0.2  # for events, without a terminal
+CLOCK_S = 2.0  # a fit takes some ms
+WAITING = 50_000  # pieces; what a view that stands still misses is counted
+LAST_WORDS_S = 1.0
+
+
+class View(Operator):
+    """``unchecked``: what would refuse the box is only said."""
+
+    def __init__(self, state: LiveState, purpose: Purpose, unchecked: bool = False) -> None:
+        self._failure = ""
+        self._missed = 0
+        self._state, self._purpose, self._unchecked = state, purpose, unchecked
+        self._queue: deque[tuple[Any, ...]] = deque()
+        self._wishes: deque[Wish] = deque()
+        self._clock: OnlineClock | None = None
+        self._estimate: OnlineEstimate | None = None
+        self._estimated_s = -CLOCK_S
+        self._status: Status | None = None
+        self._watch = _Watch()
+        self.wake = threading.Event()  # the view has something to do before its time
+        self._over = threading.Event()
+
+    # --- the recorder's side
+
+    def approve(self, ident: Ident) -> None:
+        verdict = check_box(ident, self._purpose, date.today())
+        if verdict.refused and not self._unchecked:
+            raise InputError(
+                f"{'; '.join(one_line(text) for text in verdict.refused)}. Nothing was started; --unchecked records all the same"
+            )
+        self._put("ident", ident)
+        for text in (*verdict.refused, *verdict.warned):
+            self._put("say", f"warning: {one_line(text)}")
+
+    def block(self, t_host_ns: int, data: Data) -> None:
+        self._put("block", t_host_ns, data)
+
+    def reading(self, t_host_ns: int, line: bytes) -> None:
+        self._put("reading", t_host_ns, line)
+
+    def exchange(self, t0_ns: int, t1_us: int, t2_us: int, t3_ns: int) -> None:
+        self._put("exchange", t0_ns, t1_us, t2_us, t3_ns)
+
+    def status(self, status: Status) -> None:
+        self._put("status", status)
+
+    def wishes(self) -> list[Wish]:
+        return [self._wishes.popleft() for _ in range(len(self._wishes))]
+
+    def last_wishes(self) -> list[Wish]:
+        self._put("over")
+        self.wake.set()
+        self._over.wait(LAST_WORDS_S / 2)
+        return [wish for wish in self.wishes() if wish.kind != "end"]
+
+    def typed(self, text: str) -> None:
+        """The operator typed a line."""
+        self._put("typed", text)
+        self.wake.set()
+
+    def _put(self, *item: Any) -> None:
+        if len(self._queue) < WAITING:
+            self._queue.append(item)
+        else:
+            self._missed += 1
+
+    # --- the view's side
+
+    def failed(self, text: str) -> None:
+        """It shows nothing any more."""
+        self._failure = text
+
+    @property
+    def trouble(self) -> str:
+        """What the view did not show, "" if nothing: dwells that it did not see are not in the file's events either."""
+        if self._failure:
+            return f"the view failed ({self._failure}); the recording did not"
+        return f"the view stood still and missed {self._missed} pieces; the recording did not" if self._missed else ""
+
+    def take(self) -> tuple[list[str], Status | None]:
+        """Work off what waits; the lines that are to be said now, and the newest status."""
+        said: list[str] = []
+        for _ in range(len(self._queue)):
+            kind, *values = self._queue.popleft()
+            if kind == "say":
+                said.append(*values)
+            elif kind == "status":
+                self._status = values[0]
+                said += self._watch.events(self._status)
+                self._state.look()
+            elif kind == "exchange":
+                self._exchanges().add(*values)
+            elif kind == "typed":
+                self._state.command(*values)
+            elif kind == "over":
+                self._state.close()
+                said += self._heard()
+                self._over.set()
+            else:
+                getattr(self._state, kind)(*values)
+            said += self._heard()
+        return said, self._status
+
+    def rows(self, status: Status) -> list[Shown]:
+        """The view."""
+        return self._state.rows(status, self._clock_now(status))
+
+    def line(self, status: Status) -> str:
+        """The view on one line."""
+        return self._state.line(status, self._clock_now(status))
+
+    def _clock_now(self, status: Status) -> OnlineEstimate | None:
+        if status.elapsed_s - self._estimated_s >= CLOCK_S:
+            self._estimated_s, self._estimate = status.elapsed_s, self._exchanges().estimate()
+        return self._estimate
+
+    def _exchanges(self) -> OnlineClock:
+        from truearm.session.online_clock import OnlineClock  # with scipy, while the recording runs already
+
+        self._clock = self._clock or OnlineClock()
+        return self._clock
+
+    def _heard(self) -> list[str]:
+        self._wishes.extend(self._state.wishes)
+        self._state.wishes.clear()
+        said = list(self._state.said)
+        self._state.said.clear()
+        return said
+
+
+class _Watch:
+    """Says each fault of the box once, and each time that box or robot are lost or back, or something was lost."""
+
+    def __init__(self) -> None:
+        self._said: set[str] = set()
+        self._box_ok = True
+        self._link_losses = 0
+        self._robot_ok: bool | None = None
+        self._robot_silent = False
+        self._lost = 0
+
+    def events(self, status: Status) -> list[str]:
+        said = [
+            f"warning: {fault}; its samples are recorded all the same"
+            for fault in status.faults
+            if fault not in self._said
+        ]
+        self._said.update(status.faults)
+        losses = status.counters.link_losses
+        if status.box_ok != self._box_ok:
+            self._box_ok = status.box_ok
+            said.append(_box_words(status))
+        elif status.box_ok and losses > self._link_losses:
+            said.append("warning: the link to the box was lost for a moment")
+        self._link_losses = losses
+        if self._robot_ok is not None and status.robot_ok != self._robot_ok:
+            said.append(
+                "the robot is back" if status.robot_ok else "warning: the robot was lost; trying to reach it again"
+            )
+        self._robot_ok = status.robot_ok
+        silent = bool(status.robot_ok) and (status.robot_age_s or 0.0) > SILENCE_S
+        if silent != self._robot_silent and status.robot_ok:
+            said.append(
+                f"warning: the robot has been silent for {SILENCE_S:g} s" if silent else "the robot is heard again"
+            )
+        self._robot_silent = silent
+        lost = status.counters.lost_frames + status.counters.overruns_in_box
+        if lost > self._lost:
+            said.append(
+                f"warning: {status.counters.lost_frames} frames lost on the link, {status.counters.overruns_in_box} samples in the box"
+            )
+        self._lost = lost
+        return said
+
+
+def _box_words(status: Status) -> str:
+    if status.box_ok:
+        return "the box is back"
+    if status.state == "link lost":
+        return "warning: the link to the box was lost; trying to open it again"
+    return "warning: the box has been silent for 3 s; is it stuck?"
+
+
+@contextmanager
+def shown(view: View, plain: bool) -> Iterator[None]:
+    """Show the view until the end of the block; typed lines go to it, if there is a terminal in the foreground."""
+    live = not plain and _is_terminal()
+    with ExitStack() as stack:
+        typed = stack.enter_context(typed_lines(view.typed, one_by_one=live)) if may_ask() else None
+        write, close = _descriptor()
+        show = _Live(write, typed) if live else _Plain(write)
+        stop = threading.Event()
+        thread = threading.Thread(
+            target=_run, args=(view, show, stop, LIVE_S if live else LOOK_S), name="view", daemon=True
+        )
+        thread.start()
+        try:
+            yield
+        finally:
+            stop.set()
+            view.wake.set()
+            thread.join(LAST_WORDS_S)
+            if not thread.is_alive():
+                close()
+
+
+def _run(view: View, show: _Live | _Plain, stop: threading.Event, period_s: float) -> None:
+    try:
+        over = False
+        while not over:
+            view.wake.wait(period_s)
+            view.wake.clear()
+            over = stop.is_set()
+            said, status = view.take()
+            show.show(said, status, view, over)
+    except Exception as exc:  # whatever it is, the recording is worth more than its view
+        view.failed(f"{type(exc).__name__}: {exc}")
+
+
+class _Plain:
+    """A line an event, and one a second."""
+
+    def __init__(self, write: Callable[[str], None]) -> None:
+        self._write = write
+        self._due_s = PLAIN_S
+
+    def show(self, said: list[str], status: Status | None, view: View, over: bool) -> None:
+        at = "" if status is None else f"{status.elapsed_s:.1f} s: "
+        lines = [at + one_line(text) for text in said]
+        if status is not None and not over and status.elapsed_s >= self._due_s:
+            self._due_s = int(status.elapsed_s) + PLAIN_S
+            lines.append(at + view.line(status))
+        if lines:
+            self._write("".join(line + "\n" for line in lines))
+
+
+class _Live:
+    """A table that stays where it is, events scroll by above it."""
+
+    def __init__(self, write: Callable[[str], None], typed: Typed | None) -> None:
+        from rich.console import Console
+        from rich.live import Live
+
+        self._typed = typed
+        # rich writes on and on into memory; what it wrote leaves in one piece
+        self._text, self._write = io.StringIO(), write
+        console = Console(file=self._text, force_terminal=True, legacy_windows=False)
+        self._live = Live(console=console, auto_refresh=False, transient=True)
+        self._live.start()
+
+    def show(self, said: list[str], status: Status | None, view: View, over: bool) -> None:
+        from rich.text import Text
+
+        at = "" if status is None else f"{status.elapsed_s:.1f} s: "
+        for text in said:
+            style = "yellow" if text.startswith(("warning", "now mount")) else ""
+            self._live.console.print(Text(at + one_line(text), style))
+        if status is not None:
+            self._live.update(self._table(view.rows(status)), refresh=True)
+        if over:
+            self._live.stop()
+        self._write(self._text.getvalue())
+        self._text.seek(0)
+        self._text.truncate()
+
+    def _table(self, rows: list[Shown]) -> Any:
+        from rich.console import Group
+        from rich.table import Table
+        from rich.text import Text
+
+        table = Table.grid(padding=(0, 2))
+        for row in rows:
+            table.add_row(Text(row.name, "dim"), Text(row.text, "bold yellow" if row.alarm else ""))
+        if self._typed is None:
+            return table
+        return Group(table, Text(HELP.removeprefix(" · "), "dim"), Text(f"> {self._typed.text}"))
+
+
+def _is_terminal() -> bool:
+    return sys.stderr.isatty()
+
+
+def _descriptor() -> tuple[Callable[[str], None], Callable[[], None]]:
+    """Standard error by a descriptor of its own: no lock of Python's is held where a terminal takes nothing."""
+    try:
+        fd = os.dup(sys.stderr.fileno())
+    except (OSError, ValueError, AttributeError):  # somebody else's stream stands in for it
+
+        def say(text: str) -> None:
+            sys.stderr.write(text)
+
+        return say, lambda: None
+
+    def write(text: str) -> None:
+        data = text.encode(sys.stderr.encoding or "utf-8", "backslashreplace")
+        while data:
+            data = data[os.write(fd, data) :]
+
+    return write, lambda: os.close(fd)

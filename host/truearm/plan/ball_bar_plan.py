@@ -1,0 +1,150 @@
+"""A plan of ball-bar poses: candidates on shells, the best of them, their route, and what it will all tell."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from truearm.errors import PlanError
+from truearm.model.chain import point_forward
+from truearm.plan.bar_paths import Pace
+from truearm.plan.branch_inverse import Branch, make_arm
+from truearm.plan.choose import as_blocks, choose
+from truearm.plan.collision_shapes import Sizes, make_shapes
+from truearm.plan.forecast import Aim, Forecast, Known, bar_table, candidate_rows, forecast, region_root
+from truearm.plan.measurement_limits import Limits, Pairing, Site
+from truearm.plan.region import Region, around, poses_in
+from truearm.plan.roadmap import Roadmap, roadmaps
+from truearm.plan.route import Route, route
+from truearm.plan.shells import candidates
+from truearm.types import Floats, Plan, Rig
+
+TRIALS = 6  # numbers of poses tried to meet a budget in minutes
+MOVE = 5.0  # s from one pose to the next, via points included, as plans of the three arms have it
+MEETS = 0.95  # of the budget, from which on it is not tried any further
+Say = Callable[[str], None]
+
+
+class Wanted(NamedTuple):
+    """How much is to be measured, and what it is to be good for."""
+
+    n_poses: int | None = None
+    minutes: float | None = None
+    criterion: str = "I"
+    passes: int = 1
+    n_candidates: int = 5000
+    spread: float = 0.0  # m
+    seed: int = 0
+
+
+class BallBarPlan(NamedTuple):
+    """A route and its forecast."""
+
+    route: Route
+    forecast: Forecast
+
+
+def make_site(known: Known, branch: Branch, limits: Limits, sizes: Sizes, seed: int = 0) -> Site:
+    """The arm before its rig, at the parameters that are known now. Raises PlanError unless the arm has six joints."""
+    if len(known.chain.joints) != 6:
+        raise PlanError(f"robot {known.chain.name} has {len(known.chain.joints)} joints; plans are made for six")
+    arm = make_arm(known.chain, known.params, branch, np.random.default_rng([seed, 0xA2]))
+    return Site(arm, known.rig, make_shapes(known.chain, known.params, known.rig, sizes), limits)
+
+
+def all_pairings(rig: Rig, bars: Sequence[str] = ()) -> list[Pairing]:
+    """Every chuck with every sphere, for some bars or, by default, all. Raises PlanError for what the rig lacks."""
+    missing = [bar for bar in bars if bar not in rig.bars]
+    if missing:
+        raise PlanError(f"bar {missing[0]!r} is not in the rig, which has {', '.join(rig.bars) or 'none'}")
+    pairings = [Pairing(bar, c, s) for bar in (bars or rig.bars) for c in rig.chucks for s in rig.spheres]
+    if not pairings:
+        raise PlanError("the rig needs at least one chuck, one sphere and one bar")
+    return pairings
+
+
+def plan_ballbar(
+    site: Site,
+    known: Known,
+    pairings: Sequence[Pairing],
+    wanted: Wanted,
+    pace: Pace,
+    region: Region | None = None,
+    say: Say = lambda _: None,
+) -> BallBarPlan:
+    """Candidates, choice, route and forecast. ``region``: default the box around the places of the shells.
+
+    Raises PlanError for a budget that is none or too small, and what the parts raise.
+    """
+    if (wanted.n_poses is None) == (wanted.minutes is None):
+        raise PlanError("give a budget: either a number of poses or minutes")
+    say(f"candidates on {len(pairings)} shells")
+    found = candidates(site, pairings, wanted.n_candidates, wanted.seed, wanted.spread)
+    say(f"ways between {len(found)} candidates")
+    found, graphs = roadmaps(site, found)
+    aim = _aim(site, found, region, wanted.seed)
+    table = bar_table(known, found)
+    rows, information = candidate_rows(known, table)
+    blocks, root = as_blocks(rows), region_root(known, table, aim)
+
+    names = np.stack([found.bar, found.chuck, found.sphere], axis=1)
+    pairing = np.unique(names, axis=0, return_inverse=True)[1].reshape(-1)
+    setup = 0.0 if wanted.minutes is None else pace.mount / (pace.dwell + MOVE)
+
+    def chosen(n: int) -> Plan:
+        say(f"the best {n} of {len(found)} candidates")
+        order = choose(blocks, information, n, wanted.criterion, root, wanted.passes, pairing, setup)
+        return found.select(np.sort(order))
+
+    if wanted.n_poses is not None:
+        best = chosen(wanted.n_poses)
+        say(f"the order of {len(best)} visits, and ways between them")
+        way = route(site, best, pace, graphs)
+    else:
+        way = _within(site, chosen, len(found), wanted.minutes or 0.0, pace, graphs)
+    return BallBarPlan(way, forecast(known, bar_table(known, way.plan), aim))
+
+
+def _within(
+    site: Site,
+    chosen: Callable[[int], Plan],
+    most: int,
+    minutes: float,
+    pace: Pace,
+    graphs: Mapping[Pairing, Roadmap],
+) -> Route:
+    """As many poses as the minutes allow: the time is nearly linear in their number, so few trials meet it."""
+    most = min(most, int(60.0 * minutes / pace.dwell))
+    n, best, low, high = min(most, 60), None, 0, most + 1
+    for _ in range(TRIALS):
+        if not low < n < high:
+            break
+        way = route(site, chosen(n), pace, graphs)
+        if way.minutes <= minutes:
+            low, best = n, way
+            if way.minutes >= MEETS * minutes:
+                break
+        else:
+            high = n
+        fixed = way.n_mounts * pace.mount / 60.0
+        step = (minutes - fixed) / max(way.minutes - fixed, 1e-9)
+        n = int(np.clip(n * step, low + 1, high - 1)) if step > 0.0 else (low + high) // 2
+    if best is None:
+        raise PlanError(f"{minutes:g} minutes are too few; every pairing alone takes {pace.mount:g} s to mount")
+    return best
+
+
+def _aim(site: Site, found: Plan, region: Region | None, seed: int) -> Aim:
+    """Poses of the region, with the middle of the spheres in it; all spheres count."""
+    middle = np.mean([sphere.xyz for sphere in site.rig.spheres.values()], axis=0)
+    if region is None:
+        region = around(sphere_places(site, found))
+    return Aim(poses_in(site, region, middle, seed=seed), tuple(site.rig.spheres))
+
+
+def sphere_places(site: Site, plan: Plan) -> Floats:
+    """(n, 3) where each pose has the sphere that its bar holds."""
+    p_sphere = np.array([site.rig.spheres[name].xyz for name in plan.sphere])
+    return point_forward(site.arm.chain, site.arm.params, plan.q, p_sphere)

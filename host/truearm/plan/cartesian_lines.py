@@ -1,0 +1,184 @@
+"""Lines that an arm can drive: straight at the target, the tool turning evenly, as controllers go that are told the end.
+
+A line is a middle posture, drawn by chance, a direction and a turn of the tool from end to end. From its middle outwards
+inverse kinematics follows it. It is kept if the whole way keeps to the limits and the joints' speed, and if the target stays
+within the transverse sensors' range by twice the a-priori straightness (Renders 1991, II-C: 15 mm).
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from truearm.errors import PlanError
+from truearm.estimate.prior import weak_prior
+from truearm.estimate.uncertainty import tolerance_error
+from truearm.model.chain import forward, joint_jacobian, point_forward, point_jacobians
+from truearm.plan.bar_paths import samples
+from truearm.plan.branch_inverse import pose_error
+from truearm.plan.collision_shapes import device_is_clear
+from truearm.plan.measurement_limits import Site, all_allowed, smallest_singular_value
+from truearm.plan.region import Region
+from truearm.types import Floats
+
+STEPS = 6  # of Newton's method from one place to the next; the fourth is exact to rounding
+ON_LINE = 1e-8  # LEVERs, and rad
+# of the tool from end to end: what tells its orientation, without tilting the device's magnet far
+MOST_TURN = np.deg2rad(40.0)
+AT_ONCE, ROUNDS = 100, 40  # draws
+
+
+class Shape(NamedTuple):
+    """What a line device asks for: lengths [m] of a line and of the transverse sensors' full range, speed [m/s]."""
+
+    length: float = 0.5
+    transverse: float = 0.015
+    speed: float = 0.05
+    n_points: int = 12  # at which it is read on each way
+
+
+class Lines(NamedTuple):
+    """Lines (l): joints (l, 2·n_points + 1, j) evenly along them, both ends and, at odd places, the points included;
+    joint velocities (l, n_points, j) at the points on the way there."""
+
+    q: Floats
+    q_rate: Floats
+
+    @property
+    def points(self) -> Floats:
+        """(l, n_points, j) joints at the points."""
+        return self.q[:, 1::2]
+
+    def select(self, rows: list[int]) -> Lines:
+        return Lines(self.q[rows], self.q_rate[rows])
+
+
+def candidate_lines(
+    site: Site,
+    shape: Shape,
+    n: int,
+    point: Floats,
+    joint_speed: float,
+    region: Region | None = None,
+    seed: int = 0,
+    least: int = 1,
+) -> Lines:
+    """At most ``n`` lines inside the workspace, their middles in the region. Raises PlanError for fewer than ``least``."""
+    rng = np.random.default_rng([seed, 0x11E5])
+    branch, kept = site.arm.branch, list[tuple[Floats, Floats]]()
+    for _ in range(ROUNDS):
+        middle = rng.uniform(branch.lower, branch.upper, (AT_ONCE, len(branch.lower)))
+        along, turn = _directions(rng), MOST_TURN * rng.random((AT_ONCE, 1)) * _directions(rng)
+        p_middle = point_forward(site.arm.chain, site.arm.params, middle, point)
+        if region is not None:
+            there = ((p_middle >= region.lower) & (p_middle <= region.upper)).all(axis=1)
+            middle, along, turn = middle[there], along[there], turn[there]
+        if not len(middle):
+            continue
+        lines = driven_lines(site, middle, shape.length * along, turn, 2 * shape.n_points + 1, point)
+        rates = _rates(site, lines[:, 1::2], shape.speed * along, shape.speed / shape.length * turn, point)
+        kept += [
+            (q, rate)
+            for q, rate, u in zip(lines, rates, along, strict=True)
+            if _fits(site, q, rate, u, shape, point, joint_speed)
+        ]
+        if len(kept) >= n:
+            break
+    if len(kept) < least:
+        raise PlanError(
+            f"only {len(kept)} lines of {1e3 * shape.length:g} mm fit where the arm reaches; make them shorter, slower or fewer"
+        )
+    return Lines(*(np.array(part) for part in zip(*kept[:n], strict=True)))
+
+
+def _directions(rng: np.random.Generator) -> Floats:
+    drawn = rng.normal(size=(AT_ONCE, 3))
+    return np.asarray(drawn / np.linalg.norm(drawn, axis=1, keepdims=True))
+
+
+def driven_lines(site: Site, middle: Floats, way: Floats, turn: Floats, n: int, point: Floats) -> Floats:
+    """(m, n, j) joints along lines with postures middle (m, j) in their middles; NaN where no joints were found.
+
+    From end to end a point (3,) of the end moves by way (m, 3) [m], and the tool turns by a rotation vector turn (m, 3).
+    """
+    chain, params = site.arm.chain, site.arm.params
+    at_middle = forward(chain, params, middle)
+    p_middle = point_forward(chain, params, middle, point)
+    out, good = np.full((len(middle), n, middle.shape[1]), np.nan), np.arange(len(middle))
+    shares = np.linspace(-0.5, 0.5, n)
+    for side in (np.flatnonzero(shares >= 0.0), np.flatnonzero(shares < 0.0)[::-1]):
+        q = middle[good]
+        for k in side:
+            pose = at_middle[good]
+            pose[:, :3, :3] = Rotation.from_rotvec(shares[k] * turn[good]).as_matrix() @ pose[:, :3, :3]
+            pose[:, :3, 3] = p_middle[good] + shares[k] * way[good] - pose[:, :3, :3] @ point
+            q, there = _followed(site, pose, q)
+            q, good = q[there], good[there]
+            if not len(good):
+                return np.full_like(out, np.nan)
+            out[good, k] = q
+    lost = np.ones(len(middle), dtype=bool)
+    lost[good] = False
+    out[lost] = np.nan
+    return out
+
+
+def _followed(site: Site, pose: Floats, q: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """Joints (m, j) near q for poses (m, 4, 4), by Newton's method, and which (m,) are there and within the branch."""
+    for _ in range(STEPS):
+        error, jacobian = pose_error(site.arm, pose, q)
+        there = np.abs(error).max(axis=1) < ON_LINE
+        if there.all():
+            break
+        q = q + np.clip((np.linalg.pinv(jacobian, rcond=1e-2) @ error[..., None])[..., 0], -0.3, 0.3)
+    branch = site.arm.branch
+    return q, there & ((q > branch.lower) & (q < branch.upper)).all(axis=1)
+
+
+def _rates(site: Site, q: Floats, velocity: Floats, turning: Floats, point: Floats) -> Floats:
+    """(m, n, j) [rad/s] at joints q (m, n, j) where a point goes by velocity (m, 3) and the tool by turning (m, 3) [rad/s]."""
+    flat = np.nan_to_num(q.reshape(-1, q.shape[2]))
+    pose, jacobian = (f(site.arm.chain, site.arm.params, flat) for f in (forward, joint_jacobian))
+    velocity, turning = (np.repeat(part, q.shape[1], axis=0) for part in (velocity, turning))
+    twist = np.concatenate([velocity - np.cross(turning, pose[:, :3, :3] @ point), turning], axis=1)
+    return np.asarray((np.linalg.pinv(jacobian, rcond=1e-3) @ twist[..., None])[..., 0].reshape(q.shape))
+
+
+def _fits(
+    site: Site, q: Floats, q_rate: Floats, along: Floats, shape: Shape, point: Floats, joint_speed: float
+) -> bool:
+    """Whether a line (n, j) can be driven from end to end beside its device."""
+    if np.isnan(q).any() or np.abs(q_rate).max() > joint_speed:
+        return False
+    way = np.concatenate([samples(a, b) for a, b in pairwise(q)])
+    limits = site.limits.tightened()
+    if not all_allowed(site, way, None, limits) or (smallest_singular_value(site, way) < limits.singular_value).any():
+        return False
+    ends = point_forward(site.arm.chain, site.arm.params, q[[0, -1]], point)
+    if not device_is_clear(site.shapes, way, ends[0], ends[1], bool(point.any())):
+        return False
+    return 2.0 * straightness(site, q[1::2], along, point) < 0.5 * shape.transverse
+
+
+def straightness(site: Site, q: Floats, along: Floats, point: Floats) -> float:
+    """Expected transverse distance [m] of a line's points from the best straight line, at its worst point.
+
+    From the tolerances of ``weak_prior``: what a maker's drawing allows.
+    """
+    p, jac, _ = point_jacobians(site.arm.chain, site.arm.params, q, point)
+    across = jac - along[:, None] * np.einsum("i,nip->np", along, jac)[:, None]
+    y = (p - p.mean(axis=0)) @ along
+    basis, _ = np.linalg.qr(np.stack([np.ones_like(y), y], axis=1))
+    bent = across - np.einsum("nk,mk,mip->nip", basis, basis, across)
+    return float(np.sqrt(((bent * weak_prior(site.arm.chain)) ** 2).sum(axis=(1, 2)).max()))
+
+
+def a_priori(site: Site, q: Floats, point: Floats) -> Floats:
+    """(c,) [m] error to be expected on lines (c, n, j), RMS over their points, by the tolerances of ``weak_prior``."""
+    chain = site.arm.chain
+    rms = tolerance_error(chain, weak_prior(chain), q.reshape(-1, q.shape[2]), point).rms
+    return np.asarray(np.sqrt((rms.reshape(q.shape[:2]) ** 2).mean(axis=1)))

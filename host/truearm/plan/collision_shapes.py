@@ -1,0 +1,168 @@
+"""Simple shapes that must not touch: the arm's links, the bar, the posts of the chucks and a line device as capsules, the table
+as a plane.
+
+A capsule is what lies within a radius of a segment; the arm's are those of ``bodies``. Neighbouring links always touch and
+are not held against each other: of the arm itself only what carries the tool is held against what carries the elbow.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.model.chain import Chain, forward, joint_frames
+from truearm.plan.arm_capsules import Body, body_of
+from truearm.types import Floats, Rig
+
+UPPER_ARM = 2  # the joint that moves it: with it and before it are what the tool can be folded into
+TOOL = 5  # the joint from which on the arm is tool
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Radii [m] of links that ``bodies`` has no table of, of studs that hold spheres, of bars, of chucks' posts and of a line
+    device's rod, how far that stands out at either end of its line [m], and the table's height z [m]."""
+
+    link: float = 0.05
+    stud: float = 0.012
+    bar: float = 0.015
+    post: float = 0.02
+    rod: float = 0.02
+    rod_end: float = 0.05
+    table: float = 0.0
+
+
+class Mounted(NamedTuple):
+    """What the bar connects: points in the base and the end frame, (3,)."""
+
+    p_chuck: Floats
+    p_sphere: Floats
+
+
+class Shapes(NamedTuple):
+    """A robot and its rig as capsules."""
+
+    chain: Chain
+    params: Floats
+    body: Body
+    p_spheres: Floats  # (s, 3)
+    p_posts: Floats  # (c, 3) the chucks
+    sizes: Sizes
+
+
+def make_shapes(chain: Chain, params: Floats, rig: Rig, sizes: Sizes) -> Shapes:
+    """Shapes of a robot at params (p,)."""
+    spheres = np.array([s.xyz for s in rig.spheres.values()]).reshape(-1, 3)
+    posts = np.array([c.xyz for c in rig.chucks.values()]).reshape(-1, 3)
+    return Shapes(chain, params, body_of(chain, params, sizes.link), spheres, posts, sizes)
+
+
+def clear(shapes: Shapes, q: Floats, mounted: Mounted | None) -> NDArray[np.bool_]:
+    """Whether nothing touches at joints q (n, j), with the bar on as ``mounted`` or off."""
+    sizes, joint, radius = shapes.sizes, np.array(shapes.body.joint), shapes.body.radius
+    ends = body_ends(shapes, q)
+    pose = forward(shapes.chain, shapes.params, q)
+    spheres = shapes.p_spheres @ pose[:, :3, :3].swapaxes(1, 2) + pose[:, None, :3, 3]
+    moved = joint >= UPPER_ARM
+    good = (ends[:, moved][..., 2].min(axis=2) > sizes.table + radius[moved]).all(axis=1)
+    good &= (spheres[..., 2] > sizes.table + sizes.stud).all(axis=1)
+    good &= _arm_is_clear_of_itself(shapes, ends, pose, spheres)
+    for chuck in shapes.p_posts:
+        post = _foot(chuck, sizes), chuck
+        good &= (_from(ends[:, moved], *post) > radius[moved] + sizes.post).all(axis=1)
+        studs = segment_distance(pose[:, None, :3, 3], spheres, *post)
+        good &= (studs > sizes.stud + sizes.post).all(axis=1)
+    if mounted is not None:
+        good &= _bar_is_clear(shapes, ends, pose, mounted)
+    return np.asarray(good)
+
+
+def body_ends(shapes: Shapes, q: Floats) -> Floats:
+    """(n, m, 2, 3) ends of the arm's capsules in the base frame."""
+    frames = joint_frames(shapes.chain, shapes.params, q)
+    fixed = np.broadcast_to(np.eye(4), (len(q), 1, 4, 4))
+    mine = np.concatenate([fixed, frames], axis=1)[:, shapes.body.joint]
+    return np.asarray(shapes.body.ends @ mine[..., :3, :3].swapaxes(-1, -2) + mine[..., None, :3, 3])
+
+
+def _arm_is_clear_of_itself(shapes: Shapes, ends: Floats, pose: Floats, spheres: Floats) -> NDArray[np.bool_]:
+    """The tool against all that lies before the forearm: column, shoulder, upper arm."""
+    joint, radius = np.array(shapes.body.joint), shapes.body.radius
+    good = np.ones(len(ends), dtype=bool)
+    before = joint <= UPPER_ARM
+    for k in np.flatnonzero(joint >= TOOL):
+        apart = _from(ends[:, before], ends[:, k, None, 0], ends[:, k, None, 1])
+        good &= (apart > radius[before] + radius[k]).all(axis=1)
+    for s in range(spheres.shape[1]):
+        apart = _from(ends[:, before], pose[:, None, :3, 3], spheres[:, s, None])
+        good &= (apart > radius[before] + shapes.sizes.stud).all(axis=1)
+    return good
+
+
+def _bar_is_clear(shapes: Shapes, ends: Floats, pose: Floats, mounted: Mounted) -> NDArray[np.bool_]:
+    """The bar against the arm up to its wrist, and against the posts of the other chucks."""
+    p_sphere = pose[:, :3, :3] @ mounted.p_sphere + pose[:, :3, 3]
+    good = _wrist_is_clear(shapes, ends, p_sphere[:, None], mounted.p_chuck, shapes.sizes.bar)
+    for chuck in shapes.p_posts:
+        if not np.array_equal(chuck, mounted.p_chuck):
+            apart = segment_distance(_foot(chuck, shapes.sizes), chuck, p_sphere, mounted.p_chuck)
+            good &= apart > shapes.sizes.post + shapes.sizes.bar
+    return np.asarray(good)
+
+
+def device_is_clear(shapes: Shapes, q: Floats, start: Floats, end: Floats, carried: bool = True) -> bool:
+    """Whether a line device along start–end (3,) touches neither table nor posts, nor the arm up to its wrist at any q (n, j).
+
+    The arm is not looked at where the magnet is not ``carried`` beyond the end's origin: there the device would touch the
+    flange anyway, so whatever carries the magnet is still to be described.
+    """
+    sizes = shapes.sizes
+    out = sizes.rod_end * (end - start) / np.linalg.norm(end - start)
+    start, end = start - out, end + out
+    if min(start[2], end[2]) < sizes.table + sizes.rod:
+        return False
+    for chuck in shapes.p_posts:
+        if segment_distance(_foot(chuck, sizes), chuck, start, end) < sizes.post + sizes.rod:
+            return False
+    return not carried or bool(_wrist_is_clear(shapes, body_ends(shapes, q), start, end, sizes.rod).all())
+
+
+def _wrist_is_clear(shapes: Shapes, ends: Floats, start: Floats, end: Floats, radius: float) -> NDArray[np.bool_]:
+    """(n,) whether the arm up to its wrist keeps clear of a capsule; what carries the end of a bar or a magnet meets it."""
+    before = np.array(shapes.body.joint) < TOOL
+    apart = _from(ends[:, before], start, end)
+    return np.asarray((apart > shapes.body.radius[before] + radius).all(axis=1))
+
+
+def _foot(chuck: Floats, sizes: Sizes) -> Floats:
+    """(3,) where a chuck's post stands."""
+    return np.array([chuck[0], chuck[1], min(sizes.table, chuck[2])])
+
+
+def _from(ends: Floats, start: Floats, end: Floats) -> Floats:
+    """(n, m) distances of segments with ends (n, m, 2, 3) from another one."""
+    return segment_distance(ends[..., 0, :], ends[..., 1, :], start, end)
+
+
+def segment_distance(a0: Floats, a1: Floats, b0: Floats, b1: Floats) -> Floats:
+    """Shortest distance (…) of segments a0–a1 and b0–b1, each end (…, 3) (Ericson 2005, 5.1.9).
+
+    The nearest points of the two lines, one parameter clamped to its segment and the other one solved for again.
+    """
+    along_a, along_b, between = a1 - a0, b1 - b0, a0 - b0
+    a, e, b = _dot(along_a, along_a), _dot(along_b, along_b), _dot(along_a, along_b)
+    c, f = _dot(along_a, between), _dot(along_b, between)
+    tiny = 1e-18
+    across = a * e - b * b  # 0 for parallels: any point of the first does
+    s = np.clip(np.where(across > tiny, (b * f - c * e) / np.where(across > tiny, across, 1.0), 0.0), 0.0, 1.0)
+    t = np.clip((b * s + f) / np.maximum(e, tiny), 0.0, 1.0)
+    s = np.clip((b * t - c) / np.maximum(a, tiny), 0.0, 1.0)
+    apart = between + s[..., None] * along_a - t[..., None] * along_b
+    return np.asarray(np.sqrt(_dot(apart, apart)))
+
+
+def _dot(u: Floats, v: Floats) -> Floats:
+    return np.asarray(np.einsum("...i,...i->...", u, v))

@@ -1,0 +1,253 @@
+"""A plan of lines: where to put a line device, and how to drive along it, there and back.
+
+By what is known of the robot's tolerances (Renders 1991, II-D) the error at each candidate (``straight``) is computed, and the
+half with the larger one stays: where the error is large, measurement errors weigh less (III-G, 4). Of these the lines are
+chosen like poses of a ball-bar, each a block of rows with the six unknowns of its own device fitted away. Each is driven at
+constant speed there and back, since a delay between joints and device cannot be told from the device's place one way alone.
+
+A device is taken to be set up by hand as planned, to BY_HAND about each axis. Without that its roll would be told by no more
+than the tenths of a millimetre by which the true arm leaves the line, and what the lines tell of the arm would depend on them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import count
+from typing import NamedTuple
+
+import numpy as np
+
+from truearm.errors import PlanError
+from truearm.estimate.information import observe, with_prior
+from truearm.estimate.problem import settled
+from truearm.estimate.whitened_rows import whitened_blocks
+from truearm.model.chain import point_forward
+from truearm.model.rotation import rotation_vector
+from truearm.plan.bar_paths import Pace, move_seconds, way_without_bar
+from truearm.plan.cartesian_lines import Lines, Shape, a_priori, candidate_lines
+from truearm.plan.choose import as_blocks, choose, condensed
+from truearm.plan.forecast import Aim, Forecast, Known, compiled, forecast, planned_table, prior_unit, region_root
+from truearm.plan.measurement_limits import Site
+from truearm.plan.region import Region, around, poses_in
+from truearm.plan.stops import SETTLE, Stop, plain
+from truearm.types import Device, Floats, ObservationTable, Plan, Rig
+
+SETUP = 180.0  # s to place the device
+BY_HAND = 0.052  # rad about each axis to which a device is set up as planned (Renders III-C)
+
+
+class LinesWanted(NamedTuple):
+    """How much is to be measured, and what it is to be good for. ``passes``: there and back, so often."""
+
+    n_lines: int | None = None
+    minutes: float | None = None
+    shape: Shape = Shape()
+    passes: int = 1
+    n_candidates: int = 120
+    criterion: str = "I"
+    seed: int = 0
+
+
+class LinePlan(NamedTuple):
+    """Lines in the order of their visits, the a-priori error (l,) [m] at each, and the devices as they are to be set up."""
+
+    lines: Lines
+    error: Floats
+    rig: Rig  # with the devices
+    devices: dict[str, Device]  # of this plan, in order
+    stops: list[Stop]
+    visits: Plan  # the stops as the recorder follows them
+    forecast: Forecast
+    minutes: float
+
+
+def plan_lines(
+    site: Site, known: Known, wanted: LinesWanted, pace: Pace, region: Region | None = None, target: str = ""
+) -> LinePlan:
+    """Candidates, choice, order and forecast. ``target``: the rig's point that is measured, "" the end's origin.
+
+    Raises PlanError where too few lines fit into the workspace or the budget, and what the parts raise.
+    """
+    if (wanted.n_lines is None) == (wanted.minutes is None):
+        raise PlanError("give a budget: either a number of lines or minutes")
+    point = np.array(known.rig.targets[target].xyz) if target else np.zeros(3)
+    n = wanted.n_lines or _most(wanted)
+    many = max(wanted.n_candidates, n if wanted.n_lines else 1)
+    least = wanted.n_lines or 1
+    found = candidate_lines(site, wanted.shape, many, point, pace.joint_speed, region, wanted.seed, least)
+    n = min(n, len(found.q))
+    error = a_priori(site, found.points, point)
+    far = np.sort(np.argsort(-error, kind="stable")[: max(-(-len(error) // 2), n)])
+    found, error = found.select(far.tolist()), error[far]
+    places = point_forward(known.chain, known.params, found.points, point).reshape(-1, 3)
+    aim = Aim(poses_in(site, region or around(places), point, seed=wanted.seed), (target,) * bool(target))
+    while True:
+        rows = _chosen(known, found, n, wanted, aim, target)
+        lines = found.select(rows).select(_order(found.q[rows]))
+        names = _new_names(known, n)
+        stops = _stops(site, lines, names, wanted, pace, point)
+        seconds = sum(stop.seconds for stop in stops) + n * (SETUP + _driving(wanted))
+        if wanted.minutes is None or seconds <= 60.0 * wanted.minutes:
+            break
+        n -= 1
+        if n == 0:
+            raise PlanError(_too_few(wanted))
+    known = replace(known, rig=replace(known.rig, line_travel=wanted.shape.transverse))
+    table, devices = line_rows(known, lines, names, target, wanted.passes)
+    errors = a_priori(site, lines.points, point)
+    told = forecast(_with_lines(known, devices), table, aim)
+    visits = _visits(stops, names, wanted.passes, target)
+    return LinePlan(lines, errors, _with_lines(known, devices).rig, devices, stops, visits, told, seconds / 60.0)
+
+
+def _driving(wanted: LinesWanted) -> float:
+    """Seconds along one line, all ways."""
+    return 2.0 * wanted.passes * (wanted.shape.length / wanted.shape.speed + 2.0 * SETTLE)
+
+
+def _most(wanted: LinesWanted) -> int:
+    """Lines that the minutes allow if no move between them took time."""
+    n = int(60.0 * (wanted.minutes or 0.0) / (SETUP + _driving(wanted)))
+    if n == 0:
+        raise PlanError(_too_few(wanted))
+    return n
+
+
+def _too_few(wanted: LinesWanted) -> str:
+    return (
+        f"{wanted.minutes:g} minutes are too few: to place the device takes {SETUP:g} s, to drive along it "
+        f"{_driving(wanted):.0f} s"
+    )
+
+
+def line_rows(
+    known: Known, lines: Lines, names: list[str], target: str, passes: int = 1
+) -> tuple[ObservationTable, dict[str, Device]]:
+    """Lines there and back as rows that would be read if the model were true, and their devices, placed by these rows."""
+    point = np.array(known.rig.targets[target].xyz) if target else np.zeros(3)
+    p = point_forward(known.chain, known.params, lines.points, point)
+    axes = [_axes(line) for line in p]
+    xyz = np.array([(line - line.mean(axis=0)) @ rot for line, rot in zip(p, axes, strict=True)])
+    cov = tuple(tuple(s**2 * (i == k) for k in range(3)) for i, s in enumerate(known.rig.line_sigma))
+    devices = {}
+    for name, rot in zip(names, axes, strict=True):
+        rx, ry, rz = rotation_vector(rot).tolist()
+        devices[name] = Device(name, cov, None, (rx, ry, rz), None, BY_HAND)
+
+    def all_ways(values: Floats, sign: float = 1.0) -> Floats:
+        ways = np.concatenate([values, sign * values[:, ::-1]] * passes, axis=1)
+        return ways.reshape(-1, values.shape[2])
+
+    n = 2 * passes * lines.points.shape[1] * len(names)
+    table = planned_table(
+        all_ways(lines.points),
+        "line",
+        xyz=all_ways(xyz),
+        q_rate=all_ways(lines.q_rate, -1.0),
+        line=np.repeat(names, n // len(names)),
+        target=np.full(n, target),
+    )
+    return table, devices
+
+
+def _axes(line: Floats) -> Floats:
+    """(3, 3) of a device along points (n, 3): y from the first to the last."""
+    y = (line[-1] - line[0]) / np.linalg.norm(line[-1] - line[0])
+    x = np.cross(y, np.eye(3)[np.argmin(np.abs(y))])
+    x /= np.linalg.norm(x)
+    return np.stack([x, y, np.cross(x, y)], axis=1)
+
+
+def _new_names(known: Known, n: int) -> list[str]:
+    """plan1, plan2 …, but for what the rig and the rows have already."""
+    old = {*known.rig.lines, *(() if known.measured is None else known.measured.line.tolist())}
+    free = (name for name in map("plan{}".format, count(1)) if name not in old)
+    return [next(free) for _ in range(n)]
+
+
+def _with_lines(known: Known, devices: dict[str, Device]) -> Known:
+    """With the planned devices beside those that were measured with."""
+    old = known.rig.lines
+    if known.measured is not None and not old:
+        cov = next(iter(devices.values())).sensor_cov
+        old = {str(name): Device(str(name), cov) for name in np.unique(known.measured.line) if name}
+    return replace(known, rig=replace(known.rig, lines={**old, **devices}))
+
+
+def _chosen(known: Known, found: Lines, n: int, wanted: LinesWanted, aim: Aim, target: str) -> list[int]:
+    """The best ``n`` lines; unknowns of their own devices are fitted away."""
+    parts = []
+    for i in range(len(found.q)):
+        table, devices = line_rows(known, found.select([i]), ["own"], target, wanted.passes)
+        alone = _with_lines(replace(known, measured=None), devices)
+        problem, x, columns = compiled(alone, table)
+        (block,) = whitened_blocks(problem, x, columns)
+        own = np.array([name.startswith("line.own.") for name in problem.names])[columns]
+        jac = block.jac.reshape(-1, own.size)
+        unit = prior_unit(alone, problem, columns)[~own]
+        parts.append(condensed(jac[:, ~own] * unit, jac[:, own]))
+    root = region_root(alone, table, aim)[:, ~own]
+    return [int(i) for i in choose(as_blocks(parts), _information(known, parts[0].shape[1]), n, wanted.criterion, root)]
+
+
+def _information(known: Known, k: int) -> Floats:
+    """(k, k) of the prior and of what was measured, for the columns of the robot, rows' own unknowns fitted away."""
+    information = np.eye(k)
+    if known.measured is None:
+        return information
+    problem, x, columns = compiled(replace(known, measured=None), known.measured)
+    n_robot, unit = int(known.free.sum()), prior_unit(known, problem, columns)
+    prior = problem.prior_sigma[columns]
+    prior[:n_robot] = np.inf
+    root = with_prior(observe(settled(problem, x), x, columns), np.zeros(prior.size), prior).root * unit
+    seen = condensed(root[:, :n_robot], root[:, n_robot:]) if unit.size > n_robot else root
+    information[:n_robot, :n_robot] += seen.T @ seen
+    return information
+
+
+def _order(q: Floats) -> list[int]:
+    """Lines (l, n, j) so that each begins near where the last one did, which is where it ended."""
+    left, out = list(range(1, len(q))), [0]
+    while left:
+        out.append(min(left, key=lambda i: float(np.abs(q[i, 0] - q[out[-1], 0]).max())))
+        left.remove(out[-1])
+    return out
+
+
+def _stops(site: Site, lines: Lines, names: list[str], wanted: LinesWanted, pace: Pace, point: Floats) -> list[Stop]:
+    """The beginning of every line, its ends to and fro, and via points between lines."""
+    stops: list[Stop] = []
+    for number, (q, name) in enumerate(zip(lines.q, names, strict=True)):
+        way = [q[0]]
+        if stops:
+            via = way_without_bar(site, stops[-1].q, q[0], seed=number)
+            if via is None:
+                raise PlanError(f"no way to line {name} is free; try --seed")
+            way = [*via, q[0]]
+        first = len(stops)
+        for place in way:
+            seconds = move_seconds(site, stops[-1].q, place, point, pace) if stops else 0.0
+            stops.append(Stop(place, seconds, "via"))
+        stops[first] = stops[first]._replace(before=plain(f"Line device away. Next: line {name}"))
+        stops[-1] = stops[-1]._replace(there=plain(f"Put the line device along line {name}"))
+        stops += [Stop(place, 0.0, "line", speed=wanted.shape.speed) for place in (q[-1], q[0]) * wanted.passes]
+    return stops
+
+
+def _visits(stops: list[Stop], names: list[str], passes: int, target: str) -> Plan:
+    """The stops as a plan, row by row."""
+    move = np.array([stop.move for stop in stops])
+    driven, blank = move == "line", np.full(len(stops), "")
+    line = np.full(len(stops), "", dtype=np.array(names).dtype)
+    line[driven] = np.repeat(names, 2 * passes)
+    return Plan(
+        np.array([stop.q for stop in stops]),
+        blank,
+        blank,
+        blank,
+        blank,
+        move=move,
+        line=line,
+        target=np.where(driven, target, ""),
+        speed=np.array([stop.speed for stop in stops]),
+    )

@@ -1,0 +1,183 @@
+"""A robot's joint readings: JSON lines over a link, told apart from everything else that a robot may print.
+
+Like a box's bytes they are stored before anything is made of them, line by line as they came.
+
+A connection that closes says nothing of why: a controller that is started anew, a program that crashed and one that is done all close
+it in order. So the robot is waited for as after any loss, and the program that is done says so before, by the line ``END``.
+"""
+
+from __future__ import annotations
+
+import json
+
+from truearm.errors import LinkClosed, LinkError, ProtocolError
+from truearm.record.frames import Runs
+from truearm.record.links import Arrivals, Clock, Link, Reopenable
+from truearm.record.operator import Operator
+from truearm.record.session_writer import SessionWriter
+from truearm.record.status import Counters
+from truearm.session.joint_line import parse_reading
+
+MAX_LINE = 8192  # bytes
+MAX_RUBBISH = 1 << 20  # bytes without a reading between them; a robot that sends so many is none
+SILENCE_S = 3.0
+END = b'{"end": true}'
+EXPECTED = 'expected are lines such as {"t": 1.5, "seq": 3, "q": [0.1, -2.0]}'
+
+
+class JointLines:
+    """Lines of a robot's stream, exactly as received without their line feed.
+
+    A joint line is what ``parse_reading`` takes, of as many joints as the first. About 4 µs a line of six joints.
+    """
+
+    def __init__(self) -> None:
+        self._runs = Runs(b"\n", MAX_LINE)
+        self._n_joints: int | None = None
+        self.other_joints = 0  # readings of another number of joints than the first
+
+    def push(self, data: bytes) -> list[tuple[bool, bytes]]:
+        """``(True, line)`` for joint lines, ``(False, bytes)`` for all else, in order."""
+        return [(whole and self._is_joints(line), line) for whole, line in self._runs.push(data)]
+
+    def flush(self) -> bytes:
+        """What came behind the last line feed, when the stream has ended."""
+        return self._runs.flush()
+
+    def _is_joints(self, line: bytes) -> bool:
+        reading = parse_reading(line)
+        if reading is None:
+            return False
+        if self._n_joints is None:
+            self._n_joints = len(reading.q)
+        fits = len(reading.q) == self._n_joints
+        self.other_joints += not fits
+        return fits
+
+
+class RobotIntake:
+    """The robot's side of a recording. ``end`` is what ended its stream, None while it runs or may come back;
+    ``lost``: by what, and ``lost_ns``: since when it is away and may come back, which its first reading does, not its link;
+    ``heard_ns`` when the last reading came."""
+
+    def __init__(self, link: Link, writer: SessionWriter, clock: Clock, counters: Counters, operator: Operator) -> None:
+        self.end: LinkError | None = None
+        self.lost_ns: int | None = None
+        self.lost: LinkError | None = None
+        self.heard_ns: int | None = None
+        self._link = link
+        self._writer = writer
+        self._clock = clock
+        self._counters = counters
+        self._operator = operator
+        self._lines = JointLines()
+        self._rubbish = 0  # bytes since the last reading
+        self._silent = False
+        self._last: bytes = b""  # reading
+        self._linked = True
+
+    def read(self) -> Arrivals:
+        """What has arrived, without waiting; nothing after the end, while there is no link, or of a stream that is none."""
+        if self.end is not None or self.rubbish or not self._opened():
+            return []
+        try:
+            return self._link.read(0.0)
+        except LinkError as exc:
+            self._lost(exc)
+        return []
+
+    def watch(self, now_ns: int) -> None:
+        """Note in the file where the robot says nothing though its link is whole, and where it speaks again."""
+        silent = self.end is None and self.lost_ns is None and (self.age_s(now_ns) or 0.0) > SILENCE_S
+        if silent != self._silent:
+            self._silent = silent
+            if self.lost_ns is None and self.end is None:
+                self._writer.event("robot-silent" if silent else "robot-heard", now_ns, heard_ns=self.heard_ns)
+
+    def age_s(self, now_ns: int) -> float | None:
+        """Of the last reading."""
+        return None if self.heard_ns is None else (now_ns - self.heard_ns) / 1e9
+
+    def _opened(self) -> bool:
+        """Whether there is a link; a lost one is opened again meanwhile."""
+        if not self._linked:
+            self._linked = isinstance(self._link, Reopenable) and self._link.reopen(0.0)
+        return self._linked
+
+    def _lost(self, error: LinkError) -> None:
+        now_ns = self._clock.now_ns()
+        self.flush(now_ns)
+        self._linked = False
+        if self._is_final(error):
+            self.end = error
+        elif self.lost_ns is not None:  # the link was back, the robot was not
+            return
+        else:
+            self.lost_ns = now_ns
+            self._counters.robot_losses += 1
+        self.lost = error
+        self._writer.event("robot-closed" if self.closed else "robot-lost", now_ns, text=str(error))
+
+    def _is_final(self, error: LinkError) -> bool:
+        never = isinstance(error, LinkClosed) and self.heard_ns is None  # it sent no reading: it is none, or has none
+        return not isinstance(self._link, Reopenable) or isinstance(error, ProtocolError) or never
+
+    def _back(self, t_host_ns: int, line: bytes) -> None:
+        """The first reading behind a loss: how long it lasted, and how many readings went with it, if the robot counts them."""
+        self.lost_ns = None
+        before, after = parse_reading(self._last), parse_reading(line)
+        lost = None
+        if before and after and None not in (before.seq, after.seq) and after.t > before.t and after.seq > before.seq:  # type: ignore[operator]
+            lost = after.seq - before.seq - 1  # type: ignore[operator]
+        away_s = None if self.heard_ns is None else round((t_host_ns - self.heard_ns) / 1e9, 3)
+        self._writer.event("robot-back", t_host_ns, away_s=away_s, lost=lost)
+
+    @property
+    def rubbish(self) -> str:
+        """Says so if what the robot sends is no stream of readings, else ""."""
+        if self._rubbish <= MAX_RUBBISH:
+            return ""
+        return f"{self._link.name}: {self._rubbish} bytes without a joint reading; {EXPECTED}"
+
+    @property
+    def closed(self) -> bool:
+        """Whether the robot ended its stream, and did not lose it."""
+        return isinstance(self.end, LinkClosed)
+
+    def take(self, t_host_ns: int, data: bytes) -> None:
+        """Store bytes that arrived."""
+        for is_joints, line in self._lines.push(data):
+            if is_joints:
+                if self.lost_ns is not None:
+                    self._back(t_host_ns, line)
+                self._rubbish = 0
+                self._counters.robot_lines += 1
+                self._writer.add("/robot/joints", t_host_ns, line)
+                self.heard_ns, self._last = t_host_ns, line
+                self._operator.reading(t_host_ns, line)
+            else:
+                self._store_console(t_host_ns, line)
+                if _is_end(line) and self.end is None:
+                    self.end = LinkClosed(f"{self._link.name}: the robot says that it has ended")
+                    self._writer.event("robot-closed", t_host_ns, text=str(self.end))
+        self._counters.robot_other_joints = self._lines.other_joints
+
+    def flush(self, t_host_ns: int) -> None:
+        """Store what came behind the last line feed."""
+        rest = self._lines.flush()
+        if rest:
+            self._store_console(t_host_ns, rest)
+
+    def _store_console(self, t_host_ns: int, data: bytes) -> None:
+        self._rubbish += len(data)
+        self._counters.robot_console_bytes += len(data)
+        self._writer.add("/robot/console", t_host_ns, data)
+
+
+def _is_end(line: bytes) -> bool:
+    if b'"end"' not in line:
+        return False
+    try:
+        return bool(json.loads(line) == json.loads(END))
+    except (ValueError, RecursionError):
+        return False

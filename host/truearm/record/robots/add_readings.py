@@ -1,0 +1,139 @@
+"""Joint readings that were taken down elsewhere, added to a session: a new file is written, the old one is left as it is.
+
+Nobody saw such readings arrive. Their place on the host's clock is worked out from the controller's time alone, by what the
+user says of it: it is UTC, and the session's two anchors tell UTC from the host's clock; or it was zero so many seconds after the
+session began. That place becomes ``log_time``. Whoever reads the session knows it by ``"arrival": false`` in each line and by the metadata ``joints-added``;
+an error of it is an error of time for every reading alike, to which dwells are blind up to their settling time and motion is not.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator, Mapping
+from operator import attrgetter
+from pathlib import Path
+
+from truearm.errors import InputError, SessionError
+from truearm.record.robots.joint_table import Reading
+from truearm.record.session_writer import SessionWriter, media_type
+from truearm.session.session_file import Session
+from truearm.types import Message
+
+TOPIC = "/robot/joints"
+ANCHORS = ("session", "session-end")
+MAX_NS = 2**63
+MAX_RATE = 1e-3  # a host's clock that is further off against UTC was set in between: then the first anchor counts alone
+
+Anchor = tuple[int, int]  # the same instant in UTC and on the host's clock [ns]
+
+
+class Anchors:
+    """The clock of a session that was recorded already, for its copy: the old anchors, and no time of its own."""
+
+    def __init__(self, session: Session) -> None:
+        self.kind = session.metadata.get("session", {}).get("clock", "monotonic")
+        known = [anchor for name in ANCHORS if (anchor := _anchor(session.metadata.get(name, {}))) is not None]
+        if not known:
+            raise SessionError(
+                f"{session.path}: does not say when it was recorded; is this a session of truearm record?"
+            )
+        self.first, self.last = known[0], known[-1]
+        self._next = self.first
+
+    def now_ns(self) -> int:
+        return self.first[1]
+
+    def utc_anchor(self) -> Anchor:
+        """The first anchor, from the second call on the last one, as the writer writes them."""
+        anchor, self._next = self._next, self.last
+        return anchor
+
+    def host_ns(self, utc_ns: int) -> int:
+        """The host's clock at a UTC time; between the anchors on the straight line through them."""
+        (utc, host), (utc_end, host_end) = self.first, self.last
+        span, host_span = utc_end - utc, host_end - host
+        since = utc_ns - utc
+        if span > 0 and abs(host_span - span) <= MAX_RATE * span:
+            since += since * (host_span - span) // span
+        return host + since
+
+
+def _anchor(entries: Mapping[str, str]) -> Anchor | None:
+    try:
+        utc_ns, host_ns = int(entries["utc_ns"][:20]), int(entries["monotonic_ns"][:20])
+    except (KeyError, ValueError):
+        return None
+    return (utc_ns, host_ns) if abs(utc_ns) < MAX_NS and abs(host_ns) < MAX_NS else None
+
+
+def add_readings(
+    session: Session,
+    readings: Iterator[Reading],
+    out: Path,
+    zero_s: float | None,
+    said: Mapping[str, str],
+    replace: bool = False,
+) -> int:
+    """Write ``out``: all that is in ``session``, and the readings; returns how many there were.
+
+    ``zero_s``: when, after the session's begin, the controller's time was zero; None: it is UTC. ``said`` becomes metadata. With
+    ``replace`` the session's own readings are left out; without it there must be none.
+
+    Raises SessionError where there are some, or a file is damaged; InputError where no reading lies within the session.
+    """
+    anchors = Anchors(session)
+    begin_ns, end_ns = _span(session, replace)
+    zero_ns = anchors.host_ns(0) if zero_s is None else begin_ns + round(1e9 * zero_s)
+    count = inside = 0
+
+    def added() -> Iterator[Message]:
+        nonlocal count, inside
+        for reading in readings:
+            t_ns = round(1e9 * reading.t)
+            host_ns = anchors.host_ns(t_ns) if zero_s is None else zero_ns + t_ns
+            if not 0 <= host_ns < MAX_NS:
+                raise _outside(reading.t, zero_s)
+            count += 1
+            inside += begin_ns <= host_ns <= end_ns
+            yield Message(TOPIC, host_ns, reading.line)
+
+    with SessionWriter(out, anchors) as writer:
+        _copy_head(session, writer)
+        old = (m for m in session.messages() if not (replace and m.topic == TOPIC))
+        for message in heapq.merge(old, added(), key=attrgetter("t_host_ns")):
+            writer.add(message.topic, message.t_host_ns, message.data)
+        if not inside:
+            raise _outside(None, zero_s)
+        writer.metadata("joints-added", {**said, "readings": str(count)})
+        end = session.metadata.get("session-end", {})
+        writer.close({key: value for key, value in end.items() if key not in ("utc_ns", "monotonic_ns")})
+    return count
+
+
+def _outside(t: float | None, zero_s: float | None) -> InputError:
+    which = "no reading lies" if t is None else f"the reading at {t:g} s does not lie"
+    how = "is their time UTC? else say with --zero when it was zero" if zero_s is None else "is --zero right?"
+    return InputError(f"{which} within the session; {how}")
+
+
+def _span(session: Session, replace: bool) -> tuple[int, int]:
+    """First and last host time of the session's messages. Raises SessionError if there are readings among them already."""
+    begin_ns, end_ns = MAX_NS, -1
+    for message in session.messages():
+        if message.topic == TOPIC and not replace:
+            raise SessionError(
+                f"{session.path}: has joint readings already; give --replace to leave them out of the new file"
+            )
+        begin_ns, end_ns = min(begin_ns, message.t_host_ns), max(end_ns, message.t_host_ns)
+    if end_ns < 0:
+        raise SessionError(f"{session.path}: holds no message")
+    return begin_ns, end_ns
+
+
+def _copy_head(session: Session, writer: SessionWriter) -> None:
+    """Attachments and metadata that are not the writer's own."""
+    for name, data in session.attachments.items():
+        writer.attach(name, media_type(name), data)
+    for name, entries in session.metadata.items():
+        if name not in (*ANCHORS, "channels"):
+            writer.metadata(name, entries)

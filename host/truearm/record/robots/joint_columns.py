@@ -1,0 +1,116 @@
+"""Joint readings in columns, live or in a file: the header says what each column is, and its unit stands in its name.
+
+``t_s`` (or _ms, _us, _ns) is the controller's time, ``q1_rad`` (_deg, _m, _mm) … the measured joints; optional are ``q1_cmd_rad`` …
+commanded, ``qd1_rad_s`` … velocities, ``seq`` a count of the readings, ``inputs`` digital inputs as a number. ``note`` and ``x_…`` are passed over.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from truearm.errors import InputError
+from truearm.files.csv_cells import SCALE
+from truearm.files.observation_columns import shown
+from truearm.session.joint_line import MAX_JOINTS, format_reading
+
+PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}  # to divide by: 1e-9 is no exact number
+MAX_COLUMNS = 200
+EXAMPLE = "t_s,seq,q1_rad,q2_rad,... (units: rad, deg, m, mm; commanded joints are q1_cmd_rad, ...)"
+
+_TIME = re.compile(r"t_(s|ms|us|ns)")
+_JOINT = re.compile(r"(q|qd)([1-9]\d?)(_cmd)?_(rad|deg|m|mm)(_s)?")
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
+_WHOLE = re.compile(r"[+-]?\d{1,18}", re.ASCII)
+
+Place = tuple[int, float]  # where a column stands, and the factor that makes its numbers SI
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Where things stand in a row."""
+
+    width: int
+    t: tuple[int, int]  # where it stands, and how many of its unit are a second
+    q: tuple[Place, ...]
+    q_cmd: tuple[Place, ...]
+    qd: tuple[Place, ...]
+    seq: int | None
+    inputs: int | None
+
+    def line(self, cells: Sequence[str], **more: object) -> bytes | None:
+        """The reading of a row as a line of a session, with ``more`` beside it; None if the row is none."""
+        if len(cells) != self.width:
+            return None
+        try:
+            t = _number(cells[self.t[0]]) / self.t[1]
+            q, q_cmd, qd = ([_scaled(cells, place) for place in part] or None for part in (self.q, self.q_cmd, self.qd))
+            seq, inputs = (None if at is None else _whole(cells[at]) for at in (self.seq, self.inputs))
+        except ValueError:
+            return None
+        return format_reading(t, seq, q or [], q_cmd=q_cmd, qd=qd, inputs=inputs, **more)
+
+
+def read_columns(titles: Sequence[str]) -> Columns:
+    """The columns that a header names. Raises InputError."""
+    if len(titles) > MAX_COLUMNS:
+        raise InputError(f"{len(titles)} columns; the most is {MAX_COLUMNS}")
+    single: dict[str, Place] = {}
+    joints: dict[str, dict[int, Place]] = {"q": {}, "q_cmd": {}, "qd": {}}
+    for position, title in enumerate(titles):
+        if title == "note" or title.startswith("x_"):
+            continue
+        quantity, number, scale = _quantity(title)
+        known: dict[str, Place] | dict[int, Place] = joints[quantity] if number else single
+        key = number or quantity
+        if key in known:
+            raise InputError(f"column {shown(title)}: {quantity}{number or ''} is given twice; keep one")
+        known[key] = (position, scale)  # type: ignore[index]
+    if "t" not in single:
+        raise InputError(f"no column t_s of the controller's time; expected is a header such as {EXAMPLE}")
+    q, q_cmd, qd = (_in_order(quantity, joints[quantity], len(joints["q"])) for quantity in joints)
+    places = {name: single[name][0] if name in single else None for name in ("seq", "inputs")}
+    t = (single["t"][0], int(single["t"][1]))
+    return Columns(len(titles), t, q, q_cmd, qd, places["seq"], places["inputs"])
+
+
+def _quantity(title: str) -> tuple[str, int, float]:
+    """Quantity, number of the joint (0: it is of none) and factor of a column's title."""
+    if title in ("seq", "inputs"):
+        return title, 0, 1.0
+    if found := _TIME.fullmatch(title):
+        return "t", 0, PER_SECOND[found[1]]
+    found = _JOINT.fullmatch(title)
+    if found is None or (found[1] == "qd") != bool(found[5]) or (found[1] == "qd" and found[3]):
+        raise InputError(
+            f"column {shown(title)} is not known; expected is a header such as {EXAMPLE}; x_... is passed over"
+        )
+    return found[1] + (found[3] or ""), int(found[2]), SCALE[found[4]]
+
+
+def _in_order(quantity: str, places: dict[int, Place], n: int) -> tuple[Place, ...]:
+    """The places of a quantity in joint order: of all n joints, or (unless it is q) of none."""
+    if ((places or quantity == "q") and sorted(places) != list(range(1, n + 1))) or (
+        quantity == "q" and not 1 <= n <= MAX_JOINTS
+    ):
+        raise InputError(f"columns of {quantity} are needed for joints 1, 2, ... without a gap; expected is {EXAMPLE}")
+    return tuple(places[number] for number in sorted(places))
+
+
+def _scaled(cells: Sequence[str], place: Place) -> float:
+    return _number(cells[place[0]]) * place[1]
+
+
+def _number(cell: str) -> float:
+    """A finite decimal number. float() would take "1_000", "nan" and digits of other scripts. Raises ValueError."""
+    cell = cell.strip()
+    if len(cell) > 40 or not _NUMBER.fullmatch(cell):
+        raise ValueError(cell[:40])
+    return float(cell)
+
+
+def _whole(cell: str) -> int:
+    if not _WHOLE.fullmatch(cell.strip()):
+        raise ValueError(cell[:40])
+    return int(cell)

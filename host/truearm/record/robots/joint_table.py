@@ -1,0 +1,77 @@
+"""A table (CSV) of joint readings, taken down by whatever the robot has for that, as lines of a session.
+
+Its header is what ``columns`` reads. Read row by row: a day at 500 Hz is 43 million of them.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, NamedTuple
+
+from truearm.errors import InputError, TableError
+from truearm.record.joint_lines import MAX_LINE
+from truearm.record.robots.joint_columns import read_columns
+from truearm.session.joint_line import parse_reading
+
+
+class Reading(NamedTuple):
+    """Controller time [s] and the line of a reading that was added afterwards."""
+
+    t: float
+    line: bytes
+
+
+NO_ARRIVAL = {"arrival": False}  # in every such line: nobody saw it arrive
+
+
+def readings_of_table(path: Path) -> Iterator[Reading]:
+    """The readings of a table, in order of time. Raises TableError with file and row."""
+    if path.exists() and not path.is_file():
+        raise TableError(f"{path}: is not a regular file; save the data to a file first")
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            yield from _readings(path, file)
+    except OSError as exc:
+        raise TableError(f"{path}: cannot be read: {exc.strerror}") from exc
+    except UnicodeDecodeError as exc:
+        raise TableError(f"{path}: is not UTF-8 text; save it as UTF-8") from exc
+
+
+def _readings(path: Path, file: IO[str]) -> Iterator[Reading]:
+    rows = csv.reader(_lines(path, file), strict=True)
+    try:
+        columns = read_columns([cell.strip() for cell in next(rows, [])])
+        last = -1.0
+        for cells in rows:
+            if not cells:
+                continue
+            line = columns.line(cells, **NO_ARRIVAL)
+            reading = None if line is None else parse_reading(line)
+            if line is None or reading is None:
+                raise TableError(
+                    f"{path} row {rows.line_num}: is no reading: {columns.width} cells are needed, numbers, t not negative"
+                )
+            if reading.t < last:
+                raise TableError(
+                    f"{path} row {rows.line_num}: time goes back from {last:g} s to {reading.t:g} s; sort the rows, or "
+                    "make two tables if the controller was restarted"
+                )
+            last = reading.t
+            yield Reading(reading.t, line)
+    except csv.Error as exc:
+        raise TableError(f"{path} row {rows.line_num}: is not CSV: {exc}") from exc
+    except TableError:
+        raise
+    except InputError as exc:
+        raise TableError(f"{path}: {exc}") from exc
+
+
+def _lines(path: Path, file: IO[str]) -> Iterator[str]:
+    while line := file.readline(MAX_LINE + 1):
+        if len(line) > MAX_LINE:
+            raise TableError(
+                f"{path}: has a line of more than {MAX_LINE} characters; is this a table of joint readings?"
+            )
+        yield line

@@ -1,0 +1,239 @@
+"""Lines of CSV or JSON over TCP or UDP: whatever can be made to print its joints.
+
+::
+
+    lines+tcp://192.168.0.2:7008                                       the robot listens, we connect
+    lines+udp://0.0.0.0:7008                                           we listen, the robot sends datagrams
+    lines+tcp://192.168.0.2:7008?unit=deg&t=stamp&q=positions          JSON with names and units of its own
+    lines+udp://0.0.0.0:7008?columns=t_ms,q1_deg,q2_deg                CSV without a header
+
+A line that begins with ``{`` is JSON, any other CSV. **CSV** begins with a header (``columns``), or the address brings one. **JSON** is as
+docs/session-format.md has it, or what the names and units of the address say, or of a line before the readings, such as
+``{"names": {"t": "stamp", "q": ["j1", "j2"]}, "unit": "deg", "t_unit": "ms"}``: ``q`` names a list, or is a list of the joints' names;
+``unit`` is one for all joints or one each (``deg,deg,mm``), the same for measured, commanded and velocity.
+
+A line that is already as the session has it is stored as it came. Any other is stored with its numbers in SI and, under ``line``, as it
+came. What is no reading goes on unchanged, to ``/robot/console``.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field, replace
+from typing import Any
+from urllib.parse import parse_qsl
+
+from truearm.errors import InputError, LinkError, ProtocolError
+from truearm.files.csv_cells import SCALE
+from truearm.files.observation_columns import shown
+from truearm.record.frames import Runs
+from truearm.record.joint_lines import MAX_LINE
+from truearm.record.links import Arrivals, Backlog, Clock, Link, TcpLink, backlog_of
+from truearm.record.robots.joint_columns import PER_SECOND, Columns, read_columns
+from truearm.record.robots.udp import UdpLink
+from truearm.session.joint_line import MAX_JOINTS, are_joints, format_reading, parse_reading
+
+QUANTITIES = ("t", "seq", "q", "q_cmd", "qd", "current", "effort", "inputs")
+MAX_TIME = 2**63  # of any unit: nanoseconds since 1970 are 2⁶¹
+OVERLONG = b"of a line that is too long: "  # before its pieces, so that none passes for a reading
+
+Name = str | tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Names:
+    """How a robot's JSON calls things, and in what units: factors to SI, one for all joints or one each; time is divided."""
+
+    of: dict[str, Name] = field(default_factory=dict)  # quantity → key, or the keys of its joints
+    scale: tuple[float, ...] = (1.0,)
+    t_per_second: int = 1
+
+    @property
+    def ours(self) -> bool:
+        """Whether the lines need no change."""
+        return self == Names()
+
+    def line(self, text: str) -> bytes | None:
+        """The reading of a line as a line of a session; None if it is none."""
+        try:
+            row = json.loads(text)
+        except (ValueError, RecursionError):
+            return None
+        if not isinstance(row, dict):
+            return None
+        found = {quantity: self._value(row, quantity) for quantity in QUANTITIES}
+        t, seq, q = (found.pop(name) for name in ("t", "seq", "q"))
+        joints = self._scaled(q)
+        if type(t) not in (int, float) or not abs(t) < MAX_TIME or joints is None:
+            return None
+        more = {name: self._scaled(found[name]) for name in ("q_cmd", "qd")}
+        more |= {name: found[name] if are_joints(found[name]) else None for name in ("current", "effort")}
+        inputs = found["inputs"] if type(found["inputs"]) is int else None
+        return format_reading(t / self.t_per_second, seq, joints, **more, inputs=inputs, line=text)
+
+    def _value(self, row: dict[str, Any], quantity: str) -> Any:
+        name = self.of.get(quantity, quantity)
+        return row.get(name) if isinstance(name, str) else _all_of(row, name)
+
+    def _scaled(self, values: Any) -> list[float] | None:
+        """Joints in SI; None if they are none, or not as many as there are units."""
+        if not are_joints(values) or len(self.scale) not in (1, len(values)):
+            return None
+        scale = self.scale if len(self.scale) > 1 else self.scale * len(values)
+        return [factor * value for factor, value in zip(scale, values, strict=True)]
+
+
+def _all_of(row: dict[str, Any], names: tuple[str, ...]) -> list[Any] | None:
+    return [row[name] for name in names] if all(name in row for name in names) else None
+
+
+def read_names(said: dict[str, Any], names: Names | None = None) -> Names:
+    """``names`` with what a declaration says besides: ``names``, ``unit``, ``t_unit``. Raises InputError."""
+    names = names or Names()
+    of = said.get("names", {})
+    if not isinstance(of, dict) or not set(of) <= set(QUANTITIES):
+        raise InputError(f"names are given to {', '.join(QUANTITIES)}, not to {shown(str(of))}")
+    units = str(said.get("unit", "")).split(",")
+    if said.get("unit") is not None:
+        if not set(units) <= set(SCALE) or len(units) > MAX_JOINTS:
+            raise InputError(
+                f"unit {shown(str(said['unit']))} is not known; use rad, deg, m or mm, one for all joints or one each"
+            )
+        names = replace(names, scale=tuple(SCALE[unit] for unit in units))
+    if said.get("t_unit") is not None:
+        unit = str(said["t_unit"])
+        if unit not in PER_SECOND:
+            raise InputError(f"t_unit {shown(unit)} is not known; use s, ms, us or ns")
+        names = replace(names, t_per_second=PER_SECOND[unit])
+    return replace(names, of=names.of | {quantity: _name(name) for quantity, name in of.items()})
+
+
+def _name(name: Any) -> Name:
+    if isinstance(name, str):
+        return name
+    if isinstance(name, list) and 1 <= len(name) <= MAX_JOINTS and all(isinstance(part, str) for part in name):
+        return tuple(name)
+    raise InputError(f"{shown(str(name))} is no name; give the key of a list, or a list of the joints' keys")
+
+
+class Dialect:
+    """A robot's lines → a session's lines. ``of``: what the address says of them."""
+
+    def __init__(self, of: dict[str, str]) -> None:
+        self._names, self._columns = _declared(of)
+
+    def line(self, line: bytes) -> bytes:
+        """A session's line for a robot's; the line itself where it needs no change or is no reading.
+
+        Raises InputError for a header or a declaration that is not understood.
+        """
+        try:
+            found = self._line(line.decode().strip(), line)
+        except UnicodeDecodeError:
+            return line
+        return found if len(found) <= MAX_LINE else line  # the line within the line may have grown
+
+    def _line(self, text: str, line: bytes) -> bytes:
+        if text.startswith("{"):
+            return self._json(text, line)
+        cells = [cell.strip() for cell in text.split(",")]
+        if "t" in (cell.partition("_")[0] for cell in cells) and len(cells) > 1:
+            self._columns = read_columns(cells)
+            return line
+        return line if self._columns is None else self._columns.line(cells, line=text) or line
+
+    def _json(self, text: str, line: bytes) -> bytes:
+        if self._names.ours and parse_reading(line) is not None:
+            return line
+        if ('unit"' in text or '"names"' in text) and (said := _declaration(text)) is not None:
+            self._names = read_names(said, self._names)
+            return line
+        return line if self._names.ours else self._names.line(text) or line
+
+
+def _declaration(text: str) -> dict[str, Any] | None:
+    """A line that says names and units, None if it is none."""
+    try:
+        said = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    return said if isinstance(said, dict) and set(said) <= {"names", "unit", "t_unit"} else None
+
+
+def _declared(of: dict[str, str]) -> tuple[Names, Columns | None]:
+    """What an address's query says. Raises InputError."""
+    rest = dict(of)
+    columns = rest.pop("columns", None)
+    said: dict[str, Any] = {name: rest.pop(name) for name in ("unit", "t_unit") if name in rest}
+    said["names"] = {name: part.split(",") if "," in part else part for name, part in rest.items()}
+    return read_names(said), None if columns is None else read_columns(columns.split(","))
+
+
+class LinesLink:
+    """The lines of ``link`` in a session's form, by a dialect that learns of them what they are.
+
+    ``joined``: its first line may be the rest of one, and numbers without their first digits are numbers too: a row is passed over there.
+    """
+
+    def __init__(self, link: Link, clock: Clock, dialect: Dialect, joined: bool = False) -> None:
+        self.name = link.name
+        self._link = link
+        self._clock = clock
+        self.dialect = dialect
+        self._joined = joined
+        self._runs = Runs(b"\n", MAX_LINE)
+        self._end: LinkError | None = None
+
+    def read(self, timeout_s: float) -> Arrivals:
+        if self._end is not None:
+            raise self._end
+        lines: Arrivals = []
+        try:
+            for t_host_ns, data in self._link.read(timeout_s):
+                lines += [(t_host_ns, self._line(*run) + b"\n") for run in self._runs.push(data)]
+        except LinkError as exc:
+            self._end = exc
+            rest = self._runs.flush()
+            lines += [(self._clock.now_ns(), rest)] if rest else []
+        if self._end is not None and not lines:
+            raise self._end
+        return lines
+
+    def write(self, data: bytes) -> int:
+        return self._link.write(data)
+
+    @property
+    def backlog(self) -> Backlog:
+        """What waits to be read."""
+        return backlog_of(self._link)
+
+    def close(self) -> None:
+        self._link.close()
+
+    def _line(self, whole: bool, line: bytes) -> bytes:
+        joined, self._joined = self._joined, False
+        if not whole:
+            return OVERLONG + line
+        try:
+            found = self.dialect.line(line)
+            return line if joined and not line.lstrip().startswith(b"{") else found
+        except InputError as exc:
+            self._end = ProtocolError(f"{self.name}: {exc}")
+            return line
+
+
+def open_lines(url: str, clock: Clock, dialect: Dialect | None = None) -> LinesLink:
+    """The source behind ``lines+tcp://`` or ``lines+udp://``. ``dialect``: of an earlier connection, whose header still counts.
+
+    Raises InputError, LinkError.
+    """
+    address, _, query = url.partition("?")
+    try:
+        pairs = parse_qsl(query, True, bool(query), max_num_fields=20)
+    except ValueError as exc:
+        raise InputError(f"{url!r}: what stands behind '?' is no list of NAME=VALUE") from exc
+    dialect = dialect or Dialect(dict(pairs))  # refused before anything is opened
+    plain = address.removeprefix("lines+")
+    if plain.startswith("udp"):
+        return LinesLink(UdpLink(plain, clock, name=url), clock, dialect)
+    return LinesLink(TcpLink(plain, clock, name=url), clock, dialect, joined=True)

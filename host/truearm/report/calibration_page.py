@@ -1,0 +1,247 @@
+"""One HTML page about one calibration: the verdict, the pictures, the parameters, what was not seen, how it was made.
+
+The page is a single file: style and pictures are inside, there is no script, and a Content-Security-Policy forbids the
+browser to load anything. It opens from a disk without a network, follows the reader's light or dark setting, prints,
+and fits a phone. Names and notes may come from strangers' files; all text passes ``truearm.report.page_text.escape``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+
+from truearm.report.correlation import correlation
+from truearm.report.figures import Figure, convergence, figures_of
+from truearm.report.findings import (
+    addition_list,
+    chi2_words,
+    observability_table,
+    predicted_words,
+    relabelling_sentences,
+    residual_table,
+    suspect_table,
+)
+from truearm.report.page_tables import fact_list, parameter_table, step_table, visibility
+from truearm.report.page_text import counted, escape, figures, millimetres
+from truearm.report.residual_rows import rows_by_kind, summaries
+from truearm.report.words import kind_name
+from truearm.types import Estimate, Floats, HeldOut, ObservationTable, PredictedError
+
+CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
+HELD_OUT_DOUBTFUL = 1.5  # held-out RMS over fitted RMS
+LOSSES = {
+    "linear": "linear: every row counts as its σ says",
+    "huber": "huber: rows far from all others count less",
+    "cauchy": "cauchy: rows far from all others hardly count",
+}
+PRIORS = {
+    "none": "none",
+    "weak": "weak: nominal to 1 mm, 5 mrad, 0.001 of a gain",
+    "wide": "wide: nominal to 10 mm, 52 mrad, 0.01 of a gain",
+}
+POLICY = "default-src 'none'; style-src 'unsafe-inline'"
+
+
+@dataclass(frozen=True)
+class CalibrationPage:
+    """Everything that stands on the page.
+
+    ``estimate`` was made from ``table``, whose n rows are fitting and held-out ones. ``longitude`` (n,) [rad] is that
+    of the sphere about its chuck, NaN where a row has none. ``facts`` are labels and values about the recording,
+    ``steps`` names and seconds, ``command`` what to type to make the page again. ``validation`` is the error on rows
+    that were not fitted; None: the estimate's own ``held_out``. ``notes`` are sentences for the reader. ``prior`` is the name
+    of the robot's, ``angle`` (n,) [rad] the rotation's residual of the rows of kind pose, ``predicted`` how far the tool may
+    be off by the parameters' covariance.
+
+    Raises ValueError where the rows of table, longitude and estimate differ in number.
+    """
+
+    title: str
+    subtitle: str
+    estimate: Estimate
+    table: ObservationTable
+    longitude: Floats  # (n,) rad
+    facts: tuple[tuple[str, str], ...] = ()
+    steps: tuple[tuple[str, float], ...] = ()
+    command: str = ""
+    validation: HeldOut | None = None
+    notes: tuple[str, ...] = ()
+    prior: str = "none"
+    angle: Floats | None = None  # (n,) rad, NaN where a row has none
+    predicted: PredictedError | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.table)
+        angle = self.longitude if self.angle is None else self.angle
+        shapes = (self.longitude.shape, self.estimate.residual.shape, self.estimate.fitted.shape, angle.shape)
+        if any(shape != (n,) for shape in shapes):
+            raise ValueError(f"longitude, residual, fitted and angle must be ({n},) as the table, are {shapes}")
+
+    @property
+    def judged(self) -> HeldOut | None:
+        """The held-out error that the verdict quotes."""
+        return self.validation or self.estimate.held_out
+
+
+def render(page: CalibrationPage) -> str:
+    """The page as HTML text, to be written as UTF-8."""
+    sections = (
+        _verdict(page),
+        _pictures(page),
+        _parameters(page.estimate),
+        _section("What the data can and cannot see", _sight(page.estimate)),
+        _section("The recording", fact_list(page.facts)) if page.facts else "",
+        _making(page),
+    )
+    style = files("truearm.report").joinpath("page.css").read_text(encoding="utf-8")
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<meta name="generator" content="truearm">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        '<meta name="color-scheme" content="light dark">\n'
+        f"<title>{escape(page.title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
+        f"{_header(page)}<main>\n{''.join(sections)}</main>\n</body>\n</html>\n"
+    )
+
+
+def _header(page: CalibrationPage) -> str:
+    return (
+        f'<header><p class="brand">truearm</p><h1>{escape(page.title)}</h1>'
+        f'<p class="subtitle">{escape(page.subtitle, 400)}</p></header>\n'
+    )
+
+
+def _section(title: str, content: str) -> str:
+    return f"<section><h2>{title}</h2>{content}</section>\n"
+
+
+def _verdict(page: CalibrationPage) -> str:
+    e, judged = page.estimate, page.judged
+    tiles = [
+        _tile("before", e.rms_before, f"{counted(e.n_observations, 'observation')}, nominal parameters", "old"),
+        _tile("after", e.rms_after, "the same observations, identified parameters", "fit"),
+    ]
+    if judged:
+        more = f"mean {millimetres(judged.mean)}, largest {millimetres(judged.max)} mm"
+        tiles.append(
+            _tile("validation", judged.rms, f"{counted(judged.n, 'observation')} not used to fit; {more}", "val")
+        )
+    if page.predicted:
+        more = f"by the parameters' σ, over {counted(page.predicted.n, 'pose')}; most {millimetres(page.predicted.largest)} mm"
+        tiles.append(_tile("of the tool, predicted", page.predicted.rms, more, "old"))
+    remarks = _list(doubts(page), "remarks doubts") + _list(page.notes, "remarks")
+    line = f'<h2 class="verdict">{escape(verdict(page), 400)}</h2>'
+    return f'<section>{line}<div class="tiles">{"".join(tiles)}</div>{remarks}</section>\n'
+
+
+def _list(sentences: Sequence[str], css: str) -> str:
+    items = "".join(f"<li>{escape(text, 600)}</li>" for text in sentences)
+    return f'<ul class="{css}">{items}</ul>' if items else ""
+
+
+def verdict(page: CalibrationPage) -> str:
+    """The result in one line of plain text."""
+    e, judged = page.estimate, page.judged
+    *several, last = (kind_name(str(kind)) for kind in sorted(set(page.table.kind)))
+    kinds = f"{', '.join(several)} and {last}" if several else last
+    factor = e.rms_before / e.rms_after if e.rms_after > 0.0 else math.inf
+    better = f"{figures(factor, 2)} times smaller" if factor >= 1.0 and math.isfinite(factor) else "changed"
+    line = (
+        f"The {kinds} error is {better}: {millimetres(e.rms_before)} mm RMS before, {millimetres(e.rms_after)} mm after"
+    )
+    return line + (f", {millimetres(judged.rms)} mm on observations not used to fit." if judged else ".")
+
+
+def doubts(page: CalibrationPage) -> list[str]:
+    """Reasons not to trust the figures, a sentence each."""
+    e, judged = page.estimate, page.judged
+    found = relabelling_sentences(e.relabellings, page.table)
+    if e.relabelling_search == "too many groups":
+        found.append(
+            "Wrong labels? The residuals are as large as wrong chucks or spheres would make them, but there are too many "
+            "pairings to search them all; identify fewer at a time."
+        )
+    if e.status != "converged":
+        found.append(f"The solver stopped early ({e.status}): {e.message}.")
+    if judged is None:
+        found.append("Nothing was held out: the error after is not an independent judgement.")
+    elif judged.rms > HELD_OUT_DOUBTFUL * e.rms_after:
+        ratio = figures(judged.rms / e.rms_after, 2) if e.rms_after > 0.0 else "many"
+        found.append(
+            f"The held-out error is {ratio} times the fitted one: too few observations for so many parameters, or "
+            "errors that the parameters do not model."
+        )
+    if e.chi2_reduced > CHI2_DOUBTFUL:
+        found.append(
+            f"Residuals are {figures(math.sqrt(e.chi2_reduced), 2)} times what the declared sigmas allow; the σ of the "
+            "parameters are too small by as much."
+        )
+    return found
+
+
+def _tile(name: str, metres: float, note: str, css: str) -> str:
+    figure = f'<p class="figure">{millimetres(metres)}<span> mm</span></p>'
+    return f'<div class="tile {css}"><p class="name">RMS {name}</p>{figure}<p class="small">{escape(note)}</p></div>'
+
+
+def _pictures(page: CalibrationPage) -> str:
+    e, table = page.estimate, page.table
+    kinds = rows_by_kind(e, table, page.longitude, page.angle)
+    shown = [_figure(figure, rows.title if len(kinds) > 1 else "") for rows in kinds for figure in figures_of(rows)]
+    shown.append(_figure(convergence(e)))
+    words = [chi2_words(e), predicted_words(page.predicted) if page.predicted else ""]
+    content = residual_table(summaries(e, table, page.angle)) + "".join(f"<p>{escape(w, 600)}</p>" for w in words if w)
+    pictures = f'<div class="pictures">{"".join(shown)}</div>'
+    return _section("Residuals", content + (suspect_table(e, table) if e.suspect.size else "") + pictures)
+
+
+def _sight(e: Estimate) -> str:
+    return visibility(e) + observability_table(e) + addition_list(e.additions)
+
+
+def _figure(figure: Figure, kind: str = "") -> str:
+    """A <figure>; ``kind`` is added to its title where there are several."""
+    title = escape(figure.title + (f" · {kind}" if kind else ""))
+    # A wide picture scrolls on a phone, so it must be reachable by keyboard.
+    scroll = f'<div class="scroll" tabindex="0" role="region" aria-label="{title}">'
+    picture = f"{scroll}{figure.drawing}</div>" if figure.wide else figure.drawing
+    caption = f"<figcaption>{escape(figure.caption, 800)}</figcaption>"
+    css = ' class="wide"' if figure.wide else ""
+    return f"<figure{css}><h3>{title}</h3>{picture}{caption}</figure>\n"
+
+
+def _parameters(e: Estimate) -> str:
+    robot, rig = range(e.n_robot_parameters), range(e.n_robot_parameters, len(e.parameter_names))
+    parts = [
+        "<p>A single parameter may differ from the drawing because of how the fixtures are mounted, or because it "
+        "takes over the error of one held fixed; judge the arm by its predictions.</p>",
+        parameter_table(e, robot),
+    ]
+    if rig:
+        summary = f"{counted(len(rig), 'parameter')} of the rig"
+        parts.append(f"<details><summary>{summary}</summary>{parameter_table(e, rig)}</details>")
+    picture = correlation(e)
+    return _section("Parameters", "".join(parts) + (_figure(picture) if picture else ""))
+
+
+def _making(page: CalibrationPage) -> str:
+    e = page.estimate
+    facts = [
+        ("solver", e.solver),
+        ("loss", LOSSES.get(e.loss, e.loss)),
+        ("prior of the robot", PRIORS.get(page.prior, page.prior)),
+        ("iterations", str(e.iterations)),
+        ("status", f"{e.status}: {e.message}" if e.message else e.status),
+        ("χ² per degree of freedom", figures(e.chi2_reduced)),
+        ("solver's time", f"{figures(e.seconds, 2)} s"),
+    ]
+    command = f'<pre tabindex="0"><code>{escape(page.command, 2000)}</code></pre>' if page.command else ""
+    steps = step_table(page.steps) if page.steps else ""
+    return _section("How it was made", command + fact_list(facts) + steps)
+
+
+def looks_like_page(head: bytes) -> bool:
+    """Whether a file that begins so is a page of ours, or empty."""
+    return not head.strip() or b'<meta name="generator" content="truearm">' in head

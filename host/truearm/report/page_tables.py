@@ -1,0 +1,127 @@
+"""The tables and sentences of a page: parameters, what the data cannot see, facts, steps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from truearm.report.page_text import ABSENT, BORDER, counted, escape, figures, number
+from truearm.types import Estimate, NullDirection
+
+MAX_DIRECTIONS = 40
+MAX_TERMS = 6
+SMALLEST_WEIGHT = 0.005  # below it "0.00" would be shown
+
+
+def parameter_table(estimate: Estimate, which: range) -> str:
+    """Nominal, identified, change and σ of the parameters ``which``, in mm, deg or 1."""
+    titles = ("parameter", "nominal", "identified", "change", "σ", "unit", "")
+    head = "".join(f'<th scope="col">{title}</th>' for title in titles)
+    body = "".join(_parameter_row(estimate, i) for i in which)
+    table = f'<table class="numbers"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
+    return f'<div class="scroll" tabindex="0" role="region" aria-label="parameters">{table}</div>'
+
+
+def _parameter_row(estimate: Estimate, i: int) -> str:
+    unit, factor, decimals = BORDER.get(estimate.units[i], (estimate.units[i], 1.0, 6))
+    nominal, value, sigma = (factor * float(v[i]) for v in (estimate.nominal, estimate.value, estimate.sigma))
+    free, seen = bool(estimate.free[i]), bool(estimate.free[i] and estimate.identifiable[i])
+    said = free and (seen or estimate.units[i] != "s")  # a time offset that is not seen may be anything
+    cells = [
+        number(nominal, decimals),
+        number(value, decimals) if said else ABSENT,
+        number(value - nominal, decimals, sign=True) if said else ABSENT,
+        _sigma(sigma, decimals) if seen else ABSENT,
+    ]
+    first = i > 0 and _owner(estimate.parameter_names[i]) != _owner(estimate.parameter_names[i - 1])
+    css, note = ("", "") if seen else ("unseen", "not seen alone") if free else ("held", "held fixed")
+    numbers = "".join(f"<td>{cell}</td>" for cell in cells)
+    rest = f'<td class="unit">{escape(unit)}</td><td class="note">{note}</td>'
+    name = f'<th scope="row">{escape(estimate.parameter_names[i])}</th>'
+    return f'<tr class="{css}{" first" if first else ""}">{name}{numbers}{rest}</tr>'
+
+
+def _owner(name: str) -> str:
+    return name.rpartition(".")[0]
+
+
+def _sigma(sigma: float, decimals: int) -> str:
+    """With the decimals of the value, unless nothing would be left of it."""
+    return number(sigma, decimals) if not sigma < 5.0 * 10.0**-decimals else figures(sigma, 2)
+
+
+def visibility(estimate: Estimate) -> str:
+    """Rank and null space in words, as HTML."""
+    of = int(estimate.free[: estimate.n_robot_parameters].sum())
+    held = estimate.n_robot_parameters - of
+    gap = (
+        f" The weakest of these stands a factor of {figures(estimate.rank_gap, 2)} above what is not seen."
+        if math.isfinite(estimate.rank_gap)
+        else ""
+    )
+    words = [
+        f"The observations see <strong>{estimate.rank} of {of}</strong> combinations of the robot's free parameters."
+        f"{gap}"
+    ]
+    if held:
+        words.append(f"{counted(held, 'parameter is', 'parameters are')} held fixed at the nominal value.")
+    if not estimate.null_space:
+        words.append("No free parameter is left undetermined.")
+        return f"<p>{' '.join(words)}</p>" + _hardly(estimate.hardly_seen)
+    words.append(
+        "The changes listed here (in m, rad and 1) alter no prediction; the values of their parameters are one choice "
+        "of many that predict alike, and mean something only together."
+    )
+    return f"<p>{' '.join(words)}</p>" + _directions(estimate.null_space) + _hardly(estimate.hardly_seen)
+
+
+def _hardly(directions: Sequence[NullDirection]) -> str:
+    """What is seen, but less well than a drawing tells it; "" where there is nothing of the kind."""
+    if not directions:
+        return ""
+    one = len(directions) == 1
+    words = (
+        f"{counted(len(directions), 'combination')} of parameters {'is' if one else 'are'} hardly seen: by the observations "
+        f"alone less well than a drawing tells {'it' if one else 'them'} (1 mm, 5 mrad, 0.001 of a gain; 1 ms)."
+    )
+    return f"<p>{words}</p>" + _directions(directions, "by itself")
+
+
+def _directions(directions: Sequence[NullDirection], single: str = "not seen at all") -> str:
+    items = [f"<li>{escape(direction_words(d, single), 600)}</li>" for d in directions[:MAX_DIRECTIONS]]
+    if len(directions) > MAX_DIRECTIONS:
+        items.append(f"<li>and {len(directions) - MAX_DIRECTIONS} more</li>")
+    return f'<ul class="directions">{"".join(items)}</ul>'
+
+
+def direction_words(direction: NullDirection, single: str = "not seen at all") -> str:
+    """A direction in words: "link2.z up, link3.z down by as much"; ``single`` is said of one parameter alone."""
+    terms = sorted(zip(direction.weights, direction.names, strict=True), key=lambda t: -abs(t[0]))
+    terms = [(weight, name) for weight, name in terms if abs(weight) >= SMALLEST_WEIGHT]
+    if len(terms) == 1:
+        return f"{terms[0][1]}: {single}"
+    if len(terms) == 2 and abs(abs(terms[0][0]) - abs(terms[1][0])) < SMALLEST_WEIGHT:
+        way = "up" if terms[0][0] * terms[1][0] > 0.0 else "down"
+        return f"{terms[0][1]} up, {terms[1][1]} {way} by as much"
+    shown = [f"{number(weight, 2, sign=True)} {name}" for weight, name in terms[:MAX_TERMS]]
+    more = f" and {len(terms) - MAX_TERMS} smaller terms" if len(terms) > MAX_TERMS else ""
+    return f"{' '.join(shown)}{more}"
+
+
+def fact_list(facts: Sequence[tuple[str, str]]) -> str:
+    """Labels and values as a definition list."""
+    entries = (f"<div><dt>{escape(name)}</dt><dd>{escape(value, 400)}</dd></div>" for name, value in facts)
+    return f'<dl class="facts">{"".join(entries)}</dl>'
+
+
+def step_table(steps: Sequence[tuple[str, float]]) -> str:
+    """Steps with their seconds and a bar in proportion."""
+    total = sum(seconds for _, seconds in steps)
+    longest = max((seconds for _, seconds in steps), default=0.0) or 1.0
+    rows = "".join(
+        f'<tr><th scope="row">{escape(name)}</th><td>{number(seconds, 1)} s</td>'
+        f'<td class="span"><span style="width:{100.0 * max(seconds, 0.0) / longest:.1f}%"></span></td></tr>'
+        for name, seconds in steps
+    )
+    end = f'<tfoot><tr><th scope="row">total</th><td>{number(total, 1)} s</td><td></td></tr></tfoot>'
+    return f'<table class="steps"><tbody>{rows}</tbody>{end}</table>'

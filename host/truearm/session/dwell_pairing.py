@@ -1,0 +1,230 @@
+"""Which bar, chuck and sphere a dwell belongs to: by the plan, or by what was said to be mounted (hop 5).
+
+A robot follows its plan in order, but a pose may be left out, visited twice, or stopped at in between, and the program may be
+stopped and begun again. The pairing is therefore a way through the plan: (dwell, pose) pairs that are near in joint space,
+each dwell in one of them. It gains 1 for every pair and pays REPEAT for standing at the pose before once more and BACK for
+going back in the plan; of ways that are worth the same, the one with the smaller distances. Going on costs nothing, however
+many poses are left out. So one stop that happens to lie near an earlier pose is no restart, two in a row are. The best way
+is found dwell by dwell, the best that ends before a pose by a Fenwick tree: O(k log k) for k near pairs.
+
+A plan may hold the same joint pose twice with different fittings. Where dwells are missing, several ways are then worth the
+same, and nothing says which of them the robot took: a dwell to which such ways give different bars, chucks or spheres
+is **ambiguous**. A pair lies on a best way exactly if the best way that ends at it and the best that begins at it, less the
+pair that they share, are worth that much. Distances do not decide here: a robot that misses its poses by a little more on one
+side would be given another bar.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from truearm.session.joint_line import MAX_JOINTS
+from truearm.types import Floats
+from truearm.types import Plan as PlanFile
+
+REQUIRED = ("bar", "chuck", "sphere")  # what an observation of the ball-bar must name
+LINE = ("line", "target")  # what is mounted while a line is driven
+NAMED = (*REQUIRED, *LINE)
+FITTINGS = (*NAMED, "shell")
+MOVES = PlanFile.MOVES
+MAX_NAME = 64
+REPEAT = 0.25
+BACK = 1.125
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The poses at which the ball-bar is read, or the ends of lines, in their order: q (p, j) and what is mounted at each."""
+
+    q: Floats
+    mounted: tuple[dict[str, str], ...]
+
+
+class Row(NamedTuple):
+    """A row of the plan as ``/plan`` has it (``types.Plan``)."""
+
+    q: list[float]
+    mounted: dict[str, str]  # of FITTINGS
+    move: str
+
+
+@dataclass
+class Marks:
+    """Gathers what ``/plan`` and ``/events`` say."""
+
+    rows: list[Row] = field(default_factory=list)
+    mountings: list[tuple[int, dict[str, str]]] = field(default_factory=list)  # (t_host_ns, what)
+    kinds: dict[str, int] = field(default_factory=dict)
+    malformed: int = 0
+
+    def feed(self, topic: str, t_host_ns: int, data: bytes) -> None:
+        """Take one message of either topic; others are ignored."""
+        if topic not in ("/plan", "/events"):
+            return
+        document = _document(data)
+        if document is None:
+            self.malformed += 1
+        elif topic == "/plan":
+            self._plan(document)
+        else:
+            kind = document.get("kind")
+            if isinstance(kind, str) and (kind in self.kinds or len(self.kinds) < 100):
+                self.kinds[kind] = self.kinds.get(kind, 0) + 1
+            if kind == "mounted":
+                self.mountings.append((t_host_ns, _fittings(document)))
+
+    def _plan(self, document: Mapping[str, Any]) -> None:
+        q = document.get("q")
+        numbers = isinstance(q, list) and 1 <= len(q) <= MAX_JOINTS
+        numbers = numbers and all(type(value) in (int, float) and abs(value) < 1e6 for value in q or [])
+        move = document.get("move", "dwell")
+        if not numbers or move not in MOVES or (self.rows and len(self.rows[0].q) != len(q or [])):
+            self.malformed += 1
+            return
+        self.rows.append(Row([float(value) for value in q or []], _fittings(document), move))
+
+    @property
+    def dwells(self) -> list[int]:
+        """The rows at which the ball-bar is read."""
+        return [number for number, row in enumerate(self.rows) if row.move == "dwell"]
+
+    def plan(self) -> Plan | None:
+        """The poses of ``dwells``, None without any."""
+        poses = [self.rows[number] for number in self.dwells]
+        if not poses:
+            return None
+        return Plan(np.array([row.q for row in poses]), tuple(row.mounted for row in poses))
+
+    @property
+    def names_lines(self) -> bool:
+        """Whether a line was planned or said to be mounted."""
+        return any(row.move == "line" for row in self.rows) or any("line" in said for _, said in self.mountings)
+
+    def mounted_at(self, t_host_ns: int) -> dict[str, str]:
+        """What was said to be mounted at a time; empty before the first word."""
+        times = [t for t, _ in self.mountings]
+        index = int(np.searchsorted(np.array(times, dtype=np.int64), t_host_ns, side="right"))
+        return self.mountings[index - 1][1] if index else {}
+
+
+@dataclass(frozen=True)
+class Matches:
+    """The planned pose of each dwell, None where there is none, and the fittings ("b46 c1 s1") that suit a dwell equally
+    well where they differ."""
+
+    poses: tuple[int | None, ...]
+    ambiguous: Mapping[int, tuple[str, ...]]
+
+
+class _Pair(NamedTuple):
+    """A dwell near a planned pose; ``closeness`` is 0 to 1, and so small that all of them together are less than REPEAT."""
+
+    dwell: int
+    pose: int
+    closeness: float
+
+
+def match_plan(q: Floats, plan: Plan, tolerance: float, said: Sequence[Mapping[str, str]]) -> Matches:
+    """Which planned pose each dwell is.
+
+    ``q`` (d, j): mean readings in order; ``tolerance`` [rad or m] holds for every joint; ``said``: what events said to be
+    mounted at each dwell, which a pose must not contradict.
+    """
+    pairs = _near_pairs(q, plan, tolerance, said)
+    matched: list[int | None] = [None] * len(q)
+    worth, before = _ways(pairs, [pair.closeness for pair in pairs], len(plan.q))
+    k = max(range(len(pairs)), key=worth.__getitem__, default=-1)
+    while k >= 0:
+        matched[pairs[k].dwell] = pairs[k].pose
+        k = before[k]
+    return Matches(tuple(matched), _ambiguous(pairs, plan))
+
+
+def nearest_pose(q: Floats, plan: Plan) -> tuple[int, float]:
+    """The planned pose nearest to one mean reading (j,), and its distance in the joint that is furthest off."""
+    if q.shape[0] != plan.q.shape[1]:
+        return -1, float("nan")
+    distance = np.max(np.abs(plan.q - q), axis=1)
+    return int(np.argmin(distance)), float(np.min(distance))
+
+
+def _near_pairs(q: Floats, plan: Plan, tolerance: float, said: Sequence[Mapping[str, str]]) -> list[_Pair]:
+    """Near pairs by dwell, then by pose."""
+    if not len(q) or q.shape[1] != plan.q.shape[1]:
+        return []
+    near = KDTree(plan.q).query_ball_point(q, tolerance, p=np.inf)
+    scale = REPEAT / (tolerance * (len(q) + 1))
+    return [
+        _Pair(dwell, pose, scale * (tolerance - float(np.max(np.abs(q[dwell] - plan.q[pose])))))
+        for dwell, poses in enumerate(near)
+        for pose in sorted(poses)
+        if not _contradict(said[dwell], plan.mounted[pose])
+    ]
+
+
+def _contradict(said: Mapping[str, str], planned: Mapping[str, str]) -> bool:
+    return any(said.get(key) and planned.get(key) and said[key] != planned[key] for key in NAMED)
+
+
+def _ways(pairs: Sequence[_Pair], closeness: Sequence[float], poses: int) -> tuple[list[float], list[int]]:
+    """What the best way that ends at each pair is worth, and the pair before it on that way, -1 for none."""
+    nothing = (0.0, -1)
+    tree = [nothing] * (poses + 1)  # of the best ways that end before a pose
+    at: dict[int, tuple[float, int]] = {}  # the best way that ends at a pose
+    best = nothing
+    worth: list[float] = []
+    before: list[int] = []
+    for _, group in groupby(enumerate(pairs), key=lambda numbered: numbered[1].dwell):
+        of_dwell = [(k, pair.pose) for k, pair in group]
+        for k, pose in of_dwell:
+            coming, i = nothing, pose
+            while i > 0:
+                coming, i = max(coming, tree[i]), i & (i - 1)
+            again = at.get(pose, nothing)
+            coming = max(coming, (again[0] - REPEAT, again[1]), (best[0] - BACK, best[1]))
+            worth.append(coming[0] + 1.0 + closeness[k])
+            before.append(coming[1])
+        for k, pose in of_dwell:  # only now: a dwell is in one pair
+            way = (worth[k], k)
+            best, at[pose] = max(best, way), max(at.get(pose, nothing), way)
+            i = pose + 1
+            while i <= poses:
+                tree[i], i = max(tree[i], way), i + (i & -i)
+    return worth, before
+
+
+def _ambiguous(pairs: list[_Pair], plan: Plan) -> dict[int, tuple[str, ...]]:
+    """The dwells to which ways of the greatest worth give different fittings, and those."""
+    poses = len(plan.q)
+    exact = [0.0] * len(pairs)  # eighths: sums of them are exact
+    ending, _ = _ways(pairs, exact, poses)
+    backward = [_Pair(pair.dwell, poses - 1 - pair.pose, 0.0) for pair in reversed(pairs)]
+    beginning = _ways(backward, exact, poses)[0][::-1]
+    greatest = max(ending, default=0.0)
+    keys = [key for key in NAMED if any(mounted.get(key) for mounted in plan.mounted)]
+    suits: dict[int, dict[str, None]] = {}
+    for pair, end, begin in zip(pairs, ending, beginning, strict=True):
+        if end + begin - 1.0 == greatest:
+            fittings = " ".join(plan.mounted[pair.pose].get(key) or "?" for key in keys)
+            suits.setdefault(pair.dwell, {})[fittings] = None
+    return {dwell: tuple(fittings) for dwell, fittings in suits.items() if len(fittings) > 1}
+
+
+def _document(data: bytes) -> dict[str, Any] | None:
+    try:
+        document = json.loads(data)
+    except (ValueError, RecursionError):
+        return None
+    return document if isinstance(document, dict) else None
+
+
+def _fittings(document: Mapping[str, Any]) -> dict[str, str]:
+    named = {key: document.get(key) for key in FITTINGS}
+    return {key: str(value)[:MAX_NAME] for key, value in named.items() if isinstance(value, str) and value}

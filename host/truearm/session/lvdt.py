@@ -1,0 +1,62 @@
+"""An LVDT on a ball-bar: counts → volts → extension [m] → length [m].
+
+The box says the first two steps (scale and calibration polynomial of the channel), the rig says the third:
+length = zero + gain · extension, centre to centre.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.errors import SessionError
+from truearm.session.box_ident import Channel
+from truearm.types import BallBar, Floats
+
+METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6}
+
+# Two's complement ends of a 24-bit converter: at either the input was at least that large, and the reading says no more.
+RAIL_HIGH = 2**23 - 1
+RAIL_LOW = -(2**23)
+
+
+def railed(counts: NDArray[Any]) -> NDArray[np.bool_]:
+    """Mask of the counts that stand at a rail of the 24-bit converter."""
+    return np.asarray((counts >= RAIL_HIGH) | (counts <= RAIL_LOW))
+
+
+def volts(counts: NDArray[Any], channel: Channel) -> Floats:
+    """counts · scale, in the channel's ``unit``; any shape."""
+    return counts * np.float64(channel.scale)
+
+
+def extension(counts: NDArray[Any], channel: Channel) -> Floats:
+    """Extension [m] of the counts of a calibrated channel; any shape.
+
+    Raises SessionError if the channel has no calibration to a length, or the box describes it wrongly.
+    """
+    if channel.fault:
+        raise SessionError(
+            f"channel {channel.name!r} of the box cannot be used: {channel.fault}; correct the box's configuration and "
+            "record anew"
+        )
+    if channel.calibrated_unit not in METRES or not channel.poly:
+        raise SessionError(
+            f"channel {channel.name!r} of the box has no calibration to metres; record with a calibrated box"
+        )
+    return np.asarray(
+        METRES[channel.calibrated_unit] * np.polynomial.polynomial.polyval(volts(counts, channel), channel.poly)
+    )
+
+
+def bar_length(extension: Floats, bar: BallBar) -> Floats:
+    """Length [m], centre to centre, of a bar at these extensions [m]."""
+    return bar.zero + bar.gain * extension
+
+
+def out_of_travel(extension: Floats, bar: BallBar) -> NDArray[np.bool_]:
+    """Mask of the extensions [m] that lie beyond the bar's stroke, where it stands at a stop or its LVDT has left its
+    linear range."""
+    return np.asarray(np.abs(extension) > 0.5 * bar.travel)

@@ -1,0 +1,257 @@
+"""A session's messages → observations (hops 4 and 5), in two passes whose memory does not grow with the samples.
+
+The first pass (``survey``) accounts for every frame, gathers the clock exchanges and what the robot said, and finds the dwells
+and the legs. The second (``observations``) takes the samples of one dwell and one leg after another. A dwell gives one
+observation, a leg along a line device many, or they say why not.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, replace
+from itertools import chain, islice
+
+import numpy as np
+
+from truearm.errors import RigError
+from truearm.session.box_ident import Ident
+from truearm.session.device_clock import DeviceClock
+from truearm.session.device_clock_fit import ClockReport, fit_clock
+from truearm.session.dwell_measurement import LEARNT, Sensing, measured, usual_noise, without_noisy
+from truearm.session.dwell_pairing import REQUIRED, Marks, Plan, match_plan, nearest_pose
+from truearm.session.dwell_samples import gather
+from truearm.session.dwells import Dwell, DwellRules, find_dwells
+from truearm.session.joint_readings import JointReader, JointStream
+from truearm.session.legs import Leg, find_legs
+from truearm.session.line_pairing import passes_of
+from truearm.session.line_passes import WANTED, LineRules, Pass, measure
+from truearm.session.losses import Losses
+from truearm.session.manual_joints import are_noted, noted_dwells
+from truearm.session.motion_samples import Heard, Listener
+from truearm.session.observation_rows import table_of
+from truearm.session.sample_blocks import Block, BoxReader
+from truearm.session.sample_streams import StreamReport
+from truearm.session.trigger_edges import Output, with_edges
+from truearm.types import Message, ObservationTable, Rig
+
+Messages = Callable[[Collection[str] | None], Iterator[Message]]
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What the first pass says. ``idents``: of each segment that has one; ``clocks``: of each segment with exchanges."""
+
+    losses: Losses
+    streams: tuple[StreamReport, ...]
+    idents: dict[int, Ident]
+    boot_ids: tuple[int | None, ...]
+    clocks: dict[int, DeviceClock]
+    clock_reports: tuple[ClockReport, ...]
+    joints: JointStream
+    dwells: tuple[Dwell, ...]
+    legs: tuple[Leg, ...]  # () where no line was planned or mounted
+    marks: Marks
+    box_topics: frozenset[str]
+
+
+@dataclass(frozen=True)
+class SyncResult:
+    """Observations and how they came about. The table's rows are the dwells without a reason, in order, then the passes' rows."""
+
+    table: ObservationTable
+    dwells: tuple[Dwell, ...]
+    passes: tuple[Pass, ...]
+    survey: Survey
+    samples_seen: int
+    samples_used: int
+
+    @property
+    def losses(self) -> Losses:
+        """The exact account of what did not arrive."""
+        return self.survey.losses
+
+    @property
+    def clock_reports(self) -> tuple[ClockReport, ...]:
+        """Device to host, a report a segment."""
+        return self.survey.clock_reports
+
+    @property
+    def reasons(self) -> dict[str, int]:
+        """How many dwells were rejected, by reason."""
+        return dict(Counter(dwell.reason for dwell in self.dwells if dwell.reason))
+
+    @property
+    def pass_reasons(self) -> dict[str, int]:
+        """How many passes were rejected, by reason."""
+        return dict(Counter(one.reason for one in self.passes if one.reason))
+
+
+def survey(messages: Messages, ident: Ident | None = None, rules: DwellRules | None = None) -> Survey:
+    """One pass over all messages. ``ident`` (of the session's metadata) serves until the box itself says its own."""
+    box, robot, marks, topics = BoxReader(ident), JointReader(), Marks(), set[str]()
+    for message in messages(None):
+        if message.topic == "/robot/joints":
+            robot.feed(message)
+        elif message.topic.startswith("/box/"):
+            topics.add(message.topic)
+            box.feed(message)
+        elif message.topic == "/sync":
+            box.feed(message)
+        else:
+            robot.feed(message)  # an event may say that its link was lost
+            marks.feed(message.topic, message.t_host_ns, message.data)
+    fits = {s.index: fit for s in box.segments if (fit := fit_clock(s.index, s.exchanges)) is not None}
+    clocks = {index: clock for index, (clock, _) in fits.items()}
+    outputs = {s.index: Output.of(s.output) for s in box.segments if s.output}
+    joints = with_edges(robot.finish(), outputs, clocks)
+    rules = rules or DwellRules()
+    if are_noted(joints):
+        blocks = _blocks(messages, topics, ident, None, lambda _: None)
+        dwells = noted_dwells(joints, blocks, clocks, rules)
+    else:
+        dwells = [_on_host(dwell, joints) for dwell in find_dwells(joints, rules)]
+    return Survey(
+        losses=box.losses(),
+        streams=box.streams(),
+        idents={s.index: s.ident for s in box.segments if s.ident is not None},
+        boot_ids=tuple(s.boot_id for s in box.segments),
+        clocks=clocks,
+        clock_reports=tuple(report for _, report in fits.values()),
+        joints=joints,
+        dwells=tuple(dwells),
+        legs=tuple(find_legs(joints)) if marks.names_lines else (),
+        marks=marks,
+        box_topics=frozenset(topics),
+    )
+
+
+def observations(
+    messages: Messages,
+    rig: Rig,
+    ident: Ident | None = None,
+    rules: DwellRules | None = None,
+    name: str = "session",
+    channel: str = "lvdt",
+    found: Survey | None = None,
+    line_rules: LineRules | None = None,
+) -> SyncResult:
+    """Observations of the ball-bar on ``channel`` and of a line device; ``messages`` is called twice, once if ``found`` is its survey.
+
+    ``name`` stands for the session in the table's ``source``. Raises RigError where a dwell's bar, chuck or sphere, a line
+    or its target is not in the rig, SessionError where the box has no such channel or no calibration of it.
+    """
+    rules, line_rules = rules or DwellRules(), line_rules or LineRules()
+    if rig.line_travel is not None:
+        line_rules = replace(line_rules, reach=0.5 * rig.line_travel)
+    found = found or survey(messages, ident, rules)
+    dwells = _pair(found, rig, rules)
+    passes: list[Pass | None] = list(passes_of(found.legs, found.marks, rig, line_rules.pose_tolerance))
+    legs = [(i, one.leg) for i, one in enumerate(passes) if one and one.reason not in ("too long", "ambiguous")]
+
+    def over(legs_over: list[Heard]) -> None:
+        for heard in legs_over:
+            one = passes[heard.index]
+            passes[heard.index] = one and measure(one, heard, found.clocks, found.joints, line_rules)
+
+    listener = Listener(legs, WANTED, found.joints)
+    blocks = _blocks(messages, found.box_topics, ident, listener if legs else None, over)
+    good = sorted((d.start_host_ns, d.end_host_ns, i) for i, d in enumerate(dwells) if not d.reason)
+    if good:
+        intervals = disjoint([(i, start, end) for start, end, i in good])
+        several = gather(blocks, found.clocks, intervals, channel)
+        first = list(islice(several, LEARNT))
+        sensing = Sensing(rules, found.joints, bool(found.clocks), usual_noise(first))
+        for taken in chain(first, several):
+            dwell = dwells[taken.dwell]
+            dwells[taken.dwell] = measured(dwell, taken, rig.bars[dwell.mounted["bar"]], sensing)
+    elif legs:
+        deque(blocks, maxlen=0)
+    over(listener.rest())
+    dwells = without_noisy(dwells)
+    driven = tuple(one for one in passes if one is not None)
+    used = sum(dwell.n_samples for dwell in dwells if not dwell.reason) + sum(one.n_samples for one in driven)
+    bins = None if are_noted(found.joints) else found.joints.bins
+    table = table_of(dwells, driven, len(found.joints.step), name, bins)
+    return SyncResult(table, tuple(dwells), driven, found, found.losses.samples, used)
+
+
+def _blocks(
+    messages: Messages,
+    topics: Collection[str],
+    ident: Ident | None,
+    listener: Listener | None,
+    over: Callable[[list[Heard]], None],
+) -> Iterator[tuple[Block, Ident]]:
+    """All blocks in log order; the ``listener`` hears them too, and the robot, and ``over`` takes the legs that are over."""
+    reader = BoxReader(ident, keep_exchanges=False)
+    for message in messages(topics if listener is None else {*topics, "/robot/joints"}):
+        if listener is not None and message.topic == "/robot/joints":
+            over(listener.line(message))
+            continue
+        block = reader.feed(message)
+        if block is not None and reader.segment.ident is not None:
+            if listener is not None:
+                over(listener.block(block, reader.segment.ident))
+            yield block, reader.segment.ident
+
+
+def _on_host(dwell: Dwell, joints: JointStream) -> Dwell:
+    start, end = joints.clocks[dwell.segment].to_host_ns(np.array([dwell.start_s, dwell.end_s]))
+    return replace(dwell, start_host_ns=int(start), end_host_ns=int(end))
+
+
+def disjoint(intervals: list[tuple[int, int, int]]) -> list[tuple[int, int, int]]:
+    """Ascending intervals, none begun before the one before it ended: controller segments may overlap in host time."""
+    disjoint: list[tuple[int, int, int]] = []
+    for dwell, start, end in intervals:
+        start = max(start, disjoint[-1][2] + 1) if disjoint else start
+        disjoint.append((dwell, start, max(start, end)))
+    return disjoint
+
+
+def _pair(found: Survey, rig: Rig, rules: DwellRules) -> list[Dwell]:
+    """The dwells with what was mounted. A dwell that is already rejected takes no pose from its neighbour."""
+    dwells = list(found.dwells)
+    good = [i for i, dwell in enumerate(dwells) if not dwell.reason]
+    said = [found.marks.mounted_at(dwells[i].start_host_ns) for i in good]
+    plan, rows = found.marks.plan(), found.marks.dwells
+    if plan is None or not good:
+        for i, words in zip(good, said, strict=True):
+            dwells[i] = _mounted(dwells[i], None, words, rig)
+        return dwells
+    found_poses = match_plan(np.array([dwells[i].q for i in good]), plan, rules.pose_tolerance, said)
+    for k, (i, pose) in enumerate(zip(good, found_poses.poses, strict=True)):
+        if k in found_poses.ambiguous:
+            dwells[i] = replace(dwells[i], reason="ambiguous", detail=" or ".join(found_poses.ambiguous[k]))
+        else:
+            row = None if pose is None else rows[pose]
+            dwells[i] = _mounted(dwells[i], row, {} if pose is None else plan.mounted[pose], rig)
+            if pose is None:
+                dwells[i] = replace(dwells[i], detail=_away(dwells[i], plan, rows, rules))
+    return dwells
+
+
+def _away(dwell: Dwell, plan: Plan, rows: list[int], rules: DwellRules) -> str:
+    """How far a dwell is from the plan."""
+    nearest, distance = nearest_pose(dwell.q, plan)
+    if nearest < 0:
+        return f"the plan is of {plan.q.shape[1]} joints"
+    if distance <= rules.pose_tolerance:
+        return f"pose {rows[nearest]} is out of turn, or other fittings are on"
+    return f"{distance:.3f} rad from pose {rows[nearest]}"
+
+
+def _mounted(dwell: Dwell, pose: int | None, mounted: dict[str, str], rig: Rig) -> Dwell:
+    """The dwell with its fittings, or with the reason that it lacks some."""
+    if any(key not in mounted for key in REQUIRED):
+        return replace(dwell, pose=pose, mounted=mounted, reason="no plan match")
+    _check_rig(mounted, rig)
+    return replace(dwell, pose=pose, mounted=mounted)
+
+
+def _check_rig(mounted: dict[str, str], rig: Rig) -> None:
+    for key, known in (("bar", rig.bars), ("chuck", rig.chucks), ("sphere", rig.spheres)):
+        if mounted[key] not in known:
+            names = ", ".join(sorted(known)) or "none"
+            raise RigError(f"the session names {key} {mounted[key]!r}, which the rig does not have (it has {names})")

@@ -1,0 +1,215 @@
+"""Robot controller time ↔ host time from arrivals alone (hop 4).
+
+A reading stamped t by the controller arrives at h(t) + latency, and no latency is negative. The line under all arrivals that
+is nearest to them on average (the lower hull's edge at their middle) follows the fastest packets; queues and a busy host only
+push arrivals up. Windows of 60 s overlap by half and are blended as in ``clock``.
+
+**The shortest latency itself cannot be seen**: a constant one is part of the offset. Here it is left in; what remains is the
+parameter τ of the identification. A robot at rest does not care. Edges of a trigger line (``edges``) do see it.
+
+The **bound** is of what is left besides: how far the line may lie from that of the shortest latency. It is no hard one, as a link
+may hold up every packet of a minute and nothing shows it. It takes the fastest packet of each second: their mean height above the line, twice. Of 60
+seconds' fastest the very fastest lies about a sixtieth of that above the shortest latency where latencies near it are as likely as elsewhere, a seventh where
+their density vanishes linearly there, a quarter where quadratically; at a window's ends the line may be off by a few times as much. To that comes what a rate that drifts
+by 1 ppm a minute bends away from a line, and what neighbouring windows disagree about.
+
+Controller time that runs backward is a restart of the controller: another segment, with a clock of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.session.device_clock import slack_ns
+from truearm.session.hull import line_under, lower_hull
+from truearm.types import Floats
+
+Ints = NDArray[np.int64]
+
+HALF_WINDOW_S = 30.0
+BLOCK_S = 1.0  # whose fastest packet counts for the bound
+LEAST_BLOCKS = 16  # with fewer the bound grows in proportion
+ROUNDING_NS = 1000.0  # stamps are printed to the microsecond
+MAX_RATE = 0.01  # a controller's clock may be poor, but 1 % off it is another unit of time
+
+
+@dataclass(frozen=True)
+class RobotClock:
+    """host = host_ref_ns + dt + offset_ns + rate · dt with dt = 1e9 · (t − t_ref_s), for each window; k windows."""
+
+    t_ref_s: float
+    host_ref_ns: int
+    centre_s: Floats  # (k,) ascending
+    offset_ns: Floats  # (k,)
+    rate: Floats  # (k,)
+    bound_ns: Floats  # (k,) of the error near each centre; of "arrivals" without the link's shortest latency, which is unknown
+    source: str = "arrivals"  # or "edges", of a trigger line
+
+    def bound_at(self, t_robot_s: Floats) -> Floats:
+        """Bounds (n,) [ns] at controller times: the larger of the two windows about each."""
+        right = np.clip(np.searchsorted(self.centre_s, t_robot_s), 0, len(self.centre_s) - 1)
+        return np.asarray(np.maximum(self.bound_ns[np.maximum(right - 1, 0)], self.bound_ns[right]))
+
+    def to_robot_s(self, t_host_ns: Ints) -> Floats:
+        """Controller times (n,) [s] of host times: the inverse of ``to_host_ns``, to the nanosecond."""
+        host = np.asarray(t_host_ns, dtype=np.int64)
+        t = self.t_ref_s + 1e-9 * (host - self.host_ref_ns).astype(np.float64)
+        for _ in range(6):  # rates are below 1 %: each step gains two digits
+            t = t - 1e-9 * (self.to_host_ns(t) - host).astype(np.float64)
+        return np.asarray(t)
+
+    def to_host_ns(self, t_robot_s: Floats) -> Ints:
+        """Host times [ns] of controller times (n,) [s], late by the shortest latency of the link."""
+        dt = 1e9 * (np.asarray(t_robot_s, dtype=np.float64) - self.t_ref_s)
+        lines = self.offset_ns[:, None] + self.rate[:, None] * dt
+        place = np.interp(t_robot_s, self.centre_s, np.arange(len(self.centre_s)))
+        left = np.minimum(place.astype(int), max(0, len(self.centre_s) - 2))
+        right, column = np.minimum(left + 1, len(self.centre_s) - 1), np.arange(dt.size)
+        correction = lines[left, column] + (place - left) * (lines[right, column] - lines[left, column])
+        return np.asarray(self.host_ref_ns + np.rint(dt).astype(np.int64) + np.rint(correction).astype(np.int64))
+
+
+@dataclass(frozen=True)
+class EdgeReport:
+    """What the edges of the box's trigger output say of one segment of controller time.
+
+    ``shortest_latency_ns`` is what no arrival can show: how late the arrivals' clock is by the edges', in the middle; its error is at most
+    ``bound_ns`` and that of the arrivals' clock together.
+    """
+
+    input: int | None  # of the controller that follows the output; None: none does
+    edges: int  # of the box's output while the controller's readings came
+    used: int
+    unseen: int  # edges that no reading shows
+    unclear: int  # edges and changes of the input that cannot be told apart: bounces, missing readings
+    stray: int  # changes of the input that no edge explains
+    rejected: int  # edges that contradict the others
+    bound_ns: float  # largest at any edge; NaN where none is used
+    shortest_latency_ns: float  # NaN where none is used
+    in_use: bool  # the robot's readings are placed by them, not by their arrivals
+
+
+@dataclass(frozen=True)
+class RobotClockReport:
+    """How well a segment of controller time is tied to host time. A constant latency is unknowable and not in here."""
+
+    segment: int
+    readings: int
+    t_robot_s: tuple[float, float]  # first and last
+    rate_ppm: float  # how much faster the host counts than the controller, mean
+    rate_range_ppm: float
+    spread_ns: float  # disagreement of neighbouring windows half-way, RMS over √2; NaN for one window
+    jitter_ns: float  # mean of the arrivals above the line; median of the half windows
+    windows: int
+    bound_ns: float  # largest of the clock that is used; of arrivals beside the shortest latency
+    edges: EdgeReport | None = None  # of a trigger line, where the box toggled one
+
+
+@dataclass
+class Arrivals:
+    """Gathers (controller time, arrival) of one segment; keeps the hull of each second, not the readings."""
+
+    t_ref_s: float
+    host_ref_ns: int
+    readings: int = 0
+    first_s: float = float("inf")
+    last_s: float = float("-inf")
+    hulls: dict[int, Floats] = field(default_factory=dict)  # block → corners (c, 2): dt [s], latency + const [ns]
+    sums: dict[int, Floats] = field(default_factory=dict)  # half window → (3,): sums of 1, dt, latency
+
+    def add(self, t_robot_s: Floats, t_host_ns: Ints) -> None:
+        """Take readings (n,) in order of arrival."""
+        dt = t_robot_s - self.t_ref_s
+        latency = (t_host_ns - self.host_ref_ns - np.rint(1e9 * dt).astype(np.int64)).astype(np.float64)
+        block = np.floor(dt / BLOCK_S).astype(np.int64)
+        starts = np.flatnonzero(np.diff(block, prepend=block[:1] - 1))
+        for rows in np.split(np.arange(dt.size), starts[1:]):
+            self._add_block(int(block[rows[0]]), dt[rows], latency[rows])
+        self.readings += dt.size
+        self.first_s = min(self.first_s, float(t_robot_s[0]))
+        self.last_s = max(self.last_s, float(t_robot_s[-1]))
+
+    def _add_block(self, key: int, dt: Floats, latency: Floats) -> None:
+        old = self.hulls.get(key, np.empty((0, 2)))
+        x, y = np.concatenate([old[:, 0], dt]), np.concatenate([old[:, 1], latency])
+        corners = lower_hull(x, y)
+        self.hulls[key] = np.stack([x[corners], y[corners]], axis=1)
+        half = int(key * BLOCK_S // HALF_WINDOW_S)
+        self.sums[half] = self.sums.get(half, np.zeros(3)) + np.array([dt.size, np.sum(dt), np.sum(latency)])
+
+
+def fit_robot_clock(segment: int, arrivals: Arrivals) -> tuple[RobotClock, RobotClockReport]:
+    """The clock of one segment of controller time and its report. ``arrivals`` must hold a reading."""
+    keys = sorted(arrivals.sums)
+    blocks: dict[int, list[Floats]] = {key: [] for key in keys}
+    for block, corners in arrivals.hulls.items():
+        blocks[int(block * BLOCK_S // HALF_WINDOW_S)].append(corners)
+    pairs = [(a, b) for a, b in pairwise(keys) if b == a + 1] or [(keys[0], keys[0])]
+    alone = [(k, k) for k in keys if not any(k in pair for pair in pairs)]
+    windows = sorted(pairs + alone)
+    lines = np.array([_line(arrivals, blocks, pair) for pair in windows])
+    centre, offset, rate, bound = lines.T
+    bound = _with_disagreement(lines)
+    clock = RobotClock(arrivals.t_ref_s, arrivals.host_ref_ns, arrivals.t_ref_s + centre, offset, rate, bound)
+    return clock, _report(segment, arrivals, lines, float(np.max(bound)))
+
+
+def _line(
+    arrivals: Arrivals, blocks: dict[int, list[Floats]], pair: tuple[int, int]
+) -> tuple[float, float, float, float]:
+    """Centre [s], offset [ns], rate and bound [ns] of the line under two half windows."""
+    keys = sorted(set(pair))
+    each = [corners for key in keys for corners in blocks[key]]
+    corners = np.concatenate(each)
+    count, dt_sum, latency_sum = np.sum([arrivals.sums[key] for key in keys], axis=0)
+    dt, latency = corners[:, 0], corners[:, 1]
+    offset, per_second = line_under(dt, latency, dt_sum / count)
+    if abs(per_second) > 1e9 * MAX_RATE:
+        offset, per_second = float(np.min(latency)), 0.0
+    # The fastest of each second above the line; of too few seconds all packets count.
+    fastest = [float(np.min(block[:, 1] - offset - per_second * block[:, 0])) for block in each]
+    height = float(np.mean(fastest)) * max(1.0, LEAST_BLOCKS / len(each))
+    if len(each) < 3:
+        height = (latency_sum - count * offset - per_second * dt_sum) / count
+    reach_ns = 0.5e9 * (dt.max() - dt.min())
+    bound = 2.0 * height + float(slack_ns(np.array(reach_ns))) + ROUNDING_NS
+    return float(0.5 * (dt.min() + dt.max())), offset, 1e-9 * per_second, bound
+
+
+def _with_disagreement(lines: Floats) -> Floats:
+    """Bounds (k,) of the windows, each at least what it and a neighbour disagree about half-way beyond both bounds."""
+    centre, offset, rate, own = lines.T
+    halfway = 0.5 * (centre[1:] + centre[:-1])
+    here, there = (offset[k] + 1e9 * rate[k] * halfway for k in (slice(None, -1), slice(1, None)))
+    apart = np.abs(there - here)
+    torn = np.where(apart > own[1:] + own[:-1], apart, 0.0)
+    return np.asarray(own + np.maximum(np.concatenate([[0.0], torn]), np.concatenate([torn, [0.0]])))
+
+
+def _report(segment: int, arrivals: Arrivals, lines: Floats, bound_ns: float) -> RobotClockReport:
+    centre, offset, rate, _ = lines.T
+    halfway = 0.5 * (centre[1:] + centre[:-1])
+    here, there = (offset[k] + 1e9 * rate[k] * halfway for k in (slice(None, -1), slice(1, None)))
+    spread = float(np.sqrt(np.mean(np.square(there - here)) / 2.0)) if len(lines) > 1 else float("nan")
+    return RobotClockReport(
+        segment=segment,
+        readings=arrivals.readings,
+        t_robot_s=(arrivals.first_s, arrivals.last_s),
+        rate_ppm=float(1e6 * np.mean(rate)),
+        rate_range_ppm=float(1e6 * np.ptp(rate)),
+        spread_ns=spread,
+        jitter_ns=float(np.median(_mean_heights(arrivals, lines))),
+        windows=len(lines),
+        bound_ns=bound_ns,
+    )
+
+
+def _mean_heights(arrivals: Arrivals, lines: Floats) -> Floats:
+    """Mean latency [ns] above the nearest window's line, of each half window."""
+    count, dt, latency = np.array(list(arrivals.sums.values())).T
+    nearest = lines[np.argmin(np.abs(lines[:, :1] - dt / count), axis=0)]
+    return np.asarray(latency / count - nearest[:, 1] - 1e9 * nearest[:, 2] * dt / count)

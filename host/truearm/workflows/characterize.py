@@ -1,0 +1,201 @@
+"""A session of approaches → what it says of robot and sensor, as a document, and the noise file (sync and estimate joined)."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from truearm.errors import InputError, SessionError
+from truearm.estimate.repeatability import (
+    MISFIT,
+    Interval,
+    Repeatability,
+    Visited,
+    mean_interval,
+    quantile_interval,
+    repeatability,
+    rounding_variance,
+    sigma_interval,
+)
+from truearm.files.noise_file import NoiseFile
+from truearm.model.chain import Chain, along, trace_point
+from truearm.session.box_ident import Ident
+from truearm.session.dwells import Dwell
+from truearm.session.pipeline import Messages, SyncResult, observations
+from truearm.session.visits import Visits, joined, visits
+from truearm.text import one_line
+from truearm.types import Floats, Rig
+
+LEAST_VISITS = 6
+
+
+class Part(NamedTuple):
+    """One of the files of a session: its messages, its name and what the box in it says of itself beforehand."""
+
+    messages: Messages
+    name: str
+    ident: Ident | None = None
+
+
+def characterized(
+    parts: Sequence[Part], chain: Chain, rig: Rig, bands: Sequence[float]
+) -> tuple[dict[str, Any], NoiseFile]:
+    """Everything that a session, in one file or several, says of how the robot repeats.
+
+    Raises InputError where it is of another robot or its parts do not belong together, SessionError where it does not hold what is needed.
+    """
+    synced = [_synced(part, chain, rig, bands) for part in parts]
+    results, of_parts = [result for result, _ in synced], [found for _, found in synced]
+    found = joined(of_parts)
+    if len(found.dwells) < LEAST_VISITS:
+        rejected = sum((Counter(result.reasons) for result in results), Counter[str]())
+        reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(rejected.items()))
+        raise SessionError(
+            f"{parts[0].name}: {len(found.dwells)} dwells can be used ({reasons or 'no other was found'})"
+        )
+    for part, one in zip(parts, of_parts, strict=True):
+        if one.rests and one.period_s != found.period_s:
+            raise InputError(f"{part.name}: the box sampled at another rate than in the first part of the session")
+    # A short part may not have shown the joints' finest steps.
+    step = np.min([result.survey.joints.step for result in results if len(result.table)], axis=0)
+    bar = _usual([dwell.mounted["bar"] for dwell in found.dwells])
+    of_bar = np.array([dwell.mounted["bar"] == bar for dwell in found.dwells])
+    visited = _visited(found, of_bar, chain, rig, step)
+    told = repeatability(visited)
+    sigma = tuple(one.value for one in told.joint_sigma)
+    cov = tuple(tuple(s * s if i == k else 0.0 for k in range(len(sigma))) for i, s in enumerate(sigma))
+    document = {
+        "session": parts[0].name,
+        "parts": len(parts),
+        "bar": bar,
+        "joints": [one_line(joint.name) for joint in chain.joints],
+        "dwells": len(found.dwells),
+        "visits": told.n_visits,
+        "poses": told.n_poses,
+        "sides": told.n_sides,
+        "repeatability": _repeatability(told),
+        "settling": _settling(found),
+        "readings": _readings(found, step),
+        "sensor": _sensor(found),
+        "noise": {
+            "bar_sigma_m": told.bar_sigma._asdict(),
+            "declared_bar_sigma_m": rig.bars[bar].sigma,
+            "joint_sigma_si": [one._asdict() for one in told.joint_sigma],
+        },
+    }
+    # none of a joint that the bar does not show
+    widths = [one.value for one in told.backlash]
+    width, known_to = (np.nan_to_num(values) for values in (widths, told.backlash_sigma))
+    backlash = tuple(width.tolist()), tuple(known_to.tolist())
+    return document, NoiseFile(cov, {bar: told.bar_sigma.value}, parts[0].name, *backlash)
+
+
+def _synced(part: Part, chain: Chain, rig: Rig, bands: Sequence[float]) -> tuple[SyncResult, Visits]:
+    """What one file says."""
+    result = observations(part.messages, rig, ident=part.ident, name=part.name)
+    n_joints = result.table.q.shape[1]
+    if len(result.table) and n_joints != len(chain.joints):
+        raise InputError(f"{part.name}: its robot has {n_joints} joints, the robot given has {len(chain.joints)}")
+    found = visits(part.messages, result, rig, bands, part.ident)
+    if not found.dwells:  # what has no robot has no number of joints
+        none = np.zeros((0, len(chain.joints)))
+        found = replace(found, direction=none, mean_var=none)
+    return result, found
+
+
+def _usual(names: list[str]) -> str:
+    return max(sorted(set(names)), key=names.count)
+
+
+def _visited(found: Visits, rows: Floats, chain: Chain, rig: Rig, step: Floats) -> Visited:
+    dwells = [dwell for dwell, used in zip(found.dwells, rows, strict=True) if used]
+    q = np.array([dwell.q for dwell in dwells])
+    rounding = rounding_variance(step, _reading_sigma(dwells, step))
+    return Visited(
+        length=np.array([dwell.value for dwell in dwells]),
+        length_var=np.array([dwell.value_var for dwell in dwells]),
+        q=q,
+        side=found.direction[rows],
+        jac=np.concatenate([_derivatives(chain, rig, dwell) for dwell in dwells]),
+        reading_var=found.mean_var[rows] + rounding,
+    )
+
+
+def _derivatives(chain: Chain, rig: Rig, dwell: Dwell) -> Floats:
+    """∂length/∂joints (1, j) on the robot as described: of differences a thousandth the size, 1 % is enough."""
+    p_sphere = np.array(rig.spheres[dwell.mounted["sphere"]].xyz)
+    trace = trace_point(chain, chain.params_nominal, dwell.q[None], p_sphere)
+    vector = trace.p_base - np.array(rig.chucks[dwell.mounted["chuck"]].xyz)
+    return np.asarray(along(trace, vector / np.linalg.norm(vector)).jac_joints)
+
+
+def _reading_sigma(dwells: Sequence[Dwell], step: Floats) -> Floats:
+    """Of one reading (j,) before it is rounded, by Sheppard's correction."""
+    variance = np.mean([np.diag(dwell.q_cov) for dwell in dwells], axis=0) - step**2 / 12.0  # of what was read
+    return np.asarray(np.sqrt(np.maximum(variance - step**2 / 12.0, 0.0)))
+
+
+def _repeatability(told: Repeatability) -> dict[str, Any]:
+    return {
+        "along_m": told.along._asdict(),
+        "unexplained_m": told.unexplained._asdict(),
+        "backlash_si": [one._asdict() for one in told.backlash],
+        "reading_spread_si": [one._asdict() for one in told.spread],
+        "reading_difference_si": [one._asdict() for one in told.difference],
+        "misfit_probability": told.misfit,
+        "backlash_explains": not told.misfit < MISFIT,
+    }
+
+
+def _settling(found: Visits) -> dict[str, Any]:
+    own = np.array([dwell.start_s - dwell.stood_s for dwell in found.dwells])
+    bands = [
+        {
+            "within_m": float(band),
+            "visits": int(np.isfinite(times).sum()),
+            "median_s": quantile_interval(times, 0.5)._asdict(),
+            "share_95_s": quantile_interval(times, 0.95)._asdict(),
+        }
+        for band, times in zip(found.bands, found.settling.T, strict=True)
+    ]
+    return {"bands": bands, "dwells_begin_s": {"median": float(np.median(own)), "largest": float(np.max(own))}}
+
+
+def _readings(found: Visits, step: Floats) -> list[dict[str, Any]]:
+    """Noise of single readings, of each joint: as read, and what is left of it and of the rounding in a mean."""
+    variances = np.array([np.diag(dwell.q_cov) for dwell in found.dwells]) - step**2 / 12.0
+    rounding = rounding_variance(step, _reading_sigma(found.dwells, step))
+    return [
+        {
+            "step_si": float(step[j]),
+            "reading_si": sigma_interval(variances[:, j])._asdict(),
+            "mean_si": sigma_interval(found.mean_var[:, j])._asdict(),
+            "rounding_si": float(np.sqrt(rounding[j])),
+        }
+        for j in range(len(step))
+    ]
+
+
+def _sensor(found: Visits) -> dict[str, Any]:
+    noise = sigma_interval(np.square([dwell.noise for dwell in found.dwells]))
+    spacing = mean_interval(found.spacing_s)
+    document = {"sample_m": noise._asdict(), "period_s": found.period_s, "independent_after_s": spacing._asdict()}
+    told = found.allan
+    if not told.tau_s.size:
+        return document | {"allan": [], "floor": None}
+    rows = [
+        {"tau_s": float(tau), **_of_freedom(float(deviation), float(freedom))._asdict()}
+        for tau, deviation, freedom in zip(*told, strict=True)
+    ]
+    return document | {"allan": rows, "floor": min(rows, key=lambda row: row["value"])}
+
+
+def _of_freedom(deviation: float, freedom: float) -> Interval:
+    from scipy.special import chdtri
+
+    low, high = chdtri(freedom, np.array([0.025, 0.975]))
+    return Interval(deviation, deviation * float(np.sqrt(freedom / low)), deviation * float(np.sqrt(freedom / high)))

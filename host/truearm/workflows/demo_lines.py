@@ -1,0 +1,206 @@
+"""``truearm demo --rig line|both``: Renders' experiment, lines that a device measures in motion, by itself or beside the ball-bar.
+
+Four lines, planned for a region, are driven there and back to identify, and a fifth, drawn in the region by chance, to judge by
+(Renders 1991, III-E). The simulated robot's readings are late, which nobody is told and the identification has to find.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from truearm.workflows.demo_steps import FITTED, VALIDATED, ClockTruth, Steps, recording_facts, say_clock, say_samples
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from truearm.model.robot import Robot
+    from truearm.session.pipeline import SyncResult
+    from truearm.types import Estimate, Floats, ObservationTable, Plan, Rig
+    from truearm.workflows.calibration_report import Judged
+    from truearm_sim.world import World
+
+N_LINES = 4
+CHECK = "check"  # the line that judges
+REGION_MM = "200:700,-350:350,50:600"
+CANDIDATES = 30
+DRAW = 1000  # of the line that judges: beside the planner's own
+SPEED = 0.1  # m/s
+ROBOT_DELAY_S = 8e-3
+RATES_HZ = {"line": 125.0, "both": 50.0}  # joint readings a second; an hour and a half at 125 would be recorded longer
+
+
+def world_of(kind: str, poses: int, seed: int) -> World:
+    """The robot that drives planned lines, after ``poses`` dwells with each bar where both are measured."""
+    from dataclasses import replace
+
+    from truearm.files.plan_file import concatenate
+    from truearm_sim.line_plan import line_rig
+    from truearm_sim.world import World, standard_plan, standard_rig
+
+    plan, rig = planned_lines(seed), line_rig()
+    if kind == "both":
+        plan, rig = concatenate(standard_plan(poses, seed), plan), line_rig(standard_rig())
+    rig = replace(rig, time_offset_sigma=None)
+    return World(seed, plan, rig, robot_rate=RATES_HZ[kind], robot_delay_s=ROBOT_DELAY_S)
+
+
+def planned_lines(seed: int) -> Plan:
+    """Lines as ``truearm plan line`` plans them on the design, and one more in their region."""
+    import numpy as np
+
+    from truearm.files.plan_file import concatenate
+    from truearm.files.robot_file import load_robot
+    from truearm.plan.ball_bar_plan import make_site
+    from truearm.plan.bar_paths import Pace
+    from truearm.plan.branches import branch_of
+    from truearm.plan.cartesian_lines import Shape, candidate_lines
+    from truearm.plan.collision_shapes import Sizes
+    from truearm.plan.forecast import Known
+    from truearm.plan.line_plan import LinesWanted, plan_lines
+    from truearm.plan.measurement_limits import Limits
+    from truearm.plan.region import parse_region
+    from truearm_sim.line_plan import JOINT_SPEED, MAGNET, TARGETS, line_rig, lines_plan, with_ways
+
+    robot, region, shape = load_robot("puma560"), parse_region(REGION_MM), Shape(speed=SPEED)
+    known = Known(robot.chain, line_rig(), robot.chain.params_nominal, robot.free, None, {})
+    site = make_site(known, branch_of(robot.chain, None), Limits(), Sizes(), seed)
+    wanted = LinesWanted(N_LINES, shape=shape, n_candidates=CANDIDATES, seed=seed)
+    planned = plan_lines(site, known, wanted, Pace(), region, MAGNET)
+    one = candidate_lines(site, shape, 1, np.array(TARGETS[MAGNET].xyz), JOINT_SPEED, region, seed + DRAW)
+    return concatenate(*with_ways(site, [planned.visits, lines_plan(one.q[0, [0, -1]], CHECK, SPEED, True)]))
+
+
+@dataclass(frozen=True)
+class LineCalibration:
+    """What was identified of lines, and by what else it is judged."""
+
+    kind: str
+    robot: Robot
+    rig: Rig
+    table: ObservationTable
+    estimate: Estimate
+    other: Estimate  # row by row where lines are alone, the ball-bar's alone where both are there
+    longitude: Floats
+    judged: Judged
+    hold_out: tuple[str, ...]
+
+    @property
+    def prior(self) -> str:
+        """Lines alone do not see all that is free; beside a ball-bar nothing but the rows speaks."""
+        return "wide" if self.kind == "line" else "none"
+
+
+def calibrate(kind: str, out: Path, table: ObservationTable) -> LineCalibration:
+    """Fit four lines, with them the 46 cm shells, and judge by the rest; writes result.json."""
+    import numpy as np
+
+    from truearm.estimate.identify import identify
+    from truearm.estimate.prior import wide_prior
+    from truearm.files.result_file import RobotFrames, document_of, write_result
+    from truearm.files.rig_file import read_rig
+    from truearm.files.robot_file import joint_units, load_robot
+    from truearm.workflows.calibration_report import judge, longitudes
+    from truearm.workflows.inputs import hashed_inputs
+
+    robot, rig = load_robot("puma560"), read_rig(out / "rig.toml")
+    chain = robot.chain
+    judges = (table.line == CHECK) | (table.bar == VALIDATED)
+    if kind == "line":
+        prior = wide_prior(chain)
+        estimate, other = (
+            identify(chain, rig, table, free=robot.free, hold_out=judges, prior_sigma=prior, solver=solver)
+            for solver in ("map", "recursive")
+        )
+    else:
+        estimate = identify(chain, rig, table, free=robot.free, hold_out=judges)
+        other = identify(chain, rig, table, free=robot.free, hold_out=np.asarray(table.bar != FITTED))
+    hold_out = (f"line={CHECK}", *[f"bar={VALIDATED}"] * (kind == "both"))
+    judged = judge(chain, rig, table, estimate)
+    found = LineCalibration(
+        kind, robot, rig, table, estimate, other, longitudes(chain, rig, table, estimate), judged, hold_out
+    )
+    frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, joint_units(chain))
+    inputs = hashed_inputs([out / "session.mcap"], "puma560", out / "rig.toml")
+    write_result(
+        out / "result.json", document_of(estimate, table, frames, inputs, list(hold_out), found.prior, *judged)
+    )
+    return found
+
+
+def write_page(out: Path, found: LineCalibration, result: SyncResult, truth: ClockTruth, steps: Steps) -> Path:
+    """report.html: pictures and tables, everything inline."""
+    from truearm.report.calibration_page import CalibrationPage, render
+
+    with_bar = " and ball-bar" * (found.kind == "both")
+    page = CalibrationPage(
+        title=f"PUMA 560, calibration by lines{with_bar}",
+        subtitle="simulated robot, real firmware, wire, recorder and estimator",
+        estimate=found.estimate,
+        table=result.table,
+        longitude=found.longitude,
+        facts=(*recording_facts(result, truth), ("delay of the robot's readings", delay_words(found.estimate))),
+        steps=tuple(steps.done),
+        command=f"truearm demo --rig {found.kind} --out {out}",
+        prior=found.prior,
+        angle=found.judged.angle,
+        predicted=found.judged.predicted,
+    )
+    path = out / "report.html"
+    path.write_text(render(page), encoding="utf-8")
+    return path
+
+
+def delay_words(estimate: Estimate) -> str:
+    """τ and its standard deviation, beside the truth: a reading is late by what its network takes at least, too."""
+    from truearm_sim.lab import FROM_ROBOT
+
+    k = estimate.parameter_names.index("time_offset")
+    truth = 1e3 * ROBOT_DELAY_S + 1e-6 * FROM_ROBOT.least
+    return f"{1e3 * estimate.value[k]:.2f} ± {1e3 * estimate.sigma[k]:.2f} ms found, {truth:.2f} ms true"
+
+
+def say_result(found: LineCalibration, result: SyncResult, truth: ClockTruth, steps: Steps, page: Path) -> None:
+    """The demo's last words."""
+    import numpy as np
+
+    estimate, other, table, say = found.estimate, found.other, found.table, typer.echo
+    dwells, points = int(np.sum(table.kind == "ball_bar")), int(np.sum(table.kind == "line"))
+    say_samples(result, steps, " and ".join([f"{dwells} dwells"] * (dwells > 0) + [f"{points} points on lines used"]))
+    say_clock(truth)
+    say(f"robot's delay   {delay_words(estimate)}")
+    say(f"parameters      {int(estimate.free.sum())} free with the rig's, rank {estimate.rank}, {estimate.status}")
+    is_line, fitted = table.kind == "line", estimate.fitted
+    sensors = 1e3 * float(np.linalg.norm(found.rig.line_sigma))
+    if found.kind == "both":
+        _say_group("46 cm shells", found, ~is_line & fitted, "")
+        _say_group("61 cm shells", found, ~is_line & ~fitted, ", not fitted")
+    _say_group(f"{N_LINES} lines", found, is_line & fitted, f"; the sensors alone would leave {sensors:.4f}")
+    _say_group("validation line", found, is_line & ~fitted, ", not fitted")
+    if found.kind == "line":
+        steps_of = " → ".join(f"{1e3 * rms:.3f}" for rms in estimate.rms_history[:4])
+        say(f"by iteration    {steps_of} mm RMS on the {N_LINES} lines")
+        robot = slice(estimate.n_robot_parameters)
+        seen = estimate.sigma[robot] > 0.0
+        apart = np.abs(other.value[robot] - estimate.value[robot])[seen] / estimate.sigma[robot][seen]
+        say(f"row by row      the recursive solver ends within {apart.max():.1g} σ of this")
+    else:
+        alone = 1e3 * _rms(other.residual[is_line & ~fitted])
+        say(f"ball-bar alone  would leave {alone:.4f} mm on the validation line")
+    say(f"\nreport          {page}")
+
+
+def _say_group(label: str, found: LineCalibration, rows: NDArray[np.bool_], note: str) -> None:
+    before, after = (1e3 * _rms(r[rows]) for r in (found.estimate.residual_before, found.estimate.residual))
+    n = len(found.estimate.residual[rows])
+    typer.echo(f"{label:<16}{before:.3f} mm RMS before, {after:.4f} mm after ({n} observations{note})")
+
+
+def _rms(residual: Floats) -> float:
+    import numpy as np
+
+    return float(np.sqrt(np.mean(residual**2)))

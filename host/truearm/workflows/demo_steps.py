@@ -1,0 +1,166 @@
+"""What every ``truearm demo`` does alike: its steps and their seconds, the recording in virtual time, what is said of it."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from truearm.errors import LinkError
+
+if TYPE_CHECKING:
+    from truearm.record.status import Status
+    from truearm.session.pipeline import SyncResult
+    from truearm.types import Plan
+    from truearm_sim.simbox import SimulatedBox
+    from truearm_sim.world import World
+
+FITTED, VALIDATED = "bar46", "bar61"
+
+
+@dataclass(frozen=True)
+class ClockTruth:
+    """The clock fit against the simulator's truth: largest error and largest bound [ns], and whether all errors are within theirs."""
+
+    error_ns: float
+    bound_ns: float
+    within: bool
+
+
+class Steps:
+    """Names and seconds of the steps, printed as they end."""
+
+    def __init__(self) -> None:
+        self.done: list[tuple[str, float]] = []
+
+    @contextmanager
+    def step(self, name: str) -> Iterator[None]:
+        started = time.perf_counter()
+        yield
+        self.done.append((name, time.perf_counter() - started))
+        typer.echo(f"{name:<42}{self.done[-1][1]:7.1f} s")
+
+    @property
+    def total_s(self) -> float:
+        return sum(seconds for _, seconds in self.done)
+
+
+def write_setup(out: Path, world: World) -> None:
+    """plan.csv and rig.toml, as a person would have them."""
+    from truearm.files.plan_file import write_plan
+    from truearm.files.rig_file import write_rig
+
+    write_plan(out / "plan.csv", world.controller.plan)
+    write_rig(out / "rig.toml", world.rig)
+
+
+def record_virtually(out: Path, plan: Plan, world: World, box: SimulatedBox, osr: int, seed: int) -> None:
+    """The recorder on the lab's links and clock: session.mcap."""
+    from truearm.interrupt import asked_to_stop
+    from truearm.record.recorder import record
+    from truearm.record.session_writer import SessionWriter
+    from truearm.workflows.record import plan_rows
+    from truearm_sim.lab import Lab
+
+    lab = Lab(world, box, seed)
+    writer = SessionWriter(out / "session.mcap", lab.clock, overwrite=True)
+    # An exception in the middle of a grant would leave the box's process waiting for its other half.
+    with asked_to_stop() as interrupted, _progress(world.duration) as progress:
+        summary = record(
+            lab.box_link,
+            writer,
+            lab.clock,
+            robot=lab.robot_link,
+            plan=plan_rows(plan),
+            rig_toml=(out / "rig.toml").read_bytes(),
+            osr=osr,
+            interrupted=interrupted,
+            progress=progress,
+        )
+    if summary.reason == "interrupted":
+        raise KeyboardInterrupt
+    if summary.reason != "robot closed":
+        raise LinkError(f"the simulated recording ended early: {summary.reason}, {summary.text}")
+
+
+def observe(out: Path) -> SyncResult:
+    """The observations of session.mcap, also written as observations.csv."""
+    from truearm.files.observation_table import write_table
+    from truearm.files.robot_file import joint_units, load_robot
+    from truearm.workflows.session_observations import observations_of_session
+
+    result = observations_of_session(out / "session.mcap")
+    write_table(out / "observations.csv", result.table, joint_units(load_robot("puma560").chain))
+    return result
+
+
+def clock_truth(result: SyncResult, box: SimulatedBox) -> ClockTruth:
+    """The device clock at a thousand times of the session against the simulator's truth."""
+    import numpy as np
+
+    from truearm_sim.lab import HOST_AT_START_NS
+
+    (clock,) = result.survey.clocks.values()
+    (report,) = result.clock_reports
+    t_us = np.linspace(*report.device_us, 1000).astype(np.int64)
+    host_ns, bound_ns = clock.to_host_ns(t_us)
+    error_ns = host_ns - (HOST_AT_START_NS + 1e9 * box.true_s(t_us.astype(float)))
+    return ClockTruth(float(np.abs(error_ns).max()), float(bound_ns.max()), bool(np.all(np.abs(error_ns) <= bound_ns)))
+
+
+def visits_in_words(plan: Plan) -> str:
+    """How many dwells and drives a plan asks for."""
+    dwells, drives = int(plan.dwells.sum()), int(plan.lines.sum())
+    return " and ".join([f"{dwells} dwells"] * (dwells > 0) + [f"{drives} drives along lines"] * (drives > 0))
+
+
+def recording_facts(result: SyncResult, truth: ClockTruth) -> tuple[tuple[str, str], ...]:
+    """What is to be known of the recording, as label and value."""
+    losses, (clock,) = result.losses, result.clock_reports
+    rejected = ", ".join(f"{n} {reason}" for reason, n in sorted(result.reasons.items())) or "none"
+    return (
+        ("dwells rejected", rejected),
+        ("samples", f"{result.samples_seen:,} received, {result.samples_used:,} used"),
+        ("samples lost", f"{losses.samples_lost + losses.samples_overrun}"),
+        ("frames lost", f"{losses.frames_lost}"),
+        ("clock exchanges", f"{clock.exchanges:,}"),
+        ("box's crystal against the host", f"{clock.rate_ppm:+.3f} ppm"),
+        ("clock error, reported bound", f"{truth.bound_ns / 1e3:.0f} µs"),
+        ("clock error against the simulator's truth", f"{truth.error_ns / 1e3:.0f} µs at most"),
+    )
+
+
+def say_samples(result: SyncResult, steps: Steps, used: str) -> None:
+    """Seconds in all, what was recorded, lost and used."""
+    losses = result.losses
+    typer.echo(f"\n{'total':<42}{steps.total_s:7.1f} s\n")
+    lost = losses.samples_lost + losses.samples_overrun
+    typer.echo(f"samples         {result.samples_seen:,} recorded, {lost} lost; {used}")
+
+
+def say_clock(truth: ClockTruth) -> None:
+    """How well the box's clock is known."""
+    typer.echo(
+        f"clock           largest error {truth.error_ns / 1e3:.0f} µs against the simulator's truth, "
+        f"{'within' if truth.within else 'OUTSIDE'} its reported bound ({truth.bound_ns / 1e3:.0f} µs at most)"
+    )
+
+
+@contextmanager
+def _progress(duration_s: float) -> Iterator[Callable[[Status], None] | None]:
+    """A bar on a terminal; nothing elsewhere."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as display:
+        task = display.add_task("recording", total=duration_s)
+        yield lambda status: display.update(task, completed=status.elapsed_s)

@@ -1,0 +1,270 @@
+"""The work of ``truearm inspect``: what is in a session file, as a document."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from truearm.errors import InputError, SessionError
+from truearm.session.joint_line import parse_reading
+from truearm.text import one_line
+
+if TYPE_CHECKING:
+    from truearm.session.box_ident import Ident
+    from truearm.session.dwells import Dwell
+    from truearm.session.line_passes import Pass
+    from truearm.session.pipeline import Survey, SyncResult
+    from truearm.session.session_file import Session
+    from truearm.types import Message
+
+MAX_TOPICS = 1000
+CONSOLE_RUNS = 10  # shown of what the box printed
+CONSOLE_BYTES = 400  # shown of each
+
+
+@dataclass
+class Topic:
+    """Arrivals of one topic."""
+
+    messages: int
+    bytes: int
+    first_ns: int
+    last_ns: int
+    longest_silence_ns: int = 0
+
+
+class Contents:
+    """Counts messages as they pass, and keeps the first words of the box."""
+
+    def __init__(self) -> None:
+        from truearm.session.losses import Silences
+
+        self.topics: dict[str, Topic] = {}
+        self.console: list[bytes] = []
+        self.other_joints = 0  # readings that the recorder did not take for such: of another number of joints
+        self.silences = Silences()
+
+    def watched(self, messages: Iterator[Message]) -> Iterator[Message]:
+        """The same messages."""
+        for message in messages:
+            self._count(message)
+            yield message
+
+    def _count(self, message: Message) -> None:
+        topic, t = self.topics.get(message.topic), message.t_host_ns
+        if topic is None:
+            if len(self.topics) >= MAX_TOPICS:
+                raise SessionError(f"the session has more than {MAX_TOPICS} topics; truearm record writes a dozen")
+            topic = self.topics[message.topic] = Topic(0, 0, t, t)
+        topic.messages += 1
+        topic.bytes += len(message.data)
+        topic.longest_silence_ns = max(topic.longest_silence_ns, t - topic.last_ns)
+        topic.last_ns = t
+        self.silences.feed(message)
+        if message.topic == "/robot/console":
+            self.other_joints += parse_reading(message.data) is not None
+        if message.topic == "/box/console" and len(self.console) < CONSOLE_RUNS:
+            self.console.append(message.data[:CONSOLE_BYTES])
+
+
+def describe(session: Session) -> dict[str, Any]:
+    """The content of a session as a document fit for JSON; what is not known is None.
+
+    Raises SessionError where the file is damaged.
+    """
+    from truearm.session.pipeline import survey
+
+    contents, ident = Contents(), ident_of(session)
+    found = survey(lambda topics: contents.watched(session.messages(topics)), ident)
+    times = [t for topic in contents.topics.values() for t in (topic.first_ns, topic.last_ns)]
+    document = {
+        "file": str(session.path),
+        "truncated": session.truncated,
+        "damage": [asdict(damage) for damage in session.damage],
+        "duration_s": 1e-9 * (max(times) - min(times)) if times else 0.0,
+        "metadata": {
+            key: session.metadata.get(key, {}) for key in ("session", "session-end", "joints-added", "recovered")
+        },
+        "attachments": sorted(session.attachments),
+        "topics": {name: _topic(topic) for name, topic in sorted(contents.topics.items())},
+        "firmware": sorted({ident.firmware for ident in found.idents.values()}),
+        "streams": [_stream(stream, found) for stream in found.streams],
+        "losses": asdict(found.losses) | _silences(contents.silences.finish(), min(times, default=0), found),
+        "console": [shown(data) for data in contents.console],
+        "clock": [asdict(report) for report in found.clock_reports],
+        "robot": _robot(found, contents),
+        "events": found.marks.kinds,
+        "plan_poses": len(found.marks.dwells),
+        **_measured(session, found, ident),
+    }
+    return _without_nan(document)  # type: ignore[no-any-return]
+
+
+def ident_of(session: Session) -> Ident | None:
+    """What the session's metadata say of the box; None where they say nothing."""
+    from truearm.session.box_ident import parse_ident_json
+
+    text = session.metadata.get("box", {}).get("ident")
+    return None if text is None else parse_ident_json(text)
+
+
+def shown(data: bytes) -> str:
+    """Bytes of a stranger as printable text; what is no text as \\x.. escapes."""
+    text = data.decode(errors="backslashreplace").replace("\r\n", "\n")
+    return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
+
+
+def _topic(topic: Topic) -> dict[str, Any]:
+    span = 1e-9 * (topic.last_ns - topic.first_ns)
+    return {
+        "messages": topic.messages,
+        "bytes": topic.bytes,
+        "rate_hz": (topic.messages - 1) / span if span > 0.0 else None,
+        "longest_silence_s": 1e-9 * topic.longest_silence_ns,
+    }
+
+
+def _stream(stream: Any, found: Survey) -> dict[str, Any]:
+    """Rates by the box's own stamps; and by the host's clock, where the exchanges tell how the two relate."""
+    ppm = found.clock_reports[-1].rate_ppm if found.clock_reports else math.nan
+    by_host = 1e9 / (stream.measured_ns * (1.0 + 1e-6 * ppm))
+    return {
+        **asdict(stream),
+        "rate_nominal_hz": 1e9 / stream.period_ns if stream.period_ns else None,
+        "rate_measured_hz": 1e9 / stream.measured_ns,
+        "rate_by_host_hz": by_host,
+    }
+
+
+def _silences(gaps: list[tuple[int, int]], begin_ns: int, found: Survey) -> dict[str, Any]:
+    """Where the box said nothing, in seconds of the session, and what it would have sampled meanwhile."""
+    rate_hz = sum(1e9 / stream.period_ns for stream in found.streams if stream.period_ns)
+    silent_s = 1e-9 * sum(end - start for start, end in gaps)
+    return {
+        "silences": [{"from_s": 1e-9 * (a - begin_ns), "to_s": 1e-9 * (b - begin_ns)} for a, b in gaps],
+        "samples_missing": round(silent_s * rate_hz),
+    }
+
+
+def _robot(found: Survey, contents: Contents) -> dict[str, Any]:
+    joints = found.joints
+    console = contents.topics.get("/robot/console")
+    names = ("readings", "duplicated", "late", "lost", "gaps", "restarts", "rate_hz")
+    return {
+        **{name: getattr(joints, name) for name in names},
+        "malformed": joints.malformed + contents.other_joints,
+        "console_bytes": console.bytes if console else 0,
+        "joints": len(joints.step),
+        "quantisation_rad": joints.step.tolist(),
+        "clock": [asdict(report) for report in joints.reports],
+        "note": "a constant latency from controller to host cannot be seen from arrivals",
+    }
+
+
+def _measured(session: Session, found: Survey, ident: Ident | None) -> dict[str, Any]:
+    """Dwells by the joint readings and passes along lines; with a rig also what became of them."""
+    rejected = [dwell.reason for dwell in found.dwells if dwell.reason]
+    dwells: dict[str, Any] = {
+        "found": len(found.dwells),
+        "rejected": _tally(rejected),
+        "observations": None,
+        "samples_used": None,
+        "not_paired": None,
+        "table": _dwell_rows(found.dwells),
+    }
+    planned = sum(row.move == "line" for row in found.marks.rows)
+    passes: dict[str, Any] = {"planned": planned, "found": None, "rejected": {}, "points": None, "table": []}
+    document = {"dwells": dwells, "passes": passes}
+    attached = session.attachments.get("rig.toml")
+    if attached is None:
+        dwells["not_paired"] = "no rig is attached"
+        return document
+    try:
+        result = _observations(session.messages, attached, found, ident)
+    except InputError as exc:  # says what is in the file, so it says this too; the file itself was read to its end
+        dwells["not_paired"] = one_line(str(exc))
+        return document
+    bounds = [dwell.clock_bound_ns for dwell in result.dwells if not dwell.reason]
+    dwells |= {
+        "rejected": result.reasons,
+        "observations": sum(not dwell.reason for dwell in result.dwells),
+        "samples_used": result.samples_used,
+        "clock_bound_ns": max(bounds, default=None),
+        "table": _dwell_rows(result.dwells),
+    }
+    passes |= {
+        "found": len(result.passes),
+        "rejected": result.pass_reasons,
+        "points": sum(len(one.xyz) for one in result.passes),
+        "table": [_pass_row(number, one) for number, one in enumerate(result.passes, start=1)],
+    }
+    return document
+
+
+def _observations(
+    messages: Callable[[Collection[str] | None], Iterator[Message]], attached: bytes, found: Survey, ident: Ident | None
+) -> SyncResult:
+    from truearm.files.rig_file import parse_rig
+    from truearm.session.pipeline import observations
+
+    try:
+        text = attached.decode()
+    except UnicodeDecodeError as exc:
+        raise InputError("the attached rig.toml is no UTF-8 text") from exc
+    return observations(messages, parse_rig(text, "rig.toml"), ident, found=found)
+
+
+def _pass_row(number: int, one: Pass) -> dict[str, Any]:
+    """A pass: when, which line and way, what was measured and how well, or why not."""
+    return {
+        "pass": number,
+        "t_robot_s": one.leg.start_s,
+        "line": one.mounted["line"],
+        "pose": one.pose,
+        "direction": one.direction,
+        "speed_m_s": one.speed,
+        "points": len(one.xyz),
+        "dropped": one.dropped,
+        "window_s": 2e-9 * one.window_ns,
+        "noise_m": one.noise.tolist(),
+        "correlation_s": one.correlation_s,
+        "joint_noise": one.q_noise.tolist(),
+        "joint_error": one.q_error,
+        "time_sigma_s": one.time_sigma_s,
+        "clock_bound_ns": one.clock_bound_ns,
+        "reason": one.reason,
+    }
+
+
+def _dwell_rows(dwells: Collection[Dwell]) -> list[dict[str, Any]]:
+    """Every stop: when, how long of it is used and how long it took to settle, what it is of, why it is rejected."""
+    return [
+        {
+            "dwell": number,
+            "t_robot_s": dwell.stood_s,
+            "settling_s": dwell.start_s - dwell.stood_s,
+            "used_s": 0.0 if dwell.reason else dwell.end_s - dwell.start_s,
+            "pose": dwell.pose,
+            **dwell.mounted,
+            "length_m": dwell.value,
+            "noise_m": dwell.noise,
+            "drift_m": dwell.drift,
+            "reason": dwell.reason,
+            "detail": dwell.detail,
+        }
+        for number, dwell in enumerate(dwells, start=1)
+    ]
+
+
+def _tally(words: list[str]) -> dict[str, int]:
+    return {word: words.count(word) for word in sorted(set(words))}
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_nan(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

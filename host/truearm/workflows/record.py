@@ -1,0 +1,267 @@
+"""What ``truearm record`` does with its options."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import closing, nullcontext
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from truearm.box.readiness import Purpose
+from truearm.errors import InputError, LinkError, TruearmError
+from truearm.interrupt import asked_to_stop
+from truearm.live.choose_box import choose_box
+from truearm.live.mounted import check_mounted, parse_mounted
+from truearm.live.progress import Course
+from truearm.live.state import LiveState
+from truearm.live.view import View, shown
+from truearm.workflows.session_parts import SETUP, Earlier, earlier, gone_on
+
+if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
+    from truearm.record.links import Clock
+    from truearm.record.status import RecordSummary
+    from truearm.types import Plan, Rig
+
+# The converter's modulator runs at 125 MHz / 15 / 2; a sample is osr of its periods.
+MODULATOR_HZ = 125e6 / 15 / 2
+OSRS = tuple(1 << k for k in range(7, 15))  # 128 … 16384
+USUAL_OSR = 4096
+_INTERRUPTED = 130
+# Python lets a busy thread run for 5 ms before another gets its turn; the thread that stamps arrivals cannot wait so long.
+_SWITCH_INTERVAL_S = 2e-4
+
+
+@dataclass(frozen=True)
+class Request:
+    """The options of ``truearm record``."""
+
+    device: str | None
+    out: Path | None
+    resume: Path | None
+    robot: str | None
+    plan: Path | None
+    rig: Path | None
+    mounted: str | None
+    osr: int | None
+    duration_s: float | None
+    patience_s: float
+    plain: bool
+    unchecked: bool
+    force: bool
+
+
+@dataclass(frozen=True)
+class Work:
+    """What is to be recorded, read and held against each other. ``rows``: the plan as ``/plan`` holds it."""
+
+    out: Path
+    robot: str | None
+    osr: int
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    rig_toml: bytes | None = None
+    rig: Rig | None = None
+    mounted: dict[str, str] = field(default_factory=dict)
+    setup: dict[str, str] = field(default_factory=dict)
+    before: Earlier | None = None
+
+
+def record_request(request: Request) -> None:
+    """Record. Raises InputError, LinkError; typer.Exit with 130 after Ctrl-C."""
+    work = _work(request)
+    device = choose_box(request.device)
+    summary, kept, view = _record(device, work, request)
+    out = work.out
+    where = f"what came is in {out}" if kept else "nothing was recorded"
+    if kept:
+        why = f" ({summary.text})" if summary.reason == "robot closed" else ""
+        typer.echo(f"{out}: {_totals(summary)}; ended: {summary.reason}{why}")
+        for fault in summary.faults:
+            typer.echo(f"{out}: {fault}")
+    if view.trouble:
+        typer.echo(view.trouble, err=True)
+    if summary.reason == "interrupted":
+        if not kept:
+            typer.echo("interrupted before the box had started; nothing was recorded", err=True)
+        raise typer.Exit(_INTERRUPTED)
+    missing = what_is_missing(summary, work.robot is not None)
+    if missing:
+        raise LinkError(f"{missing}; {where}")
+
+
+def what_is_missing(summary: RecordSummary, with_robot: bool) -> str:
+    """Why a recording that ended is not what was asked for; "" if it is."""
+    said = []
+    if summary.reason in ("link lost", "robot lost", "no readings"):
+        said.append(summary.text)
+    elif with_robot and not summary.counters.robot_lines:
+        closed = "the robot closed its stream without" if summary.reason == "robot closed" else "there is not"
+        said.append(f"{closed} a joint reading")
+    if summary.box_gone and summary.reason != "link lost":
+        lost_s = summary.duration_s - summary.heard_s
+        said.append(f"the box was gone at the end, and silent for the last {lost_s:.1f} s ({summary.box_gone})")
+    return "; ".join(said)
+
+
+def _record(device: str, work: Work, request: Request) -> tuple[RecordSummary, bool, View]:
+    """The summary, whether there is a file, and the view."""
+    from truearm.record.links import HostClock
+    from truearm.record.ports import BoxPort
+    from truearm.record.recorder import record as record_session
+    from truearm.record.reopening import Reopening
+    from truearm.record.session_writer import SessionWriter
+
+    sys.setswitchinterval(_SWITCH_INTERVAL_S)
+    clock = HostClock()
+    course = Course(work.rows, dict(work.mounted))
+    if work.before is not None and request.plan is None:
+        gone_on(course, work.before)
+    view = View(LiveState(course, work.rig, work.robot is not None), _purpose(work), request.unchecked)
+    with (
+        closing(Reopening(BoxPort(device, clock))) as link,
+        _robot_link(work.robot, clock) as robot_link,
+        SessionWriter(work.out, clock, overwrite=request.force, hold=True) as writer,
+        asked_to_stop() as interrupted,
+        shown(view, request.plain),
+    ):
+        try:
+            summary = record_session(
+                link,
+                writer,
+                clock,
+                robot=robot_link,
+                plan=work.rows,
+                rig_toml=work.rig_toml,
+                mounted=work.mounted,
+                osr=work.osr,
+                duration_s=request.duration_s,
+                interrupted=interrupted,
+                operator=view,
+                patience_s=request.patience_s,
+                head=[(SETUP, work.setup)],
+            )
+        except TruearmError as exc:
+            kept = f"; what came until then is in {work.out}" if writer.kept else ""
+            raise type(exc)(f"{exc}{kept}") from exc
+        return summary, writer.kept, view
+
+
+def _robot_link(url: str | None, clock: Clock) -> AbstractContextManager[Any]:
+    from truearm.record.robots.addresses import open_source
+
+    return nullcontext() if url is None else closing(open_source(url, clock))
+
+
+def nearest_osr(rate: float) -> int:
+    """The oversampling ratio whose rate is nearest to ``rate`` [Hz]. Raises InputError beyond the box's rates."""
+    slowest, fastest = MODULATOR_HZ / OSRS[-1], MODULATOR_HZ / OSRS[0]
+    if not 0.9 * slowest <= rate <= 1.1 * fastest:
+        raise InputError(f"--rate {rate:g} Hz is not within the box's {slowest:.0f} to {fastest:.0f} Hz")
+    return min(OSRS, key=lambda osr: abs(MODULATOR_HZ / osr - rate))
+
+
+def _work(request: Request) -> Work:
+    """What is to be recorded. Raises InputError for options and files that are wrong or do not fit each other."""
+    from truearm.files.disk import check_writable
+
+    if (request.out is None) == (request.resume is None):
+        raise InputError("give --out FILE for a new session, or --resume FILE to go on with one")
+    before = None if request.resume is None else earlier(request.resume)
+    out = request.out if before is None else before.out
+    assert out is not None
+    check_writable(out, inputs=[path for path in (request.rig, request.plan) if path is not None])
+    if out.exists() and (before is not None or not request.force):
+        raise InputError(f"{out}: exists; choose another name or give --force")
+    work = _with_files(Work(out, request.robot, request.osr or USUAL_OSR), request)
+    if before is not None:
+        work = _going_on(work, request, before)
+    setup = {"robot": work.robot or "", "osr": str(work.osr)}
+    if before is not None:
+        setup |= {"of": before.first.name, "part": str(before.part), "begun": before.begun}
+    return replace(work, setup=setup)
+
+
+def _with_files(work: Work, request: Request) -> Work:
+    """With plan, rig and what is mounted, each held against the rig."""
+    from truearm.errors import RigError
+    from truearm.files.disk import read_bytes
+    from truearm.files.plan_file import check_against_rig, read_plan
+    from truearm.files.rig_file import MAX_BYTES, read_rig
+
+    mounted = {} if request.mounted is None else parse_mounted(request.mounted)
+    plan = None if request.plan is None else read_plan(request.plan)
+    work = replace(work, mounted=mounted, rows=[] if plan is None else plan_rows(plan))
+    if request.rig is None:
+        return work
+    rig = read_rig(request.rig)
+    check_mounted(mounted, rig, str(request.rig))
+    if plan is not None:
+        check_against_rig(plan, rig, str(request.plan))
+    return replace(work, rig=rig, rig_toml=read_bytes(request.rig, MAX_BYTES, RigError))
+
+
+def _going_on(work: Work, request: Request, before: Earlier) -> Work:
+    """With what the parts before say, where the options say nothing."""
+    from truearm.files.rig_file import parse_rig
+
+    if request.rig is None and before.rig_toml is not None:
+        rig = parse_rig(before.rig_toml.decode(errors="replace"), f"{before.first}: rig.toml")
+        check_mounted(work.mounted, rig, f"{before.first}: rig.toml")
+        work = replace(work, rig=rig, rig_toml=before.rig_toml)
+    osr = before.setup.get("osr", "")
+    return replace(
+        work,
+        before=before,
+        rows=before.rows if request.plan is None else work.rows,
+        mounted=work.mounted or before.mounted,
+        robot=work.robot or before.setup.get("robot") or None,
+        osr=int(osr) if request.osr is None and osr in map(str, OSRS) else work.osr,
+    )
+
+
+def _purpose(work: Work) -> Purpose:
+    """By the plan, else by what is mounted, else by the rig."""
+    moves = {row.get("move", "dwell") for row in work.rows}
+    if work.rows:
+        ball_bar, line = "dwell" in moves, "line" in moves
+    elif work.mounted:
+        ball_bar, line = "bar" in work.mounted, "line" in work.mounted
+    else:
+        ball_bar, line = bool(work.rig and work.rig.bars), bool(work.rig and work.rig.lines)
+    return Purpose(ball_bar, line, work.osr)
+
+
+def plan_rows(plan: Plan) -> list[dict[str, Any]]:
+    """The messages of ``/plan``, one a row."""
+    return [_plan_row(plan, pose) for pose in range(len(plan))]
+
+
+def _plan_row(plan: Plan, pose: int) -> dict[str, Any]:
+    row: dict[str, Any] = {"pose": pose, **{name: str(getattr(plan, name)[pose]) for name in plan.IDS}}
+    if plan.move[pose] != "dwell":
+        row["move"] = str(plan.move[pose])
+    if plan.lines[pose]:
+        row |= {"line": str(plan.line[pose]), "target": str(plan.target[pose]), "speed_m_s": float(plan.speed[pose])}
+    return row | {"q": plan.q[pose].tolist()}
+
+
+def _totals(summary: RecordSummary) -> str:
+    counters = summary.counters
+    parts = [f"{summary.duration_s:.1f} s", f"{counters.samples} samples", f"{counters.lost_frames} frames lost"]
+    if counters.robot_lines or counters.robot_console_bytes:
+        parts.append(f"{counters.robot_lines} robot lines")
+    if counters.robot_other_joints:
+        parts.append(f"{counters.robot_other_joints} malformed (another number of joints than the first)")
+    if counters.restarts:
+        parts.append(f"{counters.restarts} box restarts")
+    if counters.link_losses:
+        parts.append(f"link lost {counters.link_losses} times")
+    if counters.robot_losses:
+        parts.append(f"robot lost {counters.robot_losses} times")
+    if counters.held_up:
+        parts.append(f"the reader had to wait {counters.held_up} times")
+    return ", ".join(parts)

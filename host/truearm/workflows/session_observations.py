@@ -1,0 +1,81 @@
+"""From a session file to observations: the border between the file (record) and what is made of it (sync)."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Collection, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from truearm.errors import RigError, SessionError
+from truearm.text import one_line
+
+if TYPE_CHECKING:
+    from truearm.session.pipeline import SyncResult
+    from truearm.session.session_file import Session
+    from truearm.types import Message, Rig
+
+SUFFIX = ".mcap"
+RIG = "rig.toml"
+SAID = 3  # places where a file is damaged; inspect says all
+
+
+def is_session(path: Path) -> bool:
+    """Whether a file's name says that it is a session."""
+    return path.suffix.lower() == SUFFIX
+
+
+def attached_rig(session: Session, path: Path) -> Rig | None:
+    """The rig that the recorder was given, None if it was given none. Raises RigError if it is no rig."""
+    from truearm.files.rig_file import parse_rig
+
+    data = session.attachments.get(RIG)
+    if data is None:
+        return None
+    try:
+        return parse_rig(data.decode(), f"{path}: {RIG}")
+    except UnicodeDecodeError as exc:
+        raise RigError(f"{path}: {RIG} is not UTF-8") from exc
+
+
+def messages_of(session: Session) -> Callable[[Collection[str] | None], Iterator[Message]]:
+    """What sync reads: it may be called several times."""
+    return lambda topics: session.messages(topics)
+
+
+def observations_of_session(
+    path: Path,
+    rig: Rig | None = None,
+    allow_damaged: bool = False,
+    may_be_empty: bool = False,
+    line_points: int | None = None,
+) -> SyncResult:
+    """Hops 4 and 5 of a session file. ``rig`` stands in for the one that was recorded.
+
+    ``line_points``: of each pass along a line at most. What is lost of a damaged file is said on stderr, if ``allow_damaged``.
+
+    Raises SessionError for a file that is none or gave no observation (unless it ``may_be_empty``: a part of a session), RigError if there is no rig.
+    """
+    from truearm.session.line_passes import LineRules
+    from truearm.session.pipeline import observations
+    from truearm.session.salvage import words_of
+    from truearm.session.session_file import open_session
+    from truearm.workflows.inspect import ident_of
+
+    session = open_session(path, allow_damaged)
+    if session.damage:
+        said = ", ".join(words_of(damage.at, damage.lost_s, damage.of_s) for damage in session.damage[:SAID])
+        more = f" and in {len(session.damage) - SAID} places more" if len(session.damage) > SAID else ""
+        print("warning: " + one_line(f"{path}: {said}{more}"), file=sys.stderr)
+    rig = rig or attached_rig(session, path)
+    if rig is None:
+        raise RigError(f"{path}: was recorded without a rig; give one with --rig")
+    rules = LineRules(points=line_points)
+    result = observations(messages_of(session), rig, ident=ident_of(session), name=path.name, line_rules=rules)
+    if not len(result.table) and not may_be_empty:
+        what, rejected = ("line", result.pass_reasons) if result.passes else ("dwell", result.reasons)
+        reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(rejected.items()))
+        raise SessionError(
+            f"{path}: no {what} gave an observation ({reasons or 'none was found'}); see truearm inspect {path}"
+        )
+    return result

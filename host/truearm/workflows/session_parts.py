@@ -1,0 +1,191 @@
+"""A session in several files: ``session.mcap``, ``session.2.mcap`` …, one for each time that it was recorded on (docs/decisions/0014).
+
+What was recorded is never written to again. Each part is a session of its own, with its own clocks; what is made of one is made of all.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from truearm.errors import InputError, SessionError
+from truearm.files.disk import same_file
+from truearm.session.joint_line import are_joints
+
+if TYPE_CHECKING:
+    from truearm.live.progress import Course
+    from truearm.session.session_file import Session
+
+SUFFIX = ".mcap"
+SETUP = "setup"  # the metadata record that says what a part belongs to, and how it was recorded
+_PART = re.compile(r"(.+)\.([1-9][0-9]{0,5})")
+
+
+@dataclass(frozen=True)
+class Earlier:
+    """What the parts before say: how to go on, and how far the session had come. ``out``: the next part's file."""
+
+    first: Path
+    out: Path
+    part: int
+    begun: str  # when, as the first part has it
+    setup: Mapping[str, str]
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    rig_toml: bytes | None = None
+    mounted: dict[str, str] = field(default_factory=dict)
+    dwells: tuple[int | None, ...] = ()  # rows of the plan that were taken, None for a dwell beside it
+    lines: tuple[int | None, ...] = ()  # rows of the plan that were driven, None without a plan
+
+
+def session_parts(path: Path) -> list[Path]:
+    """A session's file and those that go on from it, in order; of a later part that alone. Raises SessionError."""
+    parts = [path.with_name(f"{path.stem}.{number}{SUFFIX}") for number in _numbers(path)]
+    first = _opened(path) if parts else None
+    return [path, *(part for part in parts if first is not None and _goes_on(_opened(part), first))]
+
+
+def _numbers(path: Path) -> list[int]:
+    """Of the files that by their names are further parts, in order."""
+    found = [int(m[2]) for p in path.parent.glob(f"*{SUFFIX}") if (m := _PART.fullmatch(p.stem)) and m[1] == path.stem]
+    return sorted(number for number in found if number > 1)
+
+
+def _goes_on(part: Session, first: Session) -> bool:
+    """Whether a part is this session's: a part of an earlier one of that name, which was overwritten, is not."""
+    setup = part.metadata.get(SETUP, {})
+    return setup.get("of") == first.path.name and setup.get("begun") in (None, _begun(first))
+
+
+def _begun(first: Session) -> str:
+    return first.metadata.get("session", {}).get("utc_ns", "")
+
+
+def say_parts(path: Path, what: str) -> None:
+    """Tell of the further parts that a command leaves out: ``what`` becomes of them. Raises SessionError."""
+    from truearm.text import one_line
+
+    parts = [one_line(part.name) for part in session_parts(path)[1:]]
+    if parts:
+        typer.echo(f"{one_line(path.name)} goes on in {', '.join(parts)}: {what}", err=True)
+
+
+def first_stem(path: Path) -> str:
+    """The name of a session's first file without its suffix."""
+    found = _PART.fullmatch(path.stem)
+    return found[1] if found and path.with_name(found[1] + SUFFIX).exists() else path.stem
+
+
+def with_parts(inputs: list[Path]) -> list[Path]:
+    """Inputs with the further parts of each session behind it; one that is given too stays where it stands. Raises SessionError."""
+    found: list[Path] = []
+    for path in inputs:
+        parts = session_parts(path)[1:] if path.suffix.lower() == SUFFIX else []
+        found += [path, *(part for part in parts if not any(same_file(part, other) for other in inputs))]
+    return found
+
+
+def is_part(path: Path, inputs: list[Path]) -> bool:
+    """Whether a file goes on from another of the inputs, or another of them from it."""
+    firsts = {other: other.with_name(f"{m[1]}{SUFFIX}") for other in inputs if (m := _PART.fullmatch(other.stem))}
+    return firsts.get(path) in inputs or path in firsts.values()
+
+
+def earlier(path: Path) -> Earlier:
+    """What there is of the session that ``path``, one of its parts or the folder that holds nothing else, belongs to.
+
+    A part without its end (the recorder was killed) is read as far as it goes. Raises InputError, SessionError.
+    """
+    first = _first(path)
+    sessions = [_opened(part) for part in session_parts(first)]
+    setup = dict(sessions[0].metadata.get(SETUP, {}))
+    rows: list[dict[str, Any]] = []
+    mounted: dict[str, str] = {}
+    dwells: list[int | None] = []
+    driven: list[int | None] = []
+    for number, session in enumerate(sessions):
+        setup |= session.metadata.get(SETUP, {})
+        for message in session.messages(["/plan", "/events"]):
+            row = _table(message.data)
+            if message.topic == "/plan":
+                rows += [_planned(row, rows, session.path)] * (number == 0)
+            elif row.get("kind") == "mounted":
+                mounted = {k: v for k, v in row.items() if k != "kind" and isinstance(v, str)}
+            elif row.get("kind") == "dwell":
+                dwells.append(row.get("pose"))
+            elif row.get("kind") == "line" and ("pose" in row or not rows):
+                driven.append(row.get("pose"))
+    part = max([1, *_numbers(first)]) + 1
+    out = first.with_name(f"{first.stem}.{part}{SUFFIX}")
+    return Earlier(
+        first,
+        out,
+        part,
+        _begun(sessions[0]),
+        setup,
+        rows,
+        sessions[0].attachments.get("rig.toml"),
+        mounted,
+        tuple(dwells),
+        tuple(driven),
+    )
+
+
+def gone_on(course: Course, before: Earlier) -> None:
+    """Count what was taken before."""
+    for pose in before.dwells:
+        if type(pose) is int and 0 <= pose < len(course.rows):
+            course.done.add(pose)
+            course.next = pose + 1
+        else:
+            course.unplanned += 1
+    course.lines += len(before.lines)
+    course.next = max([course.next, *(row + 1 for row in before.lines if type(row) is int and row < len(course.rows))])
+
+
+def _first(path: Path) -> Path:
+    if path.is_dir():
+        firsts = [p for p in sorted(path.glob(f"*{SUFFIX}")) if _number(p) == 1]
+        if len(firsts) != 1:
+            raise InputError(f"--resume {path}: holds {len(firsts)} sessions; name the one to go on with")
+        return firsts[0]
+    if not path.exists():
+        raise InputError(f"--resume {path}: no such file; record a new session with --out")
+    part = _opened(path)
+    of = Path(part.metadata.get(SETUP, {}).get("of", "")).name
+    first = path.with_name(of) if of else path
+    return first if first.is_file() and _goes_on(part, _opened(first)) else path
+
+
+def _number(path: Path) -> int:
+    """1 for a first part."""
+    return 1 if first_stem(path) == path.stem else int(path.stem.rpartition(".")[2])
+
+
+def _opened(path: Path) -> Session:
+    from truearm.session.session_file import open_session
+
+    return open_session(path, allow_damaged=True)
+
+
+def _planned(row: dict[str, Any], rows: list[dict[str, Any]], path: Path) -> dict[str, Any]:
+    """A row of the plan, with as many joints as those before it."""
+    q = row.get("q")
+    if not are_joints(q) or (rows and len(rows[0]["q"]) != len(q)):
+        raise SessionError(f"--resume {path}: its plan is damaged; give it anew with --plan")
+    return row
+
+
+def _table(data: bytes) -> dict[str, Any]:
+    try:
+        row = json.loads(data)
+    except (ValueError, RecursionError):
+        row = None
+    if not isinstance(row, dict):
+        raise SessionError("--resume: the session's plan or events are damaged")
+    return row
