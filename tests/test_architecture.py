@@ -39,6 +39,7 @@ ROOMS = {
     "errors": set(),
     "text": set(),
     "interrupt": set(),
+    "units": set(),
 }
 WIRE_ALLOWED = {"record", "session", "box", "live"}
 SIMULATOR_ALLOWED = {"cli", "workflows"}  # simulate, demo and reproduce alone
