@@ -1,8 +1,8 @@
 """Units: what a number is called in files, how a person sees it, and how large it can sensibly be.
 
-SI inside, always. A *unit* here is an SI unit, the key of ``UNITS``; a *suffix* is what stands at the end of a name in a
-file (``length_mm``, ``q1_deg``, ``qd1_deg_s``), the key of ``SUFFIXES``. Every number that a person sees gets its
-factor, its symbol and its digits from here.
+SI inside, always. A ``Unit`` is an SI unit, a ``Scale`` is a unit that people and files use for it (``mm`` for metres).
+Every number that a person sees gets its factor, its symbol and its digits from here: ``quantity(length, "m")`` and
+``title("error", "m")`` where the usual unit is wanted, ``UM.text(noise, ".1f")`` where it is a named one.
 """
 
 from __future__ import annotations
@@ -14,58 +14,102 @@ from typing import Any
 
 
 @dataclass(frozen=True)
+class Scale:
+    """A unit that people and files use: ``value_si = scale · value``.
+
+    ``suffix`` stands at the end of a name in a file (``length_mm``, ``qd1_deg_s``), ``symbol`` behind a number on the
+    screen.
+    """
+
+    suffix: str
+    symbol: str
+    si: str
+    scale: float
+
+    @property
+    def factor(self) -> float:
+        """The inverse of ``scale``: 1000.0 for millimetres."""
+        return 1.0 / self.scale
+
+    def of(self, value_si: Any) -> Any:
+        """A value in SI, or an array of them, in this unit."""
+        return self.factor * value_si
+
+    def to_si(self, value: Any) -> Any:
+        """A value in this unit, or an array of them, in SI."""
+        return self.scale * value
+
+    def text(self, value_si: float, spec: str = "g") -> str:
+        """A value in SI as text in this unit, with the symbol: ``UM.text(2e-6, ".1f")`` is "2.0 µm"."""
+        return f"{self.of(value_si):{spec}} {self.symbol}".rstrip()
+
+
+DEGREE = math.pi / 180.0
+
+M = Scale("m", "m", "m", 1.0)
+CM = Scale("cm", "cm", "m", 1e-2)
+MM = Scale("mm", "mm", "m", 1e-3)
+UM = Scale("um", "µm", "m", 1e-6)
+INCH = Scale("in", "in", "m", 25.4e-3)
+RAD = Scale("rad", "rad", "rad", 1.0)
+DEG = Scale("deg", "deg", "rad", DEGREE)
+MRAD = Scale("mrad", "mrad", "rad", 1e-3)
+URAD = Scale("urad", "µrad", "rad", 1e-6)
+ONE = Scale("", "", "1", 1.0)
+PPM = Scale("ppm", "ppm", "1", 1e-6)
+S = Scale("s", "s", "s", 1.0)
+MS = Scale("ms", "ms", "s", 1e-3)
+US = Scale("us", "µs", "s", 1e-6)
+NS = Scale("ns", "ns", "s", 1e-9)
+M_S = Scale("m_s", "m/s", "m/s", 1.0)
+MM_S = Scale("mm_s", "mm/s", "m/s", 1e-3)
+RAD_S = Scale("rad_s", "rad/s", "rad/s", 1.0)
+DEG_S = Scale("deg_s", "deg/s", "rad/s", DEGREE)
+
+SUFFIXES: Mapping[str, Scale] = {
+    scale.suffix: scale
+    for scale in (
+        *(M, CM, MM, UM, INCH, RAD, DEG, MRAD, URAD, ONE, PPM),
+        *(S, MS, US, NS, M_S, MM_S, RAD_S, DEG_S),
+    )
+}
+
+
+@dataclass(frozen=True)
 class Unit:
     """An SI unit and how it meets people.
 
-    ``shown = factor · SI``. ``decimals``: of a value with its standard deviation. ``largest``: beyond this [SI] a number was
-    written in another unit. ``weak_sigma`` and ``wide_sigma``: σ [SI] of what a drawing says, and of what a hand leaves
-    (``estimate.prior``); a parameter that is known less well than ``weak_sigma`` is hardly seen.
+    ``scale``: in which a person sees it. ``decimals``: of a value with its standard deviation. ``largest``: beyond this
+    [SI] a number was written in another unit. ``weak_sigma`` and ``wide_sigma``: σ [SI] of what a drawing says, and of what
+    a hand leaves (``estimate.prior``); a parameter that is known less well than ``weak_sigma`` is hardly seen.
     """
 
     si: str
-    symbol: str
-    factor: float
+    scale: Scale
     decimals: int
     largest: float
     weak_sigma: float = math.nan
     wide_sigma: float = math.nan
 
+    @property
+    def symbol(self) -> str:
+        return self.scale.symbol
 
-@dataclass(frozen=True)
-class Suffix:
-    """The end of a name in a file; ``value_si = scale · value``."""
+    @property
+    def factor(self) -> float:
+        return self.scale.factor
 
-    si: str
-    scale: float
-
-
-DEGREE = math.pi / 180.0
 
 UNITS: Mapping[str, Unit] = {
     unit.si: unit
     for unit in (
-        Unit("m", "mm", 1e3, 4, 100.0, 1e-3, 1e-2),
-        Unit("rad", "deg", 1.0 / DEGREE, 5, 20.0 * math.pi, 5e-3, 0.052),
-        Unit("1", "", 1.0, 6, 100.0, 1e-3, 1e-2),
-        Unit("s", "ms", 1e3, 4, 100.0, 1e-3),
-        Unit("m/s", "mm/s", 1e3, 3, 100.0),
-        Unit("rad/s", "deg/s", 1.0 / DEGREE, 4, 20.0 * math.pi),
+        Unit("m", MM, 4, 100.0, 1e-3, 1e-2),
+        Unit("rad", DEG, 5, 20.0 * math.pi, 5e-3, 0.052),
+        Unit("1", ONE, 6, 100.0, 1e-3, 1e-2),
+        Unit("s", MS, 4, 100.0, 1e-3),
+        Unit("m/s", MM_S, 3, 100.0),
+        Unit("rad/s", DEG_S, 4, 20.0 * math.pi),
     )
-}
-SUFFIXES: Mapping[str, Suffix] = {
-    "m": Suffix("m", 1.0),
-    "cm": Suffix("m", 1e-2),
-    "mm": Suffix("m", 1e-3),
-    "um": Suffix("m", 1e-6),
-    "in": Suffix("m", 25.4e-3),
-    "rad": Suffix("rad", 1.0),
-    "deg": Suffix("rad", DEGREE),
-    "s": Suffix("s", 1.0),
-    "ms": Suffix("s", 1e-3),
-    "m_s": Suffix("m/s", 1.0),
-    "mm_s": Suffix("m/s", 1e-3),
-    "rad_s": Suffix("rad/s", 1.0),
-    "deg_s": Suffix("rad/s", DEGREE),
 }
 
 
@@ -76,19 +120,29 @@ def suffixes(
     return {name: SUFFIXES[name].scale for name in of if SUFFIXES[name].si == si}
 
 
+def length(name: str) -> Scale | None:
+    """The unit of length with this suffix or symbol ("um" and "µm" are the same); None for anything else."""
+    return next((s for s in SUFFIXES.values() if s.si == "m" and name in (s.suffix, s.symbol)), None)
+
+
 def shown(value: Any, si: str) -> Any:
     """A value, or an array of them, in the unit that a person sees: metres become millimetres."""
-    return UNITS[si].factor * value
+    return UNITS[si].scale.of(value)
 
 
 def from_shown(value: Any, si: str) -> Any:
     """The inverse of ``shown``."""
-    return value / UNITS[si].factor
+    return UNITS[si].scale.to_si(value)
 
 
 def symbol(si: str) -> str:
     """The symbol of the unit that a person sees: "mm" for "m"."""
     return UNITS[si].symbol
+
+
+def key(name: str, si: str) -> str:
+    """The name of a number in a file, in the unit that a person sees: "rms_after_mm" for "rms_after" in "m"."""
+    return f"{name}_{UNITS[si].scale.suffix}".rstrip("_")
 
 
 def number(value: float, si: str, decimals: int | None = None) -> str:

@@ -1,0 +1,81 @@
+"""units.py: every entry is consistent, conversions are exact inverses, texts carry their symbol."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from truearm import units
+
+FINITE = st.floats(-1e9, 1e9, allow_nan=False)
+
+
+@pytest.mark.parametrize("name", units.SUFFIXES)
+def test_a_scale_is_filed_under_its_suffix_and_its_factor_undoes_it(name):
+    scale = units.SUFFIXES[name]
+    assert scale.suffix == name
+    assert scale.si in units.UNITS
+    assert scale.factor * scale.scale == pytest.approx(1.0, abs=1e-15)
+
+
+@pytest.mark.parametrize("si", units.UNITS)
+def test_a_unit_is_shown_in_a_scale_of_its_own(si):
+    unit = units.UNITS[si]
+    assert unit.si == si == unit.scale.si
+    assert unit.scale is units.SUFFIXES[unit.scale.suffix]
+    assert unit.factor * units.suffixes(si, units.SUFFIXES)[unit.scale.suffix] == pytest.approx(1.0, abs=1e-15)
+    assert unit.largest > 0.0
+    assert units.SUFFIXES[si.replace("/", "_") if si != "1" else ""].scale == 1.0
+
+
+def test_symbols_and_suffixes_name_one_scale_each():
+    scales = units.SUFFIXES.values()
+    assert len({s.symbol for s in scales}) == len({s.suffix for s in scales}) == len(scales)
+
+
+@given(st.sampled_from(sorted(units.SUFFIXES)), FINITE)
+def test_every_scale_is_undone(name, value):
+    scale = units.SUFFIXES[name]
+    assert scale.to_si(scale.of(value)) == pytest.approx(value, rel=1e-14, abs=1e-300)
+    assert scale.of(scale.to_si(value)) == pytest.approx(value, rel=1e-14, abs=1e-300)
+
+
+@given(st.sampled_from(sorted(units.UNITS)), FINITE)
+def test_what_is_shown_is_read_back(si, value):
+    assert units.from_shown(units.shown(value, si), si) == pytest.approx(value, rel=1e-14, abs=1e-300)
+
+
+@given(st.sampled_from(sorted(units.UNITS)), st.floats(-1e3, 1e3))
+def test_a_quantity_is_its_number_and_its_symbol(si, value):
+    text = units.quantity(value, si)
+    number, _, symbol = text.partition(" ")
+    assert number == units.number(value, si)
+    assert symbol == units.symbol(si)
+    assert math.isclose(
+        float(number), units.shown(value, si), rel_tol=0.0, abs_tol=0.51 * 10.0 ** -units.UNITS[si].decimals
+    )
+
+
+def test_texts():
+    assert units.quantity(85.5e-6, "m") == "0.0855 mm"
+    assert units.quantity(math.pi, "rad", 1) == "180.0 deg"
+    assert units.quantity(0.5, "1", 2) == "0.50"
+    assert units.number(math.nan, "m") == "-"
+    assert units.UM.text(2e-6, ".1f") == "2.0 µm"
+    assert units.MRAD.text(0.005) == "5 mrad"
+    assert units.ONE.text(0.5) == "0.5"
+    assert [units.title("error", si) for si in ("m", "rad", "1")] == ["error [mm]", "error [deg]", "error"]
+    assert [units.key("rms", si) for si in ("m", "rad", "1", "rad/s")] == ["rms_mm", "rms_deg", "rms", "rms_deg_s"]
+
+
+def test_suffixes_of_a_unit_begin_with_si():
+    assert units.suffixes("m") == {"m": 1.0, "mm": 1e-3}
+    assert units.suffixes("rad") == {"rad": 1.0, "deg": math.pi / 180.0}
+    assert units.suffixes("m", ("mm", "um", "deg")) == {"mm": 1e-3, "um": 1e-6}
+
+
+def test_lengths_are_found_by_suffix_and_by_symbol():
+    assert units.length("um") is units.length("µm") is units.UM
+    assert units.length("mm") is units.MM
+    assert units.length("deg") is units.length("") is units.length("V") is None
