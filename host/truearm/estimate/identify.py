@@ -25,7 +25,7 @@ from truearm.estimate.identifiability import (
 from truearm.estimate.information import Information, half, observe, spectrum, with_prior
 from truearm.estimate.label_search import relabellings
 from truearm.estimate.lm import DAMPING_START
-from truearm.estimate.prior import WEAK_SIGMA
+from truearm.estimate.prior import weak_prior
 from truearm.estimate.problem import Problem, Rigs, build_problem, settled
 from truearm.estimate.robust import LOSSES
 from truearm.estimate.solution import Options, Solution, Solver, of_data
@@ -35,6 +35,7 @@ from truearm.estimate.whitened_rows import only, standardised
 from truearm.kinds.socket_distance import SocketDistanceRows
 from truearm.model.chain import Chain
 from truearm.types import Estimate, Floats, HeldOut, NullDirection, ObservationTable
+from truearm.units import UNITS
 
 SOLVERS: Mapping[str, Solver] = {
     "lm": lambda problem, columns, x, options: fit(problem, columns, x, options, DAMPING_START),
@@ -46,7 +47,6 @@ SOLVERS: Mapping[str, Solver] = {
 WITH_LOSS = ("lm", "map")
 FROM_RIG = ("lm",)  # begins with the rig fitted to the nominal robot
 TIME_OFFSET = "time_offset"
-TIME_UNIT_S = 1e-3  # a time offset told to no better than this is hardly seen
 DAMPINGS = ("scaled", "plain")
 Progress = Callable[[int, float], None]  # iteration, RMS of the residuals [m]
 
@@ -108,7 +108,7 @@ def identify(
     names = [name for name, is_free in zip(problem.names, columns, strict=True) if is_free]
     sight = identifiability(data.root, int(free.sum()), names)
     suggested = suggested_free(data.root, int(free.sum()), prefer[free])
-    unit = np.array([WEAK_SIGMA[p.unit] for p in chain.parameters])[free]
+    unit = weak_prior(chain)[free]
     weak = hardly_seen(data.root, suggested.size, unit, names)
     only_weak = suggested.all() and len(weak) > 0
     wanting = (told_apart(data.root, suggested.size, unit), unit) if only_weak else (suggested, None)
@@ -168,7 +168,7 @@ def identify(
 def _untimed(root: Floats, names: Sequence[str]) -> list[str]:
     """The time offsets that the data hardly tell: their sigma would be a number that means nothing."""
     offsets = [k for k, name in enumerate(names) if name.rpartition(".")[2] == TIME_OFFSET]
-    return [names[k] for k in offsets if hardly_told(root, k, TIME_UNIT_S)]
+    return [names[k] for k in offsets if hardly_told(root, k, UNITS["s"].weak_sigma)]
 
 
 def _check_choice(solver: str, loss: str, damping: str) -> None:

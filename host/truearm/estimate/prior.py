@@ -26,19 +26,17 @@ from numpy.typing import NDArray
 from truearm.errors import ProblemError
 from truearm.model.chain import Chain
 from truearm.types import Floats
-
-WEAK_SIGMA = {"m": 1e-3, "rad": 5e-3, "1": 1e-3}
-WIDE_SIGMA = {"m": 1e-2, "rad": 0.052, "1": 1e-2}
+from truearm.units import UNITS
 
 
 def weak_prior(chain: Chain) -> Floats:
     """(p,) standard deviations by unit: 1 mm, 5 mrad, 1e-3 of a gain."""
-    return np.array([WEAK_SIGMA[p.unit] for p in chain.parameters])
+    return np.array([UNITS[p.unit].weak_sigma for p in chain.parameters])
 
 
 def wide_prior(chain: Chain) -> Floats:
     """(p,) standard deviations by unit: 10 mm, 52 mrad, 1e-2 of a gain."""
-    return np.array([WIDE_SIGMA[p.unit] for p in chain.parameters])
+    return np.array([UNITS[p.unit].wide_sigma for p in chain.parameters])
 
 
 def free_without_gains(chain: Chain) -> NDArray[np.bool_]:

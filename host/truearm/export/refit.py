@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from truearm.model.chain import Chain, forward, point_forward, point_jacobians
 from truearm.types import Floats
+from truearm.units import UNITS
 
 LEVER = 0.1  # m
 MARKS = LEVER * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-UNIT = {"m": 1e-3, "rad": 5e-3, "1": 1e-3}
 SINGULAR = 1e-7  # of the largest singular value: below it a direction moves the end less than the arithmetic
 MAX_STEPS = 30
 STEP_END = 1e-9  # of the units above: a pm, 5 prad
@@ -35,7 +35,7 @@ class Refit(NamedTuple):
 def refit(chain: Chain, identified: Floats, start: Floats, adjustable: NDArray[np.bool_], q: Floats) -> Refit:
     """Fit the adjustable (p,) parameters, from ``start`` (p,), to the identified robot over poses q (n, j)."""
     params = np.array(start, dtype=float)
-    unit = np.array([UNIT[p.unit] for p in chain.parameters])[adjustable]
+    unit = np.array([UNITS[p.unit].weak_sigma for p in chain.parameters])[adjustable]
     wanted = _marks(chain, identified, q)
     for _ in range(MAX_STEPS):
         error = (wanted - _marks(chain, params, q)).ravel()

@@ -7,7 +7,6 @@ file may come from a stranger: everything unknown, missing, doubled or absurd ra
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -18,12 +17,13 @@ from truearm.model.dh import Layout, dh_slots, modified_dh_slots
 from truearm.model.sheth_uicker import sheth_uicker_slots
 from truearm.model.slots import Slot, gain_name
 from truearm.model.transforms import MOTIONS
+from truearm.units import suffixes
 
 HEAD = ("name", "convention", "nominal", "base_frame", "end_frame")
 MAX_JOINTS = 64
 MAX_TRANSFORMS = 1000
 MAX_NAME = 100  # characters
-TO_SI = {"m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3}, "rad": {"rad": 1.0, "deg": math.pi / 180.0}, "1": {"": 1.0}}
+SUFFIXES = ("m", "cm", "mm", "rad", "deg", "")
 LARGEST = {"m": 100.0, "rad": 1e4, "1": 1e6}  # larger than any arm; millimetres written as metres are caught by it
 NAME = re.compile(rf"[A-Za-z0-9_.-]{{1,{MAX_NAME}}}")
 
@@ -220,7 +220,7 @@ def _quantity(table: Mapping[str, Any], where: str, key: str, unit: str, used: s
 
 def _find(table: Mapping[str, Any], where: str, key: str, unit: str) -> tuple[str, float]:
     """The key with its unit suffix as it stands in the table, and the factor to SI."""
-    candidates = {f"{key}_{suffix}" if suffix else key: scale for suffix, scale in TO_SI[unit].items()}
+    candidates = {f"{key}_{suffix}" if suffix else key: scale for suffix, scale in suffixes(unit, SUFFIXES).items()}
     found = [name for name in candidates if name in table]
     if len(found) != 1:
         raise RobotError(f"robot file: {where} needs exactly one of {', '.join(candidates)}")

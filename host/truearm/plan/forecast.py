@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 from truearm.estimate.identifiability import hardly_seen, identifiability
 from truearm.estimate.information import covariance, observe, seen, spectrum, with_prior
 from truearm.estimate.prediction import MOVES, body_motion
-from truearm.estimate.prior import WEAK_SIGMA, WIDE_SIGMA, wide_prior
+from truearm.estimate.prior import weak_prior, wide_prior
 from truearm.estimate.problem import Problem, build_problem, settled
 from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.model.chain import Chain, point_forward, point_jacobians
 from truearm.types import Floats, NullDirection, ObservationTable, Plan, Point, Rig
+from truearm.units import UNITS
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,7 @@ def forecast(known: Known, planned: ObservationTable, aim: Aim | None = None) ->
     matrix = covariance(spectrum(with_prior(seen_by_rows, np.zeros(prior.size), believed).root))
     sigma = np.full(len(columns), np.nan)
     sigma[columns] = np.sqrt(np.where(sight.identifiable, np.diag(matrix), np.nan))
-    unit = np.array([WEAK_SIGMA[p.unit] for p in known.chain.parameters])[known.free]
+    unit = weak_prior(known.chain)[known.free]
     cartesian, relative = None, False
     if aim is not None:
         null = parts.vt[~seen(parts)].T / parts.scale[:, None]
@@ -159,7 +160,7 @@ def prior_unit(known: Known, problem: Problem, columns: NDArray[np.bool_]) -> Fl
     """(k,) standard deviations of the free columns."""
     rig = problem.prior_sigma[problem.n_robot :]
     units = problem.units[problem.n_robot :]
-    far = np.array([WIDE_SIGMA["1"] if unit == "1" else 1.0 for unit in units])
+    far = np.array([UNITS["1"].wide_sigma if unit == "1" else 1.0 for unit in units])
     return np.concatenate([wide_prior(known.chain), np.where(np.isfinite(rig), rig, far)])[columns]
 
 
