@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 import re
 from itertools import islice
 from typing import NamedTuple
@@ -17,12 +16,11 @@ import numpy as np
 from truearm.errors import TableError
 from truearm.files.observation_columns import Column, shown
 from truearm.types import Floats
+from truearm.units import SUFFIXES
 
 MAX_ROWS = 200_000  # 250 times the paper's grid of 800 poses
 MAX_COLUMNS = 200
 MAX_CELL = 200
-
-SCALE = {"rad": 1.0, "deg": math.pi / 180.0, "m": 1.0, "mm": 1e-3}
 
 # No dots: the names of parameters, socket.<place>.<socket>.x, are made of identifiers.
 _ID = re.compile(r"[\w-]{1,64}")
@@ -85,7 +83,7 @@ def numbers(
     """A column of numbers in SI units; NaN where the column or, unless ``required``, a cell is empty."""
     if column is None:
         return np.full(len(rows), np.nan)
-    scale = SCALE[column.unit.removesuffix("_s")]
+    scale = SUFFIXES[column.unit].scale
     out = np.empty(len(rows))
     for i, row in enumerate(rows):
         cell = row.cells[column.position]

@@ -18,13 +18,13 @@ import numpy as np
 from truearm.errors import PlanError
 from truearm.files.disk import read_text, write_atomic
 from truearm.types import Plan, Rig
+from truearm.units import MM_S, UNITS
 
 MAX_BYTES = 16 * 2**20
 MAX_JOINTS = 64
 IDS = Plan.IDS
 MOTION = ("move", "line", "target", "speed_mm_s")  # all four or none
 FASTEST = 10.0  # m/s; a speed beyond was written in another unit
-LARGEST = 20.0 * math.pi  # rad; an angle beyond ten turns was written in degrees
 
 _ID = re.compile(r"[\w-]{1,64}")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -71,7 +71,7 @@ def parse_plan(text: str, name: str) -> Plan:
     move = np.where(columns["move"] == "", "dwell", columns["move"])
     if (move == "via").all():
         raise PlanError(f"{name}: holds nothing to measure, only places to pass")
-    speed = np.array([float(cell) / 1e3 if cell else np.nan for cell in columns["speed_mm_s"]])
+    speed = np.array([MM_S.to_si(float(cell)) if cell else np.nan for cell in columns["speed_mm_s"]])
     return Plan(q, **ids, move=move, line=columns["line"], target=columns["target"], speed=speed)
 
 
@@ -129,16 +129,16 @@ def _required(name: str, move: str) -> bool:
 
 
 def _speed(cell: str, where: str) -> None:
-    if not _NUMBER.fullmatch(cell[:60]) or not 0.0 < float(cell[:60]) <= 1e3 * FASTEST:
+    if not _NUMBER.fullmatch(cell[:60]) or not 0.0 < float(cell[:60]) <= MM_S.of(FASTEST):
         raise PlanError(
-            f"{where} column speed_mm_s: {cell[:40]!r} is no speed in mm/s above 0, {1e3 * FASTEST:g} at most"
+            f"{where} column speed_mm_s: {cell[:40]!r} is no speed in mm/s above 0, {MM_S.of(FASTEST):g} at most"
         )
 
 
 def _angle(cell: str, where: str) -> float:
     if len(cell) > 60 or not _NUMBER.fullmatch(cell):
         raise PlanError(f"{where}: {cell[:40]!r} is not a number")
-    if abs(float(cell)) > LARGEST:
+    if abs(float(cell)) > UNITS["rad"].largest:
         raise PlanError(f"{where}: {cell} rad is more than ten turns; are the joints in degrees?")
     return float(cell)
 
@@ -173,7 +173,7 @@ def format_plan(plan: Plan) -> str:
 def _motion(plan: Plan, pose: int) -> tuple[str, ...]:
     """The cells of MOTION."""
     speed = float(plan.speed[pose])
-    cell = "" if math.isnan(speed) else repr(round(1e3 * speed, 9))
+    cell = "" if math.isnan(speed) else repr(round(MM_S.of(speed), 9))
     return str(plan.move[pose]), str(plan.line[pose]), str(plan.target[pose]), cell
 
 

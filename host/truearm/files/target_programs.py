@@ -27,13 +27,13 @@ from truearm.errors import ProgramError
 from truearm.files.disk import read_bytes
 from truearm.model.poses import pose_of
 from truearm.types import Floats
+from truearm.units import MM, UNITS
 
 MAX_BYTES = 4 * 2**20
 MAX_TARGETS = 20_000
 MAX_DEPTH = 200
 RAPID_SUFFIXES = (".mod", ".prg", ".modx", ".sys")
 SCRIPT_SUFFIXES = (".script", ".urscript")
-LARGEST_M = 100.0
 UNIT_QUATERNION = 1e-3  # how far from 1 the norm of a quaternion may be that was written with few digits
 
 _NUMBER = r"(?:[0-9]{1,40}(?:\.[0-9]{0,40})?|\.[0-9]{1,40})(?:[eE][+-]?[0-9]{1,4})?"
@@ -178,7 +178,7 @@ def _robtargets(tokens: list[_Token], lines: list[int], name: str) -> tuple[list
         plain = [[number for number in numbers if number is not None] for numbers in read]
         configuration = tuple(number.value for number in plain[2])
         found.append(Found(line, (*plain[0], *plain[1]), configuration))
-        _check(found[-1], 1e3 * LARGEST_M, name)
+        _check(found[-1], MM.of(UNITS["m"].largest), name)
         norm = math.hypot(*(number.value for number in plain[1]))
         if not abs(norm - 1.0) <= UNIT_QUATERNION:
             raise ProgramError(f"{name} line {line}: the orientation is no unit quaternion, its norm is {norm:.4g}")
@@ -201,7 +201,7 @@ def _script_targets(tokens: list[_Token], lines: list[int], name: str) -> tuple[
         if len(plain) != 6:
             raise ProgramError(f"{name} line {line}: a target p[…] must be six plain numbers to be corrected")
         found.append(Found(line, plain))
-        _check(found[-1], LARGEST_M, name)
+        _check(found[-1], UNITS["m"].largest, name)
     return found, left
 
 
@@ -245,7 +245,7 @@ def poses_of(program: Program) -> Floats:
     if program.kind == "urscript":
         return pose_of(numbers[:, :3], numbers[:, 3:])
     turn = Rotation.from_quat(numbers[:, [4, 5, 6, 3]]).as_rotvec()  # scipy has the scalar last
-    return pose_of(1e-3 * numbers[:, :3], turn)
+    return pose_of(MM.to_si(numbers[:, :3]), turn)
 
 
 def with_poses(program: Program, poses: Floats) -> bytes:
@@ -267,7 +267,7 @@ def _written(program: Program, poses: Floats) -> list[list[str]]:
     quaternion = rotation.as_quat()[:, [3, 0, 1, 2]]
     old = np.array([[number.value for number in target.numbers[3:]] for target in program.targets])
     quaternion *= np.where((quaternion * old).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]  # q and −q are one turn
-    places = [[_plain(value, 5) for value in row] for row in 1e3 * poses[:, :3, 3]]
+    places = [[_plain(value, 5) for value in row] for row in MM.of(poses[:, :3, 3])]
     return [[*place, *(_plain(v, 10) for v in turn)] for place, turn in zip(places, quaternion, strict=True)]
 
 

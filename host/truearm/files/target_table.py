@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,14 +20,13 @@ from scipy.spatial.transform import Rotation
 from truearm.errors import TableError, TargetError
 from truearm.files.csv_cells import Row, identifiers, numbers, read_cells
 from truearm.files.disk import read_text
-from truearm.files.observation_columns import Column, base_unit, shown
+from truearm.files.observation_columns import Column, shown
 from truearm.model.poses import pose_of
 from truearm.types import Floats, Strings
+from truearm.units import DEG, MM, SUFFIXES, UNITS, key, number
 
 MAX_BYTES = 16 * 2**20
 MAX_TARGETS = 20_000
-UNITS = {"x": ("mm", "m"), "rx": ("deg", "rad"), "q": ("deg", "rad", "mm", "m")}
-LARGEST = {"m": 100.0, "rad": 20.0 * math.pi}
 _TITLE = re.compile(r"(r?[xyz]|q[1-9][0-9]?)_(mm|m|deg|rad)")
 RESULTS = re.compile(r"(before|after)_(mm|deg)|told_.*|x_.*")  # columns of ours in a table that is corrected again
 
@@ -85,7 +83,7 @@ def _columns(header: list[str], name: str) -> dict[str, Column]:
                 f"{where}: is no known column; use name, x_mm, y_mm, z_mm, rx_deg, ry_deg, rz_deg, q1_deg"
             )
         unit = match[2] if match else ""
-        if match and unit not in UNITS["q" if quantity[0] == "q" else "rx" if quantity[0] == "r" else "x"]:
+        if match and quantity[0] != "q" and SUFFIXES[unit].si != ("rad" if quantity[0] == "r" else "m"):
             raise TargetError(f"{where}: unit {unit} does not fit {quantity}")
         if quantity in columns:
             raise TargetError(f"{where}: {quantity} is given twice; keep one")
@@ -110,13 +108,13 @@ def _joints(rows: list[Row], columns: dict[str, Column], units: Sequence[str], n
     if given != set(wanted):
         raise TargetError(f"{name}: the robot has {len(units)} joints; give q1 to q{len(units)}, or none")
     for quantity, unit in zip(wanted, units, strict=True):
-        if base_unit(columns[quantity].unit) != unit:
+        if SUFFIXES[columns[quantity].unit].si != unit:
             raise TargetError(f"{name} column {columns[quantity].name}: the robot's joint is measured in {unit}")
     return np.stack([_required(rows, columns[quantity], name) for quantity in wanted], axis=1)
 
 
 def _required(rows: list[Row], column: Column, name: str) -> Floats:
-    return numbers(rows, column, name, LARGEST[base_unit(column.unit)], required=True)
+    return numbers(rows, column, name, UNITS[SUFFIXES[column.unit].si].largest, required=True)
 
 
 def format_corrected(
@@ -126,19 +124,20 @@ def format_corrected(
 
     Positions and joints have 1e-7 mm and 1e-9 deg, less than any controller takes.
     """
-    turn = np.rad2deg(Rotation.from_matrix(told[:, :3, :3]).as_rotvec())
+    turn = DEG.of(Rotation.from_matrix(told[:, :3, :3]).as_rotvec())
     titles = ["name", "x_mm", "y_mm", "z_mm", *(["rx_deg", "ry_deg", "rz_deg"] if targets.oriented else [])]
-    scale = np.array([180.0 / math.pi if unit == "rad" else 1e3 for unit in joint_units])
-    titles += [f"q{i}_{'deg' if unit == 'rad' else 'mm'}" for i, unit in enumerate(joint_units, start=1)]
+    titles += [key(f"q{i}", unit) for i, unit in enumerate(joint_units, start=1)]
     titles += ["before_mm", "after_mm", *(["before_deg", "after_deg"] if targets.oriented else [])]
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(titles)
     for i, label in enumerate(targets.name):
-        place = [f"{v:.7f}" for v in 1e3 * told[i, :3, 3]] + [f"{v:.9f}" for v in turn[i]] * targets.oriented
-        errors = [f"{1e3 * v:.6f}" for v in (before[i, 0], after[i, 0])]
-        angles = [f"{math.degrees(v):.6f}" for v in (before[i, 1], after[i, 1])] if targets.oriented else []
-        writer.writerow([label, *place, *(f"{v:.9f}" for v in scale * q[i]), *errors, *angles])
+        place = [f"{v:.7f}" for v in MM.of(told[i, :3, 3])] + [f"{v:.9f}" for v in turn[i]] * targets.oriented
+        errors = [f"{MM.of(v):.6f}" for v in (before[i, 0], after[i, 0])]
+        angles = [f"{DEG.of(v):.6f}" for v in (before[i, 1], after[i, 1])] if targets.oriented else []
+        writer.writerow(
+            [label, *place, *(number(v, unit, 9) for v, unit in zip(q[i], joint_units, strict=True)), *errors, *angles]
+        )
     return text.getvalue()
 
 

@@ -11,11 +11,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from truearm.errors import InputError
-from truearm.files.csv_cells import SCALE
 from truearm.files.observation_columns import shown
 from truearm.session.joint_line import MAX_JOINTS, format_reading
+from truearm.units import SUFFIXES
 
-PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}  # to divide by: 1e-9 is no exact number
+# to divide by: 1e-9 is no exact number
+PER_SECOND = {unit: round(SUFFIXES[unit].factor) for unit in ("s", "ms", "us", "ns")}
 MAX_COLUMNS = 200
 EXAMPLE = "t_s,seq,q1_rad,q2_rad,... (units: rad, deg, m, mm; commanded joints are q1_cmd_rad, ...)"
 
@@ -86,7 +87,7 @@ def _quantity(title: str) -> tuple[str, int, float]:
         raise InputError(
             f"column {shown(title)} is not known; expected is a header such as {EXAMPLE}; x_... is passed over"
         )
-    return found[1] + (found[3] or ""), int(found[2]), SCALE[found[4]]
+    return found[1] + (found[3] or ""), int(found[2]), SUFFIXES[found[4]].scale
 
 
 def _in_order(quantity: str, places: dict[int, Place], n: int) -> tuple[Place, ...]:

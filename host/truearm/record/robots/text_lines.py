@@ -24,7 +24,6 @@ from typing import Any
 from urllib.parse import parse_qsl
 
 from truearm.errors import InputError, LinkError, ProtocolError
-from truearm.files.csv_cells import SCALE
 from truearm.files.observation_columns import shown
 from truearm.record.frames import Runs
 from truearm.record.joint_lines import MAX_LINE
@@ -32,6 +31,7 @@ from truearm.record.links import Arrivals, Backlog, Clock, Link, TcpLink, backlo
 from truearm.record.robots.joint_columns import PER_SECOND, Columns, read_columns
 from truearm.record.robots.udp import UdpLink
 from truearm.session.joint_line import MAX_JOINTS, are_joints, format_reading, parse_reading
+from truearm.units import SUFFIXES
 
 QUANTITIES = ("t", "seq", "q", "q_cmd", "qd", "current", "effort", "inputs")
 MAX_TIME = 2**63  # of any unit: nanoseconds since 1970 are 2⁶¹
@@ -95,11 +95,11 @@ def read_names(said: dict[str, Any], names: Names | None = None) -> Names:
         raise InputError(f"names are given to {', '.join(QUANTITIES)}, not to {shown(str(of))}")
     units = str(said.get("unit", "")).split(",")
     if said.get("unit") is not None:
-        if not set(units) <= set(SCALE) or len(units) > MAX_JOINTS:
+        if not set(units) <= {"rad", "deg", "m", "mm"} or len(units) > MAX_JOINTS:
             raise InputError(
                 f"unit {shown(str(said['unit']))} is not known; use rad, deg, m or mm, one for all joints or one each"
             )
-        names = replace(names, scale=tuple(SCALE[unit] for unit in units))
+        names = replace(names, scale=tuple(SUFFIXES[unit].scale for unit in units))
     if said.get("t_unit") is not None:
         unit = str(said["t_unit"])
         if unit not in PER_SECOND:
