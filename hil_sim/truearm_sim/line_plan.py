@@ -12,7 +12,6 @@ from truearm.files import plan_file
 from truearm.model.robot import builtin_robot
 from truearm.plan.ball_bar_plan import make_site
 from truearm.plan.bar_paths import way_without_bar
-from truearm.plan.branches import branch_of
 from truearm.plan.cartesian_lines import Shape, candidate_lines
 from truearm.plan.collision_shapes import Sizes
 from truearm.plan.forecast import Known
@@ -42,9 +41,7 @@ def drawn_line_plan(
     """
     robot, rig = builtin_robot(ROBOT), rig or line_rig()
     design = robot.parameter_sets[DESIGN]
-    site = make_site(
-        Known(robot.chain, rig, design, robot.free, None, {}), branch_of(robot.chain, None), Limits(), Sizes(), seed
-    )
+    site = make_site(replace(Known.design(robot, rig), params=design), Limits(), Sizes(), seed)
     point = np.array(TARGETS[MAGNET].xyz)
     found = candidate_lines(site, Shape(LENGTH, speed=speed), n_lines, point, JOINT_SPEED, seed=seed, least=n_lines)
     parts = [lines_plan(q, f"l{i}", speed, back) for i, q in enumerate(found.q[:, [0, -1]], start=1)]

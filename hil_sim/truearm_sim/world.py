@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from truearm.files import plan_file
 from truearm.model.chain import Chain, point_forward
 from truearm.model.robot import builtin_robot
+from truearm.plan.forecast import Known
 from truearm.plan.shells import plan_shells
 from truearm.types import BallBar, Floats, Plan, Point, Rig
 from truearm_sim import sensors
@@ -70,10 +71,9 @@ def arrivals(plan: Plan) -> NDArray[np.int64]:
 
 def standard_plan(n_poses: int = 800, seed: int = 0, rig: Rig | None = None) -> Plan:
     """``n_poses`` poses with each bar of the rig, one bar after the other, planned on the design model."""
-    rig = rig or standard_rig()
     robot = builtin_robot(ROBOT)
-    design = robot.parameter_sets[DESIGN]
-    plans = [plan_shells(robot.chain, design, rig, bar, n_poses, seed, speed=SPEED) for bar in rig.bars]
+    known = replace(Known.design(robot, rig or standard_rig()), params=robot.parameter_sets[DESIGN])
+    plans = [plan_shells(known, bar, n_poses, seed, SPEED) for bar in known.rig.bars]
     return plan_file.concatenate(*plans)
 
 

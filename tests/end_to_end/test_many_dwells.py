@@ -41,13 +41,13 @@ import sys
 from pathlib import Path
 from truearm.cli.demo import write_setup
 from truearm.model.robot import builtin_robot
+from truearm.plan.forecast import Known
 from truearm.plan.shells import plan_shells
 from truearm_sim.robot import SPEED
 from truearm_sim.world import World, standard_rig
 
-robot = builtin_robot("puma560")
-design = robot.parameter_sets["design"]
-plan = plan_shells(robot.chain, design, standard_rig(), "bar46", int(sys.argv[2]), {SEED}, speed=SPEED)
+known = Known.design(builtin_robot("puma560"), standard_rig())
+plan = plan_shells(known, "bar46", int(sys.argv[2]), {SEED}, SPEED)
 write_setup(Path(sys.argv[1]), World({SEED}, plan))
 """
 

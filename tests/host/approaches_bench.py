@@ -6,7 +6,6 @@ from truearm.model.robot import builtin_robot
 from truearm.plan.approaches import ApproachesWanted, plan_approaches
 from truearm.plan.ball_bar_plan import make_site
 from truearm.plan.bar_paths import Pace
-from truearm.plan.branches import branch_of
 from truearm.plan.collision_shapes import Sizes
 from truearm.plan.forecast import Known
 from truearm.plan.measurement_limits import Limits, Pairing, Site
@@ -21,6 +20,5 @@ WANTED = ApproachesWanted(n_poses=4, rounds=3, long_s=10.0, n_candidates=200)
 def planned() -> tuple[Site, Route]:
     """The arm before the rig as designed, and the route."""
     robot, rig = builtin_robot("puma560"), standard_rig()
-    known = Known(robot.chain, rig, robot.chain.params_nominal, robot.free)
-    site = make_site(known, branch_of(robot.chain, None), Limits(), Sizes())
+    site = make_site(Known.design(robot, rig), Limits(), Sizes())
     return site, plan_approaches(site, PAIRING, WANTED, Pace())

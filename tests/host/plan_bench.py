@@ -9,7 +9,6 @@ from truearm.model.chain import forward, joint_frames, joint_jacobian
 from truearm.model.robot import builtin_robot
 from truearm.plan.ball_bar_plan import Wanted, all_pairings, make_site, plan_ballbar
 from truearm.plan.bar_paths import Pace
-from truearm.plan.branches import branch_of
 from truearm.plan.collision_shapes import Sizes
 from truearm.plan.forecast import Known
 from truearm.plan.measurement_limits import Limits
@@ -45,13 +44,12 @@ LIMITS, SIZES = Limits(), Sizes()
 
 @cache
 def known(name):
-    robot = builtin_robot(name)
-    return Known(robot.chain, RIGS[name], robot.chain.params_nominal, robot.free)
+    return Known.design(builtin_robot(name), RIGS[name])
 
 
 @cache
 def site(name):
-    return make_site(known(name), branch_of(known(name).chain), LIMITS, SIZES)
+    return make_site(known(name), LIMITS, SIZES)
 
 
 @cache

@@ -11,7 +11,7 @@ from command_line import Outcome, Run, process, told
 from truearm.cli.identify import Loss, Solver
 from truearm.estimate.identify import SOLVERS
 from truearm.estimate.robust import LOSSES
-from truearm.model.robot import builtin_names
+from truearm.model.builtin import builtin_names
 
 HEADER = "kind,q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad,length_mm,bar,chuck,sphere"
 ROW = "ball_bar,0,0,0,0,0,0,460,b,c0,s0"

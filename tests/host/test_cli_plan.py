@@ -15,7 +15,6 @@ from truearm.files.observation_table import write_table
 from truearm.files.plan_file import check_against_rig, read_plan
 from truearm.files.result_file import RobotFrames, document_of, write_result
 from truearm.files.rig_file import read_rig, write_rig
-from truearm.plan.branches import BRANCHES
 from truearm.plan.forecast import bar_table
 
 COMMON = ("--robot", "irb120", "--bar", "bar25", "--poses", "36", "--candidates", "60")
@@ -68,7 +67,8 @@ def test_a_urdf_with_several_ends(folder, capsys):
     plate = camera.replace("camera", "plate").replace('"c"', '"p"')
     urdf, rig = folder / "arm.urdf", str(folder / "rig.toml")
     urdf.write_text(text.replace("</robot>", f"{camera}{plate}</robot>"))
-    lower, upper = (np.rad2deg(bound) for bound in (BRANCHES["irb120"].lower, BRANCHES["irb120"].upper))
+    branch = bench.known("irb120").branch
+    lower, upper = (np.rad2deg(bound) for bound in (branch.lower, branch.upper))
     branch = ",".join(f"{a:.6g}:{b:.6g}" for a, b in zip(lower, upper, strict=True))
     given = ("plan", "ballbar", "--robot", str(urdf), *COMMON[2:], "--rig", rig, f"--branch={branch}", "--json")
     assert main([*given]) == 2

@@ -9,10 +9,11 @@ from scipy.spatial.transform import Rotation
 from truearm.correct.correction import METHODS, correct
 from truearm.correct.inverse import inverse, search, singular_value, turned, within
 from truearm.correct.model_pair import Pair
+from truearm.model.builtin import builtin_names
 from truearm.model.chain import forward
 from truearm.model.mountings import mountings
 from truearm.model.poses import apart, inverted, moved, pose_of, six_of
-from truearm.model.robot import builtin_names, builtin_robot
+from truearm.model.robot import builtin_robot
 from truearm.model.transforms import elementary
 
 

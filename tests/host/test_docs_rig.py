@@ -11,7 +11,7 @@ from tests.host import plan_bench as bench
 
 from truearm.model.chain import point_forward
 from truearm.model.robot import builtin_robot
-from truearm.plan.forecast import Aim, Known, bar_table, forecast
+from truearm.plan.forecast import Aim, bar_table, forecast
 from truearm.plan.region import around, poses_in
 from truearm.types import Plan
 from truearm_sim.world import standard_plan
@@ -76,7 +76,7 @@ def told(change, some=None):
     """At the paper's identified values, whose lengths stray from mid-travel as a true robot's do."""
     known = bench.known("puma560")
     truth = builtin_robot("puma560").parameter_sets["optimised"]
-    known = Known(known.chain, replace(RIG, **change), truth, known.free)
+    known = replace(known, rig=replace(RIG, **change), params=truth)
     return forecast(known, bar_table(known, plan() if some is None else some), aim())
 
 

@@ -17,9 +17,10 @@ from truearm.export.refit import refit
 from truearm.export.toml_tables import dh_table, modified_dh_table, sheth_uicker_table
 from truearm.export.ur import KEYS, SEGMENTS, ur_segments, ur_yaml
 from truearm.export.urdf import edited, joint_origins, new_urdf
+from truearm.model.builtin import builtin_names
 from truearm.model.chain import forward
 from truearm.model.poses import inverted
-from truearm.model.robot import builtin_names, builtin_robot, parse_robot
+from truearm.model.robot import builtin_robot, parse_robot
 from truearm.model.transforms import elementary
 from truearm.model.urdf import chain_from_urdf
 

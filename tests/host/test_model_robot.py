@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from truearm.errors import RobotError
+from truearm.model.builtin import builtin_names, builtin_text, names_with_branch
 from truearm.model.chain import Joint, forward
-from truearm.model.robot import builtin_names, builtin_robot, parse_robot
+from truearm.model.robot import builtin_robot, parse_robot
 from truearm.model.sheth_uicker import chain_from_sheth_uicker
 
 TINY = """
@@ -293,3 +294,44 @@ def test_a_list_has_bounds():
     ]:
         with pytest.raises(RobotError, match=says):
             parse_robot(text)
+
+
+ARM = builtin_text("irb120")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("lower_deg = [-155.0, -80.0, -60", "lower_deg = [-60", "branch.lower_deg must be a list of 6 numbers"),
+        ("lower_deg = [-155.0, -80.0", 'lower_deg = ["a", -80.0', "branch.lower_deg must be a finite number"),
+        ("lower_deg = [-155.0, -80.0", "lower_deg = [-155.0, -500.0", "bounds of joint 2 must lie within its limits"),
+        ("lower_deg = [-155.0, -80.0", "lower_deg = [-155.0, 101.0", "bounds of joint 2 .* lower below upper"),
+        ("clearance_mm = 150.0", "clearance = 150.0", "branch needs exactly one of clearance_m|unknown key"),
+        ("clearance_mm = 150.0", "clear_mm = 150.0", "unknown key branch.clear_mm"),
+        ("[branch]", "[[branch]]", "branch must be a table"),
+        ("joint = 0", "joint = 7", "capsule 1.joint must be a whole number from 0 .fixed. to 6"),
+        ("joint = 0", "joint = 0.5", "capsule 1.joint must be a whole number"),
+        ("joint = 0\n", "", "capsule 1.joint must be a finite number"),
+        ("start_mm = [-100.0, 0.0", "start_mm = [0.0", "capsule 1.start_mm must be a list of 3 numbers"),
+        ("radius_mm = 150.0", "radius_mm = 0.0", "capsule 1.radius must be above 0"),
+        ("radius_mm = 150.0", "radius_mm = 150.0\ncolour = 1", "unknown key capsule 1.colour"),
+    ],
+)
+def test_what_a_plan_needs_is_checked(old, new, says):
+    head, tables = ARM.split("# Branch", 1)
+    assert old in tables
+    with pytest.raises(RobotError, match=says) as caught:
+        parse_robot(head + "# Branch" + tables.replace(old, new, 1))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_robot_file_need_not_say_how_to_plan():
+    robot = parse_robot(ARM.split("# Branch", 1)[0])
+    assert robot.branch is None
+    assert robot.capsules is None
+    assert parse_robot(TINY).branch is None
+
+
+def test_the_robots_that_can_be_planned_for_are_listed():
+    assert names_with_branch() == tuple(name for name in builtin_names() if builtin_robot(name).branch is not None)
+    assert {"irb120", "puma560", "ur5e"} <= set(names_with_branch())

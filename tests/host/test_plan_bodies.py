@@ -5,10 +5,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.host import plan_bench as bench
 
+from truearm.model.builtin import builtin_names
 from truearm.model.chain import forward, joint_frames
-from truearm.model.robot import builtin_names, builtin_robot
-from truearm.plan.arm_capsules import BODIES, SHORT, along_joints
-from truearm.plan.collision_shapes import Sizes, body_ends, clear, make_shapes, segment_distance
+from truearm.model.robot import builtin_robot
+from truearm.plan.arm_capsules import SHORT, along_joints
+from truearm.plan.collision_shapes import Sizes, clear, link_ends, make_shapes, segment_distance
 from truearm.types import Point, Rig
 
 
@@ -33,6 +34,8 @@ def ur5e_links(q):
     wrist2 = wrist1 @ rigid((1, 0, 0), np.pi / 2, (0, -0.0997, 0)) @ turned(q[4])
     return shoulder, upper, fore, wrist1, wrist2
 
+
+DESCRIBED = {name: links for name in builtin_names() if (links := builtin_robot(name).capsules) is not None}
 
 # Points on the surfaces of links, in their frames: of a tube of 55 mm about the upper arm's axis, 138 mm beside the joints', of
 # one of 45 mm about the forearm's, 7 mm beside, of the housings' flat ends (from the collision meshes' outermost planes).
@@ -61,9 +64,9 @@ UR5E_SURFACE = [
 
 def test_a_ur5e_is_inside_its_capsules():
     known = bench.known("ur5e")
-    shapes = make_shapes(known.chain, known.params, Rig(), Sizes())
+    shapes = make_shapes(known.chain, known.params, Rig(), Sizes(), known.links)
     q = np.random.default_rng(1).uniform(-3.0, 3.0, (20, 6))
-    ends, radius = body_ends(shapes, q), shapes.body.radius
+    ends, radius = link_ends(shapes, q), shapes.links.radius
     for posture, capsules in zip(q, ends, strict=True):
         links = ur5e_links(posture)
         for link, points in UR5E_SURFACE:
@@ -72,32 +75,32 @@ def test_a_ur5e_is_inside_its_capsules():
             assert apart.min(axis=1).max() < 1e-3
 
 
-@pytest.mark.parametrize("name", [name for name in builtin_names() if name not in BODIES])
+@pytest.mark.parametrize("name", [name for name in builtin_names() if builtin_robot(name).capsules is None])
 def test_other_arms_are_lines_through_their_joints(name):
     """Every joint's origin lies on them at any posture, but for SHORT."""
     chain = builtin_robot(name).chain
     shapes = make_shapes(chain, chain.params_nominal, Rig(), Sizes())
     q = np.random.default_rng(2).uniform(-1.0, 1.0, (10, len(chain.joints)))
-    ends = body_ends(shapes, q)
+    ends = link_ends(shapes, q)
     origins = [*joint_frames(chain, chain.params_nominal, q)[:, :, :3, 3].swapaxes(0, 1)]
     for p in (np.zeros((10, 3)), *origins, forward(chain, chain.params_nominal, q)[:, :3, 3]):
         apart = segment_distance(p[:, None], p[:, None], ends[:, :, 0], ends[:, :, 1])
         assert apart.min(axis=1).max() <= SHORT + 1e-12
-    assert (shapes.body.radius == Sizes().link).all()
+    assert (shapes.links.radius == Sizes().link).all()
 
 
 def test_a_tables_arm_reaches_as_far_as_its_joints():
     """A slip of the hand in a table would leave a joint's origin bare; 150 mm is a UR5e's elbow beside its joint."""
-    for name, body in BODIES.items():
+    for name, links in DESCRIBED.items():
         chain = builtin_robot(name).chain
         plain = along_joints(chain, chain.params_nominal, 0.05)
-        assert body.joint == tuple(sorted(body.joint))
-        assert set(plain.joint) <= set(body.joint)
+        assert links.joint == tuple(sorted(links.joint))
+        assert set(plain.joint) <= set(links.joint)
         q = np.zeros((1, 6))
-        shapes = make_shapes(chain, chain.params_nominal, Rig(), Sizes())
-        ends = body_ends(shapes, q)[0]
+        shapes = make_shapes(chain, chain.params_nominal, Rig(), Sizes(), links)
+        ends = link_ends(shapes, q)[0]
         for p in joint_frames(chain, chain.params_nominal, q)[0, 1:, :3, 3]:
-            apart = segment_distance(p, p, ends[:, 0], ends[:, 1]) - body.radius
+            apart = segment_distance(p, p, ends[:, 0], ends[:, 1]) - links.radius
             assert apart.min() < 0.1
 
 
@@ -109,7 +112,6 @@ def test_what_stands_in_the_way_of_a_sideways_upper_arm_is_found():
     for beside, free in ((0.138, False), (-0.138, True)):
         x, y, z = (upper @ np.array([-0.3, 0.0, beside, 1.0]))[:3].tolist()
         rig = Rig(chucks={"c": Point("c", (x, y, z))})
-        assert clear(make_shapes(known.chain, known.params, rig, Sizes()), q, None)[0] == free
-        lines = along_joints(known.chain, known.params, Sizes().link)
-        shapes = make_shapes(known.chain, known.params, rig, Sizes())._replace(body=lines)
+        assert clear(make_shapes(known.chain, known.params, rig, Sizes(), known.links), q, None)[0] == free
+        shapes = make_shapes(known.chain, known.params, rig, Sizes())
         assert clear(shapes, q, None)[0]  # which lines through the joints would not

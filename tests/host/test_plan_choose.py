@@ -117,7 +117,7 @@ def demo():
     rig = known.rig
     pairings = [Pairing("bar46", c, s) for c in rig.chucks for s in rig.spheres]
     found = candidates(site, pairings, 5000, seed=1)
-    grid = plan_shells(known.chain, known.params, rig, "bar46", 800)
+    grid = plan_shells(known, "bar46", 800)
     spheres = np.array([rig.spheres[name].xyz for name in grid.sphere])
     region = around(point_forward(known.chain, known.params, grid.q, spheres))
     middle = np.array([0.0, 0.0, 0.04])  # of the three spheres

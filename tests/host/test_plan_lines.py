@@ -156,7 +156,7 @@ def test_the_arm_keeps_clear_of_the_device(planned):
 def test_what_a_device_must_not_touch(start, end, free):
     known = bench.known(NAME)
     rig = Rig(chucks={"c": Point("c", (0.5, 0.0, 0.35))})
-    shapes = make_shapes(known.chain, known.params, rig, Sizes())
+    shapes = make_shapes(known.chain, known.params, rig, Sizes(), known.links)
     folded = np.deg2rad([[0.0, 20.0, -100.0, 0.0, 0.0, 0.0]])  # the forearm up
     assert device_is_clear(shapes, folded, np.array(start), np.array(end)) == free
 

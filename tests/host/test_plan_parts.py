@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 from tests.host import plan_bench as bench
 
 from truearm.errors import PlanError
+from truearm.model.builtin import names_with_branch
 from truearm.model.robot import builtin_robot
 from truearm.plan.ball_bar_plan import all_pairings
 from truearm.plan.bar_paths import onto_shell, samples, way_with_bar, way_without_bar
-from truearm.plan.branches import BRANCHES, branch_of
+from truearm.plan.branches import branch_of
 from truearm.plan.collision_shapes import make_shapes, segment_distance
 from truearm.plan.measurement_limits import Pairing, allowed, bar_vectors
 from truearm.plan.shells import candidates
@@ -64,10 +65,10 @@ def test_a_move_without_a_bar_goes_round_what_is_in_its_way():
         assert allowed(site, samples(a, b), None).all()
 
 
-@pytest.mark.parametrize("name", sorted(BRANCHES))
+@pytest.mark.parametrize("name", names_with_branch())
 def test_branches_lie_inside_the_joints_limits(name):
-    chain = builtin_robot(name).chain
-    branch = branch_of(chain)
+    robot = builtin_robot(name)
+    chain, branch = robot.chain, branch_of(robot)
     assert (branch.lower >= [j.lower for j in chain.joints]).all()
     assert (branch.upper <= [j.upper for j in chain.joints]).all()
 
@@ -76,13 +77,13 @@ def test_branches_lie_inside_the_joints_limits(name):
                                   ",".join(["0:nan"] * 6), ",".join(["0:9999"] * 6)])  # fmt: skip
 def test_branches_that_are_none_are_refused(text):
     with pytest.raises(PlanError, match="--branch"):
-        branch_of(builtin_robot("puma560").chain, text)
+        branch_of(builtin_robot("puma560"), text)
 
 
 def test_robots_without_a_known_branch_are_told_so():
     with pytest.raises(PlanError, match="--branch LOW:HIGH"):
-        branch_of(builtin_robot("ulb").chain)
-    assert branch_of(builtin_robot("ulb").chain, ",".join(["-10:10"] * 6)).upper[0] == pytest.approx(np.deg2rad(10))
+        branch_of(builtin_robot("ulb"))
+    assert branch_of(builtin_robot("ulb"), ",".join(["-10:10"] * 6)).upper[0] == pytest.approx(np.deg2rad(10))
 
 
 def test_every_limit_is_looked_at():

@@ -1,5 +1,7 @@
 """Plans on shells: where the poses lie, how they see the robot, and that the arm and the bar can follow."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,13 +10,15 @@ from truearm.model.chain import along, forward, joint_jacobian, trace_point
 from truearm.model.robot import builtin_robot
 from truearm.plan import shells
 from truearm.plan import visit_order as tour
-from truearm.plan.branch_inverse import PUMA_ELBOW_UP, inverse, make_arm
+from truearm.plan.branch_inverse import inverse, make_arm
+from truearm.plan.forecast import Known
 from truearm.types import Point, Rig
 from truearm_sim.world import World, standard_plan, standard_rig
 
 ROBOT = builtin_robot("puma560")
 DESIGN, OPTIMISED = ROBOT.parameter_sets["design"], ROBOT.parameter_sets["optimised"]
 RIG = standard_rig()
+KNOWN = Known.design(ROBOT, RIG)
 
 
 @pytest.fixture(scope="module")
@@ -125,8 +129,8 @@ def test_joint_limits_branch_and_singularities_are_kept_away_from(plan):
     for i, joint in enumerate(ROBOT.chain.joints):
         assert plan.q[:, i].min() >= joint.lower + margin
         assert plan.q[:, i].max() <= joint.upper - margin
-    assert np.all(plan.q > PUMA_ELBOW_UP.lower)
-    assert np.all(plan.q < PUMA_ELBOW_UP.upper)
+    assert np.all(plan.q > ROBOT.branch.lower)
+    assert np.all(plan.q < ROBOT.branch.upper)
     scaled = joint_jacobian(ROBOT.chain, DESIGN, plan.q) / np.array([0.45] * 3 + [1.0] * 3)[:, None]
     assert np.linalg.svd(scaled, compute_uv=False)[:, -1].min() > 0.05
 
@@ -160,15 +164,15 @@ def test_same_seed_same_plan_other_seed_other_plan():
 
 @pytest.mark.parametrize("n", [9, 50, 101])
 def test_any_number_of_poses(n):
-    plan = shells.plan_shells(ROBOT.chain, DESIGN, RIG, "bar46", n)
+    plan = shells.plan_shells(KNOWN, "bar46", n)
     assert len(plan) == n
     assert len(np.unique(np.stack([plan.chuck, plan.sphere]), axis=1).T) == 9
 
 
 def test_inverse_kinematics_reaches_what_it_says_and_refuses_the_rest():
     rng = np.random.default_rng(8)
-    arm = make_arm(ROBOT.chain, DESIGN, PUMA_ELBOW_UP, rng)
-    poses = forward(ROBOT.chain, DESIGN, rng.uniform(PUMA_ELBOW_UP.lower, PUMA_ELBOW_UP.upper, (500, 6)))
+    arm = make_arm(ROBOT.chain, DESIGN, ROBOT.branch, rng)
+    poses = forward(ROBOT.chain, DESIGN, rng.uniform(ROBOT.branch.lower, ROBOT.branch.upper, (500, 6)))
     poses[::10, :3, 3] += [2.0, 0.0, 0.0]  # out of reach
     q = inverse(arm, poses)
     found = ~np.isnan(q[:, 0])
@@ -181,10 +185,10 @@ def test_inverse_kinematics_reaches_what_it_says_and_refuses_the_rest():
 
 def test_what_cannot_be_planned_is_said():
     with pytest.raises(PlanError, match="8 poses are too few for 9 pairings"):
-        shells.plan_shells(ROBOT.chain, DESIGN, RIG, "bar46", 8)
+        shells.plan_shells(KNOWN, "bar46", 8)
     far = Rig(chucks={"far": Point("far", (3.0, 0.0, 0.0))}, spheres=RIG.spheres, bars=RIG.bars)
     with pytest.raises(PlanError, match=r"between chuck far and sphere s\d; move the chucks"):
-        shells.plan_shells(ROBOT.chain, DESIGN, far, "bar46", 9)
+        shells.plan_shells(replace(KNOWN, rig=far), "bar46", 9)
 
 
 def test_a_tour_along_a_line_is_walked_from_its_end():

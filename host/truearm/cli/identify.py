@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
+from truearm.cli.options import ROBOT_HELP
 from truearm.errors import InputError
 
 
@@ -75,7 +76,7 @@ def identify(
         str,
         typer.Option(
             metavar="ROBOT",
-            help="Built-in robot (iiwa14, irb120, panda, puma560, ulb, ur10e, ur5e), robot file (.toml) or URDF (.urdf).",
+            help=ROBOT_HELP,
         ),
     ],
     base: Annotated[

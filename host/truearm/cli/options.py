@@ -5,6 +5,9 @@ from typing import Annotated
 
 import typer
 
+from truearm.model.builtin import builtin_names
+
+ROBOT_HELP = f"Built-in robot ({', '.join(builtin_names())}), robot file (.toml) or URDF (.urdf)."
 ResultArgument = Annotated[Path, typer.Argument(metavar="RESULT", help="What truearm identify --out wrote (.json).")]
 IdentifiedRobotOption = Annotated[
     str | None,

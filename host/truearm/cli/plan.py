@@ -8,6 +8,9 @@ from typing import Annotated
 
 import typer
 
+from truearm.cli.options import ROBOT_HELP
+from truearm.model.builtin import names_with_branch
+
 app = typer.Typer(
     name="plan",
     help="Plan what to measure; say what it will tell before anything is measured.",
@@ -26,7 +29,7 @@ class Criterion(StrEnum):
     I = "I"  # noqa: E741
 
 
-RobotOption = Annotated[str, typer.Option(metavar="ROBOT", help="Built-in robot, robot file (.toml) or URDF.")]
+RobotOption = Annotated[str, typer.Option(metavar="ROBOT", help=ROBOT_HELP)]
 BaseOption = Annotated[
     str | None, typer.Option(metavar="LINK", help="Base link of a URDF; default: as in --result, or its only root.")
 ]
@@ -65,7 +68,8 @@ BranchOption = Annotated[
     str | None,
     typer.Option(
         metavar="LOW:HIGH,…",
-        help="Joint bounds of the configuration to stay in [deg]; known for irb120, puma560, ur5e.",
+        help="Joint bounds of the configuration to stay in [deg]; default: the robot file's [branch], which "
+        f"{', '.join(names_with_branch())} have.",
     ),
 ]
 SeedOption = Annotated[int, typer.Option(min=0, metavar="N", help="Of everything that is drawn by chance.")]

@@ -8,8 +8,9 @@ import numpy as np
 
 from truearm.errors import RobotError
 from truearm.files.disk import read_text
+from truearm.model.builtin import builtin_names
 from truearm.model.chain import Chain
-from truearm.model.robot import Robot, builtin_names, builtin_robot, parse_robot
+from truearm.model.robot import Robot, builtin_robot, parse_robot
 from truearm.model.urdf import chain_from_urdf
 
 MAX_BYTES = 8_000_000

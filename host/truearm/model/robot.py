@@ -27,16 +27,17 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib import resources
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import RobotError
+from truearm.model.builtin import builtin_text
 from truearm.model.chain import Chain
 from truearm.model.robot_tables import HEAD, MAX_NAME, Description, read_description
 from truearm.model.slots import chain_from_slots
+from truearm.model.workspace import Branch, Capsules, read_branch, read_capsules
 from truearm.types import Floats
 
 MAX_TEXT = 1_000_000  # characters; the PUMA's file has 3,000
@@ -47,26 +48,21 @@ MAX_SOURCE = 2_000  # characters
 class Robot:
     """A chain, named parameter sets (p,), and ``free`` (p,): False for the parameters the file holds fixed.
 
-    ``source`` says where the numbers are from, "" where nobody said.
+    ``source`` says where the numbers are from, "" where nobody said. ``branch`` and ``capsules`` are what plans need,
+    None where the file has none.
     """
 
     chain: Chain
     parameter_sets: Mapping[str, Floats]
     free: NDArray[np.bool_]
     source: str = ""
-
-
-def builtin_names() -> tuple[str, ...]:
-    """Names of the robots that come with truearm."""
-    files = resources.files("truearm.model").joinpath("robots").iterdir()
-    return tuple(sorted(f.name.removesuffix(".toml") for f in files if f.name.endswith(".toml")))
+    branch: Branch | None = None
+    capsules: Capsules | None = None
 
 
 def builtin_robot(name: str) -> Robot:
-    """A robot that comes with truearm, "puma560" for one. Raises RobotError for an unknown name."""
-    if name not in builtin_names():
-        raise RobotError(f"no built-in robot {name!r}; there is {', '.join(builtin_names())}")
-    return parse_robot(resources.files("truearm.model").joinpath("robots", f"{name}.toml").read_text("utf-8"))
+    """Return a robot that comes with truearm, such as "puma560". Raises RobotError for an unknown name."""
+    return parse_robot(builtin_text(name))
 
 
 def parse_robot(text: str) -> Robot:
@@ -84,7 +80,14 @@ def parse_robot(text: str) -> Robot:
     chain = _chain(head, description)
     amounts = [description.amounts[name] for name in chain.parameter_names]
     values = {name: np.array([amount.values[name] for amount in amounts]) for name in sets}
-    return Robot(chain, values, np.array([not amount.held for amount in amounts], dtype=bool), source)
+    return Robot(
+        chain,
+        values,
+        np.array([not amount.held for amount in amounts], dtype=bool),
+        source,
+        read_branch(doc, chain.joints),
+        read_capsules(doc, len(chain.joints)),
+    )
 
 
 def _set_names(description: Description, nominal: str) -> list[str]:

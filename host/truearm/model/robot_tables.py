@@ -20,6 +20,7 @@ from truearm.model.transforms import MOTIONS
 from truearm.units import suffixes
 
 HEAD = ("name", "convention", "nominal", "base_frame", "end_frame")
+OPTIONAL = {"source", "branch", "capsule"}  # keys and tables that a file of any convention may have
 MAX_JOINTS = 64
 MAX_TRANSFORMS = 1000
 MAX_NAME = 100  # characters
@@ -77,7 +78,7 @@ def _read_rows(doc: Mapping[str, Any], layout: Layout) -> Description:
 
 def _read_elementary(doc: Mapping[str, Any]) -> Description:
     """``[[transform]]`` by ``[[transform]]``: a joint, a parameter with a name, or a constant without."""
-    for key in sorted((set(doc) - {"source"}) ^ {*HEAD, "transform"}):
+    for key in sorted((set(doc) - OPTIONAL) ^ {*HEAD, "transform"}):
         raise RobotError(f"robot file: {'unknown' if key in doc else 'missing'} table or key {shown(key)}")
     entries = doc["transform"]
     if not isinstance(entries, list) or not 1 <= len(entries) <= MAX_TRANSFORMS:
@@ -107,7 +108,7 @@ CONVENTIONS: Mapping[str, Callable[[Mapping[str, Any]], Description]] = {
 
 
 def _transform(where: str, entry: Any, number: int) -> tuple[Slot, Joint | None, dict[str, Amount]]:
-    table = _mapping(entry, where)
+    table = as_table(entry, where)
     motion = table.get("motion")
     if motion not in MOTIONS:
         raise RobotError(f"robot file: {where}: motion must be one of {', '.join(MOTIONS)}")
@@ -118,7 +119,7 @@ def _transform(where: str, entry: Any, number: int) -> tuple[Slot, Joint | None,
     amount = _amount(table, where, "amount", slot.unit, used)
     if (amount.constant is None) != ("name" in table):
         raise RobotError(f"robot file: {where}: a parameter needs a name and a table of values, a constant neither")
-    _check_unknown(table, where, used)
+    check_unknown(table, where, used)
     return slot, None, {slot.name: amount}
 
 
@@ -133,7 +134,7 @@ def _moving(
     if any(key.startswith("offset") for key in table):
         amounts[slot.name] = _amount(table, where, "offset", slot.unit, used)
     amounts |= _gain(table, where, slot, used)
-    _check_unknown(table, where, used)
+    check_unknown(table, where, used)
     return slot, Joint(name, "prismatic" if motion[0] == "t" else "revolute", lower, upper), amounts
 
 
@@ -147,10 +148,10 @@ def _count_joints(doc: Mapping[str, Any]) -> int:
 def _check_tables(doc: Mapping[str, Any], more: Sequence[str]) -> None:
     """The keys of the file are the head, joint1 … and ``more``; a source may be named."""
     expected = {*HEAD, *more, *(f"joint{i + 1}" for i in range(_count_joints(doc)))}
-    for key in sorted((set(doc) - {"source"}) ^ expected):
+    for key in sorted((set(doc) - OPTIONAL) ^ expected):
         raise RobotError(f"robot file: {'unknown' if key in doc else 'missing'} table or key {shown(key)}")
     for key in expected - set(HEAD):
-        _mapping(doc[key], key)
+        as_table(doc[key], key)
 
 
 def _joints(doc: Mapping[str, Any], count: int) -> tuple[tuple[Joint, ...], dict[str, set[str]]]:
@@ -167,7 +168,7 @@ def _joint(name: str, table: Mapping[str, Any], used: set[str]) -> Joint:
 
 
 def _limits(table: Mapping[str, Any], where: str, unit: str, used: set[str]) -> tuple[float, float]:
-    lower, upper = (_quantity(table, where, key, unit, used) for key in ("lower", "upper"))
+    lower, upper = (read_quantity(table, where, key, unit, used) for key in ("lower", "upper"))
     if lower >= upper:
         raise RobotError(f"robot file: {where}'s lower limit is not below its upper limit")
     return lower, upper
@@ -185,7 +186,7 @@ def _described(
         if slot.joint is not None:
             amounts |= _gain(table, table_name, slot, seen)
     for table_name, seen in used.items():
-        _check_unknown(doc[table_name], table_name, seen)
+        check_unknown(doc[table_name], table_name, seen)
     return Description(joints, slots, amounts)
 
 
@@ -204,18 +205,30 @@ def _amount(table: Mapping[str, Any], where: str, key: str, unit: str, used: set
     used.add(found)
     entry = table[found]
     if not isinstance(entry, Mapping):
-        return Amount(_number(entry, f"{where}.{found}", unit, scale), {}, False)
+        return Amount(read_number(entry, f"{where}.{found}", unit, scale), {}, False)
     held = entry.get("held", False)
     if not isinstance(held, bool):
         raise RobotError(f"robot file: {where}.{found}.held must be true or false")
-    values = {k: _number(v, f"{where}.{found}.{shown(k)}", unit, scale) for k, v in entry.items() if k != "held"}
+    values = {k: read_number(v, f"{where}.{found}.{shown(k)}", unit, scale) for k, v in entry.items() if k != "held"}
     return Amount(None, values, held)
 
 
-def _quantity(table: Mapping[str, Any], where: str, key: str, unit: str, used: set[str]) -> float:
+def read_quantity(table: Mapping[str, Any], where: str, key: str, unit: str, used: set[str]) -> float:
     found, scale = _find(table, where, key, unit)
     used.add(found)
-    return _number(table[found], f"{where}.{found}", unit, scale)
+    return read_number(table[found], f"{where}.{found}", unit, scale)
+
+
+def read_quantities(
+    table: Mapping[str, Any], where: str, key: str, unit: str, count: int, used: set[str]
+) -> list[float]:
+    """A list of ``count`` numbers [SI]."""
+    found, scale = _find(table, where, key, unit)
+    used.add(found)
+    values = table[found]
+    if not isinstance(values, list) or len(values) != count:
+        raise RobotError(f"robot file: {where}.{found} must be a list of {count} numbers")
+    return [read_number(value, f"{where}.{found}", unit, scale) for value in values]
 
 
 def _find(table: Mapping[str, Any], where: str, key: str, unit: str) -> tuple[str, float]:
@@ -227,7 +240,7 @@ def _find(table: Mapping[str, Any], where: str, key: str, unit: str) -> tuple[st
     return found[0], candidates[found[0]]
 
 
-def _number(value: Any, where: str, unit: str, scale: float) -> float:
+def read_number(value: Any, where: str, unit: str, scale: float) -> float:
     # the comparison holds for integers too large for a float, and fails for nan
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not -1e300 < value < 1e300:
         raise RobotError(f"robot file: {where} must be a finite number, or a table as {{ design = 0.0 }}")
@@ -236,12 +249,12 @@ def _number(value: Any, where: str, unit: str, scale: float) -> float:
     return float(value) * scale
 
 
-def _check_unknown(table: Mapping[str, Any], where: str, used: set[str]) -> None:
+def check_unknown(table: Mapping[str, Any], where: str, used: set[str]) -> None:
     for key in sorted(set(table) - used):
         raise RobotError(f"robot file: unknown key {where}.{shown(key)}")
 
 
-def _mapping(value: Any, where: str) -> Mapping[str, Any]:
+def as_table(value: Any, where: str) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
         raise RobotError(f"robot file: {where} must be a table")
     return value

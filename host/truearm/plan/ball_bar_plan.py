@@ -10,10 +10,9 @@ import numpy as np
 from truearm.errors import PlanError
 from truearm.model.chain import point_forward
 from truearm.plan.bar_paths import Pace
-from truearm.plan.branch_inverse import Branch, make_arm
 from truearm.plan.choose import as_blocks, choose
 from truearm.plan.collision_shapes import Sizes, make_shapes
-from truearm.plan.forecast import Aim, Forecast, Known, bar_table, candidate_rows, forecast, region_root
+from truearm.plan.forecast import Aim, Forecast, Known, bar_table, candidate_rows, forecast, known_arm, region_root
 from truearm.plan.measurement_limits import Limits, Pairing, Site
 from truearm.plan.region import Region, around, poses_in
 from truearm.plan.roadmap import Roadmap, roadmaps
@@ -46,12 +45,15 @@ class BallBarPlan(NamedTuple):
     forecast: Forecast
 
 
-def make_site(known: Known, branch: Branch, limits: Limits, sizes: Sizes, seed: int = 0) -> Site:
-    """The arm before its rig, at the parameters that are known now. Raises PlanError unless the arm has six joints."""
+def make_site(known: Known, limits: Limits, sizes: Sizes, seed: int = 0) -> Site:
+    """Return the arm before its rig, at the parameters that are known now.
+
+    Raises PlanError unless the arm has six joints and a branch.
+    """
     if len(known.chain.joints) != 6:
         raise PlanError(f"robot {known.chain.name} has {len(known.chain.joints)} joints; plans are made for six")
-    arm = make_arm(known.chain, known.params, branch, np.random.default_rng([seed, 0xA2]))
-    return Site(arm, known.rig, make_shapes(known.chain, known.params, known.rig, sizes), limits)
+    arm = known_arm(known, np.random.default_rng([seed, 0xA2]))
+    return Site(arm, known.rig, make_shapes(known.chain, known.params, known.rig, sizes, known.links), limits)
 
 
 def all_pairings(rig: Rig, bars: Sequence[str] = ()) -> list[Pairing]:

@@ -8,7 +8,6 @@ of the elbow or the wrist.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +15,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from truearm.model.chain import Chain, forward, joint_jacobian
+from truearm.model.workspace import Branch
 from truearm.types import Floats
 
 N_SEEDS = 30_000
@@ -24,24 +24,6 @@ DAMPING = 0.01
 LEVER = 0.45  # m, what makes a metre comparable with a radian
 MIN_SINGULAR_VALUE = 0.05
 TOLERANCE = 1e-7  # LEVERs, and rad
-
-
-@dataclass(frozen=True)
-class Branch:
-    """One configuration branch as joint bounds (j,) [rad], and how near the end may come to the base's z axis and to
-    the table, z = 0 [m]."""
-
-    lower: Floats
-    upper: Floats
-    clearance: float = 0.25
-    height: float = 0.08
-
-
-# A PUMA 560 with its elbow above the line from shoulder to wrist, wrist not flipped; 5° or more inside the joint limits,
-# 10° or more away from the stretched elbow (q3 = 87°) and the aligned wrist (q5 = 0).
-PUMA_ELBOW_UP = Branch(
-    np.deg2rad([-155.0, -170.0, 100.0, -105.0, 12.0, -180.0]), np.deg2rad([155.0, 35.0, 215.0, 165.0, 95.0, 180.0])
-)
 
 
 class Arm(NamedTuple):

@@ -1,7 +1,7 @@
 """Simple shapes that must not touch: the arm's links, the bar, the posts of the chucks and a line device as capsules, the table
 as a plane.
 
-A capsule is what lies within a radius of a segment; the arm's are those of ``bodies``. Neighbouring links always touch and
+A capsule is what lies within a radius of a segment; the arm's are those of its robot file, or of ``arm_capsules``. Neighbouring links always touch and
 are not held against each other: of the arm itself only what carries the tool is held against what carries the elbow.
 """
 
@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.model.chain import Chain, forward, joint_frames
-from truearm.plan.arm_capsules import Body, body_of
+from truearm.model.workspace import Capsules
+from truearm.plan.arm_capsules import along_joints
 from truearm.types import Floats, Rig
 
 UPPER_ARM = 2  # the joint that moves it: with it and before it are what the tool can be folded into
@@ -23,7 +24,7 @@ TOOL = 5  # the joint from which on the arm is tool
 
 @dataclass(frozen=True)
 class Sizes:
-    """Radii [m] of links that ``bodies`` has no table of, of studs that hold spheres, of bars, of chucks' posts and of a line
+    """Radii [m] of links of an arm whose file has no capsules, of studs that hold spheres, of bars, of chucks' posts and of a line
     device's rod, how far that stands out at either end of its line [m], and the table's height z [m]."""
 
     link: float = 0.05
@@ -47,23 +48,23 @@ class Shapes(NamedTuple):
 
     chain: Chain
     params: Floats
-    body: Body
+    links: Capsules
     p_spheres: Floats  # (s, 3)
     p_posts: Floats  # (c, 3) the chucks
     sizes: Sizes
 
 
-def make_shapes(chain: Chain, params: Floats, rig: Rig, sizes: Sizes) -> Shapes:
-    """Shapes of a robot at params (p,)."""
+def make_shapes(chain: Chain, params: Floats, rig: Rig, sizes: Sizes, links: Capsules | None = None) -> Shapes:
+    """Return the shapes of a robot at params (p,); without ``links`` they run along its joints."""
     spheres = np.array([s.xyz for s in rig.spheres.values()]).reshape(-1, 3)
     posts = np.array([c.xyz for c in rig.chucks.values()]).reshape(-1, 3)
-    return Shapes(chain, params, body_of(chain, params, sizes.link), spheres, posts, sizes)
+    return Shapes(chain, params, links or along_joints(chain, params, sizes.link), spheres, posts, sizes)
 
 
 def clear(shapes: Shapes, q: Floats, mounted: Mounted | None) -> NDArray[np.bool_]:
     """Whether nothing touches at joints q (n, j), with the bar on as ``mounted`` or off."""
-    sizes, joint, radius = shapes.sizes, np.array(shapes.body.joint), shapes.body.radius
-    ends = body_ends(shapes, q)
+    sizes, joint, radius = shapes.sizes, np.array(shapes.links.joint), shapes.links.radius
+    ends = link_ends(shapes, q)
     pose = forward(shapes.chain, shapes.params, q)
     spheres = shapes.p_spheres @ pose[:, :3, :3].swapaxes(1, 2) + pose[:, None, :3, 3]
     moved = joint >= UPPER_ARM
@@ -80,17 +81,17 @@ def clear(shapes: Shapes, q: Floats, mounted: Mounted | None) -> NDArray[np.bool
     return np.asarray(good)
 
 
-def body_ends(shapes: Shapes, q: Floats) -> Floats:
+def link_ends(shapes: Shapes, q: Floats) -> Floats:
     """(n, m, 2, 3) ends of the arm's capsules in the base frame."""
     frames = joint_frames(shapes.chain, shapes.params, q)
     fixed = np.broadcast_to(np.eye(4), (len(q), 1, 4, 4))
-    mine = np.concatenate([fixed, frames], axis=1)[:, shapes.body.joint]
-    return np.asarray(shapes.body.ends @ mine[..., :3, :3].swapaxes(-1, -2) + mine[..., None, :3, 3])
+    mine = np.concatenate([fixed, frames], axis=1)[:, shapes.links.joint]
+    return np.asarray(shapes.links.ends @ mine[..., :3, :3].swapaxes(-1, -2) + mine[..., None, :3, 3])
 
 
 def _arm_is_clear_of_itself(shapes: Shapes, ends: Floats, pose: Floats, spheres: Floats) -> NDArray[np.bool_]:
     """The tool against all that lies before the forearm: column, shoulder, upper arm."""
-    joint, radius = np.array(shapes.body.joint), shapes.body.radius
+    joint, radius = np.array(shapes.links.joint), shapes.links.radius
     good = np.ones(len(ends), dtype=bool)
     before = joint <= UPPER_ARM
     for k in np.flatnonzero(joint >= TOOL):
@@ -127,14 +128,14 @@ def device_is_clear(shapes: Shapes, q: Floats, start: Floats, end: Floats, carri
     for chuck in shapes.p_posts:
         if segment_distance(_foot(chuck, sizes), chuck, start, end) < sizes.post + sizes.rod:
             return False
-    return not carried or bool(_wrist_is_clear(shapes, body_ends(shapes, q), start, end, sizes.rod).all())
+    return not carried or bool(_wrist_is_clear(shapes, link_ends(shapes, q), start, end, sizes.rod).all())
 
 
 def _wrist_is_clear(shapes: Shapes, ends: Floats, start: Floats, end: Floats, radius: float) -> NDArray[np.bool_]:
     """(n,) whether the arm up to its wrist keeps clear of a capsule; what carries the end of a bar or a magnet meets it."""
-    before = np.array(shapes.body.joint) < TOOL
+    before = np.array(shapes.links.joint) < TOOL
     apart = _from(ends[:, before], start, end)
-    return np.asarray((apart > shapes.body.radius[before] + radius).all(axis=1))
+    return np.asarray((apart > shapes.links.radius[before] + radius).all(axis=1))
 
 
 def _foot(chuck: Floats, sizes: Sizes) -> Floats:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.errors import PlanError
 from truearm.estimate.identifiability import hardly_seen, identifiability
 from truearm.estimate.information import covariance, observe, seen, spectrum, with_prior
 from truearm.estimate.prediction import MOVES, body_motion
@@ -22,6 +23,9 @@ from truearm.estimate.prior import weak_prior, wide_prior
 from truearm.estimate.problem import Problem, build_problem, settled
 from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.model.chain import Chain, point_forward, point_jacobians
+from truearm.model.robot import Robot
+from truearm.model.workspace import Branch, Capsules
+from truearm.plan.branch_inverse import Arm, make_arm
 from truearm.types import Floats, NullDirection, ObservationTable, Plan, Point, Rig
 from truearm.units import UNITS
 
@@ -67,7 +71,8 @@ class Known:
     """What is known before a plan: chain, rig, the parameters the model has now (p,), what is free, and rows measured.
 
     ``rig_values``: estimates of the rig's unknowns by name, of an earlier result. ``prior_sigma`` (p,): of the robot's
-    parameters, where they will be identified with a prior; inf for none.
+    parameters, where they will be identified with a prior; inf for none. ``branch`` and ``links`` are the arm's, None where
+    nobody described them.
     """
 
     chain: Chain
@@ -77,6 +82,21 @@ class Known:
     measured: ObservationTable | None = None
     rig_values: Mapping[str, float] | None = None
     prior_sigma: Floats | None = None
+    branch: Branch | None = None
+    links: Capsules | None = None
+
+    @classmethod
+    def design(cls, robot: Robot, rig: Rig) -> Known:
+        """Return what is known of a robot that nobody has measured yet: its file."""
+        chain = robot.chain
+        return cls(chain, rig, chain.params_nominal, robot.free, branch=robot.branch, links=robot.capsules)
+
+
+def known_arm(known: Known, rng: np.random.Generator) -> Arm:
+    """Return the arm at the parameters that are known now. Raises PlanError where it has no branch to stay in."""
+    if known.branch is None:
+        raise PlanError(f"robot {known.chain.name} has no branch to stay in")
+    return make_arm(known.chain, known.params, known.branch, rng)
 
 
 def forecast(known: Known, planned: ObservationTable, aim: Aim | None = None) -> Forecast:

@@ -16,11 +16,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from truearm.errors import PlanError
-from truearm.model.chain import Chain, forward, joint_frames, point_forward
-from truearm.plan.branch_inverse import PUMA_ELBOW_UP, Arm, Branch, inverse, make_arm
+from truearm.model.chain import forward, joint_frames, point_forward
+from truearm.plan.branch_inverse import Arm, inverse
+from truearm.plan.forecast import Known, known_arm
 from truearm.plan.measurement_limits import Pairing, Site, allowed
 from truearm.plan.visit_order import short_tour, untangled, without_dearest
-from truearm.types import BallBar, Floats, Plan, Point, Rig
+from truearm.types import BallBar, Floats, Plan, Point
 
 # Between the tool's axis and the direction to the chuck. It is what tells the radius of a shell from the robot's size:
 # with 35° the fit on 46 cm predicts 61 cm to 0.0890 mm (expected RMS, of 0.084 mm noise), in one of a hundred
@@ -35,31 +36,22 @@ FREE_TRAVEL = 0.015  # m
 STRAIN_PER_SECOND = 0.008  # m: how much strain beyond that is as dear as a second of motion
 
 
-def plan_shells(
-    chain: Chain,
-    params: Floats,
-    rig: Rig,
-    bar: str,
-    n_poses: int = 800,
-    seed: int = 0,
-    branch: Branch = PUMA_ELBOW_UP,
-    speed: Floats | None = None,
-) -> Plan:
+def plan_shells(known: Known, bar: str, n_poses: int = 800, seed: int = 0, speed: Floats | None = None) -> Plan:
     """``n_poses`` poses with one bar, spread evenly over all pairings of a chuck and a sphere, in order of their visits.
 
-    ``params`` (p,) is the model that the robot is programmed with, ``speed`` (j,) [rad/s] weighs the joints where the
-    order of visits is chosen. Shells are named ``<bar>-<chuck>``.
-    Raises PlanError where the arm does not reach that many places.
+    ``speed`` (j,) [rad/s] weighs the joints where the order of visits is chosen. Shells are named ``<bar>-<chuck>``.
+    Raises PlanError where the arm has no branch or does not reach that many places.
     """
+    rig = known.rig
     pairings = [(chuck, sphere) for chuck in rig.chucks.values() for sphere in rig.spheres.values()]
     if n_poses < len(pairings):
         raise PlanError(f"{n_poses} poses are too few for {len(pairings)} pairings")
     rng = np.random.default_rng(seed)
-    arm = make_arm(chain, params, branch, rng)
+    arm = known_arm(known, rng)
     counts = np.diff(np.linspace(0, n_poses, len(pairings) + 1).astype(int))
     reached = _reachable(arm, rig.bars[bar], pairings, int(counts.max() * SURPLUS) + 1, rng)
-    weights = np.ones(len(chain.joints)) if speed is None else 1.0 / np.asarray(speed)
-    here = 0.5 * (branch.lower + branch.upper)
+    weights = np.ones(len(arm.chain.joints)) if speed is None else 1.0 / np.asarray(speed)
+    here = 0.5 * (arm.branch.lower + arm.branch.upper)
     parts = []
     for (chuck, sphere), count, q in zip(pairings, counts, reached, strict=True):
         cost = move_costs(arm, q, weights, rig.bars[bar], chuck, sphere)

@@ -11,10 +11,10 @@ import numpy as np
 from truearm.errors import InputError
 from truearm.files.result_file import StoredResult, read_result
 from truearm.files.robot_file import joint_units, load_robot
+from truearm.model.builtin import builtin_names
 from truearm.model.chain import Chain
 from truearm.model.mountings import NONE, Mountings, mountings
 from truearm.model.poses import six_of
-from truearm.model.robot import builtin_names
 from truearm.types import Floats
 
 LARGEST_JOINT = 100.0  # rad, m

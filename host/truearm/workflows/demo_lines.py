@@ -57,7 +57,6 @@ def planned_lines(seed: int) -> Plan:
     from truearm.files.robot_file import load_robot
     from truearm.plan.ball_bar_plan import make_site
     from truearm.plan.bar_paths import Pace
-    from truearm.plan.branches import branch_of
     from truearm.plan.cartesian_lines import Shape, candidate_lines
     from truearm.plan.collision_shapes import Sizes
     from truearm.plan.forecast import Known
@@ -67,8 +66,8 @@ def planned_lines(seed: int) -> Plan:
     from truearm_sim.line_plan import JOINT_SPEED, MAGNET, TARGETS, line_rig, lines_plan, with_ways
 
     robot, region, shape = load_robot("puma560"), parse_region(REGION_MM), Shape(speed=SPEED)
-    known = Known(robot.chain, line_rig(), robot.chain.params_nominal, robot.free, None, {})
-    site = make_site(known, branch_of(robot.chain, None), Limits(), Sizes(), seed)
+    known = Known.design(robot, line_rig())
+    site = make_site(known, Limits(), Sizes(), seed)
     wanted = LinesWanted(N_LINES, shape=shape, n_candidates=CANDIDATES, seed=seed)
     planned = plan_lines(site, known, wanted, Pace(), region, MAGNET)
     one = candidate_lines(site, shape, 1, np.array(TARGETS[MAGNET].xyz), JOINT_SPEED, region, seed + DRAW)

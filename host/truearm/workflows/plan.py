@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -241,7 +242,7 @@ def _region(common: Common) -> Region | None:
 
 
 def _site(common: Common, known: Known, limits: Limits) -> Site:
-    return make_site(known, branch_of(known.chain, common.branch), limits, Sizes(), common.seed)
+    return make_site(known, limits, Sizes(), common.seed)
 
 
 def _written(common: Common, *more: Path | None) -> list[str]:
@@ -284,11 +285,16 @@ def _known(common: Common) -> Known:
         same, table = observed(with_parts(list(common.measured)), {"": common.rig}, joint_units(loaded.chain), False)
         if not isinstance(same, Rig):
             raise InputError("--measured: rows of several rigs cannot be planned on; give those of one rig")
+    known = replace(
+        Known.design(loaded, around),
+        params=params,
+        measured=table,
+        rig_values=values,
+        branch=branch_of(loaded, common.branch),
+    )
     if is_urdf(common.robot):  # as identify does
-        return Known(
-            loaded.chain, around, params, free_without_gains(loaded.chain), table, values, weak_prior(loaded.chain)
-        )
-    return Known(loaded.chain, around, params, loaded.free, table, values)
+        return replace(known, free=free_without_gains(known.chain), prior_sigma=weak_prior(known.chain))
+    return known
 
 
 def _model(common: Common) -> tuple[Robot, Floats, dict[str, float]]:

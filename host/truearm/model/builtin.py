@@ -1,0 +1,28 @@
+"""The robots that come with truearm: a file each in ``robots/``. Imports nothing slow, so that ``--help`` can name them."""
+
+from __future__ import annotations
+
+import re
+from importlib import resources
+
+from truearm.errors import RobotError
+
+SUFFIX = ".toml"
+
+
+def builtin_names() -> tuple[str, ...]:
+    """Return the names of the built-in robots, sorted."""
+    files = resources.files(__package__).joinpath("robots").iterdir()
+    return tuple(sorted(file.name.removesuffix(SUFFIX) for file in files if file.name.endswith(SUFFIX)))
+
+
+def builtin_text(name: str) -> str:
+    """Return the robot file of a built-in robot. Raises RobotError for an unknown name."""
+    if name not in builtin_names():
+        raise RobotError(f"no built-in robot {name!r}; there is {', '.join(builtin_names())}")
+    return resources.files(__package__).joinpath("robots", name + SUFFIX).read_text("utf-8")
+
+
+def names_with_branch() -> tuple[str, ...]:
+    """Return the names of the built-in robots whose file has a table ``[branch]``, which ``truearm plan`` needs."""
+    return tuple(name for name in builtin_names() if re.search(r"^\[branch\]", builtin_text(name), re.MULTILINE))
