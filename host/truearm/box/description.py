@@ -7,12 +7,11 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from truearm.text import one_line
+from truearm.units import MM, MS, NS, UM, US, length
 
 if TYPE_CHECKING:
     from truearm.box.selftest import Finding
     from truearm.session.box_ident import Channel, Ident, Stream
-
-_LENGTHS = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6}
 
 
 def ident_lines(ident: Ident) -> list[str]:
@@ -40,7 +39,7 @@ def ident_lines(ident: Ident) -> list[str]:
 def _rate(stream: Stream) -> str:
     rate = f"{1e9 / stream.period_ns:.2f} samples a second" if stream.period_ns else "no fixed rate"
     osr = f", osr {stream.osr}" if stream.osr else ""
-    return f"{rate}{osr}, group delay {stream.group_delay_ns / 1e6:.3f} ms"
+    return f"{rate}{osr}, group delay {MS.text(NS.to_si(stream.group_delay_ns), '.3f')}"
 
 
 def _channel(channel: Channel, entry: Any) -> str:
@@ -67,20 +66,14 @@ def finding_lines(findings: Iterable[Finding]) -> list[str]:
     return lines
 
 
-def length_scale(unit: str) -> float | None:
-    """Metres a unit of length; None for any other unit."""
-    return _LENGTHS.get(unit)
-
-
 def shown(value: float, spread: float, unit: str) -> str:
     """A value with its spread: lengths in mm and µm, times in µs, all else as it is."""
-    metres = length_scale(unit)
     if not math.isfinite(value):
         return "–"
-    if metres is not None:
-        return f"{1e3 * metres * value:.4f} mm ± {1e6 * metres * spread:.1f} µm"
+    if scale := length(unit):
+        return f"{MM.text(scale.to_si(value), '.4f')} ± {UM.text(scale.to_si(spread), '.1f')}"
     if unit == "s":
-        return f"{1e6 * value:.4f} µs ± {1e9 * spread:.1f} ns"
+        return f"{US.text(value, '.4f')} ± {NS.text(spread, '.1f')}"
     return f"{value:.6f} {unit} ± {1e6 * spread:.1f} µ{unit}"
 
 

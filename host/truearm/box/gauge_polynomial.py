@@ -29,10 +29,10 @@ import numpy as np
 from numpy.polynomial import legendre, polynomial
 
 from truearm.types import Floats
+from truearm.units import INCH, NS, US
 
 MAX_ORDER = 7
 SPARE = 2  # points more than coefficients, so that σ means something
-MM_PER_INCH = 25.4
 TICK_S = 8e-9
 
 
@@ -136,7 +136,7 @@ def head_of(line: PolyFit) -> Head:
     offset, velocity = line.poly
     if line.order != 1 or not velocity > 0.0:
         raise ValueError("position must rise with the time of flight; are the reference's signs right?")
-    return Head(us_per_inch=1e3 * MM_PER_INCH / velocity, delay_ns=1e9 * (TICK_S / 2.0 - offset / velocity))
+    return Head(us_per_inch=US.of(INCH.to_si(1.0) / velocity), delay_ns=NS.of(TICK_S / 2.0 - offset / velocity))
 
 
 def rounded(poly: Floats, x: Floats, error: float) -> list[str]:

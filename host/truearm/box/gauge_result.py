@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from truearm.errors import InputError
+from truearm.units import UM
 
 if TYPE_CHECKING:
     from truearm.box.gauge_polynomial import PolyFit
@@ -63,27 +64,28 @@ def _references(places: Sequence[Place]) -> Floats:
 
 def words(places: Sequence[Place], result: PolyFit, tried: Sequence[PolyFit], channel: Channel) -> list[str]:
     lines = [
-        f"order {f.order}: left-out error {1e6 * f.press:.2f} µm RMS{' ← taken' if f is result else ''}" for f in tried
+        f"order {f.order}: left-out error {UM.text(f.press, '.2f')} RMS{' ← taken' if f is result else ''}"
+        for f in tried
     ]
-    lines.append(f"{len(places)} places, sigma {1e6 * result.sigma:.2f} µm, largest residual {_largest(result):.2f} µm")
+    lines.append(
+        f"{len(places)} places, sigma {UM.text(result.sigma, '.2f')}, largest residual {UM.text(_largest(result), '.2f')}"
+    )
     before = _before(places, channel)
     if before is not None:
-        lines.append(f"the calibration before misses these references by {1e6 * before:.2f} µm RMS")
+        lines.append(f"the calibration before misses these references by {UM.text(before, '.2f')} RMS")
     return lines
 
 
 def _largest(result: PolyFit) -> float:
-    return float(1e6 * np.max(np.abs(result.residual)))
+    return float(np.max(np.abs(result.residual)))
 
 
 def _before(places: Sequence[Place], channel: Channel) -> float | None:
     """What the channel's present calibration leaves [m RMS]."""
-    from truearm.box.description import length_scale
-
-    scale = length_scale(channel.calibrated_unit) if channel.poly else None
-    if scale is None:
+    unit = channel.length_unit
+    if unit is None:
         return None
-    left = _references(places) - scale * np.polynomial.polynomial.polyval(_readings(places), channel.poly)
+    left = _references(places) - unit.to_si(np.polynomial.polynomial.polyval(_readings(places), channel.poly))
     return float(np.sqrt(np.mean(left**2)))
 
 
@@ -159,9 +161,9 @@ def write_page(
         ("order", str(result.order)),
         ("coefficients", ", ".join(f"{c:.6g}" for c in result.poly)),
         ("standard deviations of these", ", ".join(f"{s:.2g}" for s in np.sqrt(np.diag(result.covariance)))),
-        ("sigma", f"{1e6 * result.sigma:.2f} µm"),
-        ("largest residual", f"{_largest(result):.2f} µm"),
-        ("the calibration before", "none" if (b := _before(places, channel)) is None else f"{1e6 * b:.2f} µm RMS"),
+        ("sigma", UM.text(result.sigma, ".2f")),
+        ("largest residual", UM.text(_largest(result), ".2f")),
+        ("the calibration before", "none" if (b := _before(places, channel)) is None else f"{UM.text(b, '.2f')} RMS"),
         ("temperature of the box", "unknown" if temperature is None else f"{temperature / 1000:.1f} °C"),
     ]
     if name == HEAD:

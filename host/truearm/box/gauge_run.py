@@ -17,6 +17,7 @@ from truearm.box.conversation import conversation, ident_of
 from truearm.box.gauge_result import HEAD, MAG, Place, calibrate, with_calibration, words, write_page
 from truearm.errors import InputError, LinkError, TableError
 from truearm.text import one_line
+from truearm.units import MM, suffixes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from truearm.box.control import BoxControl
     from truearm.session.box_ident import Channel, Ident, Stream
 
-UNITS = {"mm": 1e-3, "um": 1e-6, "in": 25.4e-3}
+UNITS = suffixes("m", ("mm", "um", "in"))
 SETTLE_S = 0.2  # the converter's filter fills, and a hand leaves the stage
 PATIENCE_S = 5.0
 MAX_REFERENCES = 1000
@@ -147,7 +148,9 @@ def _gather(
 
 def _listed(references: Sequence[float]) -> Iterator[float]:
     for number, reference in enumerate(references, 1):
-        line = _ask(f"{number} of {len(references)}: set {1e3 * reference:.4f} mm, then Enter (s: skip, q: enough): ")
+        line = _ask(
+            f"{number} of {len(references)}: set {MM.text(reference, '.4f')}, then Enter (s: skip, q: enough): "
+        )
         if line is None or line == "q":
             return
         if line != "s":
@@ -245,4 +248,4 @@ def _placewords(number: int, place: Place, channel: Channel) -> str:
     noisy = f"noise {mean.noise:.2g}, mean ± {math.sqrt(mean.variance):.2g} {channel.unit}"
     moves = abs(mean.drift) > STILL_MOVES * mean.drift_sigma > 0.0
     still = "; it still moved while it was sampled, undo and take it again" if moves else ""
-    return one_line(f"{number}: {1e3 * place.reference:.4f} mm at {mean.mean:.8g} {channel.unit} ({noisy}){still}")
+    return one_line(f"{number}: {MM.text(place.reference, '.4f')} at {mean.mean:.8g} {channel.unit} ({noisy}){still}")

@@ -17,6 +17,7 @@ import typer
 from truearm.box.conversation import conversation, ident_of, one_line_of
 from truearm.errors import InputError
 from truearm.text import one_line
+from truearm.units import MS, NS, US
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -147,7 +148,10 @@ def rows_of(watch: Watch, elapsed_s: float, box: BoxControl) -> Rows:
     if watch.heartbeat:
         beat = watch.heartbeat
         rows.append(
-            ("box", f"{beat['temperature_mdegc'] / 1000:.1f} °C, longest loop {beat['loop_max_us'] / 1000:.1f} ms")
+            (
+                "box",
+                f"{beat['temperature_mdegc'] / 1000:.1f} °C, longest loop {MS.text(US.to_si(beat['loop_max_us']), '.1f')}",
+            )
         )
     rows.append(("losses", losses(watch, box)))
     return rows
@@ -189,8 +193,8 @@ def clock_words(watch: Watch) -> str:
     if now is None:
         return "not known yet"
     return (
-        f"± {now.bound_ns / 1000:.0f} µs, host {now.rate_ppm:+.1f} ppm faster, "
-        f"round trip {now.rtt_min_ns / 1000:.0f} µs at best"
+        f"± {US.text(NS.to_si(now.bound_ns), '.0f')}, host {now.rate_ppm:+.1f} ppm faster, "
+        f"round trip {US.text(NS.to_si(now.rtt_min_ns), '.0f')} at best"
     )
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from datetime import date
 from typing import TYPE_CHECKING, Any
 
-from truearm.box.description import length_scale
 from truearm.text import one_line
 
 if TYPE_CHECKING:
@@ -68,7 +67,7 @@ def _channel(ident: Ident, name: str, today: date) -> tuple[list[str], list[str]
     channel = stream.channels[index]
     if channel.fault:
         return [f"channel {name} cannot be used: {channel.fault}; correct it with truearm box config set"], []
-    if not channel.poly or length_scale(channel.calibrated_unit) is None:
+    if channel.length_unit is None:
         return [f"channel {name} is not calibrated to a length; calibrate it with truearm box gauge {name}"], []
     return [], _old(name, _described(ident, stream, index), today)
 
@@ -92,6 +91,6 @@ def _described(ident: Ident, stream: Stream, index: int) -> Mapping[str, Any]:
 
 def _uncalibrated(ident: Ident) -> str:
     channels = [c for s in ident.streams.values() for c in s.channels]
-    if any(c.poly and length_scale(c.calibrated_unit) is not None for c in channels):
+    if any(c.length_unit is not None for c in channels):
         return ""
     return "no channel of the box is calibrated to a length; truearm identify will not take this session"

@@ -15,8 +15,9 @@ from truearm.live.progress import Course, words_of
 from truearm.record.operator import Wish
 from truearm.session.box_ident import find_channel
 from truearm.session.joint_line import parse_reading
-from truearm.session.lvdt import METRES, extension, railed
+from truearm.session.lvdt import extension, railed
 from truearm.text import one_line
+from truearm.units import MM, MM_S, NS, UM, US
 
 if TYPE_CHECKING:
     from truearm.record.status import Status
@@ -80,7 +81,7 @@ class LiveState:
         counts = np.frombuffer(data.samples, "<i4").reshape(-1, len(stream.channels))
         self._windows.setdefault(stream.id, Window()).take(data.n0, counts, data.period_ns)
         for k, channel in enumerate(stream.channels):
-            if channel.fault or channel.calibrated_unit not in METRES or not channel.poly:
+            if channel.length_unit is None:
                 continue
             if channel.name == LVDT and not railed(counts[:, k]).any():
                 self._ended(self._dwells.samples(t_ns, extension(counts[:, k], channel)))
@@ -184,12 +185,14 @@ class LiveState:
         fields: dict[str, Any] = {"begin_ns": seen.begin_ns, "end_ns": seen.end_ns, "settled": seen.settled}
         value = "no samples of the LVDT"
         if np.isfinite(seen.mean):
-            value = f"{1e3 * seen.mean:+.4f} mm, noise {1e6 * seen.noise:.1f} µm, drift {1e6 * seen.drift:+.1f} µm"
+            value = (
+                f"{MM.text(seen.mean, '+.4f')}, noise {UM.text(seen.noise, '.1f')}, drift {UM.text(seen.drift, '+.1f')}"
+            )
             fields |= {"mean_m": seen.mean, "noise_m": seen.noise}
         if self._pose is not None:
             fields["pose"] = self._pose
         state = "settled" if seen.settled else "NOT settled"
-        self.last = f"{self._label}: {(seen.end_ns - seen.begin_ns) / 1e9:.1f} s, {value}, {state}"
+        self.last = f"{self._label}: {NS.to_si(seen.end_ns - seen.begin_ns):.1f} s, {value}, {state}"
         self.said.append(self.last)
         self.wishes.append(Wish("dwell", fields))
 
@@ -201,7 +204,7 @@ class LiveState:
         where = "a way beside the plan"
         if row is not None or not self.course.rows:
             where = f"line {self.course.lines}" + (f" (row {row})" if row is not None else "")
-        self.last = f"{where}: {1e3 * length:.1f} mm at {1e3 * speed:.1f} mm/s"
+        self.last = f"{where}: {MM.text(length, '.1f')} at {MM_S.text(speed, '.1f')}"
         self.said.append(self.last)
         fields: dict[str, Any] = {"length_m": length, "speed_m_s": speed}
         self.wishes.append(Wish("line", fields if row is None else {**fields, "pose": row}))
@@ -225,7 +228,7 @@ class LiveState:
             return None, ""
         stream, index = found
         window, channel = self._windows.get(stream.id), stream.channels[index]
-        if window is None or channel.fault or channel.calibrated_unit not in METRES or not channel.poly:
+        if window is None or channel.length_unit is None:
             return None, ""
         counts = np.concatenate(list(window.blocks)[-POSITION_BLOCKS:])[:, index]
         if railed(counts).any():
@@ -258,7 +261,7 @@ class LiveState:
                 continue
             near.add(name)
             if name not in self._near_end:
-                self.said.append(f"warning: {name} is at {1e3 * position:+.2f} mm of ±{1e3 * half:.1f} mm")
+                self.said.append(f"warning: {name} is at {MM.text(position, '+.2f')} of ±{MM.text(half, '.1f')}")
         self._near_end = near
 
     # --- what is shown
@@ -298,10 +301,10 @@ class LiveState:
         position, half, wrong = self._position()
         if position is None:
             return Shown("lvdt", wrong or "no calibrated LVDT", bool(wrong))
-        text = f"{1e3 * position:+.4f} mm"
+        text = MM.text(position, "+.4f")
         if half is None:
             return Shown("lvdt", text)
-        text += f" of ±{1e3 * half:.1f} mm"
+        text += f" of ±{MM.text(half, '.1f')}"
         place = round((BAR_CELLS - 1) * (0.5 + 0.5 * max(-1.0, min(1.0, position / half))))
         bar = "".join("●" if k == place else "┼" if k == BAR_CELLS // 2 else "─" for k in range(BAR_CELLS))
         alarm = abs(position) > (1.0 - 2.0 * NEAR_END) * half
@@ -372,7 +375,7 @@ class LiveState:
             parts.append(f"lines {course.lines}" + (f" of {course.planned_lines}" if course.planned_lines else ""))
         standing = self._dwells.standing_ns
         if standing is not None and self._is_heard(status):
-            parts.append(f"standing for {standing / 1e9:.1f} s" + (", enough" if self._counted else ""))
+            parts.append(f"standing for {NS.to_si(standing):.1f} s" + (", enough" if self._counted else ""))
         return Shown("dwells", ", ".join(parts))
 
     def _is_heard(self, status: Status) -> bool:
@@ -389,7 +392,9 @@ def clock_words(status: Status, clock: OnlineEstimate | None) -> str:
     """How well the host knows the box's clock."""
     if clock is None:
         return "not known yet" if status.rtt_us is None else f"round trip {status.rtt_us:.0f} µs at best"
-    return f"± {clock.bound_ns / 1000:.0f} µs, round trip {clock.rtt_min_ns / 1000:.0f} µs at best"
+    return (
+        f"± {US.text(NS.to_si(clock.bound_ns), '.0f')}, round trip {US.text(NS.to_si(clock.rtt_min_ns), '.0f')} at best"
+    )
 
 
 def _age(age_s: float | None) -> str:

@@ -19,6 +19,7 @@ from typing import Any, NoReturn
 
 import cbor2
 
+from truearm import units
 from truearm.errors import ProtocolError, SessionError
 
 PROTOCOL_MAJOR = 1
@@ -49,6 +50,11 @@ class Channel:
     calibrated_unit: str = ""
     poly: tuple[float, ...] = ()
     fault: str = ""
+
+    @property
+    def length_unit(self) -> units.Scale | None:
+        """The unit of length that the calibration gives; None for a channel that cannot be used or shows no length."""
+        return None if self.fault or not self.poly else units.length(self.calibrated_unit)
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ from truearm.session.settling import (
     settled_from,
 )
 from truearm.types import BallBar, Floats
+from truearm.units import MM, MS, NS, UM
 
 LEAST_SAMPLES = 8
 BLOCK_S = 0.025  # samples looked at together: short against a swing of an arm (5 to 20 Hz)
@@ -83,7 +84,7 @@ def measured(dwell: Dwell, taken: Taken, bar: BallBar, sensing: Sensing) -> Dwel
         return replace(dwell, reason="no samples" if sensing.any_clock else "no clock")
     dwell = replace(dwell, clock_bound_ns=taken.bound_ns)
     if taken.bound_ns > 1e9 * rules.guard_s:
-        return replace(dwell, reason="clock", detail=f"±{1e-6 * taken.bound_ns:.0f} ms")
+        return replace(dwell, reason="clock", detail=f"±{MS.text(NS.to_si(taken.bound_ns), '.0f')}")
     period_s = 1e-9 * taken.period_ns
     if counts.size < LEAST_SAMPLES or period_s * (counts.size + 1) < rules.shortest_s:
         return replace(dwell, reason="gap", detail=f"{period_s * counts.size:.2f} s whole")
@@ -109,7 +110,7 @@ def measured(dwell: Dwell, taken: Taken, bar: BallBar, sensing: Sensing) -> Dwel
     reason, detail = _unusable(counts[first:], stretched[first:], bar)
     # A drift within the bar's declared repeatability is covered by it.
     if not reason and abs(dwell.drift) > max(DRIFT_SIGMAS * dwell.drift_sigma, bar.sigma, MICRON):
-        reason, detail = "drift", f"{1e6 * dwell.drift:+.0f} µm in {period_s * dwell.n_samples:.1f} s"
+        reason, detail = "drift", f"{UM.text(dwell.drift, '+.0f')} in {period_s * dwell.n_samples:.1f} s"
     return replace(dwell, reason=reason, detail=detail)
 
 
@@ -161,7 +162,7 @@ def _unusable(counts: NDArray[Any], stretched: Floats, bar: BallBar) -> tuple[st
     if at_rail:
         return "rail", f"{at_rail} of {counts.size} samples"
     if np.any(out_of_travel(stretched, bar)):
-        return "out of travel", f"{1e3 * float(np.max(np.abs(stretched))):.1f} mm of ±{500 * bar.travel:.1f}"
+        return "out of travel", f"{MM.text(float(np.max(np.abs(stretched))), '.1f')} of ±{MM.of(0.5 * bar.travel):.1f}"
     return "", ""
 
 
@@ -169,9 +170,9 @@ def _unsettled(found: Settled | None, last: int) -> tuple[str, str]:
     """The swing or creep that so many last blocks still show."""
     if found is None:
         return "gap", ""
-    off = 1e6 * float(np.max(np.abs(found.deviation[-last:])))
-    return "ringing" if rings(found) else "drift", f"{off:.0f} µm off, {1e6 * found.bound:.0f} allowed"
+    off = float(np.max(np.abs(found.deviation[-last:])))
+    return "ringing" if rings(found) else "drift", f"{UM.text(off, '.0f')} off, {UM.of(found.bound):.0f} allowed"
 
 
 def _noise_words(noise: float, limit: float) -> str:
-    return f"{1e6 * noise:.1f} µm, {1e6 * limit:.1f} allowed"
+    return f"{UM.text(noise, '.1f')}, {UM.of(limit):.1f} allowed"

@@ -15,8 +15,6 @@ from truearm.errors import SessionError
 from truearm.session.box_ident import Channel
 from truearm.types import BallBar, Floats
 
-METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6}
-
 # Two's complement ends of a 24-bit converter: at either the input was at least that large, and the reading says no more.
 RAIL_HIGH = 2**23 - 1
 RAIL_LOW = -(2**23)
@@ -42,13 +40,12 @@ def extension(counts: NDArray[Any], channel: Channel) -> Floats:
             f"channel {channel.name!r} of the box cannot be used: {channel.fault}; correct the box's configuration and "
             "record anew"
         )
-    if channel.calibrated_unit not in METRES or not channel.poly:
+    unit = channel.length_unit
+    if unit is None:
         raise SessionError(
             f"channel {channel.name!r} of the box has no calibration to metres; record with a calibrated box"
         )
-    return np.asarray(
-        METRES[channel.calibrated_unit] * np.polynomial.polynomial.polyval(volts(counts, channel), channel.poly)
-    )
+    return np.asarray(unit.to_si(np.polynomial.polynomial.polyval(volts(counts, channel), channel.poly)))
 
 
 def bar_length(extension: Floats, bar: BallBar) -> Floats:

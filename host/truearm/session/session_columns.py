@@ -24,7 +24,7 @@ from truearm.session.data_frames import decode
 from truearm.session.dwell_samples import sample_times, within_ns
 from truearm.session.joint_readings import CHUNK as LINES
 from truearm.session.joint_readings import UNNUMBERED, parse_lines, restarts
-from truearm.session.lvdt import METRES, extension, volts
+from truearm.session.lvdt import extension, volts
 from truearm.session.pipeline import Messages, Survey
 from truearm.session.sample_blocks import Block, BoxReader
 from truearm.types import Message
@@ -225,7 +225,7 @@ def _channel(counts: NDArray[np.int32], channel: Channel, unnamed: str) -> Itera
         return
     seen = volts(counts, channel)
     yield f"{name}_{_clean(channel.unit) or 'raw'}", seen
-    if channel.poly and channel.calibrated_unit in METRES:
+    if channel.length_unit is not None:
         yield f"{name}_m", extension(counts, channel)
     elif channel.poly:
         yield (
