@@ -12,7 +12,7 @@ from truearm.estimate.identify import identify
 from truearm.files.observation_table import read_table, write_table
 from truearm.files.result_file import read_result
 from truearm.files.rig_file import read_rig
-from truearm.files.robot_file import joint_units, load_robot
+from truearm.files.robot_file import load_robot
 from truearm.model.chain import forward
 from truearm.types import ObservationTable
 
@@ -104,7 +104,7 @@ def test_panda_exported_and_reloaded_has_the_same_held_out_error(tmp_path, run):
     assert "holds all" in said
     stored = read_result(result)
     chain = load_robot(str(out), None, "ball_link").chain
-    observations = read_table(table, joint_units(chain))
+    observations = read_table(table, chain.joint_units)
     judged = np.isin(observations.place, ["frontcenter", "frontleft", "frontright"])
     # nothing of the robot is fitted: only the rig's own unknowns, the ball's place among them
     none = np.zeros(len(chain.parameters), dtype=bool)

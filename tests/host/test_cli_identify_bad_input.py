@@ -104,7 +104,7 @@ def test_interruption_is_one_line_and_130(run: Run, good: list[object], monkeypa
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("truearm.estimate.identify.identify", interrupted)
+    monkeypatch.setattr("truearm.workflows.identify.identified", interrupted)
     assert run(*good) == Outcome(130, "", "truearm: interrupted\n")
 
 

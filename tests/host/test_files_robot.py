@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from truearm.errors import RobotError
-from truearm.files.robot_file import joint_units, load_robot, robot_file
+from truearm.files.robot_file import load_robot, robot_file
 
 PANDA = Path(__file__).parents[1] / "data" / "mukca" / "panda.urdf"
 
@@ -13,15 +13,15 @@ PANDA = Path(__file__).parents[1] / "data" / "mukca" / "panda.urdf"
 def test_a_built_in_robot_has_no_file() -> None:
     robot = load_robot("puma560")
     assert robot_file("puma560") is None
-    assert joint_units(robot.chain) == ("rad",) * 6
+    assert robot.chain.joint_units == ("rad",) * 6
 
 
 def test_a_urdf_is_the_chain_to_its_tip() -> None:
     robot = load_robot(str(PANDA), tip="ball_link")
     assert (robot.chain.base_frame, robot.chain.end_frame) == ("panda_link0", "ball_link")
-    assert joint_units(robot.chain) == ("rad",) * 7
+    assert robot.chain.joint_units == ("rad",) * 7
     assert robot.free.all()
-    assert joint_units(load_robot(str(PANDA), tip="panda_leftfinger").chain) == (*("rad",) * 7, "m")
+    assert load_robot(str(PANDA), tip="panda_leftfinger").chain.joint_units == (*("rad",) * 7, "m")
 
 
 def test_a_robot_file_is_read(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.types import Message
 from truearm.workflows.inspect import shown
-from truearm.workflows.session_observations import observations_of_session
+from truearm.workflows.session_observations import SessionOptions, observations_of_session
 
 EVIL = b'Traceback:\r\n  File "\x1b]0;owned\x07\x1b[2J\xff\x9b31m"\r\nline two\n'
 
@@ -162,7 +162,7 @@ def test_a_damaged_session_on_request(stream, tmp_path, run):
         assert "nothing lost" not in out
 
 
-def test_identify_says_what_is_lost(stream, tmp_path, capsys):
+def test_identify_says_what_is_lost(stream, tmp_path):
     path = write(tmp_path / "s.mcap", stream, rig_toml(tmp_path))
     whole = bytearray(path.read_bytes())
     with path.open("rb") as file:
@@ -170,9 +170,11 @@ def test_identify_says_what_is_lost(stream, tmp_path, capsys):
     path.write_bytes(whole)
     with pytest.raises(SessionError):
         observations_of_session(path)
-    assert len(observations_of_session(path, allow_damaged=True).table) >= 4
-    (line,) = capsys.readouterr().err.splitlines()
-    assert re.search(r"^warning: .*s\.mcap: damaged at byte \d+: [0-9.]+ of [0-9.]+ s lost$", line)
+    said = []
+    options = SessionOptions(allow_damaged=True, say=said.append)
+    assert len(observations_of_session(path, options=options).table) >= 4
+    (line,) = said
+    assert re.search(r"^.*s\.mcap: damaged at byte \d+: [0-9.]+ of [0-9.]+ s lost$", line)
 
 
 def test_a_box_that_falls_silent_is_a_loss(stream, tmp_path, run):

@@ -9,7 +9,7 @@ from truearm.estimate.identify import identify
 from truearm.estimate.prior import free_without_gains, weak_prior
 from truearm.files.observation_table import read_table
 from truearm.files.rig_file import read_rig
-from truearm.files.robot_file import joint_units, load_robot
+from truearm.files.robot_file import load_robot
 
 MUKCA = Path(__file__).parents[1] / "data" / "mukca"
 
@@ -28,7 +28,7 @@ def test_prior_and_loss_by_nested_hold_out(panda):
     """Each of the three fitting places is left out in turn; the prior and loss that predict it best are then judged on the other
     three, once. 0.217 mm is what a straightforward fit reaches."""
     chain, rig, free, prior = panda
-    table = read_table(MUKCA / "panda_3.csv", joint_units(chain))
+    table = read_table(MUKCA / "panda_3.csv", chain.joint_units)
     places = sorted(set(table.place))
     fitting = table.select(np.isin(table.place, places[:3]))
 
@@ -66,7 +66,7 @@ def test_prior_and_loss_by_nested_hold_out(panda):
 def test_one_place_says_that_further_places_would_tell_more(panda):
     """panda_1 is fitted at one place; the data themselves say that another place adds combinations of parameters."""
     chain, rig, free, _ = panda
-    table = read_table(MUKCA / "panda_1.csv", joint_units(chain))
+    table = read_table(MUKCA / "panda_1.csv", chain.joint_units)
     e = identify(chain, rig, table, free=free, hold_out=table.place != "back-high", prior_sigma=weak_prior(chain))
     three = identify(chain, rig, table, free=free, prior_sigma=weak_prior(chain))
     assert e.rank < three.rank or e.observability.o2 < three.observability.o2

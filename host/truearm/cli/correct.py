@@ -76,8 +76,9 @@ def correct(
     Example:
       truearm correct result.json program.mod --robot irb120 --out corrected.mod
     """
+    from truearm.files.robot_file import RobotChoice
     from truearm.workflows.correct import Choice, correct_file
 
-    choice = Choice(robot, base, tip, method.value, steps, own_frames, work, tool, home, margin, residuals)
+    choice = Choice(RobotChoice(robot, base, tip), method.value, steps, own_frames, work, tool, home, margin, residuals)
     for line in correct_file(result, targets, out, choice):
         typer.echo(line)

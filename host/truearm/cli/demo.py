@@ -137,16 +137,16 @@ def calibrate(out: Path, table: ObservationTable) -> Calibration:
     from truearm.estimate.identify import identify
     from truearm.files.result_file import RobotFrames, document_of, write_result
     from truearm.files.rig_file import read_rig
-    from truearm.files.robot_file import joint_units, load_robot
+    from truearm.files.robot_file import RobotChoice, load_robot
     from truearm.workflows.calibration_report import judge, longitudes
-    from truearm.workflows.inputs import hashed_inputs
+    from truearm.workflows.inputs import Sources, hashed_inputs
 
     robot, rig = load_robot("puma560"), read_rig(out / "rig.toml")
     chain, held_out = robot.chain, table.bar == VALIDATED
     estimate = identify(chain, rig, table, free=robot.free, hold_out=held_out)
     all_free = identify(chain, rig, table, hold_out=held_out)
-    frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, joint_units(chain))
-    inputs = hashed_inputs([out / "session.mcap"], "puma560", out / "rig.toml")
+    frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, chain.joint_units)
+    inputs = hashed_inputs(Sources((out / "session.mcap",), {"": out / "rig.toml"}), RobotChoice("puma560"))
     judged = judge(chain, rig, table, estimate)
     document = document_of(estimate, table, frames, inputs, [f"bar={VALIDATED}"], "none", *judged)
     write_result(out / "result.json", document)

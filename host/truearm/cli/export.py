@@ -63,8 +63,9 @@ def export(
     Example:
       truearm export result.json --format urdf --robot panda.urdf --out calibrated.urdf
     """
+    from truearm.files.robot_file import RobotChoice
     from truearm.workflows.export import Choice, export_file
 
-    choice = Choice(form.value, robot, base, tip, own_frames, tuple(adjust or ()), over)
+    choice = Choice(form.value, RobotChoice(robot, base, tip), own_frames, tuple(adjust or ()), over)
     for line in export_file(result, out, choice):
         typer.echo(line)

@@ -79,9 +79,9 @@ def export_session(
 
 
 def _joint_units(robot: str | None) -> tuple[str, ...]:
-    from truearm.files.robot_file import joint_units, load_robot
+    from truearm.files.robot_file import load_robot
 
-    return () if robot is None else joint_units(load_robot(robot).chain)
+    return () if robot is None else load_robot(robot).chain.joint_units
 
 
 def _read_rig(path: Path) -> Rig:

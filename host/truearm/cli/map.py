@@ -51,9 +51,10 @@ def map_(
     Example:
       truearm map result.json --picture map.svg --task 300x200 --within 300:900,0:800
     """
+    from truearm.files.robot_file import RobotChoice
     from truearm.workflows.error_map import Choice, map_files
 
-    choice = Choice(robot, base, tip, vary, at, elbow is Elbow.up, 1e-3 * cell, task, own_frames, within)
+    choice = Choice(RobotChoice(robot, base, tip), vary, at, elbow is Elbow.up, 1e-3 * cell, task, own_frames, within)
     for line in map_files(result, out, picture, choice):
         typer.echo(line)
 

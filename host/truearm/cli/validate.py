@@ -8,7 +8,14 @@ from typing import Annotated
 
 import typer
 
-from truearm.cli.options import IdentifiedBaseOption, IdentifiedRobotOption, IdentifiedTipOption, ResultArgument
+from truearm.cli.options import (
+    IdentifiedBaseOption,
+    IdentifiedRobotOption,
+    IdentifiedTipOption,
+    ResultArgument,
+    rigs_of,
+    warn,
+)
 
 
 def validate(
@@ -39,9 +46,12 @@ def validate(
       truearm validate result.json friday.csv --rig rig.toml
     """
     from truearm.files.result_file import format_document
-    from truearm.workflows.validate import validation_document, validation_lines
+    from truearm.files.robot_file import RobotChoice
+    from truearm.workflows.inputs import Sources
+    from truearm.workflows.validate import validate_files, validation_lines
 
-    document = validation_document(result, inputs, (robot, base, tip), rig or [], allow_damaged)
+    sources = Sources(tuple(inputs), rigs_of(rig), allow_damaged=allow_damaged, say=warn)
+    document = validate_files(result, RobotChoice(robot, base, tip), sources)
     if as_json:
         sys.stdout.write(format_document(document) + "\n")
         return

@@ -289,7 +289,7 @@ def parse_result(text: str, name: str) -> StoredResult:
     if not isinstance(version, int) or not 1 <= version <= FORMAT_VERSION:
         raise InputError(f"{name}: has format version {str(version)[:20]}, this truearm reads up to {FORMAT_VERSION}")
     try:
-        return _stored(document)
+        return stored_result(document)
     except KeyError as exc:
         raise InputError(f"{name}: field {exc} is missing") from exc
     except (TypeError, ValueError, AttributeError) as exc:
@@ -312,7 +312,8 @@ def _refuse_constant(constant: str) -> float:
     raise ValueError(f"{constant} is not JSON")
 
 
-def _stored(document: Mapping[str, Any]) -> StoredResult:
+def stored_result(document: Mapping[str, Any]) -> StoredResult:
+    """What later commands need of the content of a result.json. Raises KeyError, TypeError or ValueError for a wrong field."""
     parameters, robot, covariance = document["parameters"], document["robot"], document["covariance"]
     names = tuple(str(p["name"]) for p in parameters)
     covariance_names = tuple(str(n) for n in covariance["names"])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +16,20 @@ from truearm.model.robot import Robot, builtin_robot, parse_robot
 from truearm.model.urdf import chain_from_urdf
 
 MAX_BYTES = 8_000_000
+
+
+class RobotChoice(NamedTuple):
+    """A robot as it is named on the command line: a built-in name or a file, and links of a URDF; None for the default."""
+
+    robot: str | None = None
+    base: str | None = None
+    tip: str | None = None
+
+    @property
+    def files(self) -> list[Path]:
+        """The file that it names, if it names one. Raises RobotError."""
+        path = None if self.robot is None else robot_file(self.robot)
+        return [] if path is None else [path]
 
 
 def load_robot(robot: str, base: str | None = None, tip: str | None = None) -> Robot:
@@ -28,9 +44,10 @@ def load_robot(robot: str, base: str | None = None, tip: str | None = None) -> R
         return builtin_robot(robot)
     text = read_text(path, MAX_BYTES, RobotError)
     try:
-        return _urdf_robot(chain_from_urdf(text, base, tip)) if is_urdf(robot) else parse_robot(text)
+        found = _urdf_robot(chain_from_urdf(text, base, tip)) if is_urdf(robot) else parse_robot(text)
     except RobotError as exc:
         raise RobotError(f"{path}: {exc}") from exc
+    return replace(found, file=str(path))
 
 
 def robot_file(robot: str) -> Path | None:
@@ -53,8 +70,3 @@ def is_urdf(robot: str) -> bool:
 
 def _urdf_robot(chain: Chain) -> Robot:
     return Robot(chain, {"nominal": chain.params_nominal}, np.ones(len(chain.parameters), dtype=bool))
-
-
-def joint_units(chain: Chain) -> tuple[str, ...]:
-    """ "rad" or "m" for each joint."""
-    return tuple("m" if joint.kind == "prismatic" else "rad" for joint in chain.joints)

@@ -108,6 +108,11 @@ class Chain:
         return tuple(p.name for p in self.parameters)
 
     @cached_property
+    def joint_units(self) -> tuple[str, ...]:
+        """ "rad" or "m" for each joint."""
+        return tuple("m" if joint.kind == "prismatic" else "rad" for joint in self.joints)
+
+    @cached_property
     def params_nominal(self) -> Floats:
         """(p,) the design values; read only."""
         nominal = np.array([p.nominal for p in self.parameters], dtype=float)

@@ -49,7 +49,8 @@ class Robot:
     """A chain, named parameter sets (p,), and ``free`` (p,): False for the parameters the file holds fixed.
 
     ``source`` says where the numbers are from, "" where nobody said. ``branch`` and ``capsules`` are what plans need,
-    None where the file has none.
+    None where the file has none. ``file`` is the file that it was read from (a URDF has the suffix .urdf or .xml), "" for
+    a robot that comes with truearm.
     """
 
     chain: Chain
@@ -58,6 +59,19 @@ class Robot:
     source: str = ""
     branch: Branch | None = None
     capsules: Capsules | None = None
+    file: str = ""
+
+    def __str__(self) -> str:
+        chain = self.chain
+        return (
+            f"{chain.name}: {len(chain.joints)} joints, {chain.base_frame} to {chain.end_frame}, "
+            f"{len(chain.parameters)} parameters, {int(self.free.sum())} free"
+        )
+
+    @property
+    def is_urdf(self) -> bool:
+        """Whether it was read from a URDF, which says nothing of what to hold fixed."""
+        return self.file.lower().endswith((".urdf", ".xml"))
 
 
 def builtin_robot(name: str) -> Robot:

@@ -3,66 +3,92 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
 from truearm.errors import InputError
 from truearm.files.result_file import StoredResult, read_result
-from truearm.files.robot_file import joint_units, load_robot
+from truearm.files.robot_file import RobotChoice, is_urdf, load_robot
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import Chain
 from truearm.model.mountings import NONE, Mountings, mountings
 from truearm.model.poses import six_of
+from truearm.model.robot import Robot
 from truearm.types import Floats
 
 LARGEST_JOINT = 100.0  # rad, m
+DEFAULT = RobotChoice()
 
 
-class Calibration(NamedTuple):
-    """A robot's chain with its nominal and identified parameters (p,)."""
+@dataclass(frozen=True)
+class Calibration:
+    """A robot and what was identified of it: what a result.json holds.
 
-    chain: Chain
+    ``nominal`` and ``identified`` are the robot's parameters (p,), ``covariance`` (p, p) is theirs, 0 for what was held.
+    ``unseen`` (p, d) holds the directions that the observations did not see, the largest weight of each being 1.
+    """
+
+    robot: Robot
+    stored: StoredResult
     nominal: Floats
     identified: Floats
-    joint_units: tuple[str, ...]
-    robot: str  # what --robot names
-    stored: StoredResult
-    covariance: Floats  # (p, p) of the parameters
-    unseen: Floats  # (p, d) directions that the observations did not see, the largest weight of each being 1
+    covariance: Floats
+    unseen: Floats
+
+    @property
+    def chain(self) -> Chain:
+        """The robot's chain."""
+        return self.robot.chain
+
+    @property
+    def joint_units(self) -> tuple[str, ...]:
+        """ "rad" or "m" for each joint."""
+        return self.robot.chain.joint_units
+
+    @property
+    def document(self) -> Mapping[str, Any]:
+        """The content of result.json (docs/result-format.md)."""
+        return self.stored.document
 
 
-def read_calibration(result: Path, robot: str | None, base: str | None = None, tip: str | None = None) -> Calibration:
-    """Read a result and its robot; ``robot`` None: the built-in one of the name that the result has.
+def read_calibration(result: Path, choice: RobotChoice = DEFAULT) -> Calibration:
+    """Read a result and its robot; without a choice, the built-in robot of the name that the result has.
 
     Raises InputError where the two do not belong together.
     """
     stored = read_result(result)
     frames = stored.robot
-    if robot is None:
+    name, base, tip = choice
+    if name is None:
         if frames.name not in builtin_names():
             raise InputError(f"{result}: is of robot {frames.name[:60]!r}; name its file with --robot")
-        robot = frames.name
-    if robot.lower().endswith((".urdf", ".xml")):
+        name = frames.name
+    if is_urdf(name):
         base, tip = base or frames.base_frame, tip or frames.end_frame
-    chain = load_robot(robot, base, tip).chain
-    mine = stored.of_robot
+    return calibration_of(stored, load_robot(name, base, tip), name, str(result))
+
+
+def calibration_of(stored: StoredResult, robot: Robot, called: str, result: str) -> Calibration:
+    """The calibration of a robot by a result; ``called`` and ``result`` name the two in messages. Raises InputError."""
+    chain, mine = robot.chain, stored.of_robot
     names = tuple(name for name, is_robot in zip(stored.parameter_names, mine, strict=True) if is_robot)
-    if names != chain.parameter_names or frames.joint_units != joint_units(chain):
+    if names != chain.parameter_names or stored.robot.joint_units != chain.joint_units:
         raise InputError(
-            f"{result}: its parameters are not those of robot {robot}; give the robot it was identified with"
+            f"{result}: its parameters are not those of robot {called}; give the robot it was identified with"
         )
     nominal, identified = stored.nominal[mine], stored.value[mine]
     if not np.allclose(nominal, chain.params_nominal, rtol=0.0, atol=1e-9):
         at = int(np.argmax(np.abs(nominal - chain.params_nominal)))
         raise InputError(
-            f"{result}: began from another {names[at]} than robot {robot} has; give the robot it was identified with"
+            f"{result}: began from another {names[at]} than robot {called} has; give the robot it was identified with"
         )
     if not np.isfinite(identified).all() or not np.abs(identified).max() < 1e4:
         raise InputError(f"{result}: a parameter's value is missing or absurd; identify again")
-    known = _covariance(stored, names), _unseen(result, stored, names)
-    return Calibration(chain, nominal, identified, joint_units(chain), robot, stored, *known)
+    return Calibration(robot, stored, nominal, identified, _covariance(stored, names), _unseen(result, stored, names))
 
 
 def check_names(*paths: Path | None) -> None:
@@ -124,7 +150,7 @@ def _covariance(stored: StoredResult, names: tuple[str, ...]) -> Floats:
     return covariance
 
 
-def _unseen(result: Path, stored: StoredResult, names: tuple[str, ...]) -> Floats:
+def _unseen(result: str, stored: StoredResult, names: tuple[str, ...]) -> Floats:
     """(p, d) the robot's part of the null space. Raises InputError."""
     at = {name: i for i, name in enumerate(names)}
     try:

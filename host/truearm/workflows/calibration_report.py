@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from truearm.estimate.problem import Rigs
 from truearm.files.disk import write_atomic
 from truearm.model.chain import Chain, point_forward
 from truearm.types import Estimate, Floats, ObservationTable, PredictedError, Rig
+
+if TYPE_CHECKING:
+    from truearm.workflows.identify import Identification
 
 UNPREDICTED = (
     "How far the tool may be off at a pose is not determined: changes of the parameters that these observations do not see, or hardly, "
@@ -33,33 +36,25 @@ def judge(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) 
     return Judged(angle, predicted_point_error(chain, rig, table, estimate))
 
 
-def write_page(
-    path: Path,
-    chain: Chain,
-    rig: Rigs,
-    table: ObservationTable,
-    estimate: Estimate,
-    judged: Judged,
-    prior: str,
-    command: str = "",
-) -> None:
+def write_page(path: Path, found: Identification, command: str = "") -> None:
     """Write the page whole or not at all. Raises InputError when the place cannot be written."""
     from truearm.report.calibration_page import CalibrationPage, render
     from truearm.report.residual_rows import row_name
 
+    table, estimate = found.table, found.estimate
     files = dict.fromkeys(row_name(source).rsplit(" ", 2)[0] for source in table.source)  # "poses.csv row 17"
     page = CalibrationPage(
-        title=f"Calibration of {chain.name}",
+        title=f"Calibration of {found.chain.name}",
         subtitle=", ".join(files),
         estimate=estimate,
         table=table,
-        longitude=longitudes(chain, rig, table, estimate),
+        longitude=longitudes(found.chain, found.rig, table, estimate),
         command=command,
-        prior=prior,
-        angle=judged.angle,
-        predicted=judged.predicted,
+        prior=found.prior,
+        angle=found.judged.angle,
+        predicted=found.judged.predicted,
         facts=_driven(table),
-        notes=(*_timing(estimate), *(() if judged.predicted else (UNPREDICTED,))),
+        notes=(*_timing(estimate), *(() if found.judged.predicted else (UNPREDICTED,))),
     )
     write_atomic(path, render(page))
 

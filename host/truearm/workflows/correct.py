@@ -14,7 +14,7 @@ from truearm.correct.correction import Correction, correct
 from truearm.correct.model_pair import Pair
 from truearm.errors import InputError, ProgramError, TargetError
 from truearm.files.disk import check_writable, write_atomic
-from truearm.files.robot_file import robot_file
+from truearm.files.robot_file import RobotChoice
 from truearm.files.target_programs import is_program, poses_of, quadrants_of, read_program, with_poses
 from truearm.files.target_table import format_corrected, looks_like_targets, read_targets
 from truearm.model.chain import point_jacobians
@@ -42,9 +42,7 @@ SEARCHED = (
 class Choice(NamedTuple):
     """The command line."""
 
-    robot: str | None
-    base: str | None
-    tip: str | None
+    robot: RobotChoice
     method: str
     steps: int
     own_frames: bool
@@ -84,11 +82,11 @@ def correct_file(result: Path, targets: Path, out: Path, choice: Choice) -> list
     """
     check_names(result, targets, out, choice.residuals)
     program = is_program(targets)
-    read = [result, targets, *filter(None, [robot_file(choice.robot) if choice.robot else None])]
+    read = [result, targets, *choice.robot.files]
     check_writable(out, inputs=read, ours=None if program else looks_like_targets)
     if program and out.exists():
         raise InputError(f"{out}: exists; a program is only written under a new name")
-    calibration = read_calibration(result, choice.robot, choice.base, choice.tip)
+    calibration = read_calibration(result, choice.robot)
     request = _request(calibration, choice)
     if choice.residuals is not None:
         check_writable(choice.residuals, inputs=[*read, out], ours=looks_like_targets)

@@ -102,9 +102,9 @@ def calibrate(kind: str, out: Path, table: ObservationTable) -> LineCalibration:
     from truearm.estimate.prior import wide_prior
     from truearm.files.result_file import RobotFrames, document_of, write_result
     from truearm.files.rig_file import read_rig
-    from truearm.files.robot_file import joint_units, load_robot
+    from truearm.files.robot_file import RobotChoice, load_robot
     from truearm.workflows.calibration_report import judge, longitudes
-    from truearm.workflows.inputs import hashed_inputs
+    from truearm.workflows.inputs import Sources, hashed_inputs
 
     robot, rig = load_robot("puma560"), read_rig(out / "rig.toml")
     chain = robot.chain
@@ -123,8 +123,8 @@ def calibrate(kind: str, out: Path, table: ObservationTable) -> LineCalibration:
     found = LineCalibration(
         kind, robot, rig, table, estimate, other, longitudes(chain, rig, table, estimate), judged, hold_out
     )
-    frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, joint_units(chain))
-    inputs = hashed_inputs([out / "session.mcap"], "puma560", out / "rig.toml")
+    frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, chain.joint_units)
+    inputs = hashed_inputs(Sources((out / "session.mcap",), {"": out / "rig.toml"}), RobotChoice("puma560"))
     write_result(
         out / "result.json", document_of(estimate, table, frames, inputs, list(hold_out), found.prior, *judged)
     )

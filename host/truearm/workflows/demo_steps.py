@@ -92,11 +92,11 @@ def record_virtually(out: Path, plan: Plan, world: World, box: SimulatedBox, osr
 def observe(out: Path) -> SyncResult:
     """The observations of session.mcap, also written as observations.csv."""
     from truearm.files.observation_table import write_table
-    from truearm.files.robot_file import joint_units, load_robot
+    from truearm.files.robot_file import load_robot
     from truearm.workflows.session_observations import observations_of_session
 
     result = observations_of_session(out / "session.mcap")
-    write_table(out / "observations.csv", result.table, joint_units(load_robot("puma560").chain))
+    write_table(out / "observations.csv", result.table, load_robot("puma560").chain.joint_units)
     return result
 
 

@@ -15,7 +15,7 @@ from truearm.correct.error_map import ErrorMap, Region, best_region, error_map
 from truearm.correct.model_pair import Pair
 from truearm.errors import InputError
 from truearm.files.disk import check_writable, write_atomic
-from truearm.files.robot_file import robot_file
+from truearm.files.robot_file import RobotChoice
 from truearm.report.map_picture import map_picture
 from truearm.text import one_line
 from truearm.types import Floats
@@ -33,9 +33,7 @@ MARK = "u_mm,v_mm"
 class Choice(NamedTuple):
     """The command line."""
 
-    robot: str | None
-    base: str | None
-    tip: str | None
+    robot: RobotChoice
     vary: str
     at: str | None
     elbow_up: bool
@@ -48,12 +46,12 @@ class Choice(NamedTuple):
 def map_files(result: Path, out: Path | None, picture: Path | None, choice: Choice) -> list[str]:
     """Write what was asked for; returns what is to be said. Raises InputError in one line."""
     check_names(result, out, picture)
-    read = [result, *filter(None, [robot_file(choice.robot) if choice.robot else None])]
+    read = [result, *choice.robot.files]
     if out is not None:
         check_writable(out, inputs=read, ours=lambda head: not head.strip() or head.startswith(MARK.encode()))
     if picture is not None:
         check_writable(picture, inputs=[*read, *filter(None, [out])], ours=_looks_like_picture)
-    calibration = read_calibration(result, choice.robot, choice.base, choice.tip)
+    calibration = read_calibration(result, choice.robot)
     found, region = _mapped(calibration, choice)
     if out is not None:
         write_atomic(out, _table(found, calibration.joint_units))

@@ -16,7 +16,7 @@ from truearm.export.urdf import edited, joint_origins, new_urdf
 from truearm.files.disk import check_writable, read_text, write_atomic
 from truearm.files.observation_table import read_table
 from truearm.files.plan_file import read_plan
-from truearm.files.robot_file import MAX_BYTES, is_urdf, robot_file
+from truearm.files.robot_file import MAX_BYTES, RobotChoice
 from truearm.model.chain import Chain
 from truearm.text import one_line
 from truearm.types import Floats
@@ -32,9 +32,7 @@ class Choice(NamedTuple):
     """The command line."""
 
     form: str
-    robot: str | None
-    base: str | None
-    tip: str | None
+    robot: RobotChoice
     own_frames: bool
     adjust: tuple[str, ...]
     over: Path | None
@@ -43,9 +41,8 @@ class Choice(NamedTuple):
 def export_file(result: Path, out: Path, choice: Choice) -> list[str]:
     """Write the calibrated robot; returns what is to be said of it. Raises InputError in one line, and writes nothing."""
     check_names(result, out, choice.over)
-    robot = robot_file(choice.robot) if choice.robot else None
-    check_writable(out, inputs=[result, *filter(None, [robot, choice.over])], ours=_looks_like_ours)
-    calibration = read_calibration(result, choice.robot, choice.base, choice.tip)
+    check_writable(out, inputs=[result, *choice.robot.files, *filter(None, [choice.over])], ours=_looks_like_ours)
+    calibration = read_calibration(result, choice.robot)
     fitted = _fitted(calibration, choice)
     text = _text(calibration, fitted.params, choice)
     write_atomic(out, text)
@@ -96,9 +93,8 @@ def _poses(chain: Chain, units: tuple[str, ...], over: Path | None) -> Floats:
 def _text(calibration: Calibration, params: Floats, choice: Choice) -> str:
     chain, nominal = calibration.chain, calibration.nominal
     with_mountings = not choice.own_frames
-    if choice.form == "urdf" and is_urdf(calibration.robot):
-        path = robot_file(calibration.robot)
-        template = read_text(path, MAX_BYTES, InputError) if path else ""
+    if choice.form == "urdf" and calibration.robot.is_urdf:
+        template = read_text(Path(calibration.robot.file), MAX_BYTES, InputError)
         return edited(template, joint_origins(chain, nominal, params, with_mountings))
     robot = own(chain, nominal, params, with_mountings)
     described = own(chain, nominal, nominal)

@@ -2,73 +2,76 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from truearm.errors import InputError
 from truearm.files.disk import check_writable, same_file
-from truearm.files.noise_file import NoiseFile, check_against_rigs, with_noise
-from truearm.files.observation_table import check_against_rig, concatenate, looks_like_table, read_table
-from truearm.files.result_file import Input, input_of, looks_like_result
+from truearm.files.noise_file import check_against_rigs, read_noise, with_noise
+from truearm.files.observation_table import check_against_rig, concatenate, read_table
+from truearm.files.result_file import Input, input_of
 from truearm.files.rig_file import read_rig
-from truearm.files.robot_file import robot_file
+from truearm.files.robot_file import RobotChoice
 from truearm.types import ObservationTable, Rig
-from truearm.workflows.session_observations import observations_of_session
+from truearm.workflows.session_observations import Say, SessionOptions, observations_of_session, silent
 from truearm.workflows.session_parts import is_part
 from truearm.workflows.session_rigs import Assigned, session_rigs
 
-
-def check_files(
-    inputs: list[Path],
-    robot: str,
-    rigs: dict[str, Path],
-    out: Path | None,
-    save_table: Path | None,
-    report: Path | None = None,
-) -> None:
-    """No input twice (its sigmas would shrink), no output over an input, another or a stranger's file. Raises InputError."""
-    if Path("-") in inputs:
-        raise InputError("-: standard input is not read; save the data to a file first")
-    if Path("-") in (out, save_table, report):
-        raise InputError("-: is no file name; --json prints the result to standard output")
-    for i, path in enumerate(inputs):
-        if any(same_file(path, other) for other in inputs[:i]):
-            raise InputError(f"{path}: is given twice; its observations would count twice")
-    outputs = [path for path in (out, save_table, report) if path is not None]
-    for i, path in enumerate(outputs):
-        if any(same_file(path, other) for other in outputs[:i]):
-            raise InputError(f"{path}: would be two outputs in one file; give each its own")
-    read = [*inputs, *rigs.values(), *filter(None, [robot_file(robot)])]
-    if out is not None:
-        check_writable(out, inputs=read, ours=looks_like_result)
-    if save_table is not None:
-        check_writable(save_table, inputs=read, ours=looks_like_table)
-    if report is not None:
-        from truearm.report.calibration_page import looks_like_page
-
-        check_writable(report, inputs=read, ours=looks_like_page)
+Output = tuple[Path, Callable[[bytes], bool]]  # a file to write, and what knows by its beginning one that truearm wrote
 
 
-def observed(
-    inputs: list[Path],
-    files: dict[str, Path],
-    joint_units: tuple[str, ...],
-    allow_damaged: bool,
-    noise: NoiseFile | None = None,
-    line_points: int | None = None,
-) -> tuple[Rig | dict[str, Rig], ObservationTable]:
-    """The rig, or the rigs by name, and the observations, held against each other.
+@dataclass(frozen=True)
+class Sources:
+    """Sessions and tables of observations, and the rig files that they were measured with.
 
-    ``noise`` stands in for the rigs' own, ``line_points`` are of each pass along a line at most.
+    ``rigs``: by the name that rows have in their column rig, "" for the one rig of all rows; none: each session's own.
+    ``noise`` is a noise file whose figures stand in for those of the rigs, ``line_points`` are of each pass along a line
+    at most. ``say`` is called with what is lost of a damaged session.
     """
-    given = {name: with_noise(read_rig(path), noise) for name, path in files.items()}
+
+    inputs: tuple[Path, ...]
+    rigs: Mapping[str, Path] = field(default_factory=dict)
+    noise: Path | None = None
+    allow_damaged: bool = False
+    line_points: int | None = None
+    say: Say = silent
+
+    @property
+    def files(self) -> list[Path]:
+        """All of them."""
+        return [*self.inputs, *self.rigs.values(), *filter(None, [self.noise])]
+
+
+def check_files(sources: Sources, robot: RobotChoice, outputs: Sequence[Output] = ()) -> None:
+    """No input twice (its sigmas would shrink), no output over an input, another output or a stranger's file.
+
+    Raises InputError.
+    """
+    if Path("-") in sources.inputs:
+        raise InputError("-: standard input is not read; save the data to a file first")
+    if any(path == Path("-") for path, _ in outputs):
+        raise InputError("-: is no file name; --json prints the result to standard output")
+    counted = [path for path in (*sources.inputs, sources.noise) if path is not None]
+    for i, path in enumerate(counted):
+        if any(same_file(path, other) for other in counted[:i]):
+            raise InputError(f"{path}: is given twice; its observations would count twice")
+    for i, (path, _) in enumerate(outputs):
+        if any(same_file(path, other) for other, _ in outputs[:i]):
+            raise InputError(f"{path}: would be two outputs in one file; give each its own")
+    for path, ours in outputs:
+        check_writable(path, inputs=[*sources.files, *robot.files], ours=ours)
+
+
+def observed(sources: Sources, joint_units: tuple[str, ...]) -> tuple[Rig | dict[str, Rig], ObservationTable]:
+    """The rig, or the rigs by name, and the observations, held against each other."""
+    inputs = list(sources.inputs)
+    noise = None if sources.noise is None else read_noise(sources.noise)
+    given = {name: with_noise(read_rig(path), noise) for name, path in sources.rigs.items()}
     of_session = {path: (name, with_noise(rig, noise)) for path, (name, rig) in session_rigs(inputs, given).items()}
-    tables = {
-        path: _read_input(path, joint_units, of_session.get(path), allow_damaged, is_part(path, inputs), line_points)
-        for path in inputs
-    }
+    tables = {path: _read_input(path, joint_units, of_session.get(path), sources) for path in inputs}
     table = concatenate([part for part in tables.values() if len(part)] or list(tables.values()))
     if not len(table):
         raise InputError(f"{inputs[0]}: no dwell and no line gave an observation; see truearm inspect {inputs[0]}")
@@ -79,13 +82,13 @@ def observed(
         one = rigs.get("", with_noise(Rig(), noise))
         check_against_rig(table, one)
         return one, table
-    _check_names(table, rigs, files)
+    _check_names(table, rigs, sources.rigs)
     for name, rig in rigs.items():
         check_against_rig(table.select(table.rig == name), rig)
     return rigs, table
 
 
-def _check_names(table: ObservationTable, rigs: dict[str, Rig], files: dict[str, Path]) -> None:
+def _check_names(table: ObservationTable, rigs: dict[str, Rig], files: Mapping[str, Path]) -> None:
     """Every row names one of the rigs, and every rig that was given is named. Raises InputError."""
     for name, file in files.items():
         if not (table.rig == name).any():
@@ -99,28 +102,25 @@ def _check_names(table: ObservationTable, rigs: dict[str, Rig], files: dict[str,
 
 
 def _read_input(
-    path: Path,
-    joint_units: tuple[str, ...],
-    assigned: Assigned | None,
-    allow_damaged: bool,
-    part: bool,
-    line_points: int | None,
+    path: Path, joint_units: tuple[str, ...], assigned: Assigned | None, sources: Sources
 ) -> ObservationTable:
     if assigned is None:
         return read_table(path, joint_units)
     name, rig = assigned
-    table = observations_of_session(path, rig, allow_damaged, part, line_points).table
+    options = SessionOptions(
+        sources.allow_damaged, is_part(path, list(sources.inputs)), sources.line_points, sources.say
+    )
+    table = observations_of_session(path, rig, options).table
     if len(table) and table.q.shape[1] != len(joint_units):
         raise InputError(f"{path}: its robot has {table.q.shape[1]} joints, the robot given has {len(joint_units)}")
     return replace(table, rig=np.full(len(table), name))
 
 
-def hashed_inputs(inputs: list[Path], robot: str, *rigs: Path, noise: Path | None = None) -> list[Input]:
+def hashed_inputs(sources: Sources, robot: RobotChoice) -> list[Input]:
     """Name and SHA-256 of every file that an identification read."""
-    file = robot_file(robot)
     return [
-        *(input_of("observations", path) for path in inputs),
-        *(input_of("rig", rig) for rig in rigs),
-        *([input_of("noise", noise)] if noise else []),
-        *([input_of("robot", file)] if file else []),
+        *(input_of("observations", path) for path in sources.inputs),
+        *(input_of("rig", rig) for rig in sources.rigs.values()),
+        *(input_of("noise", noise) for noise in [sources.noise] if noise),
+        *(input_of("robot", file) for file in robot.files),
     ]

@@ -13,11 +13,10 @@ import numpy as np
 import typer
 
 from truearm.errors import InputError
-from truearm.estimate.prior import free_without_gains, weak_prior
 from truearm.files.disk import check_writable, write_atomic
 from truearm.files.plan_file import write_plan
 from truearm.files.rig_file import read_rig, write_rig
-from truearm.files.robot_file import is_urdf, joint_units, load_robot, robot_file
+from truearm.files.robot_file import RobotChoice, load_robot, robot_file
 from truearm.model.robot import Robot
 from truearm.plan.approaches import ApproachesWanted, plan_approaches
 from truearm.plan.ball_bar_plan import Wanted, all_pairings, make_site, plan_ballbar
@@ -33,7 +32,8 @@ from truearm.plan.route_program import check_suffix, program
 from truearm.plan.stops import Signals, Stop, Task
 from truearm.types import Floats, Rig
 from truearm.workflows.calibration import read_calibration
-from truearm.workflows.inputs import observed
+from truearm.workflows.identify import PRIORS, default_free
+from truearm.workflows.inputs import Sources, observed
 from truearm.workflows.session_parts import with_parts
 
 DESIGN_RESERVE_MM = 22.0
@@ -282,7 +282,8 @@ def _known(common: Common) -> Known:
     around = with_rig_values(read_rig(common.rig), values)
     table = None
     if common.measured:
-        same, table = observed(with_parts(list(common.measured)), {"": common.rig}, joint_units(loaded.chain), False)
+        sources = Sources(tuple(with_parts(list(common.measured))), {"": common.rig})
+        same, table = observed(sources, loaded.chain.joint_units)
         if not isinstance(same, Rig):
             raise InputError("--measured: rows of several rigs cannot be planned on; give those of one rig")
     known = replace(
@@ -292,9 +293,8 @@ def _known(common: Common) -> Known:
         rig_values=values,
         branch=branch_of(loaded, common.branch),
     )
-    if is_urdf(common.robot):  # as identify does
-        return replace(known, free=free_without_gains(known.chain), prior_sigma=weak_prior(known.chain))
-    return known
+    prior = PRIORS["weak"](known.chain) if loaded.is_urdf else None  # as identify does
+    return replace(known, free=default_free(loaded), prior_sigma=prior)
 
 
 def _model(common: Common) -> tuple[Robot, Floats, dict[str, float]]:
@@ -302,11 +302,10 @@ def _model(common: Common) -> tuple[Robot, Floats, dict[str, float]]:
     if common.result is None:
         robot = load_robot(common.robot, common.base, common.tip)
         return robot, robot.chain.params_nominal, {}
-    found = read_calibration(common.result, common.robot, common.base, common.tip)
-    frames = (found.chain.base_frame, found.chain.end_frame) if is_urdf(common.robot) else (common.base, common.tip)
+    found = read_calibration(common.result, RobotChoice(common.robot, common.base, common.tip))
     values = dict(zip(found.stored.parameter_names, found.stored.value.tolist(), strict=True))
     known = {name: value for name, value in values.items() if np.isfinite(value)}
-    return load_robot(common.robot, *frames), found.identified, known
+    return found.robot, found.identified, known
 
 
 def _check_travel(known: Known, reserve: float, spread_mm: float) -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +18,26 @@ if TYPE_CHECKING:
 SUFFIX = ".mcap"
 RIG = "rig.toml"
 SAID = 3  # places where a file is damaged; inspect says all
+
+Say = Callable[[str], None]  # is called with a line of progress or of warning
+
+
+def silent(_: str) -> None:
+    """A ``Say`` that says nothing."""
+
+
+@dataclass(frozen=True)
+class SessionOptions:
+    """How to read a session.
+
+    ``allow_damaged``: use what is whole of a damaged file, and call ``say`` with what is lost. ``may_be_empty``: a part of
+    a session need not give an observation. ``line_points``: of each pass along a line at most.
+    """
+
+    allow_damaged: bool = False
+    may_be_empty: bool = False
+    line_points: int | None = None
+    say: Say = silent
 
 
 def is_session(path: Path) -> bool:
@@ -43,18 +63,10 @@ def messages_of(session: Session) -> Callable[[Collection[str] | None], Iterator
     return lambda topics: session.messages(topics)
 
 
-def observations_of_session(
-    path: Path,
-    rig: Rig | None = None,
-    allow_damaged: bool = False,
-    may_be_empty: bool = False,
-    line_points: int | None = None,
-) -> SyncResult:
+def observations_of_session(path: Path, rig: Rig | None = None, options: SessionOptions | None = None) -> SyncResult:
     """Hops 4 and 5 of a session file. ``rig`` stands in for the one that was recorded.
 
-    ``line_points``: of each pass along a line at most. What is lost of a damaged file is said on stderr, if ``allow_damaged``.
-
-    Raises SessionError for a file that is none or gave no observation (unless it ``may_be_empty``: a part of a session), RigError if there is no rig.
+    Raises SessionError for a file that is none or gave no observation, RigError if there is no rig.
     """
     from truearm.session.line_passes import LineRules
     from truearm.session.pipeline import observations
@@ -62,17 +74,18 @@ def observations_of_session(
     from truearm.session.session_file import open_session
     from truearm.workflows.inspect import ident_of
 
-    session = open_session(path, allow_damaged)
+    options = options or SessionOptions()
+    session = open_session(path, options.allow_damaged)
     if session.damage:
         said = ", ".join(words_of(damage.at, damage.lost_s, damage.of_s) for damage in session.damage[:SAID])
         more = f" and in {len(session.damage) - SAID} places more" if len(session.damage) > SAID else ""
-        print("warning: " + one_line(f"{path}: {said}{more}"), file=sys.stderr)
+        options.say(one_line(f"{path}: {said}{more}"))
     rig = rig or attached_rig(session, path)
     if rig is None:
         raise RigError(f"{path}: was recorded without a rig; give one with --rig")
-    rules = LineRules(points=line_points)
+    rules = LineRules(points=options.line_points)
     result = observations(messages_of(session), rig, ident=ident_of(session), name=path.name, line_rules=rules)
-    if not len(result.table) and not may_be_empty:
+    if not len(result.table) and not options.may_be_empty:
         what, rejected = ("line", result.pass_reasons) if result.passes else ("dwell", result.reasons)
         reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(rejected.items()))
         raise SessionError(

@@ -20,25 +20,6 @@ LONGEST = 64  # letters of a name, as a table's identifiers
 Assigned = tuple[str, Rig]  # name, "" for the one rig of all, and what it holds
 
 
-def rig_files(given: list[str]) -> dict[str, Path]:
-    """The files of ``--rig`` by rig name, "" for one without a name; ./a=b.toml has none.
-
-    Raises InputError where names do not tell the rigs apart.
-    """
-    files: dict[str, Path] = {}
-    for text in given:
-        name, equals, file = text.partition("=")
-        named = bool(equals) and re.fullmatch(rf"[\w-]{{1,{LONGEST}}}", name, re.ASCII) is not None
-        name, path = (name, Path(file)) if named else ("", Path(text))
-        if name in files:
-            which = f"rig {name} is given twice" if name else "several rigs need names, --rig NAME=FILE"
-            raise InputError(f"--rig {text}: {which}")
-        files[name] = path
-    if "" in files and len(files) > 1:
-        raise InputError(f"--rig {files['']}: several rigs need names, --rig NAME=FILE")
-    return files
-
-
 def session_name(path: Path) -> str:
     """What a session is called where rigs have names: its first file's name without the suffix, fit for a table's column."""
     return re.sub(r"[^\w-]", "_", first_stem(path), flags=re.ASCII)[:LONGEST]

@@ -7,7 +7,8 @@ not know better. The error that the calibration had on its own data is no measur
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import InputError
+from truearm.estimate.problem import Rigs
 from truearm.estimate.validation import Expected, expected, judge
+from truearm.files.result_file import Input
+from truearm.files.robot_file import RobotChoice
 from truearm.model.chain import forward
 from truearm.report.page_text import counted
 from truearm.text import one_line
 from truearm.types import Floats, ObservationTable
 from truearm.workflows.calibration import Calibration, read_calibration
-from truearm.workflows.inputs import check_files, hashed_inputs, observed
+from truearm.workflows.inputs import Sources, check_files, hashed_inputs, observed
 from truearm.workflows.session_parts import with_parts
-from truearm.workflows.session_rigs import rig_files
 
 GROUPS = ("rig", "place", "shell", "line", "bar", "tracker", "plane")
 LEAST_ROWS = 5  # of a region: fewer say little
@@ -31,21 +34,23 @@ AS_GOOD = 1.5  # times the error to be expected
 HELPS = 0.9  # of the error without it
 
 
-def validation_document(
-    result: Path, inputs: list[Path], robot: tuple[str | None, str | None, str | None], rig: list[str], damaged: bool
+def validate_files(result: Path, robot: RobotChoice, sources: Sources) -> dict[str, Any]:
+    """Read a result and the observations that judge it; numbers and verdict. Raises InputError in one line."""
+    calibration = read_calibration(result, robot)
+    sources = replace(sources, inputs=tuple(with_parts(list(sources.inputs))))
+    check_files(sources, robot)
+    rig, table = observed(sources, calibration.joint_units)
+    return validated(calibration, rig, table, hashed_inputs(sources, robot))
+
+
+def validated(
+    calibration: Calibration, rig: Rigs, table: ObservationTable, inputs: Sequence[Input] = ()
 ) -> dict[str, Any]:
-    """Numbers and verdict. Raises InputError in one line."""
-    rigs = rig_files(rig)
-    calibration = read_calibration(result, *robot)
-    inputs = with_parts(inputs)
-    check_files(inputs, calibration.robot, rigs, None, None)
-    of, table = observed(inputs, rigs, calibration.joint_units, damaged)
-    before, after = (judge(calibration.chain, of, table, p) for p in (calibration.nominal, calibration.identified))
+    """Numbers and verdict; ``inputs`` are the files that the rows were read from. Raises InputError where no row can judge."""
+    before, after = (judge(calibration.chain, rig, table, p) for p in (calibration.nominal, calibration.identified))
     judging = before.judging & after.judging
     if not judging.any():
-        raise InputError(
-            f"{inputs[0]}: no row can judge: each fits unknowns of the rig whatever it says; measure more there"
-        )
+        raise InputError("no row can judge: each fits unknowns of the rig whatever it says; measure more there")
     errors = before.error, after.error
     due = _scaled(expected(after, calibration.covariance, calibration.unseen), calibration.stored.document)
     inputs_then = calibration.stored.document.get("inputs")
@@ -54,7 +59,7 @@ def validation_document(
         for entry in (inputs_then if isinstance(inputs_then, list) else [])
         if isinstance(entry, dict)
     }
-    hashes = [entry for entry in hashed_inputs(inputs, calibration.robot) if entry.role == "observations"]
+    hashes = [entry for entry in inputs if entry.role == "observations"]
     document: dict[str, Any] = {
         "rows": int(judging.sum()),
         "left_out": int((~judging).sum()),

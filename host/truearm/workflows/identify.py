@@ -1,0 +1,211 @@
+"""The work of ``truearm identify``: from files of observations, or from a table and a rig, to a calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.errors import InputError
+from truearm.estimate.identify import SOLVERS, WITH_LOSS
+from truearm.estimate.identify import identify as estimate_parameters
+from truearm.estimate.prior import free_without_gains, weak_prior, wide_prior
+from truearm.estimate.problem import Rigs
+from truearm.estimate.robust import LOSSES
+from truearm.files.observation_table import looks_like_table, write_table
+from truearm.files.result_file import Input, RobotFrames, document_of, looks_like_result, stored_result, write_result
+from truearm.files.robot_file import RobotChoice, load_robot
+from truearm.model.chain import Chain
+from truearm.model.robot import Robot
+from truearm.types import Estimate, Floats, ObservationTable
+from truearm.workflows.calibration import Calibration, calibration_of
+from truearm.workflows.calibration_report import Judged, judge, write_page
+from truearm.workflows.inputs import Sources, check_files, hashed_inputs, observed
+from truearm.workflows.selection import free_parameters, held_out_rows
+from truearm.workflows.session_parts import with_parts
+
+Mask = NDArray[np.bool_]
+Progress = Callable[[int, float], None]
+
+NO_PRIOR = "none"
+PRIORS: Mapping[str, Callable[[Chain], Floats]] = {"weak": weak_prior, "wide": wide_prior}
+WITHOUT_PRIOR = ("ls",)  # solvers that know none
+
+
+@dataclass(frozen=True)
+class IdentifyOptions:
+    """Which parameters an identification estimates, and how.
+
+    Parameters
+    ----------
+    free : tuple of str
+        Patterns such as ``"joint*.offset"``. Only robot parameters that match one are identified. Default: those that
+        the robot file frees; of a URDF all but the joint gains.
+    also_free : tuple of str
+        Patterns of parameters that are identified in addition.
+    freeze : tuple of str
+        Patterns of parameters that are held fixed.
+    prior : str or None
+        "none", "weak" (1 mm, 5 mrad) or "wide" (10 mm, 52 mrad), about the nominal values. None chooses by robot and
+        solver.
+    solver : str
+        "lm", "map", "recursive", "renders-1991" or "ls".
+    loss : str
+        "linear", "huber" or "cauchy"; the robust losses go with the solvers "lm" and "map".
+    max_iterations : int
+        The solver stops there, whether it has converged or not.
+    seed : int
+        Draws the rows of a held-out fraction.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> truearm.IdentifyOptions(solver="map", freeze=("joint1.*",)).solver
+    'map'
+    """
+
+    free: tuple[str, ...] = ()
+    also_free: tuple[str, ...] = ()
+    freeze: tuple[str, ...] = ()
+    prior: str | None = None
+    solver: str = "lm"
+    loss: str = "linear"
+    max_iterations: int = 50
+    seed: int = 0
+
+
+DEFAULTS = IdentifyOptions()
+
+
+@dataclass(frozen=True)
+class Identification(Calibration):
+    """A calibration with the observations that it was identified from and the whole estimate."""
+
+    rig: Rigs
+    table: ObservationTable
+    estimate: Estimate
+    judged: Judged
+
+    @property
+    def prior(self) -> str:
+        """The name of the robot's prior."""
+        return str(self.document["prior"])
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The parameters to estimate, free (p,), and the rows to judge by: held_out (n,), and what the user called them."""
+
+    free: Mask
+    held_out: Mask | None = None
+    held_out_by: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class IdentifyFiles:
+    """What ``truearm identify`` reads and writes; ``command`` stands on the report."""
+
+    robot: RobotChoice
+    sources: Sources
+    out: Path | None = None
+    save_table: Path | None = None
+    report: Path | None = None
+    command: str = ""
+
+
+def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: IdentifyOptions) -> Identification:
+    """Read everything, identify, and write result, table and report where they are wanted.
+
+    Raises InputError in one line, and ProblemError as ``identified`` does; then no result is written.
+    """
+    from truearm.report.calibration_page import looks_like_page
+
+    check_options(options)
+    sources = replace(files.sources, inputs=tuple(with_parts(list(files.sources.inputs))))
+    wanted = (files.out, looks_like_result), (files.save_table, looks_like_table), (files.report, looks_like_page)
+    check_files(sources, files.robot, [(path, ours) for path, ours in wanted if path is not None])
+    robot = load_robot(files.robot.robot or "", files.robot.base, files.robot.tip)
+    rig, table = observed(sources, robot.chain.joint_units)
+    selection = selected(robot, table, hold_out, options)
+    if files.save_table is not None:
+        write_table(files.save_table, table, robot.chain.joint_units)
+    found = identified(robot, rig, table, selection, options, inputs=hashed_inputs(sources, files.robot))
+    if files.report is not None:
+        write_page(files.report, found, files.command)
+    if files.out is not None:
+        write_result(files.out, found.document)
+    return found
+
+
+def check_options(options: IdentifyOptions) -> None:
+    """Raise InputError for a choice that does not exist, and for one that the solver would silently ignore."""
+    solver, loss, prior = options.solver, options.loss, options.prior
+    known = {"solver": tuple(SOLVERS), "loss": tuple(LOSSES), "prior": (NO_PRIOR, *PRIORS)}
+    for what, given in (("solver", solver), ("loss", loss), ("prior", prior)):
+        if given is not None and given not in known[what]:
+            raise InputError(f"--{what} {given!r} is not known; use {', '.join(known[what])}")
+    if loss != "linear" and solver not in WITH_LOSS:
+        raise InputError(f"--loss {loss} goes with the solvers {' and '.join(WITH_LOSS)}; {solver} has no robust loss")
+    if prior in PRIORS and solver in WITHOUT_PRIOR:
+        raise InputError(f"--prior {prior} is nothing to --solver {solver}, which knows no prior; use map")
+
+
+def default_free(robot: Robot) -> Mask:
+    """(p,) the parameters to identify unless something else is asked for: of a URDF, whose constants are redundant, all but the gains."""
+    return free_without_gains(robot.chain) if robot.is_urdf else robot.free
+
+
+def default_prior(robot: Robot, solver: str) -> str:
+    """The prior that robot or solver needs: the weak one settles the redundant constants of a URDF."""
+    if solver in WITHOUT_PRIOR:
+        return NO_PRIOR
+    if robot.is_urdf:
+        return "weak"
+    return "wide" if solver == "map" else NO_PRIOR
+
+
+def selected(robot: Robot, table: ObservationTable, hold_out: Sequence[str], options: IdentifyOptions) -> Selection:
+    """What to estimate and what to judge by. Raises InputError for a pattern or group that matches nothing."""
+    rows = held_out_rows(table, hold_out, options.seed)
+    names = robot.chain.parameter_names
+    free = free_parameters(names, default_free(robot), options.free, options.freeze, options.also_free)
+    return Selection(free, rows, tuple(hold_out))
+
+
+def identified(
+    robot: Robot,
+    rig: Rigs,
+    table: ObservationTable,
+    selection: Selection,
+    options: IdentifyOptions = DEFAULTS,
+    *,
+    inputs: Sequence[Input] = (),
+    progress: Progress | None = None,
+) -> Identification:
+    """Identify the selected parameters. ``inputs`` are the files that result.json names as its sources.
+
+    Raises ProblemError where observations and robot make no problem that can be solved.
+    """
+    chain = robot.chain
+    prior = options.prior or default_prior(robot, options.solver)
+    estimate = estimate_parameters(
+        chain,
+        rig,
+        table,
+        free=selection.free,
+        hold_out=selection.held_out,
+        prior_sigma=PRIORS[prior](chain) if prior in PRIORS else None,
+        solver=options.solver,
+        loss=options.loss,
+        prefer=default_free(robot),
+        max_iterations=options.max_iterations,
+        progress=progress,
+    )
+    judged = judge(chain, rig, table, estimate)
+    frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, chain.joint_units)
+    document = document_of(estimate, table, frames, inputs, selection.held_out_by, prior, *judged)
+    of_robot = vars(calibration_of(stored_result(document), robot, chain.name, "the identification"))
+    return Identification(**of_robot, rig=rig, table=table, estimate=estimate, judged=judged)
