@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 HOST = ROOT / "host" / "truearm"
 
 # modules that every room may use
-COMMON = {"types", "errors", "text", "units", "interrupt", "__version__"}
+COMMON = {"types", "errors", "text", "units", "schema", "interrupt", "__version__"}
 # room of truearm → rooms it may import besides itself and COMMON; imports run downwards
 ROOMS = {
     "model": set(),
@@ -40,6 +40,7 @@ ROOMS = {
     "text": set(),
     "interrupt": set(),
     "units": set(),
+    "schema": set(),
 }
 WIRE_ALLOWED = {"record", "session", "box", "live"}
 SIMULATOR_ALLOWED = {"cli", "workflows"}  # simulate, demo and reproduce alone

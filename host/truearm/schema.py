@@ -1,0 +1,382 @@
+"""Schemas: what the keys of a file are, declared once, from which the file is both read and written.
+
+A ``Value`` turns what TOML or JSON holds into a checked value in SI units, and back into TOML text that reads back bit for
+bit. A ``Key`` gives a value its name in the file; the unit is the end of the name (``length_mm``). A ``Table`` is a set of
+keys and the object that they make; ``Entries`` are the ``[[name]]`` tables of a document. What is wrong raises SchemaError,
+whose text says which key of which entry; ``read`` adds the file and raises the caller's error.
+
+Nothing here touches a file, and importing this module is cheap: declarations may stand wherever what they declare stands.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
+
+from truearm.errors import InputError
+from truearm.units import SUFFIXES, UNITS, suffixes
+
+if TYPE_CHECKING:
+    from truearm.types import Matrix  # which needs numpy
+
+MAX_SHOWN = 40  # characters of a stranger's text in a message
+MAX_SIZE = 64  # of a list or a matrix: joints
+MAX_ENTRIES = 10_000
+HUGE = 1e12  # no number of any unit is larger; an integer beyond it may have no float
+UNKNOWN = "unknown"
+NO_UNIT = ("",)
+NAME = re.compile(r"[\w-]{1,64}")
+
+T = TypeVar("T")
+
+
+class SchemaError(ValueError):
+    """What is wrong with a value; every table around it puts its key or entry in front."""
+
+
+@contextmanager
+def at(where: str) -> Iterator[None]:
+    """Put ``where`` in front of the text of a SchemaError."""
+    try:
+        yield
+    except SchemaError as exc:
+        raise SchemaError(f"{where}: {exc}") from None
+
+
+def quoted(value: object) -> str:
+    """What a stranger wrote, as it may stand in a one-line message."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return repr(value[:MAX_SHOWN])
+    if isinstance(value, list | dict):
+        return "a list" if isinstance(value, list) else "a table"
+    if isinstance(value, int | float) and not abs(value) > HUGE:
+        return f"{value:g}"
+    return f"a value of type {type(value).__name__}"
+
+
+class Value(Protocol):
+    """One value of a file. ``suffixes``: those of ``units.SUFFIXES`` that its key may end in, SI's own first."""
+
+    @property
+    def suffixes(self) -> Sequence[str]: ...
+
+    def parse(self, raw: Any, suffix: str) -> Any:
+        """The checked value in SI of what stands under a key with this suffix. Raises SchemaError."""
+
+    def format(self, value: Any) -> str:
+        """TOML text of a value, under a key with the first of the suffixes."""
+
+
+@dataclass(frozen=True)
+class Number:
+    """A finite number in an SI unit of ``UNITS``, between ``least`` and ``most`` [SI]; those default to ± the unit's largest.
+
+    ``positive``: 0 is too small. ``unknown``: the word "unknown" may stand for it and is read as None. ``spelled``: the
+    suffixes that its key may have, the SI unit's own first; by default those of ``units.suffixes``.
+    """
+
+    si: str = "1"
+    least: float | None = None
+    most: float | None = None
+    positive: bool = False
+    unknown: bool = False
+    spelled: tuple[str, ...] = ()
+
+    @property
+    def suffixes(self) -> Sequence[str]:
+        return self.spelled or tuple(suffixes(self.si)) or NO_UNIT
+
+    def parse(self, raw: Any, suffix: str = "") -> float | None:
+        if self.unknown and raw == UNKNOWN:
+            return None
+        if isinstance(raw, bool) or not isinstance(raw, int | float):
+            raise SchemaError(f"{quoted(raw)} is not a number" + f' (or "{UNKNOWN}")' * self.unknown)
+        if not abs(raw) <= HUGE:  # NaN too; an integer of a thousand digits has no float and no text
+            raise SchemaError("not a finite number of reasonable size")
+        unit = SUFFIXES[suffix]
+        value = float(raw) * unit.scale
+        most = UNITS[self.si].largest if self.most is None else self.most
+        least = 0.0 if self.positive else -most if self.least is None else self.least
+        if self.positive and value <= 0.0:
+            raise SchemaError(f"{raw:g} {unit.symbol}".rstrip() + " is not greater than 0")
+        if not least <= value <= most:
+            raise SchemaError(
+                f"{unit.text(value)} is not between {least / unit.scale:g} and {unit.text(most)}; is the unit right?"
+            )
+        return value
+
+    def format(self, value: float | None) -> str:
+        return json.dumps(UNKNOWN) if value is None else repr(float(value))
+
+
+def sigma(si: str = "1", *, unknown: bool = False) -> Number:
+    """A standard deviation, 0 or more."""
+    return Number(si, least=0.0, unknown=unknown)
+
+
+@dataclass(frozen=True)
+class List:
+    """A list of ``size`` values of one sort (None: 1 to MAX_SIZE), read as a tuple."""
+
+    item: Value
+    size: int | None = None
+
+    @property
+    def suffixes(self) -> Sequence[str]:
+        return self.item.suffixes
+
+    def parse(self, raw: Any, suffix: str = "") -> tuple[Any, ...]:
+        if not isinstance(raw, list) or not (1 <= len(raw) <= MAX_SIZE if self.size is None else len(raw) == self.size):
+            wanted = f"1 to {MAX_SIZE} values" if self.size is None else f"{self.size} value{'s' * (self.size != 1)}"
+            has = str(len(raw)) if isinstance(raw, list) else quoted(raw)
+            raise SchemaError(f"needs a list of {wanted}, has {has}")
+        return tuple(self._item(i, value, suffix) for i, value in enumerate(raw, start=1))
+
+    def _item(self, number: int, raw: Any, suffix: str) -> Any:
+        with at(f"item {number}"):
+            return self.item.parse(raw, suffix)
+
+    def format(self, value: Sequence[Any]) -> str:
+        return f"[{', '.join(map(self.item.format, value))}]"
+
+
+@dataclass(frozen=True)
+class Covariance:
+    """A covariance matrix, ``size``×``size`` or, if None, of any size up to MAX_SIZE. ``singular``: it may have rank to spare."""
+
+    size: int | None = None
+    singular: bool = False
+    suffixes: ClassVar[Sequence[str]] = NO_UNIT
+
+    def parse(self, raw: Any, suffix: str = "") -> Matrix:
+        import numpy as np
+
+        matrix: Matrix = List(List(Number(most=1e4), self.size), self.size).parse(raw)
+        if any(len(row) != len(matrix) for row in matrix):
+            raise SchemaError(f"is not square: {len(matrix)} rows need {len(matrix)} values each")
+        array = np.array(matrix)
+        if not np.allclose(array, array.T, rtol=1e-9, atol=0.0):
+            raise SchemaError("must be symmetric")
+        least, most = np.linalg.eigvalsh(array)[[0, -1]]
+        rounding = 1e-12 * abs(most)
+        if least < -rounding or (least <= rounding and not self.singular):
+            raise SchemaError(f"is not a covariance: it has an eigenvalue of {least:g}")
+        return matrix
+
+    def format(self, value: Matrix) -> str:
+        return List(List(Number())).format(value)
+
+
+@dataclass(frozen=True)
+class Sigmas:
+    """A list of standard deviations, read as the diagonal covariance matrix that they make."""
+
+    number: Number
+    size: int | None = None
+
+    @property
+    def suffixes(self) -> Sequence[str]:
+        return self.number.suffixes
+
+    def parse(self, raw: Any, suffix: str) -> Matrix:
+        values = List(self.number, self.size).parse(raw, suffix)
+        return tuple(tuple(s * s if i == k else 0.0 for k in range(len(values))) for i, s in enumerate(values))
+
+    def format(self, value: Matrix) -> str:
+        return List(self.number).format([row[i] ** 0.5 for i, row in enumerate(value)])
+
+
+@dataclass(frozen=True)
+class Text:
+    """Text of at most ``longest`` characters; where ``pattern`` is given, all of it must match, else ``wanted`` is the complaint."""
+
+    longest: int = 200
+    pattern: re.Pattern[str] | None = None
+    wanted: str = ""
+    suffixes: ClassVar[Sequence[str]] = NO_UNIT
+
+    def parse(self, raw: Any, suffix: str = "") -> str:
+        if not isinstance(raw, str) or len(raw) > self.longest or (self.pattern and not self.pattern.fullmatch(raw)):
+            raise SchemaError(f"{quoted(raw)} is not {self.wanted or f'text of at most {self.longest} characters'}")
+        return raw
+
+    def format(self, value: str) -> str:
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+IDENTIFIER = Text(pattern=NAME, wanted="a name of up to 64 letters, digits, '-' and '_'")
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One of some texts or whole numbers."""
+
+    options: tuple[Any, ...]
+    suffixes: ClassVar[Sequence[str]] = NO_UNIT
+
+    def parse(self, raw: Any, suffix: str = "") -> Any:
+        if not any(type(raw) is type(option) and raw == option for option in self.options):
+            raise SchemaError(f"{quoted(raw)} is none of {', '.join(map(quoted, self.options))}")
+        return raw
+
+    def format(self, value: Any) -> str:
+        return json.dumps(value, ensure_ascii=False)
+
+
+@dataclass(frozen=True)
+class Flag:
+    """True or false."""
+
+    suffixes: ClassVar[Sequence[str]] = NO_UNIT
+
+    def parse(self, raw: Any, suffix: str = "") -> bool:
+        if not isinstance(raw, bool):
+            raise SchemaError(f"{quoted(raw)} is not true or false")
+        return raw
+
+    def format(self, value: bool) -> str:
+        return str(value).lower()
+
+
+@dataclass(frozen=True)
+class Key:
+    """A value and its name in a file, without the unit.
+
+    ``field``: what ``Table.make`` calls it, if not by its name. Two keys of one field are two ways to say one thing: only
+    one of them may stand in a table, and the first is the one that is written.
+    """
+
+    name: str
+    value: Value
+    optional: bool = False
+    field: str = ""
+
+    @property
+    def called(self) -> str:
+        return self.field or self.name
+
+    @property
+    def spellings(self) -> Mapping[str, str]:
+        """The names that it may have in a file, each with its suffix."""
+        return {f"{self.name}_{suffix}" if suffix else self.name: suffix for suffix in self.value.suffixes}
+
+    def parse(self, raw: Any, spelled: str) -> Any:
+        with at(spelled):
+            return self.value.parse(raw, self.spellings[spelled])
+
+    def line(self, value: Any) -> str:
+        return f"{next(iter(self.spellings))} = {self.value.format(value)}"
+
+
+@dataclass(frozen=True)
+class Entries(Generic[T]):
+    """The ``[[name]]`` tables of a document, read as a dictionary by ``index``; where that is None, as a tuple."""
+
+    name: str
+    table: Table[T]
+    field: str
+    index: Callable[[T], Hashable] | None = None
+
+    def parse(self, raw: Any) -> Mapping[Any, T] | tuple[T, ...]:
+        if not isinstance(raw, list) or not all(isinstance(item, dict) for item in raw):
+            raise SchemaError(f"{self.name} must be written as [[{self.name}]] entries")
+        if len(raw) > MAX_ENTRIES:
+            raise SchemaError(f"has {len(raw)} [[{self.name}]] entries; the most is {MAX_ENTRIES}")
+        found: dict[Hashable, T] = {}
+        for i, table in enumerate(raw, start=1):
+            with at(f"[[{self.name}]] {i}"):
+                item = self.table.parse(table)
+                index = i if self.index is None else self.index(item)
+                if index in found:
+                    raise SchemaError(f"{_words(index)!r} is already defined; give each its own name")
+                found[index] = item
+        return found if self.index else tuple(found.values())
+
+    def blocks(self, value: Mapping[Any, T] | tuple[T, ...]) -> list[str]:
+        items = value.values() if isinstance(value, Mapping) else value
+        return ["\n".join([f"[[{self.name}]]", *self.table.lines(item)]) for item in items]
+
+
+def _words(index: Hashable) -> str:
+    return "/".join(filter(None, index)) if isinstance(index, tuple) else str(index)
+
+
+@dataclass(frozen=True)
+class Table(Generic[T]):
+    """A table of a file, and what it makes.
+
+    ``make`` is called with the values of the keys that are there, by field, and may raise SchemaError where they do not
+    go together; the default of a key is that of ``make``'s parameter. ``take`` is its inverse: an object's values by
+    field. A value that is not there, None (unless it may be unknown) or empty is not written.
+    """
+
+    keys: tuple[Key, ...]
+    make: Callable[..., T]
+    take: Callable[[T], Mapping[str, Any]] = vars
+    entries: tuple[Entries[Any], ...] = ()
+    suffixes: ClassVar[Sequence[str]] = NO_UNIT
+
+    def parse(self, raw: Any, suffix: str = "") -> T:
+        return self.make(**self.values(raw))
+
+    def values(self, raw: Any) -> dict[str, Any]:
+        """The values of a table's keys, by field; those of optional keys only where they are there. Raises SchemaError."""
+        if not isinstance(raw, dict):
+            raise SchemaError(f"must be a table, is {quoted(raw)}")
+        spellings = {spelled: key for key in self.keys for spelled in key.spellings}
+        check_known(raw, [*spellings, *(entries.name for entries in self.entries)])
+        given: dict[str, str] = {}
+        for spelled in (spelled for spelled in spellings if spelled in raw):
+            before = given.setdefault(spellings[spelled].called, spelled)
+            if before != spelled:
+                raise SchemaError(f"has both {before} and {spelled}; keep one")
+        values = {field: spellings[spelled].parse(raw[spelled], spelled) for field, spelled in given.items()}
+        for key in self.keys:
+            if not key.optional and key.called not in given:
+                first, *others = [s for s, other in spellings.items() if other.called == key.called]
+                raise SchemaError(f"needs {first}" + (f" (or {', '.join(others)})" if others else ""))
+        return values | {e.field: e.parse(raw[e.name]) for e in self.entries if e.name in raw}
+
+    def lines(self, item: T) -> list[str]:
+        """``key = value`` of an object, a line each; its entries are not among them."""
+        values = self.take(item)
+        first = {key.called: key for key in reversed(self.keys)}
+        return [
+            key.line(values[key.called])
+            for key in self.keys
+            if first[key.called] is key and _is_written(values.get(key.called), key.value)
+        ]
+
+    def format(self, item: T) -> str:
+        """The TOML document of an object."""
+        values = self.take(item)
+        blocks = [block for entries in self.entries for block in entries.blocks(values.get(entries.field, ()))]
+        return "\n\n".join(["\n".join(self.lines(item)), *blocks]) + "\n"
+
+
+def _is_written(value: Any, of: Value) -> bool:
+    return value != () and value != "" and (value is not None or (isinstance(of, Number) and of.unknown))
+
+
+def check_known(table: Mapping[str, Any], known: Sequence[str]) -> None:
+    """Raise SchemaError for a key that is not known: a misspelt one would silently take its default."""
+    for key in table:
+        if key not in known:
+            close = difflib.get_close_matches(key[:MAX_SHOWN], known, n=1)
+            hint = f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
+            raise SchemaError(f"unknown key {key[:MAX_SHOWN]!r}; {hint[:150]}")
+
+
+def read(table: Table[T], document: Mapping[str, Any], name: str, error: type[InputError]) -> T:
+    """What a document makes; ``name`` stands for the file in messages. Raises ``error`` with file, entry and key."""
+    try:
+        return table.parse(document)
+    except SchemaError as exc:
+        raise error(f"{name}: {exc}") from None

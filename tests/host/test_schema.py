@@ -1,0 +1,239 @@
+"""Schemas: what is written comes back bit for bit; whatever else a file holds is refused in one line that names the key."""
+
+import math
+import tomllib
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from truearm.errors import RigError, RobotError
+from truearm.schema import (
+    IDENTIFIER,
+    MAX_ENTRIES,
+    Choice,
+    Covariance,
+    Entries,
+    Flag,
+    Key,
+    List,
+    Number,
+    SchemaError,
+    Sigmas,
+    Table,
+    Text,
+    read,
+    sigma,
+)
+from truearm.units import SUFFIXES, UNITS
+
+
+@dataclass(frozen=True)
+class Thing:
+    name: str
+    length: float
+    angle: float = 0.5
+    spread: float | None = None
+    place: tuple[float, ...] | None = None
+    cov: tuple[tuple[float, ...], ...] = ()
+    mode: Any = 2
+    on: bool = True
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Document:
+    time: float = 0.25
+    things: dict[str, Thing] | None = None
+    pairs: tuple[tuple[str, ...], ...] = ()
+
+
+def _thing(**values: Any) -> Thing:
+    if values["length"] == 1.5:
+        raise SchemaError("nothing is that long")
+    return Thing(**values)
+
+
+THING = Table(
+    (
+        Key("name", IDENTIFIER),
+        Key("length", Number("m", positive=True)),
+        Key("angle", Number("rad", least=-1.0, most=1.0), optional=True),
+        Key("spread", sigma("s", unknown=True), optional=True),
+        Key("xyz", List(Number("m"), 3), optional=True, field="place"),
+        Key("cov_si", Covariance(singular=True), optional=True, field="cov"),
+        Key("sigma", Sigmas(sigma("m")), optional=True, field="cov"),
+        Key("mode", Choice((2, 4, "auto")), optional=True),
+        Key("on", Flag(), optional=True),
+        Key("note", Text(20), optional=True),
+    ),
+    _thing,
+)
+PAIR = Table((Key("ends", List(IDENTIFIER, 2)),), lambda ends: ends, lambda pair: {"ends": pair})
+DOCUMENT = Table(
+    (Key("time", Number("s"), optional=True),),
+    Document,
+    lambda document: {**vars(document), "things": document.things or {}},
+    (Entries("thing", THING, "things", lambda thing: thing.name), Entries("pair", PAIR, "pairs")),
+)
+
+names = st.from_regex(r"[\w-]{1,64}", fullmatch=True)
+things = st.builds(
+    Thing,
+    names,
+    st.floats(1e-300, 100.0).filter(lambda length: length != 1.5),
+    st.floats(-1.0, 1.0),
+    st.none() | st.floats(0.0, 100.0),
+    st.none() | st.tuples(*[st.floats(-100.0, 100.0)] * 3),
+    st.just(()) | st.tuples(st.tuples(st.floats(0.0, 1e4))),
+    st.sampled_from((2, 4, "auto")),
+    st.booleans(),
+    st.text(st.characters(exclude_categories=["Cs"]), max_size=20),
+)
+documents = st.builds(
+    Document,
+    st.floats(-100.0, 100.0),
+    st.lists(things, min_size=1, max_size=3).map(lambda some: {thing.name: thing for thing in some}),
+    st.lists(st.tuples(names, names), max_size=3).map(tuple),
+)
+
+
+def parsed(text: str) -> Document:
+    return read(DOCUMENT, tomllib.loads(text), "d.toml", RigError)
+
+
+@settings(max_examples=200, deadline=None)
+@given(documents)
+def test_what_is_written_comes_back_bit_for_bit(document: Document) -> None:
+    text = DOCUMENT.format(document)
+    assert parsed(text) == document
+    assert DOCUMENT.format(parsed(text)) == text
+
+
+@given(st.sampled_from(sorted(set(SUFFIXES) - {""})), st.floats(-1.0, 1.0))
+def test_every_suffix_is_read_as_units_has_it(suffix: str, number: float) -> None:
+    scale = SUFFIXES[suffix]
+    key = Key("x", Number(scale.si, most=1e9, spelled=(suffix,)))
+    assert list(key.spellings) == [f"x_{suffix}"]
+    assert key.parse(number, f"x_{suffix}") == number * scale.scale
+
+
+@pytest.mark.parametrize("si", sorted(UNITS))
+def test_bounds_are_the_units(si: str) -> None:
+    number, most = Number(si), UNITS[si].largest
+    own = number.suffixes[0]
+    assert number.parse(most, own) == most
+    assert number.parse(-most, own) == -most
+    with pytest.raises(SchemaError, match="is the unit right"):
+        number.parse(math.nextafter(most, math.inf), own)
+    with pytest.raises(SchemaError, match="is not between 0 and"):
+        sigma(si).parse(-1e-9, own)
+
+
+GOOD = '[[thing]]\nname = "a"\nlength_m = 1\n'
+WRONG = {
+    "unknown key": ("tmie_s = 1\n", "d.toml: unknown key 'tmie_s'; did you mean time_s?"),
+    "unlike any key": ("zzz = 1\n", "d.toml: unknown key 'zzz'; known are time_s, time_ms, thing, pair"),
+    "unknown suffix": ("time_us = 1\n", "d.toml: unknown key 'time_us'; did you mean time_s?"),
+    "no suffix": ("time = 1\n", "d.toml: unknown key 'time'; did you mean time_s?"),
+    "unknown key in an entry": (
+        GOOD + "lenght_mm = 1\n",
+        "[[thing]] 1: unknown key 'lenght_mm'; did you mean length_mm?",
+    ),
+    "an odd key": ('"a\\nb" = 1\n', "d.toml: unknown key 'a\\nb'"),
+    "a long key": ("x" * 5000 + " = 1\n", "unknown key '" + "x" * 40 + "'"),
+    "two units": ("time_s = 1\ntime_ms = 1000\n", "d.toml: has both time_s and time_ms; keep one"),
+    "two keys of one field": (GOOD + "cov_si = [[1]]\nsigma_mm = [1]\n", "has both cov_si and sigma_mm; keep one"),
+    "missing": ('[[thing]]\nname = "a"\n', "d.toml: [[thing]] 1: needs length_m (or length_mm)"),
+    "text": (GOOD + 'angle_deg = "abc"\n', "d.toml: [[thing]] 1: angle_deg: 'abc' is not a number"),
+    "long text": (GOOD + f'angle_deg = "{"a" * 5000}"\n', "angle_deg: '" + "a" * 40 + "' is not a number"),
+    "truth": (GOOD + "angle_deg = true\n", "angle_deg: true is not a number"),
+    "list": (GOOD + "angle_deg = [1]\n", "angle_deg: a list is not a number"),
+    "table": (GOOD + "angle_deg = {a = 1}\n", "angle_deg: a table is not a number"),
+    "date": (GOOD + "angle_deg = 2020-01-01\n", "angle_deg: a value of type date is not a number"),
+    "unknown where it may not be": (GOOD + 'angle_deg = "unknown"\n', "angle_deg: 'unknown' is not a number"),
+    "another word than unknown": (GOOD + 'spread_s = "unkown"\n', "'unkown' is not a number (or \"unknown\")"),
+    "NaN": (GOOD + "angle_rad = nan\n", "angle_rad: not a finite number"),
+    "infinite": (GOOD + "angle_rad = -inf\n", "angle_rad: not a finite number"),
+    "a thousand digits": (GOOD + "angle_rad = 0x" + "f" * 1000 + "\n", "angle_rad: not a finite number"),
+    "too large": (
+        GOOD + "angle_deg = 60\n",
+        "angle_deg: 60 deg is not between -57.2958 and 57.2958 deg; is the unit right?",
+    ),
+    "negative sigma": (GOOD + "spread_ms = -1\n", "spread_ms: -1 ms is not between 0 and 100000 ms"),
+    "not positive": ('[[thing]]\nname = "a"\nlength_mm = 0\n', "length_mm: 0 mm is not greater than 0"),
+    "short list": (GOOD + "xyz_m = [1, 2]\n", "xyz_m: needs a list of 3 values, has 2"),
+    "no list": (GOOD + "xyz_m = 1\n", "xyz_m: needs a list of 3 values, has 1"),
+    "a wrong item": (GOOD + 'xyz_m = [1, "2", 3]\n', "xyz_m: item 2: '2' is not a number"),
+    "a long list": (GOOD + f"sigma_m = {[0.1] * 65}\n", "sigma_m: needs a list of 1 to 64 values, has 65"),
+    "an empty list": (GOOD + "sigma_m = []\n", "sigma_m: needs a list of 1 to 64 values, has 0"),
+    "ragged": (GOOD + "cov_si = [[1, 0], [0]]\n", "cov_si: is not square: 2 rows need 2 values each"),
+    "large matrix": (GOOD + f"cov_si = {[[0.0] * 65] * 65}\n", "cov_si: needs a list of 1 to 64 values, has 65"),
+    "deep matrix": (GOOD + "cov_si = " + "[" * 90 + "]" * 90 + "\n", "cov_si: item 1: item 1: a list is not a number"),
+    "empty matrix": (GOOD + "cov_si = []\n", "cov_si: needs a list of 1 to 64 values, has 0"),
+    "not symmetric": (GOOD + "cov_si = [[1, 1], [0, 1]]\n", "cov_si: must be symmetric"),
+    "not a covariance": (
+        GOOD + "cov_si = [[1, 2], [2, 1]]\n",
+        "cov_si: is not a covariance: it has an eigenvalue of -1",
+    ),
+    "no choice": (GOOD + "mode = 3\n", "mode: 3 is none of 2, 4, 'auto'"),
+    "a choice of another type": (GOOD + "mode = 2.0\n", "mode: 2 is none of 2"),
+    "no flag": (GOOD + "on = 1\n", "on: 1 is not true or false"),
+    "no text": (GOOD + "note = 1\n", "note: 1 is not text of at most 20 characters"),
+    "too long a text": (GOOD + f'note = "{"n" * 21}"\n', "is not text of at most 20 characters"),
+    "an odd name": ('[[thing]]\nname = "a b"\nlength_m = 1\n', "name: 'a b' is not a name of up to 64 letters"),
+    "a key at the wrong level": (GOOD + "[thing.deep]\nx = 1\n", "[[thing]] 1: unknown key 'deep'"),
+    "no entries": ('[thing]\nname = "a"\n', "d.toml: thing must be written as [[thing]] entries"),
+    "entries of numbers": ("thing = [1]\n", "d.toml: thing must be written as [[thing]] entries"),
+    "twice": (GOOD + GOOD, "d.toml: [[thing]] 2: 'a' is already defined; give each its own name"),
+    "what does not go together": ('[[thing]]\nname = "a"\nlength_m = 1.5\n', "[[thing]] 1: nothing is that long"),
+}
+
+
+@pytest.mark.parametrize(("text", "message"), WRONG.values(), ids=WRONG.keys())
+def test_what_is_wrong_is_refused_in_one_line(text: str, message: str) -> None:
+    with pytest.raises(RigError) as refused:
+        parsed(text)
+    assert message in str(refused.value)
+    assert str(refused.value).startswith("d.toml: ")
+    assert "\n" not in str(refused.value)
+    assert len(str(refused.value)) < 250
+
+
+def test_the_error_is_the_callers() -> None:
+    with pytest.raises(RobotError, match=r"r\.toml: unknown key 'x'"):
+        read(DOCUMENT, {"x": 1}, "r.toml", RobotError)
+
+
+def test_the_number_of_entries_is_bounded() -> None:
+    with pytest.raises(RigError, match=f"has {MAX_ENTRIES + 1} .*the most is {MAX_ENTRIES}"):
+        read(DOCUMENT, {"pair": [{}] * (MAX_ENTRIES + 1)}, "d.toml", RigError)
+
+
+def refusal(document: dict[str, Any]) -> str:
+    """What is said of a document, "" for one that is right."""
+    try:
+        read(DOCUMENT, document, "d.toml", RigError)
+    except RigError as exc:
+        return str(exc)
+    return ""
+
+
+toml_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=50),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
+    max_leaves=8,
+)
+things_wild = st.dictionaries(st.sampled_from([s for key in THING.keys for s in key.spellings]), toml_values)
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.dictionaries(st.sampled_from(["time_s", "time_ms", "thing", "pair", "x"]), toml_values | st.lists(things_wild))
+)
+def test_any_document_is_read_or_refused_in_one_line(document: dict[str, Any]) -> None:
+    text = refusal(document)
+    assert text.isprintable()
+    assert len(text) < 250
