@@ -197,7 +197,7 @@ RIGS = {
     "not a number": (edited("irb120.toml", "0.06]", "nan]"), "finite number"),
     "no bar": ("", "which has none"),
     "far": (edited("irb120.toml", "0.06]", "6.0]"), "reaches no place"),
-    "an evil name": (edited("irb120.toml", '"c1"', '"c1;rm -rf"'), "needs a name of up to 64 letters"),
+    "an evil name": (edited("irb120.toml", '"c1"', '"c1;rm -rf"'), "is not a name of up to 64 letters"),
 }
 OPTIONS = {
     f"{PLAN} --minutes 5": "give a budget",

@@ -6,22 +6,23 @@ TOML, the same words as in a rig file (docs/table-format.md): ``joint_sigma_rad`
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from truearm.errors import RigError
 from truearm.files.disk import parse_toml, read_text
-from truearm.files.rig_devices import joint_cov, matrix_text, numbers
-from truearm.files.rig_values import check_keys, keys, length, name_of, number, positive, within
+from truearm.files.rig_file import JOINT_COVARIANCE, NAME, SIZE, by_name
+from truearm.schema import Entries, Key, List, Number, SchemaError, Table, read, sigma
 from truearm.types import Matrix, Rig
 
 MAX_BYTES = 2**16
 FIRST_LINE = "# noise of a robot and its ball-bar, by truearm characterize"
-JOINTS = {"joint_sigma_rad", "joint_sigma_deg", "joint_cov_si"}
-BACKLASH = ("backlash_si", "backlash_sigma_si")
+BACKLASH = (
+    Key("backlash_si", List(Number()), optional=True, field="backlash"),
+    Key("backlash_sigma_si", List(sigma()), optional=True, field="backlash_sigma"),
+)
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,40 @@ class NoiseFile:
     backlash_sigma: tuple[float, ...] = ()
 
 
+class BarSigma(NamedTuple):
+    """The spread [m] of a bar's dwells."""
+
+    name: str
+    sigma: float
+
+
+def _checked(noise: NoiseFile) -> NoiseFile:
+    """Widths of backlash and their sigmas come together, one of each for every joint of the covariance."""
+    cov, width, width_sigma = noise.joint_cov, noise.backlash, noise.backlash_sigma
+    if (width or width_sigma) and not cov:
+        raise SchemaError("backlash_si needs joint_sigma_rad or joint_cov_si, of which half of it is a part")
+    for key, values in zip(BACKLASH, (width, width_sigma), strict=True):
+        if (width or width_sigma) and len(values) != len(cov):
+            joints = f"{len(cov)} value{'s' * (len(cov) != 1)}"
+            raise SchemaError(f"{key.name}: needs a list of {joints}, one a joint, has {len(values)}")
+    for j, b in enumerate(width):
+        if 0.25 * b**2 > cov[j][j] * (1.0 + 1e-9):
+            raise SchemaError(f"joint {j + 1} has a sigma of less than half its backlash, which is a part of it")
+    return noise
+
+
+def _noise(bars: Mapping[str, BarSigma] | None = None, **values: Any) -> NoiseFile:
+    return _checked(NoiseFile(bar_sigma={name: bar.sigma for name, bar in (bars or {}).items()}, **values))
+
+
+def _values(noise: NoiseFile) -> dict[str, Any]:
+    return {**vars(noise), "bars": tuple(BarSigma(*bar) for bar in noise.bar_sigma.items())}
+
+
+BARS = Entries("bar", Table((NAME, Key("sigma", SIZE)), BarSigma, BarSigma._asdict), "bars", by_name)
+NOISE = Table((*JOINT_COVARIANCE, *BACKLASH), _noise, _values, (BARS,))
+
+
 def read_noise(path: Path) -> NoiseFile:
     """Read a noise file. Raises RigError that names the file, the entry and the key."""
     return parse_noise(read_text(path, MAX_BYTES, RigError), str(path))
@@ -45,41 +80,7 @@ def read_noise(path: Path) -> NoiseFile:
 
 def parse_noise(text: str, name: str) -> NoiseFile:
     """Parse the text of a noise file; ``name`` stands for the file in messages."""
-    data = parse_toml(text, name, RigError)
-    check_keys(data, JOINTS | {"bar", *BACKLASH}, name)
-    tables = data.get("bar", [])
-    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
-        raise RigError(f"{name}: bar must be written as [[bar]] entries")
-    sigma: dict[str, float] = {}
-    for i, table in enumerate(tables, start=1):
-        where = f"{name}: [[bar]] {i}"
-        check_keys(table, {"name"} | keys(("sigma",)), where)
-        bar = name_of(table, where)
-        if bar in sigma:
-            raise RigError(f"{where}: the name {bar!r} stands twice")
-        sigma[bar] = positive(length(table, "sigma", where), "sigma", where)
-    cov = joint_cov(data, name)
-    return NoiseFile(cov, sigma, name, *_backlash(data, cov, name))
-
-
-def _backlash(data: Mapping[str, Any], cov: Matrix, name: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Widths and their sigmas, both or neither, one for each joint of ``cov``."""
-    if not any(key in data for key in BACKLASH):
-        return (), ()
-    if not cov:
-        raise RigError(f"{name}: backlash_si needs joint_sigma_rad or joint_cov_si, of which half of it is a part")
-    both = []
-    for key in BACKLASH:
-        values = data.get(key)
-        if not isinstance(values, list) or len(values) != len(cov):
-            raise RigError(f"{name}: {key} must be a list of {len(cov)} numbers, one a joint")
-        both.append(tuple(number(value, key, name) for value in values))
-    width, sigma = both
-    within(min(sigma), 0.0, BACKLASH[1], name)
-    for j, b in enumerate(width):
-        if 0.25 * b**2 > cov[j][j] * (1.0 + 1e-9):
-            raise RigError(f"{name}: joint {j + 1} has a sigma of less than half its backlash, which is a part of it")
-    return width, sigma
+    return replace(read(NOISE, parse_toml(text, name, RigError), name, RigError), name=name)
 
 
 def with_noise(rig: Rig, noise: NoiseFile | None) -> Rig:
@@ -108,18 +109,10 @@ def check_against_rigs(noise: NoiseFile, rigs: Mapping[str, Rig] | Rig) -> None:
 
 def format_noise(noise: NoiseFile, remarks: list[str], prismatic: bool) -> str:
     """The text of a noise file, with remarks as comments at its head. ``prismatic``: some joint slides."""
-    lines = [FIRST_LINE, *(f"# {remark}" for remark in remarks), ""]
-    if noise.joint_cov and prismatic:
-        lines.append(f"joint_cov_si = {matrix_text(noise.joint_cov)}")
-    elif noise.joint_cov:
-        lines.append(
-            f"joint_sigma_rad = {numbers([noise.joint_cov[i][i] ** 0.5 for i in range(len(noise.joint_cov))])}"
-        )
-    if noise.backlash:
-        lines += [f"backlash_si = {numbers(noise.backlash)}", f"backlash_sigma_si = {numbers(noise.backlash_sigma)}"]
-    for bar, sigma in noise.bar_sigma.items():
-        lines += ["", "[[bar]]", f"name = {json.dumps(bar)}", f"sigma_m = {sigma!r}"]
-    return "\n".join(lines) + "\n"
+    head = "".join(f"{line}\n" for line in [FIRST_LINE, *(f"# {remark}" for remark in remarks), ""])
+    covariance, sigmas = JOINT_COVARIANCE
+    keys = (covariance if prismatic else sigmas, *BACKLASH)
+    return head + replace(NOISE, keys=keys).format(noise)
 
 
 def looks_like_noise(head: bytes) -> bool:
