@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from math import isfinite
 from typing import Any
 
-MM, MRAD, UM, S = (1e3, "mm"), (1e3, "mrad"), (1e6, "µm"), (1.0, "s")
+from truearm.units import MM, MRAD, MS, UM, S, Scale
 
 
 def lines(document: Mapping[str, Any], name: str) -> Iterator[str]:
@@ -17,7 +17,7 @@ def lines(document: Mapping[str, Any], name: str) -> Iterator[str]:
         f"bar {document['bar']} (in brackets: intervals of 95 %)"
     )
     yield ""
-    yield f"repeatability, one side    {_range(of['along_m'], MM)} along the bar, one sigma; three are {3e3 * of['along_m']['value']:.3f} mm"
+    yield f"repeatability, one side    {_range(of['along_m'], MM)} along the bar, one sigma; three are {MM.text(3.0 * of['along_m']['value'], '.3f')}"
     yield f"  less what readings show  {_range(of['unexplained_m'], MM)}"
     yield ""
     yield f"{'joint':16} {'backlash/mrad':>24} {'readings differ/mrad':>24} {'spread/mrad':>22} {'S_q/mrad':>20}"
@@ -35,14 +35,14 @@ def lines(document: Mapping[str, Any], name: str) -> Iterator[str]:
     for band in settling["bands"]:
         if band["visits"]:
             yield (
-                f"settled within {1e3 * band['within_m']:g} mm after {_range(band['median_s'], S)} in the middle, "
+                f"settled within {MM.text(band['within_m'])} after {_range(band['median_s'], S)} in the middle, "
                 f"{_range(band['share_95_s'], S)} in 95 of 100; {band['visits']} visits"
             )
     own = settling["dwells_begin_s"]
     yield f"dwells begin {own['median']:.2f} s after the joints stand, {own['largest']:.2f} s at most"
     yield from _noise(document)
     yield ""
-    declared = 1e3 * noise["declared_bar_sigma_m"]
+    declared = MM.of(noise["declared_bar_sigma_m"])
     yield f"for identify: sigma of bar {document['bar']} {_range(noise['bar_sigma_m'], MM)}, declared {declared:.3f}; S_q as above"
 
 
@@ -59,24 +59,24 @@ def _noise(document: Mapping[str, Any]) -> Iterator[str]:
     sensor, readings = document["sensor"], document["readings"]
     worst = max(readings, key=lambda one: one["reading_si"]["value"])
     yield (
-        f"joint readings: noise {_range(worst['reading_si'], MRAD)}, step {1e3 * worst['step_si']:.3g} mrad at the noisiest joint; "
-        f"of a dwell's mean {_range(worst['mean_si'], MRAD)} and {1e3 * worst['rounding_si']:.2g} mrad by the step"
+        f"joint readings: noise {_range(worst['reading_si'], MRAD)}, step {MRAD.text(worst['step_si'], '.3g')} at the noisiest joint; "
+        f"of a dwell's mean {_range(worst['mean_si'], MRAD)} and {MRAD.text(worst['rounding_si'], '.2g')} by the step"
     )
     yield (
-        f"sensor: a sample {_range(sensor['sample_m'], UM)} every {1e3 * sensor['period_s']:.3g} ms, independent after "
-        f"{_range(sensor['independent_after_s'], (1e3, 'ms'))}"
+        f"sensor: a sample {_range(sensor['sample_m'], UM)} every {MS.text(sensor['period_s'], '.3g')}, independent after "
+        f"{_range(sensor['independent_after_s'], MS)}"
     )
     if sensor["floor"] is not None:
         yield f"  Allan deviation least {_range(sensor['floor'], UM)} in means over {sensor['floor']['tau_s']:.2g} s"
 
 
-def _range(interval: Mapping[str, float], scale: tuple[float, str], unit: bool = True) -> str:
+def _range(interval: Mapping[str, float], scale: Scale, unit: bool = True) -> str:
     """A figure and its interval in some unit; '-' where nothing is known."""
-    value, low, high = (scale[0] * interval[key] for key in ("value", "low", "high"))
+    value, low, high = (scale.of(interval[key]) for key in ("value", "low", "high"))
     if not isfinite(value):
         return "-"
     upper = _digits(high) if isfinite(high) else "…"
-    return f"{_digits(value)} ({_digits(low)} to {upper})" + (f" {scale[1]}" if unit else "")
+    return f"{_digits(value)} ({_digits(low)} to {upper})" + (f" {scale.symbol}" if unit else "")
 
 
 def _digits(value: float) -> str:

@@ -15,13 +15,12 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from truearm.report.words import kind_name, proposal, time_offset
+from truearm.report.words import drawing, kind_name, proposal, time_offset
 from truearm.text import one_line
+from truearm.units import UNITS, number
 
 Document = Mapping[str, Any]
 
-# unit, factor, decimals
-BORDER = {"m": ("mm", 1e3, 4), "rad": ("deg", 180.0 / math.pi, 5), "1": ("", 1.0, 6), "s": ("ms", 1e3, 4)}
 MAX_DIRECTIONS = 6
 MAX_TERMS = 4
 SMALLEST_WEIGHT = 0.005  # below it "0.00" would be shown
@@ -114,15 +113,15 @@ def _parameter_table(document: Document) -> Table:
 
 def parameter_cells(parameter: Mapping[str, Any]) -> tuple[str, ...]:
     """Name, nominal, value, change, sigma and unit of a parameter as text, in mm, deg or 1."""
-    unit, factor, decimals = BORDER[parameter["unit"]]
+    unit = UNITS[parameter["unit"]]
     nominal, value, sigma = (parameter[key] for key in ("nominal", "value", "sigma"))
     if parameter["unit"] == "s" and sigma is None:
         value = None  # a time offset that is not seen may be anything
     change = value - nominal if None not in (nominal, value) else None
-    numbers = [f"{factor * v:.{decimals}f}" if v is not None else "-" for v in (nominal, value)]
-    numbers.append(f"{factor * change:+.{decimals}f}" if change is not None else "-")
-    numbers.append(f"{factor * sigma:.2g}" if sigma is not None else "not seen")
-    return (one_line(parameter["name"]), *numbers, unit)
+    numbers = ["-" if v is None else number(v, unit.si) for v in (nominal, value)]
+    numbers.append("-" if change is None else f"{unit.scale.of(change):+.{unit.decimals}f}")
+    numbers.append("not seen" if sigma is None else f"{unit.scale.of(sigma):.2g}")
+    return (one_line(parameter["name"]), *numbers, unit.symbol)
 
 
 def unseen(document: Document) -> list[str]:
@@ -140,7 +139,7 @@ def unseen(document: Document) -> list[str]:
         what = _counted(weak, "combination")
         lines.append(
             f"{what} of parameters {'is' if what[:2] == '1 ' else 'are'} hardly seen, less well than a drawing tells "
-            "(1 mm, 5 mrad, 0.001 of a gain; 1 ms):"
+            f"({drawing()}):"
         )
         lines += _directions(weak, "hardly_seen")
     return lines

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from truearm.text import one_line
+from truearm.units import MM_S, NS, ONE, UM, URAD, US, Scale
 
 DWELLS = 24  # listed one by one
 LOSSES = (
@@ -123,13 +124,13 @@ def _clock(reports: list[Mapping[str, Any]]) -> Iterator[str]:
     for report in reports:
         yield (
             f"clock, segment {report['segment']}: {report['exchanges']} exchanges ({report['rejected']} rejected) in "
-            f"{report['windows']} windows; host − device {1e-9 * report['offset_ns']:.6f} s, {report['rate_ppm']:+.3f} ppm "
+            f"{report['windows']} windows; host − device {NS.to_si(report['offset_ns']):.6f} s, {report['rate_ppm']:+.3f} ppm "
             f"(range {report['rate_range_ppm']:.3f})"
         )
         yield (
-            f"  error at most {1e-3 * report['bound_ns']:.1f} µs, of which ±{1e-3 * report['half_asymmetry_ns']:.1f} µs no "
-            f"exchange can show; spread {_number(report['spread_ns'], '.2f', 1e-3)} µs; round trip "
-            f"{1e-3 * report['rtt_min_ns']:.1f} µs at least, median {1e-3 * report['rtt_median_ns']:.1f}"
+            f"  error at most {_of_ns(report['bound_ns'], '.1f')} µs, of which ±{_of_ns(report['half_asymmetry_ns'], '.1f')} µs no "
+            f"exchange can show; spread {_of_ns(report['spread_ns'], '.2f')} µs; round trip "
+            f"{_of_ns(report['rtt_min_ns'], '.1f')} µs at least, median {_of_ns(report['rtt_median_ns'], '.1f')}"
         )
 
 
@@ -152,8 +153,8 @@ def _robot(robot: Mapping[str, Any], added: Mapping[str, str]) -> Iterator[str]:
     for report in robot["clock"]:
         yield from _edges(report["edges"])
         yield (
-            f"  clock: {report['rate_ppm']:+.3f} ppm, spread {_number(report['spread_ns'], '.1f', 1e-3)} µs, arrivals "
-            f"{1e-3 * report['jitter_ns']:.0f} µs above the fastest on average; a constant latency cannot be seen"
+            f"  clock: {report['rate_ppm']:+.3f} ppm, spread {_of_ns(report['spread_ns'], '.1f')} µs, arrivals "
+            f"{_of_ns(report['jitter_ns'], '.0f')} µs above the fastest on average; a constant latency cannot be seen"
         )
 
 
@@ -176,8 +177,8 @@ def _edges(edges: Mapping[str, Any] | None) -> Iterator[str]:
         return
     use = "in use" if edges["in_use"] else "not in use, arrivals tell more"
     yield (
-        f"  trigger on input {edges['input']} ({use}): {counts}; error at most {1e-3 * edges['bound_ns']:.0f} µs, the delay of the input beside; "
-        f"the link's shortest latency is {1e-3 * edges['shortest_latency_ns']:.0f} µs"
+        f"  trigger on input {edges['input']} ({use}): {counts}; error at most {_of_ns(edges['bound_ns'], '.0f')} µs, the delay of the input beside; "
+        f"the link's shortest latency is {_of_ns(edges['shortest_latency_ns'], '.0f')} µs"
     )
 
 
@@ -220,8 +221,8 @@ def _passes(passes: Mapping[str, Any]) -> Iterator[str]:
         late_s = max(row["time_sigma_s"] for row in good)
         off_m = max(row["time_sigma_s"] * row["speed_m_s"] for row in good)
         yield (
-            f"  points are windows of {max(row['window_s'] for row in good):.2f} s; their time is known to {1e6 * late_s:.0f} µs, "
-            f"{1e6 * off_m:.0f} µm at their speed, but for a constant delay, which identify finds of lines there and back"
+            f"  points are windows of {max(row['window_s'] for row in good):.2f} s; their time is known to {US.text(late_s, '.0f')}, "
+            f"{UM.text(off_m, '.0f')} at their speed, but for a constant delay, which identify finds of lines there and back"
         )
     yield f"  {'pass':>6} {'t robot/s':>10} {'mm/s':>7} {'points':>6} {'noise x, y, z/µm':>17} {'joints/µrad':>11}  line"
     shown = passes["table"] if len(passes["table"]) <= DWELLS else [row for row in passes["table"] if row["reason"]]
@@ -232,13 +233,13 @@ def _passes(passes: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _pass_line(row: Mapping[str, Any]) -> str:
-    noise = " ".join(_number(value, ".1f", 1e6) for value in row["noise_m"])
-    joints = _number(max(row["joint_noise"], default=None), ".1f", 1e6)
+    noise = " ".join(_number(value, ".1f", UM) for value in row["noise_m"])
+    joints = _number(max(row["joint_noise"], default=None), ".1f", URAD)
     way = {1: ", up", -1: ", down"}.get(row["direction"], "")
     dropped = "".join(f", {count} points not made: {reason}" for reason, count in row["dropped"].items())
     became = f", {row['reason']}" if row["reason"] else ""
     return (
-        f"  {row['pass']:>6} {row['t_robot_s']:>10.1f} {_number(row['speed_m_s'], '.1f', 1e3):>7} {row['points']:>6} {noise:>17} "
+        f"  {row['pass']:>6} {row['t_robot_s']:>10.1f} {_number(row['speed_m_s'], '.1f', MM_S):>7} {row['points']:>6} {noise:>17} "
         f"{joints:>11}  {one_line(row['line'])}{way}{became}{dropped}"
     )
 
@@ -271,5 +272,10 @@ def _explained(reason: str, planned: bool) -> str:
     return " (there is no plan, and nothing says which bar, chuck and sphere were mounted; see record --help)"
 
 
-def _number(value: float | None, form: str, factor: float = 1.0) -> str:
-    return "-" if value is None else format(factor * value, form)
+def _number(value: float | None, form: str, scale: Scale = ONE) -> str:
+    return "-" if value is None else format(scale.of(value), form)
+
+
+def _of_ns(time_ns: float | None, form: str) -> str:
+    """In µs."""
+    return _number(None if time_ns is None else NS.to_si(time_ns), form, US)

@@ -8,7 +8,8 @@ from typing import Any
 
 import typer
 
-from truearm.cli.identify_text import BORDER, MAX_TERMS
+from truearm.cli.identify_text import MAX_TERMS
+from truearm.units import UNITS
 
 
 def show(document: Mapping[str, Any], as_json: bool) -> None:
@@ -82,6 +83,5 @@ def _region(document: Mapping[str, Any]) -> list[str]:
 
 
 def _in_words(parameter: Mapping[str, Any]) -> str:
-    unit, factor, _ = BORDER[parameter["unit"]]
     sigma = parameter["sigma"]
-    return "not seen" if sigma is None else f"± {factor * sigma:.2g} {unit}".rstrip()
+    return "not seen" if sigma is None else f"± {UNITS[parameter['unit']].scale.text(sigma, '.2g')}"

@@ -15,6 +15,7 @@ from truearm.report.calibration_page import POLICY
 from truearm.report.page_tables import fact_list
 from truearm.report.page_text import escape, figures, number
 from truearm.types import Floats
+from truearm.units import MM, UM
 
 MARK = "<!-- truearm box gauge -->"  # by which a page of ours is known
 
@@ -70,13 +71,13 @@ _ORDER_CAPTION = (
 
 
 def _residuals(page: GaugePage) -> str:
-    x, y = 1e3 * page.reference, 1e6 * page.residual
-    reach = 1.05 * max(float(np.abs(y).max()), 2e6 * page.sigma, 1e-3)
+    x, y, two_sigma = MM.of(page.reference), UM.of(page.residual), UM.of(2.0 * page.sigma)
+    reach = 1.05 * max(float(np.abs(y).max()), two_sigma, 1e-3)
     plot = svg.Plot(
         svg.linear_axis("reference [mm]", x.min(), x.max()), svg.linear_axis("residual [µm]", -reach, reach)
     )
     parts = [svg.axes(plot)]
-    for at in (-2e6 * page.sigma, 2e6 * page.sigma):
+    for at in (-two_sigma, two_sigma):
         parts.append(svg.line(plot, [plot.x.low, plot.x.high], [at, at], "old line"))
     tips = [f"{figures(a, 6)} mm: {number(b, 2, sign=True)} µm" for a, b in zip(x, y, strict=True)]
     parts += [
@@ -88,7 +89,7 @@ def _residuals(page: GaugePage) -> str:
 
 
 def _orders(page: GaugePage) -> str:
-    error = 1e6 * page.press
+    error = UM.of(page.press)
     plot = svg.Plot(
         svg.linear_axis("order of the polynomial", page.orders[0], page.orders[-1], 1.0),
         svg.log_axis("RMS [µm]", error),
@@ -115,8 +116,8 @@ def _table(page: GaugePage) -> str:
     columns = (page.reference, page.reading, page.noise, page.residual, page.left_out)
     rows = []
     for place, (y, x, noise, residual, left_out) in enumerate(zip(*columns, strict=True), 1):
-        cells = (number(1e3 * y, 4), figures(x, 8), figures(noise, 2))
-        errors = (number(1e6 * residual, 2, sign=True), number(1e6 * left_out, 2, sign=True))
+        cells = (number(MM.of(y), 4), figures(x, 8), figures(noise, 2))
+        errors = (number(UM.of(residual), 2, sign=True), number(UM.of(left_out), 2, sign=True))
         rows.append(f'<tr><th scope="row">{place}</th>{"".join(f"<td>{cell}</td>" for cell in (*cells, *errors))}</tr>')
     table = f'<table class="plain"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
     return f'<div class="scroll" tabindex="0" role="region" aria-label="places">{table}</div>'

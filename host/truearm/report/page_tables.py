@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from truearm.report.page_text import ABSENT, BORDER, counted, escape, figures, number
+from truearm.report.page_text import ABSENT, counted, escape, figures, number
+from truearm.report.words import drawing
 from truearm.types import Estimate, NullDirection
+from truearm.units import UNITS
 
 MAX_DIRECTIONS = 40
 MAX_TERMS = 6
@@ -23,20 +25,20 @@ def parameter_table(estimate: Estimate, which: range) -> str:
 
 
 def _parameter_row(estimate: Estimate, i: int) -> str:
-    unit, factor, decimals = BORDER.get(estimate.units[i], (estimate.units[i], 1.0, 6))
-    nominal, value, sigma = (factor * float(v[i]) for v in (estimate.nominal, estimate.value, estimate.sigma))
+    unit = UNITS[estimate.units[i]]
+    nominal, value, sigma = (unit.factor * float(v[i]) for v in (estimate.nominal, estimate.value, estimate.sigma))
     free, seen = bool(estimate.free[i]), bool(estimate.free[i] and estimate.identifiable[i])
     said = free and (seen or estimate.units[i] != "s")  # a time offset that is not seen may be anything
     cells = [
-        number(nominal, decimals),
-        number(value, decimals) if said else ABSENT,
-        number(value - nominal, decimals, sign=True) if said else ABSENT,
-        _sigma(sigma, decimals) if seen else ABSENT,
+        number(nominal, unit.decimals),
+        number(value, unit.decimals) if said else ABSENT,
+        number(value - nominal, unit.decimals, sign=True) if said else ABSENT,
+        _sigma(sigma, unit.decimals) if seen else ABSENT,
     ]
     first = i > 0 and _owner(estimate.parameter_names[i]) != _owner(estimate.parameter_names[i - 1])
     css, note = ("", "") if seen else ("unseen", "not seen alone") if free else ("held", "held fixed")
     numbers = "".join(f"<td>{cell}</td>" for cell in cells)
-    rest = f'<td class="unit">{escape(unit)}</td><td class="note">{note}</td>'
+    rest = f'<td class="unit">{unit.symbol or unit.si}</td><td class="note">{note}</td>'
     name = f'<th scope="row">{escape(estimate.parameter_names[i])}</th>'
     return f'<tr class="{css}{" first" if first else ""}">{name}{numbers}{rest}</tr>'
 
@@ -82,7 +84,7 @@ def _hardly(directions: Sequence[NullDirection]) -> str:
     one = len(directions) == 1
     words = (
         f"{counted(len(directions), 'combination')} of parameters {'is' if one else 'are'} hardly seen: by the observations "
-        f"alone less well than a drawing tells {'it' if one else 'them'} (1 mm, 5 mrad, 0.001 of a gain; 1 ms)."
+        f"alone less well than a drawing tells {'it' if one else 'them'} ({drawing()})."
     )
     return f"<p>{words}</p>" + _directions(directions, "by itself")
 

@@ -5,12 +5,8 @@ from __future__ import annotations
 import html
 import math
 
-BORDER = {
-    "m": ("mm", 1e3, 4),
-    "rad": ("deg", 180.0 / math.pi, 5),
-    "1": ("1", 1.0, 6),
-    "s": ("ms", 1e3, 4),
-}  # unit, factor, decimals
+from truearm.units import MM
+
 ABSENT = "–"
 MINUS = "\u2212"
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -49,7 +45,7 @@ def figures(value: float, count: int = 3) -> str:
 
 def millimetres(metres: float, count: int = 3) -> str:
     """A length as millimetres with ``count`` significant figures, without the unit."""
-    return figures(1e3 * metres, count)
+    return figures(MM.of(metres), count)
 
 
 def counted(count: int, one: str, many: str = "") -> str:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from truearm.units import MM, MRAD, MS, ONE, UNITS
+
 
 class Kind(NamedTuple):
     """A kind of observation in words: its name, what its residual is, and what its groups are."""
@@ -49,9 +51,15 @@ def time_offset(name: str, value_s: float | None, sigma_s: float | None) -> str:
         )
     late = "late" if value_s >= 0.0 else "early"
     return (
-        f"{name}: the joint readings are {1e3 * abs(value_s):.3f} ms {late} ({1e3 * sigma_s:.2g} ms); the links' shortest "
+        f"{name}: the joint readings are {MS.text(abs(value_s), '.3f')} {late} ({MS.text(sigma_s, '.2g')}); the links' shortest "
         "latencies are part of it."
     )
+
+
+def drawing() -> str:
+    """What a maker's drawing says of a parameter: the steps in which a parameter counts as hardly seen."""
+    sigma = {si: unit.weak_sigma for si, unit in UNITS.items()}
+    return f"{MM.text(sigma['m'])}, {MRAD.text(sigma['rad'])}, {ONE.text(sigma['1'])} of a gain; {MS.text(sigma['s'])}"
 
 
 def kind_name(kind: str) -> str:

@@ -10,12 +10,13 @@ import numpy as np
 
 from truearm.report import svg
 from truearm.report.figures import Figure, by_longitude, convergence, histogram
-from truearm.report.page_text import BORDER, figures, number
+from truearm.report.page_text import figures, number
 from truearm.report.reproduce_page import Chapter, Claim, Table
 from truearm.report.residual_rows import rows_by_kind
 from truearm.reproduce import goswami
 from truearm.reproduce.goswami import NOISE, Bench, Errors
 from truearm.types import Estimate, Floats
+from truearm.units import UNITS
 
 TITLE = "Ball-bar calibration of a PUMA 560"
 SOURCE = (
@@ -280,18 +281,18 @@ def _table_two(made: Bench, estimate: Estimate) -> Chapter:
     design, truth = made.robot.parameter_sets["design"], made.truth
     rows = []
     for i in range(p):
-        unit, factor, decimals = BORDER[estimate.units[i]]
+        unit = UNITS[estimate.units[i]]
         held = not estimate.free[i]
         apart = (estimate.value[i] - truth[i]) / estimate.sigma[i] if not held else np.nan
         rows.append(
             (
                 estimate.parameter_names[i],
-                number(factor * float(design[i]), decimals),
-                number(factor * float(truth[i]), decimals),
-                "held fixed" if held else number(factor * float(estimate.value[i]), decimals),
-                "" if held else figures(factor * float(estimate.sigma[i]), 2),
+                number(unit.scale.of(float(design[i])), unit.decimals),
+                number(unit.scale.of(float(truth[i])), unit.decimals),
+                "held fixed" if held else number(unit.scale.of(float(estimate.value[i])), unit.decimals),
+                "" if held else figures(unit.scale.of(float(estimate.sigma[i])), 2),
                 "" if held else number(float(apart), 2, sign=True),
-                unit,
+                unit.symbol or unit.si,
             )
         )
     error = (estimate.value - truth)[estimate.free] / estimate.sigma[estimate.free]
