@@ -22,7 +22,7 @@ ROOMS = {
     "session": set(),
     "files": {"kinds", "model"},
     "record": {"files", "session"},
-    "report": set(),
+    "report": {"estimate"},  # the registry of solvers and losses, which says what they do
     "box": {"files", "record", "report", "session"},
     "live": {"box", "record", "session"},
     "reproduce": {"estimate", "kinds", "model", "report"},

@@ -8,9 +8,7 @@ from pathlib import Path
 import pytest
 from command_line import Outcome, Run, process, told
 
-from truearm.cli.identify import Loss, Solver
-from truearm.estimate.identify import SOLVERS
-from truearm.estimate.robust import LOSSES
+from truearm.estimate.solvers import LOSSES, SOLVERS
 from truearm.model.builtin import builtin_names
 
 HEADER = "kind,q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad,length_mm,bar,chuck,sphere"
@@ -87,11 +85,8 @@ def test_help_and_version_and_no_command_are_no_errors(run: Run) -> None:
 
 
 def test_help_names_what_there_is(run: Run) -> None:
-    """The names are written out in the command, since --help must not import what knows them."""
     words = set(re.findall(r"[\w-]+", run("identify", "--help").out))
     assert {*builtin_names(), *SOLVERS, *LOSSES} <= words
-    assert [s.value for s in Solver] == list(SOLVERS)
-    assert [loss.value for loss in Loss] == list(LOSSES)
 
 
 def test_help_imports_nothing_slow() -> None:

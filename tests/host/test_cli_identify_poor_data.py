@@ -22,7 +22,7 @@ from puma_bench import (
 )
 
 from truearm.cli import main as cli
-from truearm.cli.identify import Solver
+from truearm.estimate.solvers import SOLVERS
 from truearm.files.observation_table import write_table
 from truearm.files.rig_file import write_rig
 
@@ -101,7 +101,7 @@ def test_collinear_chucks(identified):
     assert result["chi2_band"][0] < result["chi2_reduced"] < result["chi2_band"][1]
 
 
-@pytest.mark.parametrize("solver", [s.value for s in Solver])
+@pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("n", [1, 12])
 def test_too_few_observations(identified, n, solver):
     rows = random_table(n, np.random.default_rng(4), SIGMA)
@@ -118,7 +118,7 @@ def test_too_few_observations_under_a_prior_are_judged_by_what_is_left(identifie
     assert 0.0 < result["chi2_freedom"] < 12.0
 
 
-@pytest.mark.parametrize("solver", [s.value for s in Solver])
+@pytest.mark.parametrize("solver", SOLVERS)
 def test_all_poses_alike(identified, solver):
     """Six numbers place the end, and no more is seen, however often it is measured."""
     rows = random_table(90, np.random.default_rng(5), SIGMA)

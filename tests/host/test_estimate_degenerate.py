@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from puma_bench import CHAIN, FREE, RIG, SIGMA, random_table
 
-from truearm.estimate.identify import SOLVERS, identify
+from truearm.estimate.identify import identify
+from truearm.estimate.solvers import SOLVERS
 from truearm.types import Point, Rig
 
 

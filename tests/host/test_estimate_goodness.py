@@ -10,9 +10,10 @@ import pytest
 from puma_bench import CHAIN, FREE, RIG, SIGMA, random_table
 from scipy import stats
 
-from truearm.estimate.identify import SOLVERS, identify
+from truearm.estimate.identify import identify
 from truearm.estimate.information import fold, half, spectrum
 from truearm.estimate.prior import weak_prior
+from truearm.estimate.solvers import SOLVERS
 from truearm.estimate.uncertainty import goodness, prior_shares
 
 DRAWS = 20_000

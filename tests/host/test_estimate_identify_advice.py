@@ -25,7 +25,8 @@ from puma_bench import (
     table,
 )
 
-from truearm.estimate.identify import SOLVERS, identify
+from truearm.estimate.identify import identify
+from truearm.estimate.solvers import SOLVERS
 from truearm.types import Rig
 
 

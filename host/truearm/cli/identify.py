@@ -10,7 +10,8 @@ from typing import Annotated
 
 import typer
 
-from truearm.cli.options import ROBOT_HELP, rigs_of, warn
+from truearm.cli.options import ROBOT_HELP, choices, one_of, rigs_of, warn
+from truearm.estimate.solvers import LOSSES, SOLVERS, with_loss
 
 
 class Prior(StrEnum):
@@ -19,24 +20,6 @@ class Prior(StrEnum):
     none = "none"
     weak = "weak"
     wide = "wide"
-
-
-class Solver(StrEnum):
-    """Names of ``estimate.identify.SOLVERS``, which --help must not import."""
-
-    lm = "lm"
-    map = "map"
-    recursive = "recursive"
-    renders_1991 = "renders-1991"
-    ls = "ls"
-
-
-class Loss(StrEnum):
-    """Names of ``estimate.robust.LOSSES``."""
-
-    linear = "linear"
-    huber = "huber"
-    cauchy = "cauchy"
 
 
 def identify(
@@ -106,15 +89,21 @@ def identify(
         ),
     ] = None,
     solver: Annotated[
-        Solver,
+        str,
         typer.Option(
-            help="lm: Levenberg-Marquardt. map: maximum a posteriori. recursive: row by row, leaves faulty rows out. "
-            "ls, renders-1991: to compare with."
+            metavar=choices(SOLVERS),
+            callback=one_of(SOLVERS),
+            help=". ".join(f"{name}: {entry.summary}" for name, entry in SOLVERS.items()) + ".",
         ),
-    ] = Solver.lm,
+    ] = "lm",
     loss: Annotated[
-        Loss, typer.Option(help="huber and cauchy bear faulty rows; with the solvers lm and map.")
-    ] = Loss.linear,
+        str,
+        typer.Option(
+            metavar=choices(LOSSES),
+            callback=one_of(LOSSES),
+            help=f"huber and cauchy tolerate outliers; with the solvers {' and '.join(with_loss())}.",
+        ),
+    ] = "linear",
     max_iterations: Annotated[
         int, typer.Option(min=1, max=10_000, metavar="N", help="Stop there, converged or not.")
     ] = 50,
@@ -166,8 +155,8 @@ def identify(
         also_free=tuple(also_free or ()),
         freeze=tuple(freeze or ()),
         prior=None if prior is None else prior.value,
-        solver=solver.value,
-        loss=loss.value,
+        solver=solver,
+        loss=loss,
         max_iterations=max_iterations,
         seed=seed,
     )

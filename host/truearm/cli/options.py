@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Annotated
 
@@ -52,3 +53,19 @@ def rigs_of(given: list[str] | None) -> dict[str, Path]:
     if "" in files and len(files) > 1:
         raise InputError(f"--rig {files['']}: several rigs need names, --rig NAME=FILE")
     return files
+
+
+def one_of(names: Collection[str]) -> Callable[[str], str]:
+    """Return what checks an option against the names of a registry. It raises typer.BadParameter for another name."""
+
+    def checked(text: str) -> str:
+        if text not in names:
+            raise typer.BadParameter(f"{text!r} is not one of {', '.join(names)}")
+        return text
+
+    return checked
+
+
+def choices(names: Collection[str]) -> str:
+    """Return the names of a registry as ``--help`` shows the values of an option."""
+    return f"[{'|'.join(names)}]"

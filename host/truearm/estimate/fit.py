@@ -22,7 +22,9 @@ from truearm.estimate.whitened_rows import observe_robustly
 from truearm.types import Floats
 
 
-def fit(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Options, damping: float) -> Solution:
+def fit(
+    problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Options, damping: float = lm.DAMPING_START
+) -> Solution:
     """Minimise from x (P,) over x[columns], beginning with ``damping``; the prior's mean is the problem's start."""
     part, iterations, prior = x[columns], 0, problem.prior_sigma[columns]
     for loss in STAGES[options.loss]:
@@ -49,6 +51,11 @@ def fit(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Option
     claimed = sandwich(data.root, prior, moments, data.n_residuals)
     information = with_prior(data, *prior_error(problem, columns, x))
     return Solution(x, minimum.status, message, iterations, information, claimed, weights, prior)
+
+
+def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Options) -> Solution:
+    """The solver ``lm``: minimise over x[columns] from x (P,), damped from the first step on."""
+    return fit(problem, columns, x, options)
 
 
 def _counted(before: int, options: Options) -> Callable[[int, Information], None]:

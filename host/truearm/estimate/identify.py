@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
-from truearm.estimate import ls, recursive, renders1991
-from truearm.estimate import map as map_
 from truearm.estimate.fit import fit
 from truearm.estimate.further_measurements import additions
 from truearm.estimate.identifiability import (
@@ -24,11 +22,11 @@ from truearm.estimate.identifiability import (
 )
 from truearm.estimate.information import Information, half, observe, spectrum, with_prior
 from truearm.estimate.label_search import relabellings
-from truearm.estimate.lm import DAMPING_START
 from truearm.estimate.prior import weak_prior
 from truearm.estimate.problem import Problem, Rigs, build_problem, settled
-from truearm.estimate.robust import LOSSES
-from truearm.estimate.solution import Options, Solution, Solver, of_data
+from truearm.estimate.solution import Options, Solution, of_data
+from truearm.estimate.solvers import LOSSES, SOLVERS, with_loss
+from truearm.estimate.solvers import solver as solver_of
 from truearm.estimate.uncertainty import goodness, prior_shares
 from truearm.estimate.validation import has_freedom
 from truearm.estimate.whitened_rows import only, standardised
@@ -37,15 +35,6 @@ from truearm.model.chain import Chain
 from truearm.types import Estimate, Floats, HeldOut, NullDirection, ObservationTable
 from truearm.units import UNITS
 
-SOLVERS: Mapping[str, Solver] = {
-    "lm": lambda problem, columns, x, options: fit(problem, columns, x, options, DAMPING_START),
-    "map": map_.solve,
-    "recursive": recursive.solve,
-    "renders-1991": renders1991.solve,
-    "ls": ls.solve,
-}
-WITH_LOSS = ("lm", "map")
-FROM_RIG = ("lm",)  # begins with the rig fitted to the nominal robot
 TIME_OFFSET = "time_offset"
 DAMPINGS = ("scaled", "plain")
 Progress = Callable[[int, float], None]  # iteration, RMS of the residuals [m]
@@ -100,7 +89,7 @@ def identify(
     x_before, before = _before(problem, max_iterations)
     options = Options(max_iterations, loss, damping == "plain", on_step)
     # To find the robot and a far-off rig at once is a curved valley; from a rig that has a prior the mode is nearer (decision 19).
-    found = SOLVERS[solver](problem, columns, x_before if solver in FROM_RIG else problem.start, options)
+    found = solver_of(solver)(problem, columns, x_before if SOLVERS[solver].starts_from_rig else problem.start, options)
     x, information = found.x, found.information
     parts = spectrum(information.root)
     fit_quality = goodness(*of_data(problem, columns, found), prior_shares(half(parts), found.prior_sigma))
@@ -175,8 +164,8 @@ def _check_choice(solver: str, loss: str, damping: str) -> None:
     for what, given, known in (("solver", solver, SOLVERS), ("loss", loss, LOSSES), ("damping", damping, DAMPINGS)):
         if given not in known:
             raise ProblemError(f"{what} {given!r} is not known; use {', '.join(known)}")
-    if loss != "linear" and solver not in WITH_LOSS:
-        raise ProblemError(f"solver {solver} has no robust loss; use {' or '.join(WITH_LOSS)}, or loss linear")
+    if loss != "linear" and not SOLVERS[solver].has_loss:
+        raise ProblemError(f"solver {solver} has no robust loss; use {' or '.join(with_loss())}, or loss linear")
     if damping != "scaled" and solver != "lm":
         raise ProblemError(f"solver {solver} has no damping to choose; use lm")
 
@@ -191,7 +180,7 @@ def _before(problem: Problem, max_iterations: int) -> tuple[Floats, Floats]:
     if not rig_only.any():
         return problem.start, observe(problem, problem.start, rig_only).residual
     # The nominal robot's errors are no faults of rows: no gate and no robust loss.
-    found = fit(problem, rig_only, problem.start, Options(max_iterations), DAMPING_START)
+    found = fit(problem, rig_only, problem.start, Options(max_iterations))
     return found.x, found.information.residual
 
 
@@ -216,7 +205,7 @@ def _judge(
     known = dict(zip(fitted.names, x_fit, strict=True))
     columns = np.array([name not in known for name in problem.names])
     x = np.array([known.get(name, value) for name, value in zip(problem.names, problem.start, strict=True)])
-    solution = fit(problem, columns, x, Options(), DAMPING_START)
+    solution = fit(problem, columns, x, Options())
     error, x = solution.information.residual, solution.x
     judging = has_freedom(problem, columns, x)
     if not judging.any():

@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 
 from truearm.estimate.fit import fit
 from truearm.estimate.information import observe
-from truearm.estimate.lm import DAMPING_START
 from truearm.estimate.problem import Rigs, build_problem
 from truearm.estimate.solution import Options
 from truearm.model.chain import Chain
@@ -82,7 +81,7 @@ def relabellings(
     def fitted(these: ObservationTable) -> tuple[float, Floats]:
         problem = build_problem(chain, rig, these, prior_sigma)
         columns = np.concatenate([free, np.ones(len(problem.names) - free.size, dtype=bool)])
-        found = fit(problem, columns, problem.start, Options(SEARCH_ITERATIONS), DAMPING_START)
+        found = fit(problem, columns, problem.start, Options(SEARCH_ITERATIONS))
         return _rms(found.information.residual), found.x[: free.size]
 
     before, _ = fitted(few)

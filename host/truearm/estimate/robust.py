@@ -30,7 +30,6 @@ from scipy import special
 from truearm.estimate.information import covariance, fold, spectrum
 from truearm.types import Floats
 
-LOSSES = ("linear", "huber", "cauchy")
 TUNING = {"huber": 1.345, "cauchy": 2.385}
 STAGES = {"linear": ("linear",), "huber": ("linear", "huber"), "cauchy": ("linear", "huber", "cauchy")}
 

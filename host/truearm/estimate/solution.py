@@ -17,7 +17,7 @@ class Options(NamedTuple):
     """How to solve; a solver ignores what it has no use for."""
 
     max_iterations: int = 50
-    loss: str = "linear"  # one of robust.LOSSES, for lm and map
+    loss: str = "linear"  # one of solvers.LOSSES, for lm and map
     plain: bool = False  # damp by λI, for lm
     on_step: Callable[[int, Floats], None] | None = None  # hears iteration and residuals (n_rows,) in m
 

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 
+from truearm.estimate.solvers import LOSSES
 from truearm.report.correlation import correlation
 from truearm.report.figures import Figure, convergence, figures_of
 from truearm.report.findings import (
@@ -31,11 +32,6 @@ from truearm.types import Estimate, Floats, HeldOut, ObservationTable, Predicted
 
 CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
 HELD_OUT_DOUBTFUL = 1.5  # held-out RMS over fitted RMS
-LOSSES = {
-    "linear": "linear: every row counts as its σ says",
-    "huber": "huber: rows far from all others count less",
-    "cauchy": "cauchy: rows far from all others hardly count",
-}
 PRIORS = {
     "none": "none",
     "weak": "weak: nominal to 1 mm, 5 mrad, 0.001 of a gain",
@@ -230,7 +226,7 @@ def _making(page: CalibrationPage) -> str:
     e = page.estimate
     facts = [
         ("solver", e.solver),
-        ("loss", LOSSES.get(e.loss, e.loss)),
+        ("loss", f"{e.loss}: {LOSSES[e.loss]}"),
         ("prior of the robot", PRIORS.get(page.prior, page.prior)),
         ("iterations", str(e.iterations)),
         ("status", f"{e.status}: {e.message}" if e.message else e.status),

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from truearm.estimate.fit import fit
 from truearm.estimate.identify import identify
 from truearm.estimate.information import fold, half, observe, seen, spectrum
-from truearm.estimate.lm import DAMPING_START
 from truearm.estimate.problem import Problem, build_problem
 from truearm.estimate.solution import Options
 from truearm.estimate.uncertainty import predicted_error
@@ -187,7 +186,7 @@ def run(made: Bench, noise: float, gear: float, rng: np.random.Generator) -> Err
     problem = build_problem(made.chain, made.rig, table.select(table.bar == NEAR))
     far = build_problem(made.chain, made.rig, table.select(table.bar == FAR))
     free = made.robot.free
-    found = fit(problem, free, problem.start, Options(), DAMPING_START)
+    found = fit(problem, free, problem.start, Options())
     error = found.information.root @ (found.x - made.truth)[free]
     return Errors(
         _rms(found.information.residual),

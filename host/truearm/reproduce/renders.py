@@ -15,10 +15,10 @@ import numpy as np
 
 from truearm.estimate import recursive
 from truearm.estimate.fit import fit
-from truearm.estimate.identify import SOLVERS
 from truearm.estimate.information import covariance, observe, spectrum
 from truearm.estimate.problem import Problem, build_problem
 from truearm.estimate.solution import Options
+from truearm.estimate.solvers import solver as solver_of
 from truearm.estimate.uncertainty import CartesianError, tolerance_error
 from truearm.model.chain import Chain, point_forward, point_jacobians
 from truearm.reproduce.line_bench import ANGLE_SIGMA, Session, line_rig, measured_lines, prior_of
@@ -73,7 +73,7 @@ def case(
     columns = np.array([name in free or name.startswith("line.") for name in problem.names])
     history = [_mean(observe(problem, problem.start, columns).residual)]
     options = Options(runs, on_step=lambda _, residual: history.append(_mean(residual)))
-    found = SOLVERS[solver](problem, columns, problem.start, options)
+    found = solver_of(solver)(problem, columns, problem.start, options)
     judge = build_problem(chain, rig, table.select(last))
     before, after = (_on_other_line(judge, params) for params in (chain.params_nominal, found.x[:p]))
     error = (found.x[:p] - truth)[columns[:p]]

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import InputError
-from truearm.estimate.identify import SOLVERS, WITH_LOSS
 from truearm.estimate.identify import identify as estimate_parameters
 from truearm.estimate.prior import free_without_gains, weak_prior, wide_prior
 from truearm.estimate.problem import Rigs
-from truearm.estimate.robust import LOSSES
+from truearm.estimate.solvers import LOSSES, SOLVERS, with_loss
 from truearm.files.observation_table import looks_like_table, write_table
 from truearm.files.result_file import Input, RobotFrames, document_of, looks_like_result, stored_result, write_result
 from truearm.files.robot_file import RobotChoice, load_robot
@@ -32,7 +31,6 @@ Progress = Callable[[int, float], None]
 
 NO_PRIOR = "none"
 PRIORS: Mapping[str, Callable[[Chain], Floats]] = {"weak": weak_prior, "wide": wide_prior}
-WITHOUT_PRIOR = ("ls",)  # solvers that know none
 
 
 @dataclass(frozen=True)
@@ -147,9 +145,11 @@ def check_options(options: IdentifyOptions) -> None:
     for what, given in (("solver", solver), ("loss", loss), ("prior", prior)):
         if given is not None and given not in known[what]:
             raise InputError(f"--{what} {given!r} is not known; use {', '.join(known[what])}")
-    if loss != "linear" and solver not in WITH_LOSS:
-        raise InputError(f"--loss {loss} goes with the solvers {' and '.join(WITH_LOSS)}; {solver} has no robust loss")
-    if prior in PRIORS and solver in WITHOUT_PRIOR:
+    if loss != "linear" and not SOLVERS[solver].has_loss:
+        raise InputError(
+            f"--loss {loss} goes with the solvers {' and '.join(with_loss())}; {solver} has no robust loss"
+        )
+    if prior in PRIORS and SOLVERS[solver].prior is None:
         raise InputError(f"--prior {prior} is nothing to --solver {solver}, which knows no prior; use map")
 
 
@@ -160,11 +160,10 @@ def default_free(robot: Robot) -> Mask:
 
 def default_prior(robot: Robot, solver: str) -> str:
     """The prior that robot or solver needs: the weak one settles the redundant constants of a URDF."""
-    if solver in WITHOUT_PRIOR:
+    needed = SOLVERS[solver].prior
+    if needed is None:
         return NO_PRIOR
-    if robot.is_urdf:
-        return "weak"
-    return "wide" if solver == "map" else NO_PRIOR
+    return "weak" if robot.is_urdf else needed
 
 
 def selected(robot: Robot, table: ObservationTable, hold_out: Sequence[str], options: IdentifyOptions) -> Selection:

@@ -1,0 +1,53 @@
+"""The solvers and losses by name. Imports nothing slow, so that ``--help`` can list them.
+
+To add a solver, write a module with ``solve(problem, columns, x, options) -> Solution`` (``solution.Solver``) and add its
+line to ``SOLVERS``. The module is imported when it is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from truearm.estimate.solution import Solver
+
+
+class SolverEntry(NamedTuple):
+    """A solver: its module in this package, and what ``--help`` says of it.
+
+    ``has_loss``: it knows the robust losses. ``prior``: the robot's prior that it needs by default; None: it knows no prior.
+    ``starts_from_rig``: it begins with the rig fitted to the nominal robot.
+    """
+
+    module: str
+    summary: str
+    has_loss: bool = False
+    prior: str | None = "none"
+    starts_from_rig: bool = False
+
+
+SOLVERS: Mapping[str, SolverEntry] = {
+    "lm": SolverEntry("fit", "Levenberg-Marquardt", has_loss=True, starts_from_rig=True),
+    "map": SolverEntry("map", "maximum a posteriori", has_loss=True, prior="wide"),
+    "recursive": SolverEntry("recursive", "row by row, leaves outliers out"),
+    "renders-1991": SolverEntry("renders1991", "the paper's, for comparison"),
+    "ls": SolverEntry("ls", "least squares without a prior, for comparison", prior=None),
+}
+LOSSES: Mapping[str, str] = {
+    "linear": "every row counts as its σ says",
+    "huber": "rows far from all others count less",
+    "cauchy": "rows far from all others hardly count",
+}
+
+
+def solver(name: str) -> Solver:
+    """Return the function of a solver, loading its module. Raises KeyError for an unknown name."""
+    solve: Solver = import_module(f"{__package__}.{SOLVERS[name].module}").solve
+    return solve
+
+
+def with_loss() -> tuple[str, ...]:
+    """Return the names of the solvers that know the robust losses."""
+    return tuple(name for name, entry in SOLVERS.items() if entry.has_loss)
