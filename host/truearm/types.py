@@ -5,6 +5,7 @@ Shapes: ``n`` rows, ``j`` joints, ``p`` parameters, ``m`` scalar residuals.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, NamedTuple
@@ -16,6 +17,7 @@ from truearm.errors import PlanError
 
 Floats = NDArray[np.float64]
 Strings = NDArray[np.str_]
+Residuals = Mapping[str, Floats]  # by SI unit: (n,) of rows, signed or a norm; NaN where a row has none of that unit
 Matrix = tuple[tuple[float, ...], ...]  # rows of a small constant matrix; unlike an array it can be compared
 
 
@@ -264,17 +266,38 @@ class Plan:
         return Plan(**{name: getattr(self, name)[rows] for name in self.columns()})
 
 
+class Figures(NamedTuple):
+    """RMS, mean and largest size of the residuals of n rows, in one SI unit; NaN of no rows."""
+
+    rms: float
+    mean: float
+    max: float
+    n: int
+
+    @classmethod
+    def of(cls, residual: Floats) -> Figures:
+        """Of residuals of one unit, those that are NaN left out."""
+        size = np.abs(residual[~np.isnan(residual)])
+        if not size.size:
+            return cls(math.nan, math.nan, math.nan, 0)
+        return cls(float(np.sqrt(np.mean(size**2))), float(size.mean()), float(size.max()), size.size)
+
+    @classmethod
+    def by_unit(cls, residuals: Residuals, rows: NDArray[Any] | slice = slice(None)) -> dict[str, Figures]:
+        """Of some rows, for each SI unit that any of them has."""
+        every = {unit: cls.of(residual[rows]) for unit, residual in residuals.items()}
+        return {unit: figures for unit, figures in every.items() if figures.n}
+
+
 @dataclass(frozen=True)
 class HeldOut:
-    """Errors on rows that were not used to fit; norms of each observation's residual [m].
+    """Errors on ``n`` rows that were not used to fit, by SI unit.
 
     ``n_settled`` unknowns of the rig (the places of sockets that no fitted row touches) were estimated on these very rows;
     ``n_left_out`` rows are not among the ``n``, because they fit such unknowns whatever they say.
     """
 
-    rms: float
-    mean: float
-    max: float
+    figures: Mapping[str, Figures]
     n: int
     n_settled: int = 0
     n_left_out: int = 0
@@ -357,14 +380,14 @@ class Estimate:
     rank: int
     rank_gap: float  # smallest kept / largest dropped singular value
     null_space: tuple[NullDirection, ...]
-    rms_before: float  # m
-    rms_after: float  # m
-    rms_history: tuple[float, ...]  # m, one an iteration, first is before
+    rms_before: Mapping[str, float]  # by SI unit, of the fitting rows
+    rms_after: Mapping[str, float]
+    rms_history: Mapping[str, tuple[float, ...]]  # one an iteration, first is before
     chi2_reduced: float
     held_out: HeldOut | None
     held_out_before: HeldOut | None
-    residual: Floats  # (n,) m, after; norm for 3-vector kinds, signed for ball_bar
-    residual_before: Floats  # (n,) m
+    residual: Residuals  # after; a kind's one component of a unit with its sign, the norm of several
+    residual_before: Residuals
     fitted: NDArray[np.bool_]  # (n,) True for fitting rows, False for held-out
     seconds: float
     loss: str = "linear"

@@ -58,7 +58,7 @@ def test_dwell_detection_brings_back_what_reading_too_early_spoils(session, resu
 
     def error(table):
         fit = identify(robot.chain, world.rig, table, free=robot.free, hold_out=table.bar == "bar61")
-        return fit.held_out.rms
+        return fit.held_out.figures["m"].rms
 
     best, spoilt, found = error(settled), error(early), error(result.table)
     print(f"held out [mm]: settled {1e3 * best:.4f}, read too early {1e3 * spoilt:.4f}, dwells found {1e3 * found:.4f}")

@@ -15,6 +15,7 @@ from truearm.report.words import KINDS
 from truearm.types import (
     Addition,
     Estimate,
+    Figures,
     HeldOut,
     NullDirection,
     Observability,
@@ -33,8 +34,7 @@ def rms(values):
 
 
 def held_out(residual):
-    size = np.abs(residual)
-    return HeldOut(rms(residual), float(size.mean()), float(size.max()), size.size) if size.size else None
+    return HeldOut({"m": Figures.of(residual)}, residual.size) if residual.size else None
 
 
 def puma_names():
@@ -82,14 +82,14 @@ def make_page(n=1600, kind="ball_bar", seed=0, **changes):
         rank=36,
         rank_gap=math.inf,
         null_space=(),
-        rms_before=rms(before[fitted]),
-        rms_after=rms(residual[fitted]),
-        rms_history=(1e-2, 2e-4, 8.3e-5, 8.2e-5),
+        rms_before={"m": rms(before[fitted])},
+        rms_after={"m": rms(residual[fitted])},
+        rms_history={"m": (1e-2, 2e-4, 8.3e-5, 8.2e-5)},
         chi2_reduced=0.98,
         held_out=held_out(residual[~fitted]),
         held_out_before=held_out(before[~fitted]),
-        residual=residual,
-        residual_before=before,
+        residual={"m": residual},
+        residual_before={"m": before},
         fitted=fitted,
         seconds=0.4,
     )
@@ -175,8 +175,10 @@ def both(a, b):
 
     columns = a.table.__dataclass_fields__
     table = ObservationTable(**{k: joined(getattr(a.table, k), getattr(b.table, k)) for k in columns})
-    changed = ("residual", "residual_before", "fitted", "suspect", "distance", "weight")
+    changed = ("fitted", "suspect", "distance", "weight")
     rows = {k: joined(getattr(a.estimate, k), getattr(b.estimate, k)) for k in changed}
+    for k in ("residual", "residual_before"):
+        rows[k] = {"m": joined(getattr(a.estimate, k)["m"], getattr(b.estimate, k)["m"])}
     angles = [np.full(len(page.table), np.nan) if page.angle is None else page.angle for page in (a, b)]
     estimate, longitude = replace(a.estimate, **rows), joined(a.longitude, b.longitude)
     return replace(a, table=table, estimate=estimate, longitude=longitude, angle=joined(*angles))

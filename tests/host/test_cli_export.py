@@ -112,7 +112,7 @@ def test_panda_exported_and_reloaded_has_the_same_held_out_error(tmp_path, run):
     document = stored.document["held_out"]
     assert document["mean_mm"] < 0.25
     # the ball's place is estimated again without the robot's prior, which moves the error by micrometres
-    assert 1e3 * again.held_out.mean == pytest.approx(document["mean_mm"], abs=5e-3)
+    assert 1e3 * again.held_out.figures["m"].mean == pytest.approx(document["mean_mm"], abs=5e-3)
     q = observations.q
     before = load_robot(str(urdf), None, "ball_link").chain
     np.testing.assert_allclose(

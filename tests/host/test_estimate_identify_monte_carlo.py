@@ -34,7 +34,7 @@ def many(near, far, runs, seed, **how):
         error = (e.value - TRUTH)[FREE]
         nees = error @ np.linalg.solve(e.covariance[np.ix_(FREE, FREE)], error)
         judged = build_problem(CHAIN, RIG, with_noise(far, rng))
-        validation = np.sqrt(np.mean(observe(judged, e.value, np.zeros(54, bool)).residual ** 2))
+        validation = np.sqrt(np.mean(observe(judged, e.value, np.zeros(54, bool)).residual["m"] ** 2))
         out.append((nees, e.chi2_reduced * e.chi2_freedom, np.mean((error / e.sigma[FREE]) ** 2), validation))
     return np.array(out).T
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from device_bench import TARGETS, join, joints_at, rows, touches, tracked
-from puma_bench import CHAIN, CHUCKS, FREE, RIG, SIGMA, SPHERES, random_poses, random_table, shell_table
+from puma_bench import CHAIN, CHUCKS, FREE, RIG, SIGMA, SPHERES, random_table, shell_table
 
 from truearm.estimate import prediction
 from truearm.estimate.identify import identify
-from truearm.estimate.prediction import MOST_POSES, orientation_residuals, predicted_point_error
+from truearm.estimate.prediction import MOST_POSES, predicted_point_error
 from truearm.estimate.uncertainty import predicted_error
 from truearm.model.chain import point_forward, point_jacobians
 from truearm.model.rotation import rotation, rotation_vector
@@ -129,17 +129,17 @@ def test_orientations_of_poses_are_angles():
     noisy = replace(true, rotation=turned, xyz=true.xyz + 1e-4 * rng.normal(size=(n, 3)))
     rig = Rig(targets=TARGETS, trackers={"t": UNKNOWN})
     estimate = identify(CHAIN, rig, noisy, free=FREE)
-    angle = orientation_residuals(CHAIN, rig, noisy, estimate)
+    angle = estimate.residual["rad"]
+    assert estimate.rms_after.keys() == estimate.rms_before.keys() == estimate.rms_history.keys() == {"m", "rad"}
+    assert estimate.rms_after["rad"] == pytest.approx(np.sqrt(np.mean(angle**2)), rel=1e-12)
     freedom = 1.0 - (36 + 6) / (6 * n)
     # χ² of 3n angles: standard deviation of the root 1/sqrt(6n) = 3.3 %; four of these, and what the split leaves open
     assert np.sqrt(np.mean(angle**2)) == pytest.approx(TURN * np.sqrt(3 * freedom), rel=0.15)
 
 
 def test_rows_without_an_orientation_have_no_angle(bars):
-    table, estimate = bars
-    assert np.isnan(orientation_residuals(CHAIN, RIG, table, estimate)).all()
-    seat = rows("seat", random_poses(3, np.random.default_rng(0)), socket="0", place="a")
-    assert np.isnan(orientation_residuals(CHAIN, RIG, seat, estimate)).all()
+    _, estimate = bars
+    assert estimate.residual.keys() == estimate.rms_after.keys() == {"m"}
 
 
 def test_identified_spheres_are_where_the_fit_found_them(bars):

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from truearm.errors import InputError
 from truearm.files.observation_table import parse_table
 from truearm.files.result_file import RobotFrames, document_of, format_document, input_of, parse_result, write_result
-from truearm.types import Addition, Estimate, HeldOut, NullDirection, Observability, Relabelling
+from truearm.types import Addition, Estimate, Figures, HeldOut, NullDirection, Observability, Relabelling
 
 ROBOT = RobotFrames("arm", "base", "tip", ("rad",))
 TABLE = parse_table("kind,q1_rad,place,socket\nseat,0,a,0\nseat,1,a,0\nseat,2,b,0\n", "t.csv")
@@ -30,7 +30,11 @@ def estimates(draw: st.DrawFn) -> Estimate:
         return np.array(draw(st.lists(values, min_size=p, max_size=p)))
 
     free = np.array(draw(st.lists(st.booleans(), min_size=p, max_size=p)))
-    held_out = st.none() | st.builds(HeldOut, numbers, numbers, numbers, st.integers(1, 9))
+    held_out = st.none() | st.builds(
+        HeldOut,
+        st.fixed_dictionaries({"m": st.builds(Figures, numbers, numbers, numbers, st.integers(1, 9))}),
+        st.integers(1, 9),
+    )
     return Estimate(
         status=draw(st.sampled_from(["converged", "max_iterations", "stalled"])),
         message=draw(st.text(max_size=20)),
@@ -49,14 +53,14 @@ def estimates(draw: st.DrawFn) -> Estimate:
         rank=1,
         rank_gap=draw(numbers),
         null_space=(NullDirection(("link0.x",), (1.0,)),),
-        rms_before=draw(numbers),
-        rms_after=draw(numbers),
-        rms_history=(1.0, draw(numbers)),
+        rms_before={"m": draw(numbers)},
+        rms_after={"m": draw(numbers)},
+        rms_history={"m": (1.0, draw(numbers))},
         chi2_reduced=draw(numbers),
         held_out=draw(held_out),
         held_out_before=draw(held_out),
-        residual=np.zeros(3),
-        residual_before=np.zeros(3),
+        residual={"m": np.zeros(3)},
+        residual_before={"m": np.zeros(3)},
         fitted=np.array([True, True, False]),
         seconds=0.1,
         chi2_band=(draw(numbers), draw(numbers)),
@@ -107,7 +111,7 @@ def test_rows_are_named_by_their_source(estimate: Estimate) -> None:
 @given(estimates())
 def test_rows_are_counted_by_kind(estimate: Estimate) -> None:
     estimate = replace(
-        estimate, residual=1e-3 * np.array([3.0, -4.0, 7.0]), residual_before=np.array([1.0, np.nan, 2.0])
+        estimate, residual={"m": 1e-3 * np.array([3.0, -4.0, 7.0])}, residual_before={"m": np.array([1.0, np.nan, 2.0])}
     )
     (counts,) = document_of(estimate, TABLE, ROBOT, [], angle=np.array([0.3, 0.4, 9.0]))["observations"]
     found = {key: counts.pop(key) for key in list(counts) if key.startswith("rms_")}

@@ -8,7 +8,7 @@ from device_bench import TARGETS, in_device, join, line_rows, named, random_pose
 from puma_bench import CHAIN, TRUTH, random_poses
 
 from truearm.estimate.information import observe, spectrum
-from truearm.estimate.problem import blocks, build_problem, evaluate
+from truearm.estimate.problem import blocks, build_problem
 from truearm.kinds.line import PLACEMENTS
 from truearm.kinds.plane import frame_of
 from truearm.kinds.pose import PoseRows
@@ -49,15 +49,15 @@ def test_derivatives_by_every_unknown():
     kinds = list(blocks(problem))
     assert [type(b).__name__ for b in kinds] == ["PositionRows", "PositionRows", "PoseRows", "PlaneRows"]
     for block in kinds:
-        jac = evaluate(problem, block, x).jac_params
+        jac = block.evaluate(problem.chain, x).jac_params
         for i, unit in enumerate(np.eye(x.size)):
             if isinstance(block, PoseRows):  # the logarithm of a rotation takes no complex step
                 # Truncation h²/6 times a curvature of some units (a pose far off, at worst 0.1 rad from half a turn),
                 # rounding 1e-15/h.
-                up, down = (evaluate(problem, block, x + s * 1e-6 * unit).residual for s in (1, -1))
+                up, down = (block.evaluate(problem.chain, x + s * 1e-6 * unit).residual for s in (1, -1))
                 np.testing.assert_allclose(jac[:, i], (up - down) / -2e-6, atol=5e-9, err_msg=problem.names[i])
             else:
-                step = evaluate(problem, block, x + 1e-30j * unit).residual.imag / -1e-30
+                step = block.evaluate(problem.chain, x + 1e-30j * unit).residual.imag / -1e-30
                 np.testing.assert_allclose(jac[:, i], step, atol=1e-14, err_msg=problem.names[i])
 
 
@@ -66,10 +66,11 @@ def test_derivatives_by_the_joint_readings():
     problem = build_problem(CHAIN, RIG, every_kind(rng))
     h = 1e-6
     for block in blocks(problem):
-        jac = evaluate(problem, block, problem.start).jac_joints
+        jac = block.evaluate(problem.chain, problem.start).jac_joints
         for i, unit in enumerate(np.eye(6)):
             up, down = (
-                evaluate(problem, replace(block, q=block.q + s * h * unit), problem.start).residual for s in (1, -1)
+                replace(block, q=block.q + s * h * unit).evaluate(problem.chain, problem.start).residual
+                for s in (1, -1)
             )
             np.testing.assert_allclose(jac[:, i], -(up - down) / (2 * h), atol=5e-9)
 
@@ -85,7 +86,7 @@ def test_renders_28_with_its_lever_in_base_axes():
     x[:54] = TRUTH
     (block,) = blocks(problem)
     at = problem.names.index("tracker.t.x")
-    jac = evaluate(problem, block, x).jac_params[:, at : at + 6].reshape(5, 3, 6)
+    jac = block.evaluate(problem.chain, x).jac_params[:, at : at + 6].reshape(5, 3, 6)
     rot = rotation(pose[3:])
     for m, found in zip(t.xyz, jac, strict=True):
         np.testing.assert_allclose(found, -rot.T @ np.hstack([np.eye(3), -skew(rot @ m)]), atol=1e-14)
@@ -103,11 +104,11 @@ def test_residual_is_measured_minus_predicted_in_the_devices_axes():
     problem = build_problem(CHAIN, replace(rig, trackers={"t": known}), both)
     assert len(problem.names) == 54  # all of the rig is known
     pose_block, plane_block = blocks(problem)
-    found = evaluate(problem, pose_block, TRUTH).residual.reshape(7, 6)
+    found = pose_block.evaluate(problem.chain, TRUTH).residual.reshape(7, 6)
     np.testing.assert_allclose(found[:, :3], np.tile(error, (7, 1)), atol=2e-15)
     np.testing.assert_allclose(found[:, 3:], 0.0, atol=4e-15)
     # The touching joints were solved to 1e-12.
-    np.testing.assert_allclose(evaluate(problem, plane_block, TRUTH).residual, 1e-3, atol=2e-12)
+    np.testing.assert_allclose(plane_block.evaluate(problem.chain, TRUTH).residual, 1e-3, atol=2e-12)
 
 
 def test_a_measured_turn_is_in_the_trackers_axes():
@@ -119,7 +120,7 @@ def test_a_measured_turn_is_in_the_trackers_axes():
     known = Device("t", COV, tuple(pose[:3]), tuple(pose[3:]), 0.0, 0.0, 1e-4)
     problem = build_problem(CHAIN, Rig(targets=TARGETS, trackers={"t": known}), t)
     (block,) = blocks(problem)
-    found = evaluate(problem, block, TRUTH).residual.reshape(4, 6)
+    found = block.evaluate(problem.chain, TRUTH).residual.reshape(4, 6)
     np.testing.assert_allclose(found[:, 3:], np.tile(small, (4, 1)), atol=4e-15)
 
 
@@ -135,7 +136,7 @@ def test_the_true_joints_are_the_readings_moved_by_the_time_offset():
     assert problem.names[54:] == ("time_offset",)
     assert problem.units[54:] == ("s",)
     (block,) = blocks(problem)
-    found = evaluate(problem, block, np.append(TRUTH, tau))
+    found = block.evaluate(problem.chain, np.append(TRUTH, tau))
     np.testing.assert_allclose(found.residual, 0.0, atol=2e-15)
     by_hand = (found.jac_joints.reshape(5, 3, 6) @ q_rate[..., None]).ravel()
     np.testing.assert_allclose(found.jac_params[:, 54], by_hand, atol=1e-14)

@@ -197,9 +197,9 @@ def test_recovery_without_noise(clean):
     e = identify(CHAIN, RIG, t, free=FREE, hold_out=held)
     assert e.status == "converged"
     assert e.iterations <= 8
-    assert e.rms_before > 5e-3  # the error was there
-    assert e.rms_after < 1e-10
-    assert e.held_out.max < 1e-10
+    assert e.rms_before["m"] > 5e-3  # the error was there
+    assert e.rms_after["m"] < 1e-10
+    assert e.held_out.figures["m"].max < 1e-10
     np.testing.assert_allclose(e.value, TRUTH, atol=1e-10)
     assert (e.rank, e.null_space) == (36, ())
 
@@ -212,7 +212,7 @@ def test_54_free_and_36_free_predict_alike(clean):
     assert (few.rank, many.rank) == (36, 36)
     assert len(many.null_space) == 18
     # Both end within 1e-6 of the residual's norm of the same minimum, quadratically: predictions agree far below that.
-    np.testing.assert_allclose(many.residual, few.residual, atol=1e-10)
+    np.testing.assert_allclose(many.residual["m"], few.residual["m"], atol=1e-10)
     assert np.abs(many.value - few.value).max() > 1e-3  # though the parameters differ
 
 
@@ -250,12 +250,12 @@ def test_800_poses_on_shells(shells):
     assert e.status == "converged"
     assert e.iterations <= 10
     assert (e.rank, e.n_observations) == (36, 800)
-    assert e.rms_before > 2e-3
+    assert e.rms_before["m"] > 2e-3
     freedom = 800 - 36
     # The RMS of 764 free Gaussian residuals has a relative standard error of 1/sqrt(2 · 764).
     expected = SIGMA * np.sqrt(freedom / 800)
     assert expected == pytest.approx(0.0821e-3, abs=5e-8)
-    assert abs(e.rms_after - expected) < 3 * expected / np.sqrt(2 * freedom)
+    assert abs(e.rms_after["m"] - expected) < 3 * expected / np.sqrt(2 * freedom)
     assert abs(e.chi2_reduced - 1.0) < 3 * np.sqrt(2 / freedom)
     # On new shells: noise and the prediction's own variance, trace(J C Jᵀ)/n (theory in PAPERS: 0.0877 mm).
     problem = build_problem(CHAIN, RIG, far)
@@ -263,7 +263,7 @@ def test_800_poses_on_shells(shells):
     own = np.trace(root @ e.covariance[np.ix_(FREE, FREE)] @ root.T) / 800
     predicted = np.sqrt(SIGMA**2 + own)
     assert SIGMA < predicted < 0.097e-3
-    assert abs(e.held_out.rms - predicted) < 3 * predicted / np.sqrt(2 * 800)
+    assert abs(e.held_out.figures["m"].rms - predicted) < 3 * predicted / np.sqrt(2 * 800)
 
 
 def test_36_poses_fit_to_nothing_and_predict_badly(shells):
@@ -272,8 +272,8 @@ def test_36_poses_fit_to_nothing_and_predict_badly(shells):
     few = near.select(np.arange(0, 800, 22)[:36])
     both = joined(few, far)
     e = identify(CHAIN, RIG, both, free=FREE, hold_out=np.arange(len(both)) >= 36)
-    assert e.rms_after < 0.1 * SIGMA
-    assert e.held_out.rms > 5 * SIGMA
+    assert e.rms_after["m"] < 0.1 * SIGMA
+    assert e.held_out.figures["m"].rms > 5 * SIGMA
     assert np.isnan(e.chi2_reduced)
 
 

@@ -43,7 +43,9 @@ def test_prior_and_loss_by_nested_hold_out(panda):
                     hold_out=fitting.place == place,
                     prior_sigma=scaled(prior, factor),
                     loss=loss,
-                ).held_out.mean
+                )
+                .held_out.figures["m"]
+                .mean
                 for place in places[:3]
             ]
         )
@@ -59,8 +61,8 @@ def test_prior_and_loss_by_nested_hold_out(panda):
         prior_sigma=scaled(prior, factor),
         loss=loss,
     )
-    assert e.held_out.mean <= 0.217e-3
-    assert e.held_out_before.mean > 2e-3
+    assert e.held_out.figures["m"].mean <= 0.217e-3
+    assert e.held_out_before.figures["m"].mean > 2e-3
 
 
 def test_one_place_says_that_further_places_would_tell_more(panda):
@@ -70,4 +72,6 @@ def test_one_place_says_that_further_places_would_tell_more(panda):
     e = identify(chain, rig, table, free=free, hold_out=table.place != "back-high", prior_sigma=weak_prior(chain))
     three = identify(chain, rig, table, free=free, prior_sigma=weak_prior(chain))
     assert e.rank < three.rank or e.observability.o2 < three.observability.o2
-    assert e.held_out.mean > 3 * np.mean(e.residual[e.fitted]), "it predicts elsewhere far worse than it fits"
+    assert e.held_out.figures["m"].mean > 3 * np.mean(e.residual["m"][e.fitted]), (
+        "it predicts elsewhere far worse than it fits"
+    )

@@ -17,6 +17,7 @@ from truearm.report.residual_rows import law_of, rows_by_kind, summaries
 from truearm.report.words import KINDS
 from truearm.types import (
     Addition,
+    Figures,
     HeldOut,
     NullDirection,
     Observability,
@@ -112,9 +113,9 @@ def test_residuals_of_each_rig_and_kind():
     mine = (rig == "tuesday") & (page.table.kind == "line")
     found = summaries(e, page.table)[3]
     assert (found.fitted, found.held_out) == (int((mine & e.fitted).sum()), int((mine & ~e.fitted).sum()))
-    assert found.after == pytest.approx(rms(e.residual[mine & e.fitted]))
+    assert found.after == pytest.approx(rms(e.residual["m"][mine & e.fitted]))
     assert found.before == pytest.approx(100 * found.after)
-    assert found.validation == pytest.approx(rms(e.residual[mine & ~e.fitted]))
+    assert found.validation == pytest.approx(rms(e.residual["m"][mine & ~e.fitted]))
     assert rows[3][4] == figures(1e3 * found.after)
     assert "monday: c1 · s1" in render(page)  # groups of the pictures say of which rig they are
 
@@ -277,8 +278,8 @@ def test_notes_steps_and_facts_are_shown():
 
 
 def test_tiles_and_verdict_are_of_this_estimate():
-    page = make_page(validation=HeldOut(9.19e-5, 7.3e-5, 3.39e-4, 800))
-    estimate = replace(page.estimate, rms_before=1.06463e-2, rms_after=8.018e-5)
+    page = make_page(validation=HeldOut({"m": Figures(9.19e-5, 7.3e-5, 3.39e-4, 800)}, 800))
+    estimate = replace(page.estimate, rms_before={"m": 1.06463e-2}, rms_after={"m": 8.018e-5})
     page = replace(page, estimate=estimate)
     tiles = re.findall(r'<p class="figure">(.*?)<span>', render(page))
     assert tiles == ["10.6", "0.0802", "0.0919"]
@@ -294,7 +295,7 @@ def test_tiles_and_verdict_are_of_this_estimate():
     [
         ({"status": "max_iterations", "message": "stopped at 3"}, "stopped early (max_iterations): stopped at 3"),
         ({"held_out": None}, "Nothing was held out"),
-        ({"held_out": HeldOut(2e-3, 1e-3, 5e-3, 10)}, "times the fitted one"),
+        ({"held_out": HeldOut({"m": Figures(2e-3, 1e-3, 5e-3, 10)}, 10)}, "times the fitted one"),
         ({"chi2_reduced": 9.0}, "3.0 times what the declared sigmas allow"),
     ],
 )

@@ -146,7 +146,7 @@ def test_histogram_heights_follow_the_gaussian():
 def test_histogram_counts_residuals_on_the_edges(residual_mm):
     page = make_page(len(residual_mm))
     residual = 1e-3 * np.array(residual_mm)
-    estimate = replace(page.estimate, residual=residual, fitted=np.ones(residual.size, dtype=bool))
+    estimate = replace(page.estimate, residual={"m": residual}, fitted=np.ones(residual.size, dtype=bool))
     histogram = drawings(render(replace(page, estimate=estimate)))[0]
     assert sum(int(tip.text.rpartition(": ")[2]) for tip in histogram.iterfind("rect/title")) == residual.size
 
@@ -165,9 +165,9 @@ def test_correlation_of_two():
 
 def test_the_largest_of_many_residuals_are_drawn():
     page = make_page(60_000)
-    residual = page.estimate.residual.copy()
+    residual = page.estimate.residual["m"].copy()
     residual[17] = 5e-3
-    page = replace(page, estimate=replace(page.estimate, residual=residual))
+    page = replace(page, estimate=replace(page.estimate, residual={"m": residual}))
     longitude = drawings(render(page))[1]
     marks = [path.get("d") for path in longitude.iterfind("path") if "dots" in path.get("class")]
     points = [point for d in marks for point in re.findall(r"M[\d.]+ ([\d.]+)h0", d)]

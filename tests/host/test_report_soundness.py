@@ -77,7 +77,9 @@ def test_weight(n):
 )
 def test_odd_residuals_make_a_page(residual):
     page = make_page(20)
-    estimate = replace(page.estimate, residual=residual, rms_after=0.0, rms_history=(1e-2, 0.0), rank_gap=math.nan)
+    estimate = replace(
+        page.estimate, residual={"m": residual}, rms_after={"m": 0.0}, rms_history={"m": (1e-2, 0.0)}, rank_gap=math.nan
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         text = render(replace(page, estimate=estimate))

@@ -72,8 +72,8 @@ def test_without_it_the_residual_is_several_times_larger():
     with_tau, without = identified(rig, table), identified(replace(rig, time_offset_sigma=0.0), table)
     assert "time_offset" not in without.parameter_names
     # 8 ms at 100 mm/s are 0.8 mm, up or down along the line; what noise leaves is some micrometres.
-    assert without.rms_after > 5.0 * with_tau.rms_after
-    assert without.rms_after == pytest.approx((DELAY_S + LATENCY_S) * 0.1, rel=0.05)
+    assert without.rms_after["m"] > 5.0 * with_tau.rms_after["m"]
+    assert without.rms_after["m"] == pytest.approx((DELAY_S + LATENCY_S) * 0.1, rel=0.05)
     assert without.chi2_reduced > 2.0 * without.chi2_band[1]
 
 
@@ -85,7 +85,7 @@ def test_one_way_it_is_not_seen():
     assert not found.identifiable[at]
     assert any(direction.names == ("time_offset",) for direction in found.hardly_seen)
     # It harms nothing else: the residual is what the noise leaves.
-    assert found.rms_after < 3e-5
+    assert found.rms_after["m"] < 3e-5
 
 
 def test_a_prior_that_the_user_declares_is_kept():
@@ -104,5 +104,5 @@ def test_a_wrong_velocity_of_sound_shows_where_the_lengths_are_known():
     right, shown = (identified(rig, t, free=OFFSETS) for t in (table, wrong))
     assert right.chi2_reduced < right.chi2_band[1]
     assert shown.chi2_reduced > 2.0 * shown.chi2_band[1]
-    assert shown.rms_after > 10.0 * right.rms_after
+    assert shown.rms_after["m"] > 10.0 * right.rms_after["m"]
     assert identified(rig, wrong).chi2_reduced < right.chi2_band[1]

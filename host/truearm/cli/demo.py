@@ -192,12 +192,15 @@ def say_result(found: Calibration, result: SyncResult, truth: ClockTruth, steps:
     )
     say(f" in {estimate.iterations} iterations")
     say(
-        f"46 cm shells    {1e3 * estimate.rms_before:.3f} mm RMS before, {1e3 * estimate.rms_after:.4f} mm after",
+        f"46 cm shells    {1e3 * estimate.rms_before['m']:.3f} mm RMS before, {1e3 * estimate.rms_after['m']:.4f} mm after",
         nl=False,
     )
     say(f" ({n_fitted} dwells; noise alone would leave {expected:.4f})")
     before, after = estimate.held_out_before, estimate.held_out
     if before is not None and after is not None:
-        say(f"61 cm shells    {1e3 * before.rms:.3f} mm RMS before, {1e3 * after.rms:.4f} mm after", nl=False)
+        say(
+            f"61 cm shells    {1e3 * before.figures['m'].rms:.3f} mm RMS before, {1e3 * after.figures['m'].rms:.4f} mm after",
+            nl=False,
+        )
         say(f" ({after.n} dwells that were not fitted)")
     say(f"\nreport          {page}")

@@ -26,6 +26,7 @@ from truearm.estimate.unknowns import (
 )
 from truearm.kinds import line, plane, position
 from truearm.kinds.ball_bar import BallBarRows
+from truearm.kinds.group import Group
 from truearm.kinds.linearised import Indices
 from truearm.kinds.plane import PlaneRows
 from truearm.kinds.pose import PoseRows
@@ -36,7 +37,6 @@ from truearm.model.chain import point_forward
 from truearm.model.rotation import rotation, rotation_vector
 from truearm.types import Device, Floats, Point, Rig, Strings
 
-Group = BallBarRows | SeatRows | SocketDistanceRows | PositionRows | PoseRows | PlaneRows
 ORIGIN = {"": Point("", (0.0, 0.0, 0.0))}  # the target of a rig that names none: the end frame's origin
 
 
@@ -83,8 +83,14 @@ def seats(scope: Scope, rows: Indices) -> Draft:
     variance = _sigma(scope, rows, np.full((len(rows), 3), rig.seat_sigma)) ** 2
 
     def make(layout: Layout) -> list[Group]:
-        ball, socket = layout.index(balls), layout.index(sockets)
-        group = SeatRows(rows, variance, table.q[rows], ball, socket, layout.constants)
+        group = SeatRows(
+            row=rows,
+            sensor_cov=variance,
+            q=table.q[rows],
+            sphere=layout.index(balls),
+            socket=layout.index(sockets),
+            constants=layout.constants,
+        )
         return [group, *_distance_rows(rig, sockets, layout)]
 
     return Draft((balls, sockets), make)
@@ -313,7 +319,16 @@ def _distance_rows(rig: Rig, sockets: Used, layout: Layout) -> list[Group]:
     distance, sigma = np.array([pair[2:] for pair in pairs]).T
     if not (sigma > 0.0).all():
         raise ProblemError("a socket distance needs a positive sigma")
-    return [SocketDistanceRows(sigma[:, None] ** 2, distance, ends[0], ends[1], layout.constants)]
+    return [
+        SocketDistanceRows(
+            row=None,
+            sensor_cov=sigma[:, None] ** 2,
+            distance=distance,
+            first=ends[0],
+            second=ends[1],
+            constants=layout.constants,
+        )
+    ]
 
 
 def _sigma(scope: Scope, rows: Indices, default: Floats) -> Floats:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -23,21 +24,20 @@ from truearm.estimate.identifiability import (
 from truearm.estimate.information import Information, half, observe, spectrum, with_prior
 from truearm.estimate.label_search import relabellings
 from truearm.estimate.prior import weak_prior
-from truearm.estimate.problem import Problem, Rigs, build_problem, settled
+from truearm.estimate.problem import Problem, Rigs, build_problem, settled, without_knowledge
 from truearm.estimate.solution import Options, Solution, of_data
 from truearm.estimate.solvers import LOSSES, SOLVERS, with_loss
 from truearm.estimate.solvers import solver as solver_of
 from truearm.estimate.uncertainty import goodness, prior_shares
 from truearm.estimate.validation import has_freedom
 from truearm.estimate.whitened_rows import only, standardised
-from truearm.kinds.socket_distance import SocketDistanceRows
 from truearm.model.chain import Chain
-from truearm.types import Estimate, Floats, HeldOut, NullDirection, ObservationTable
+from truearm.types import Estimate, Figures, Floats, HeldOut, NullDirection, ObservationTable, Residuals
 from truearm.units import UNITS
 
 TIME_OFFSET = "time_offset"
 DAMPINGS = ("scaled", "plain")
-Progress = Callable[[int, float], None]  # iteration, RMS of the residuals [m]
+Progress = Callable[[int, Mapping[str, float]], None]  # iteration, RMS of the residuals by SI unit
 
 
 def identify(
@@ -65,7 +65,7 @@ def identify(
     loss : "linear", "huber" or "cauchy" (robust.py), for the solvers lm and map.
     damping : of lm: "scaled" columns (Marquardt) or "plain" λI (Goswami's (10)).
     prefer : (p,) parameters that the suggested free set should rather contain, a robot file's ``free``; default none.
-    progress : called with (iteration, RMS [m]) after each step.
+    progress : called with (iteration, RMS by SI unit) after each step.
 
     Raises ProblemError for masks of the wrong shape, no row to fit, an unknown solver, loss or damping, a loss for a
     solver that has none, and what ``build_problem`` raises. Rank and convergence are fields of the result.
@@ -79,9 +79,9 @@ def identify(
         raise ProblemError("no observations are left to fit; hold out less")
     problem = build_problem(chain, rig, table.select(~held), prior_sigma)
     columns = np.concatenate([free, np.ones(len(problem.names) - free.size, dtype=bool)])
-    history: list[float] = []
+    history: list[dict[str, float]] = []
 
-    def on_step(iteration: int, residual: Floats) -> None:
+    def on_step(iteration: int, residual: Residuals) -> None:
         history.append(_rms(residual))
         if progress is not None:
             progress(iteration, history[-1])
@@ -103,7 +103,7 @@ def identify(
     wanting = (told_apart(data.root, suggested.size, unit), unit) if only_weak else (suggested, None)
     untimed = _untimed(data.root, names)
     known = dict(zip(problem.names, x, strict=True))
-    labels = relabellings(chain, rig, table, ~held, free, prior_sigma, _rms(information.residual))
+    labels = relabellings(chain, rig, table, ~held, free, prior_sigma, _rms(information.residual).get("m", math.nan))
     distance, beyond = standardised(problem, x, columns, half(parts), found.weight)
     identifiable = _spread(sight.identifiable & ~np.isin(names, untimed), columns)
     matrix = np.zeros((x.size, x.size))
@@ -130,12 +130,12 @@ def identify(
         null_space=sight.null_space,
         rms_before=_rms(before),
         rms_after=_rms(information.residual),
-        rms_history=(_rms(before), *history),
+        rms_history={unit: tuple(rms[unit] for rms in (_rms(before), *history)) for unit in before},
         chi2_reduced=fit_quality.reduced,
         held_out=held_after,
         held_out_before=held_before,
-        residual=_merge(information.residual, error_after, held),
-        residual_before=_merge(before, error_before, held),
+        residual=_merged(information.residual, error_after, held),
+        residual_before=_merged(before, error_before, held),
         fitted=~held,
         seconds=0.0,
         loss=loss,
@@ -170,8 +170,8 @@ def _check_choice(solver: str, loss: str, damping: str) -> None:
         raise ProblemError(f"solver {solver} has no damping to choose; use lm")
 
 
-def _before(problem: Problem, max_iterations: int) -> tuple[Floats, Floats]:
-    """x (P,) and residuals (n_rows,) of the robot as described, once what the rig leaves unknown is fitted to it.
+def _before(problem: Problem, max_iterations: int) -> tuple[Floats, Residuals]:
+    """x (P,) and residuals of the robot as described, once what the rig leaves unknown is fitted to it.
 
     A ball or a chuck whose place nobody measured is no error of the robot; with the rig as guessed the identification
     would be credited with finding it.
@@ -195,13 +195,12 @@ def _data_root(problem: Problem, columns: NDArray[np.bool_], found: Solution) ->
 
 def _judge(
     fitted: Problem, x_fit: Floats, rig: Rigs, table: ObservationTable, held: NDArray[np.bool_]
-) -> tuple[HeldOut | None, Floats]:
+) -> tuple[HeldOut | None, Residuals]:
     """Errors on the held-out rows with the robot of x_fit; the rig's unknowns from x_fit, or else from these rows."""
     if not held.any():
-        return None, np.zeros(0)
-    problem = build_problem(fitted.chain, rig, table.select(held))
+        return None, {}
     # The known distance between sockets must not help to place them: the error is the spread about each socket.
-    problem = replace(problem, groups=tuple(g for g in problem.groups if not isinstance(g, SocketDistanceRows)))
+    problem = without_knowledge(build_problem(fitted.chain, rig, table.select(held)))
     known = dict(zip(fitted.names, x_fit, strict=True))
     columns = np.array([name not in known for name in problem.names])
     x = np.array([known.get(name, value) for name, value in zip(problem.names, problem.start, strict=True)])
@@ -210,9 +209,8 @@ def _judge(
     judging = has_freedom(problem, columns, x)
     if not judging.any():
         return None, error
-    size = np.abs(error[judging])
     settled_here, left_out = int(columns.sum()), int((~judging).sum())
-    return HeldOut(_rms(size), float(size.mean()), float(size.max()), size.size, settled_here, left_out), error
+    return HeldOut(Figures.by_unit(error, judging), int(judging.sum()), settled_here, left_out), error
 
 
 def _mask(name: str, mask: NDArray[np.bool_] | None, size: int, default: bool) -> NDArray[np.bool_]:
@@ -224,8 +222,8 @@ def _mask(name: str, mask: NDArray[np.bool_] | None, size: int, default: bool) -
     return mask
 
 
-def _rms(residual: Floats) -> float:
-    return float(np.sqrt(np.mean(residual**2)))
+def _rms(residual: Residuals) -> dict[str, float]:
+    return {unit: figures.rms for unit, figures in Figures.by_unit(residual).items()}
 
 
 def _spread(flags: NDArray[np.bool_], columns: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -234,7 +232,12 @@ def _spread(flags: NDArray[np.bool_], columns: NDArray[np.bool_]) -> NDArray[np.
     return out
 
 
-def _merge(fitted: Floats, held_out: Floats | float, held: NDArray[np.bool_]) -> Floats:
+def _merged(fitted: Residuals, held_out: Residuals, held: NDArray[np.bool_]) -> Residuals:
+    units = [unit for unit in UNITS if unit in fitted or unit in held_out]
+    return {unit: _merge(fitted.get(unit, np.nan), held_out.get(unit, np.nan), held) for unit in units}
+
+
+def _merge(fitted: Floats | float, held_out: Floats | float, held: NDArray[np.bool_]) -> Floats:
     out = np.empty(held.size)
     out[~held], out[held] = fitted, held_out
     return out

@@ -19,13 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import get_lapack_funcs
 
-from truearm.estimate.drafts import Group
-from truearm.estimate.problem import Problem, blocks, evaluate, pieces
+from truearm.estimate.problem import Problem, blocks, note, pieces
 from truearm.estimate.residual_noise import residual_cov, whiten
 from truearm.kinds.linearised import Linearised
-from truearm.kinds.socket_distance import SocketDistanceRows
 from truearm.model.constant_folding import folded
-from truearm.types import Floats
+from truearm.types import Floats, Residuals
 
 RANK_TOLERANCE = 1e-10  # of the largest singular value; analytic Jacobians leave 1e-15 where nothing is seen
 (_tpqrt,) = get_lapack_funcs(("tpqrt",), dtype=np.float64)
@@ -41,7 +39,7 @@ class Information(NamedTuple):
     rhs: Floats  # (k,) z
     chi2: float  # fᵀf
     n_residuals: int  # scalar ones, priors included
-    residual: Floats  # (n,) m, of the table's rows: signed for a length, the norm of a point's
+    residual: Residuals  # of the table's rows
 
 
 class Spectrum(NamedTuple):
@@ -65,10 +63,10 @@ def observe(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> Informat
     n_used, n_rig = int(used.sum()), int(rig.sum())
     b, k = n_used + n_rig + 1, twists.shape[1] + n_rig + 1
     triangle = np.zeros((b, b), order="F")
-    residual = np.full(problem.n_rows, np.nan)
+    residual = problem.no_residuals()
     chi2, count = 0.0, 0
     for block in blocks(problem):
-        lin = evaluate(problem, block, x)
+        lin = block.evaluate(problem.chain, x)
         note(block, lin.residual, residual)
         stacked = _stacked(lin, used, rig)
         whiten(stacked, residual_cov(block.sensor_cov, lin.jac_joints, problem.joint_cov))
@@ -101,7 +99,7 @@ def weighed(problem: Problem, x: Floats) -> Problem:
     groups = []
     for group in problem.groups:
         cov = [
-            residual_cov(part.sensor_cov, evaluate(problem, part, x).jac_joints, problem.joint_cov)
+            residual_cov(part.sensor_cov, part.evaluate(problem.chain, x).jac_joints, problem.joint_cov)
             for part in pieces(group)
         ]
         groups.append(replace(group, sensor_cov=np.concatenate(cov)))
@@ -182,11 +180,3 @@ def covariance(parts: Spectrum) -> Floats:
     """(k, k) inverse of RᵀR on the directions that are seen."""
     root = half(parts)
     return np.asarray(root @ root.T)
-
-
-def note(block: Group, residual: Floats, out: Floats) -> None:
-    """Write a block's residuals to their rows of the table; distances between sockets belong to no row."""
-    if isinstance(block, SocketDistanceRows):
-        return
-    parts = residual.reshape(len(block.row), -1)
-    out[block.row] = parts[:, 0] if parts.shape[1] == 1 else np.linalg.norm(parts[:, :3], axis=1)

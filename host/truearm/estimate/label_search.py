@@ -31,7 +31,7 @@ from truearm.estimate.information import observe
 from truearm.estimate.problem import Rigs, build_problem
 from truearm.estimate.solution import Options
 from truearm.model.chain import Chain
-from truearm.types import Floats, ObservationTable, Point, Relabelling, Rig
+from truearm.types import Figures, Floats, ObservationTable, Point, Relabelling, Rig
 
 SUSPICIOUS = 0.01  # of the least distance between two labelled points
 TENFOLD = 0.1
@@ -82,7 +82,7 @@ def relabellings(
         problem = build_problem(chain, rig, these, prior_sigma)
         columns = np.concatenate([free, np.ones(len(problem.names) - free.size, dtype=bool)])
         found = fit(problem, columns, problem.start, Options(SEARCH_ITERATIONS))
-        return _rms(found.information.residual), found.x[: free.size]
+        return Figures.of(found.information.residual["m"]).rms, found.x[: free.size]
 
     before, _ = fitted(few)
     best: tuple[float, list[Pairing]] = (TENFOLD * before, [])
@@ -138,7 +138,7 @@ def _best_pairing(
 def _misfit(chain: Chain, rigs: Mapping[str, Rig], rows: ObservationTable, params: Floats) -> float:
     problem = build_problem(chain, rigs, rows)
     x = np.concatenate([params, problem.start[params.size :]])
-    return float(np.median(np.abs(observe(problem, x, np.zeros(x.size, dtype=bool)).residual)))
+    return float(np.median(np.abs(observe(problem, x, np.zeros(x.size, dtype=bool)).residual["m"])))
 
 
 def _relabelled(table: ObservationTable, groups: list[Group], pairings: list[Pairing]) -> ObservationTable:
@@ -216,7 +216,3 @@ def _least_distance(rig: Rig) -> float:
         for a, b in combinations(points.values(), 2)
     ]
     return min(apart, default=float("inf"))
-
-
-def _rms(residual: Floats) -> float:
-    return float(np.sqrt(np.mean(residual**2)))

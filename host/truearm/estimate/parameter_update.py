@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.estimate.problem import Problem
-from truearm.kinds.position import PositionRows
 from truearm.model.rotation import turned
 from truearm.types import Floats
 
@@ -28,12 +27,7 @@ def added(x: Floats, delta: Floats) -> Floats:
 def stepper(problem: Problem, columns: NDArray[np.bool_]) -> Step:
     """The step of x[columns]; an orientation of which some component is held is added to."""
     x_size = problem.start.size
-    triples = {
-        tuple(triple)
-        for group in problem.groups
-        if isinstance(group, PositionRows)
-        for triple in np.unique(group.device[:, 3:], axis=0).tolist()
-    }
+    triples = {tuple(triple) for group in problem.groups for triple in group.orientations().tolist()}
     free = sorted(triple for triple in triples if max(triple) < x_size and columns[list(triple)].all())
     if not free:
         return added

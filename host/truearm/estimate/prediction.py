@@ -1,6 +1,6 @@
-"""What an estimate says of single poses: how far the tool may be off there, and how far measured orientations are.
+"""What an estimate says of single poses: how far the tool may be off there.
 
-**How far the tool may be off** (Renders 1991, II-D, a posteriori). The measured point moves by J·Δ, so by the parameters'
+(Renders 1991, II-D, a posteriori). The measured point moves by J·Δ, so by the parameters'
 covariance P its error has the mean square tr(J P Jᵀ) at a pose. Directions that the observations cannot see have no
 variance in P, and need none where they move no point. Two cases are told apart by the null directions N:
 
@@ -20,14 +20,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from truearm.estimate.problem import Rigs, build_problem, evaluate
-from truearm.kinds.pose import WIDTH, PoseRows
+from truearm.estimate.problem import Rigs
 from truearm.model.chain import Chain, point_jacobians
 from truearm.types import Estimate, Floats, ObservationTable, PredictedError, Rig
 
 MOST_POSES = 500  # of a large table an even choice: the Jacobian, 1500 × 54, is then 0.6 MB
 FIRST_ORDER = 0.2  # of the farthest point's distance from the base: a tenth of the figure is then left out
-MOVES = 1e-6  # m by a direction whose largest weight is 1; directions come out of an SVD with 1e-10
+MOVES = 1e-6  # m, rad by a direction whose largest weight is 1; directions come out of an SVD with 1e-10
 
 
 def predicted_point_error(
@@ -98,23 +97,3 @@ def body_motion(points: Floats) -> Floats:
     """(3n, 6) how points (n, 3) move by a twist (v; w) of the base: v + w × p."""
     turned = np.cross(np.eye(3), points[:, None, :]).swapaxes(1, 2)
     return np.concatenate([np.broadcast_to(np.eye(3), turned.shape), turned], axis=2).reshape(-1, 6)
-
-
-def orientation_residuals(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Floats:
-    """(n,) [rad] angle between the measured and the predicted orientation of the rows of kind pose; NaN of all others.
-
-    NaN too where the pose of a row's tracker is unknown and was not identified, as of one that was held out.
-    """
-    out = np.full(len(table), np.nan)
-    rows = np.flatnonzero(table.kind == "pose")
-    if not rows.size:
-        return out
-    problem = build_problem(chain, rig, table.select(rows))
-    found = dict(zip(estimate.parameter_names, estimate.value.tolist(), strict=True))
-    x = np.array([found.get(name, math.nan) for name in problem.names])
-    x[: len(chain.parameters)] = estimate.value[: len(chain.parameters)]
-    for group in problem.groups:
-        if isinstance(group, PoseRows) and np.isfinite(x).all():
-            turns = evaluate(problem, group, x).residual.reshape(-1, WIDTH)[:, 3:]
-            out[rows[group.row]] = np.linalg.norm(turns, axis=1)
-    return out

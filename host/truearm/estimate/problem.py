@@ -19,20 +19,14 @@ import numpy as np
 
 from truearm.errors import ProblemError
 from truearm.estimate.backlash import Backlash
-from truearm.estimate.drafts import KINDS, Draft, Group
+from truearm.estimate.drafts import KINDS, Draft
 from truearm.estimate.prior import robot_prior
 from truearm.estimate.residual_noise import checked_joint_cov, residual_cov
 from truearm.estimate.unknowns import Layout, Scope
-from truearm.kinds import ball_bar, plane, pose, position, seat, socket_distance
-from truearm.kinds.ball_bar import BallBarRows
-from truearm.kinds.linearised import Linearised, take
-from truearm.kinds.plane import PlaneRows
-from truearm.kinds.pose import PoseRows
-from truearm.kinds.position import PositionRows
-from truearm.kinds.seat import SeatRows
-from truearm.kinds.socket_distance import SocketDistanceRows
+from truearm.kinds.group import Group
 from truearm.model.chain import Chain
-from truearm.types import Floats, ObservationTable, Rig
+from truearm.types import Floats, ObservationTable, Residuals, Rig
+from truearm.units import UNITS
 
 BLOCK = 4096  # observations evaluated at once: a Jacobian of 54 columns fills 1.8 MB, about the second-level cache
 Rigs = Rig | Mapping[str, Rig]
@@ -54,6 +48,11 @@ class Problem:
     @property
     def n_robot(self) -> int:
         return len(self.chain.parameters)
+
+    def no_residuals(self) -> dict[str, Floats]:
+        """(n_rows,) NaN for each unit that residuals of the table's rows have, to be filled by ``note``."""
+        have = {unit for group in self.groups if group.row is not None for unit in group.COMPONENTS}
+        return {unit: np.full(self.n_rows, np.nan) for unit in UNITS if unit in have}
 
 
 def build_problem(
@@ -100,9 +99,9 @@ def _with_unknown_sides(problem: Problem, sigma: Floats) -> Problem:
     """The problem with what links may lie beside their encoders by, ``sigma`` (n_rows, j), counted as noise of those rows."""
     groups: list[Group] = []
     for group in problem.groups:
-        of_rows = np.zeros((0, 0)) if isinstance(group, SocketDistanceRows) else sigma[group.row]
+        of_rows = np.zeros((0, 0)) if group.row is None else sigma[group.row]
         if of_rows.any():
-            jac = evaluate(problem, group, problem.start).jac_joints
+            jac = group.evaluate(problem.chain, problem.start).jac_joints
             off = jac.reshape(len(of_rows), -1, jac.shape[-1]) * of_rows[:, None]
             cov = residual_cov(group.sensor_cov, off.reshape(jac.shape), np.eye(jac.shape[-1]))
             group = replace(group, sensor_cov=cov)
@@ -119,30 +118,24 @@ def blocks(problem: Problem, size: int = BLOCK) -> Iterator[Group]:
 def pieces(group: Group, size: int = BLOCK) -> Iterator[Group]:
     """A group's observations, at most ``size`` at once."""
     for at in range(0, len(group.sensor_cov), size):
-        yield take(group, slice(at, at + size))
+        yield group.take(slice(at, at + size))
 
 
-def evaluate(problem: Problem, group: Group, x: Floats) -> Linearised:
-    """Residuals and derivatives of a block at x."""
-    match group:
-        case BallBarRows():
-            return ball_bar.evaluate(problem.chain, group, x)
-        case SeatRows():
-            return seat.evaluate(problem.chain, group, x)
-        case PoseRows():  # before PositionRows, which it extends
-            return pose.evaluate(problem.chain, group, x)
-        case PositionRows():
-            return position.evaluate(problem.chain, group, x)
-        case PlaneRows():
-            return plane.evaluate(problem.chain, group, x)
-        case _:
-            return socket_distance.evaluate(problem.chain, group, x)
+def note(block: Group, residual: Floats, out: Residuals) -> None:
+    """Write a block's residuals (n·w,) to their rows of the table, unit by unit; knowledge belongs to no row."""
+    if block.row is not None:
+        for unit, figure in block.by_unit(residual).items():
+            out[unit][block.row] = figure
 
 
 def settled(problem: Problem, x: Floats) -> Problem:
-    """The problem with its seats settled (``seat.settle``), to count what its observations can see at x."""
-    groups = (seat.settle(problem.chain, g, x) if isinstance(g, SeatRows) else g for g in problem.groups)
-    return replace(problem, groups=tuple(groups))
+    """The problem with its observations settled (``Group.settle``), to count what they can see at x."""
+    return replace(problem, groups=tuple(group.settle(problem.chain, x) for group in problem.groups))
+
+
+def without_knowledge(problem: Problem) -> Problem:
+    """The problem without what is known beside the table, as the distance between two sockets."""
+    return replace(problem, groups=tuple(group for group in problem.groups if group.row is not None))
 
 
 def _rigs(rig: Rigs, table: ObservationTable) -> Mapping[str, Rig]:

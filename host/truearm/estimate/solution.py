@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from truearm.estimate.information import Information
 from truearm.estimate.problem import Problem
-from truearm.types import Floats
+from truearm.types import Floats, Residuals
 
 
 class Options(NamedTuple):
@@ -19,7 +19,7 @@ class Options(NamedTuple):
     max_iterations: int = 50
     loss: str = "linear"  # one of solvers.LOSSES, for lm and map
     plain: bool = False  # damp by λI, for lm
-    on_step: Callable[[int, Floats], None] | None = None  # hears iteration and residuals (n_rows,) in m
+    on_step: Callable[[int, Residuals], None] | None = None  # hears the iteration and the residuals
 
 
 class Solution(NamedTuple):

@@ -12,7 +12,7 @@ take the part H r away, H = U₁U₁ᵀ of the thin SVD's U₁ beside J. What is
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -22,12 +22,12 @@ from truearm.estimate.fit import fit
 from truearm.estimate.information import RANK_TOLERANCE
 from truearm.estimate.lm import DAMPING_START
 from truearm.estimate.prediction import MOVES
-from truearm.estimate.problem import Problem, Rigs, build_problem, evaluate, settled
+from truearm.estimate.problem import Problem, Rigs, build_problem, settled, without_knowledge
 from truearm.estimate.solution import Options
 from truearm.estimate.whitened_rows import whitened_blocks
-from truearm.kinds.socket_distance import SocketDistanceRows
+from truearm.kinds.group import unit_columns
 from truearm.model.chain import Chain
-from truearm.types import Floats, ObservationTable
+from truearm.types import Floats, ObservationTable, Residuals
 
 LEAST_FREEDOM = 1e-6  # share of a row's residuals that must be left to judge by; rounding leaves 1e-12
 
@@ -35,7 +35,7 @@ LEAST_FREEDOM = 1e-6  # share of a row's residuals that must be left to judge by
 class Judgement(NamedTuple):
     """What n rows say of a robot."""
 
-    error: Floats  # (n,) m, norm of each row's residual
+    error: Residuals  # sizes of the rows' residuals by unit
     judging: NDArray[np.bool_]  # (n,) False for rows that fit whatever they say
     n_settled: int  # unknowns of the rig that were settled on these rows
     problem: Problem
@@ -43,7 +43,10 @@ class Judgement(NamedTuple):
 
 
 class Expected(NamedTuple):
-    """What n rows should say of a robot that is as identified: mean squares [m²] of the errors."""
+    """What n rows should say of a robot that is as identified: mean squares of the errors in one SI unit.
+
+    NaN and False of rows without such an error.
+    """
 
     by_noise: Floats  # (n,) by the sigmas that rig and table declare
     by_parameters: Floats  # (n,) by the parameters' covariance
@@ -52,18 +55,17 @@ class Expected(NamedTuple):
 
 def judge(chain: Chain, rig: Rigs, table: ObservationTable, params: Floats) -> Judgement:
     """Judge the robot with parameters (p,) by a table. Raises ProblemError as ``build_problem``."""
-    problem = build_problem(chain, rig, table)
     # The known distance between sockets must not help to place them: the error is the spread about each socket.
-    problem = replace(problem, groups=tuple(g for g in problem.groups if not isinstance(g, SocketDistanceRows)))
+    problem = without_knowledge(build_problem(chain, rig, table))
     x = np.concatenate([params, problem.start[problem.n_robot :]])
     rig_only = np.arange(x.size) >= problem.n_robot
     found = fit(problem, rig_only, x, Options(), DAMPING_START)
-    error, judging = np.abs(found.information.residual), has_freedom(problem, rig_only, found.x)
-    return Judgement(error, judging, int(rig_only.sum()), problem, found.x)
+    error = {unit: np.abs(residual) for unit, residual in found.information.residual.items()}
+    return Judgement(error, has_freedom(problem, rig_only, found.x), int(rig_only.sum()), problem, found.x)
 
 
-def expected(judgement: Judgement, covariance: Floats, unseen: Floats) -> Expected:
-    """What the rows of a judgement should say, with the robot's covariance (p, p) and ``unseen`` directions (p, d).
+def expected(judgement: Judgement, covariance: Floats, unseen: Floats) -> Mapping[str, Expected]:
+    """What the rows of a judgement should say, by SI unit, with the robot's covariance (p, p) and ``unseen`` directions (p, d).
 
     The largest weight of each direction is 1.
     """
@@ -72,19 +74,23 @@ def expected(judgement: Judgement, covariance: Floats, unseen: Floats) -> Expect
     jac = np.concatenate([part.jac.reshape(-1, x.size) for part in parts])
     taken = _taken(jac[:, p:], problem.prior_sigma[p:])
     left = jac[:, :p] - taken @ (taken.T @ jac[:, :p])
-    by_noise, by_parameters = np.zeros(problem.n_rows), np.zeros(problem.n_rows)
-    moved = np.zeros(problem.n_rows, dtype=bool)
+    due = {
+        unit: Expected(np.full(problem.n_rows, np.nan), np.full(problem.n_rows, np.nan), np.zeros(problem.n_rows, bool))
+        for unit in judgement.error
+    }
     at = 0
     for part in parts:
         n, width, _ = part.jac.shape
-        root = part.noise_root[:, :3]  # to m; what follows in a pose is its rotation
         mine = slice(at, at + n * width)
-        fitted, by_robot = (root @ whole[mine].reshape(n, width, -1) for whole in (taken, left))
-        by_noise[part.row] = (root**2).sum(axis=(1, 2)) - (fitted**2).sum(axis=(1, 2))
-        by_parameters[part.row] = np.einsum("nwp,pr,nwr->n", by_robot, covariance, by_robot, optimize=True)
-        moved[part.row] = np.abs(by_robot @ unseen).max(axis=(1, 2), initial=0.0) > MOVES
+        for unit, components in unit_columns(part.components).items():
+            root, to = part.noise_root[:, components], due[unit]
+            fitted, by_robot = (root @ whole[mine].reshape(n, width, -1) for whole in (taken, left))
+            to.by_noise[part.row] = np.maximum((root**2).sum(axis=(1, 2)) - (fitted**2).sum(axis=(1, 2)), 0.0)
+            square = np.einsum("nwp,pr,nwr->n", by_robot, covariance, by_robot, optimize=True)
+            to.by_parameters[part.row] = np.maximum(square, 0.0)
+            to.unseen[part.row] = np.abs(by_robot @ unseen).max(axis=(1, 2), initial=0.0) > MOVES
         at += n * width
-    return Expected(np.maximum(by_noise, 0.0), np.maximum(by_parameters, 0.0), moved)
+    return due
 
 
 def _taken(jac: Floats, prior_sigma: Floats) -> Floats:
@@ -105,8 +111,11 @@ def has_freedom(problem: Problem, columns: NDArray[np.bool_], x: Floats) -> NDAr
     free = np.ones(problem.n_rows, dtype=bool)
     if not columns.any():
         return free
-    groups = [group for group in problem.groups if not isinstance(group, SocketDistanceRows)]
-    whole = [(group.row, evaluate(problem, group, x).jac_params[:, columns]) for group in groups]
+    whole = [
+        (group.row, group.evaluate(problem.chain, x).jac_params[:, columns])
+        for group in problem.groups
+        if group.row is not None
+    ]
     basis, weight, _ = np.linalg.svd(np.concatenate([jac for _, jac in whole]), full_matrices=False)
     hat = np.sum(basis[:, weight > RANK_TOLERANCE * weight.max(initial=0.0)] ** 2, axis=1)
     at = 0

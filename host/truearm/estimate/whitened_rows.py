@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from truearm.estimate.information import Information, fold, note
-from truearm.estimate.problem import Problem, blocks, evaluate
+from truearm.estimate.information import Information, fold
+from truearm.estimate.problem import Problem, blocks, note
 from truearm.estimate.residual_noise import residual_cov, whiten
 from truearm.estimate.robust import Moments, weigh
-from truearm.kinds.linearised import Indices, take
-from truearm.kinds.socket_distance import SocketDistanceRows
-from truearm.types import Floats
+from truearm.kinds.linearised import Indices
+from truearm.types import Floats, Residuals
 
 GATE_LEVEL = 1e-6  # a clean row is suspected once in a million
 ALONE = 1e-9  # 1 − leverage, below which a residual is rounding and says nothing
@@ -30,26 +29,26 @@ ALONE = 1e-9  # 1 − leverage, below which a residual is rounding and says noth
 class Block(NamedTuple):
     """Some observations of one kind, linearised and whitened."""
 
-    row: Indices | None  # (n,) rows of the table; None for distances between sockets, which are knowledge, not data
+    row: Indices | None  # (n,) rows of the table; None for knowledge, such as distances between sockets
+    components: tuple[str, ...]  # w SI units
     jac: Floats  # (n, w, k)
     residual: Floats  # (n, w)
-    noise_root: Floats  # (n, w, w) noise_root @ whitened is in m (rad) again
+    noise_root: Floats  # (n, w, w) noise_root @ whitened is in the components' units again
 
 
 def whitened_blocks(
-    problem: Problem, x: Floats, columns: NDArray[np.bool_], residual_m: Floats | None = None
+    problem: Problem, x: Floats, columns: NDArray[np.bool_], residual: Residuals | None = None
 ) -> Iterator[Block]:
-    """All observations at x (P,), derivatives by x[columns]; ``residual_m`` (n_rows,) takes the residuals in metres."""
+    """All observations at x (P,), derivatives by x[columns]; ``residual`` takes the residuals by unit."""
     for block in blocks(problem):
-        lin = evaluate(problem, block, x)
-        if residual_m is not None:
-            note(block, lin.residual, residual_m)
+        lin = block.evaluate(problem.chain, x)
+        if residual is not None:
+            note(block, lin.residual, residual)
         cov = residual_cov(block.sensor_cov, lin.jac_joints, problem.joint_cov)
         stacked = np.concatenate([lin.jac_params[:, columns], lin.residual[:, None]], axis=1)
         stacked = stacked.reshape(len(cov), cov.shape[1], -1)
         whiten(stacked.T, cov)
-        row = None if isinstance(block, SocketDistanceRows) else block.row
-        yield Block(row, stacked[:, :, :-1], stacked[:, :, -1], _root(cov))
+        yield Block(block.row, block.COMPONENTS, stacked[:, :, :-1], stacked[:, :, -1], _root(cov))
 
 
 def observe_robustly(
@@ -61,7 +60,7 @@ def observe_robustly(
     """
     k = int(columns.sum())
     triangle = np.zeros((k + 1, k + 1))
-    residual, weights = np.full(problem.n_rows, np.nan), np.ones(problem.n_rows)
+    residual, weights = problem.no_residuals(), np.ones(problem.n_rows)
     moments, chi2, count = Moments(), 0.0, 0
     for block in whitened_blocks(problem, x, columns, residual):
         length, width = np.linalg.norm(block.residual, axis=1), block.residual.shape[1]
@@ -118,8 +117,8 @@ def standardised(
 
 def only(problem: Problem, used: NDArray[np.bool_]) -> Problem:
     """The problem without the table's rows that are not ``used`` (n_rows,); rows keep their numbers."""
-    groups = (g if isinstance(g, SocketDistanceRows) else take(g, used[g.row]) for g in problem.groups)
-    return replace(problem, groups=tuple(g for g in groups if isinstance(g, SocketDistanceRows) or len(g.row)))
+    groups = (group if group.row is None else group.take(used[group.row]) for group in problem.groups)
+    return replace(problem, groups=tuple(group for group in groups if len(group.sensor_cov)))
 
 
 def _root(cov: Floats) -> Floats:

@@ -117,9 +117,9 @@ def document_of(
         "additions": [_lists(addition._asdict()) for addition in estimate.additions],
         "relabellings": [_relabelling(r, table) for r in estimate.relabellings],
         "relabelling_search": estimate.relabelling_search,
-        "rms_before_mm": _mm(estimate.rms_before),
-        "rms_after_mm": _mm(estimate.rms_after),
-        "rms_history_mm": [_mm(rms) for rms in estimate.rms_history],
+        "rms_before_mm": _mm(estimate.rms_before["m"]),
+        "rms_after_mm": _mm(estimate.rms_after["m"]),
+        "rms_history_mm": [_mm(rms) for rms in estimate.rms_history["m"]],
         "chi2_reduced": _number(estimate.chi2_reduced),
         "chi2_band": _numbers(estimate.chi2_band),
         "chi2_freedom": _number(estimate.chi2_freedom),
@@ -144,9 +144,9 @@ def _counts(estimate: Estimate, table: ObservationTable, angle: Floats) -> list[
         fitted, held_out = mine & estimate.fitted, mine & ~estimate.fitted
         entry = {"rig": rig, "kind": kind, "fitted": int(fitted.sum()), "held_out": int(held_out.sum())}
         entry |= {f"{what}s": _distinct(table, what, fitted) for what in COUNTED}
-        entry["rms_before_mm"] = _mm(_rms(estimate.residual_before[fitted]))
-        entry["rms_after_mm"] = _mm(_rms(estimate.residual[fitted]))
-        entry["rms_held_out_mm"] = _mm(_rms(estimate.residual[held_out]))
+        entry["rms_before_mm"] = _mm(_rms(estimate.residual_before["m"][fitted]))
+        entry["rms_after_mm"] = _mm(_rms(estimate.residual["m"][fitted]))
+        entry["rms_held_out_mm"] = _mm(_rms(estimate.residual["m"][held_out]))
         entry["rms_rotation_deg"] = _number(math.degrees(_rms(angle[fitted])))
         entries.append(entry)
     return entries
@@ -218,9 +218,9 @@ def _held_out(held_out: HeldOut | None) -> dict[str, Any] | None:
     if held_out is None:
         return None
     return {
-        "rms_mm": _mm(held_out.rms),
-        "mean_mm": _mm(held_out.mean),
-        "max_mm": _mm(held_out.max),
+        "rms_mm": _mm(held_out.figures["m"].rms),
+        "mean_mm": _mm(held_out.figures["m"].mean),
+        "max_mm": _mm(held_out.figures["m"].max),
         "n": held_out.n,
         "n_settled": held_out.n_settled,
         "n_left_out": held_out.n_left_out,

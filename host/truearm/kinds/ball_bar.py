@@ -14,43 +14,42 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from truearm.kinds.group import Group
 from truearm.kinds.linearised import Indices, Linearised, gather, no_columns, scatter
 from truearm.model.chain import Chain, along, trace_point
 from truearm.types import Floats
 
-WIDTH = 1  # scalar residuals an observation
 
-
-@dataclass(frozen=True)
-class BallBarRows:
+@dataclass(frozen=True, kw_only=True)
+class BallBarRows(Group):
     """n ball-bar observations; indices point into x followed by ``constants``."""
 
-    row: Indices  # (n,) rows of the table
-    sensor_cov: Floats  # (n, 1) m²
+    COMPONENTS = ("m",)
+
     q: Floats  # (n, j)
     length: Floats  # (n,) measured, m
     sphere: Indices  # (n, 3)
     chuck: Indices  # (n, 3)
     scale: Indices  # (n, 2) zero and gain
     declared: Floats  # (n, 2) zero and gain that made ``length``
-    constants: Floats
 
-
-def evaluate(chain: Chain, rows: BallBarRows, x: Floats) -> Linearised:
-    """Residuals (n,) and their derivatives at x (P,)."""
-    p = len(chain.parameters)
-    trace = trace_point(chain, x[:p], rows.q, gather(x, rows.constants, rows.sphere))
-    bar = trace.p_base - gather(x, rows.constants, rows.chuck)
-    d = np.sqrt((bar * bar).sum(axis=1))
-    zero, gain = gather(x, rows.constants, rows.scale).T
-    declared_zero, declared_gain = rows.declared.T
-    ratio = declared_gain / gain
-    predicted = declared_zero + ratio * (d - zero)
-    # A sphere in the chuck's centre has no direction: such a row says nothing to first order.
-    u = bar * (ratio / np.where(d > 0.0, d, 1.0))[:, None]
-    derivative = along(trace, u[None])
-    by_rig = no_columns(derivative.wrenches, x.size - p)
-    scatter(by_rig, rows.sphere - p, derivative.jac_point)
-    scatter(by_rig, rows.chuck - p, -u[None])
-    scatter(by_rig, rows.scale - p, np.stack([-ratio, -ratio * (d - zero) / gain], axis=1)[None])
-    return Linearised(rows.length - predicted, derivative.wrenches, derivative.twists, by_rig, derivative.jac_joints)
+    def evaluate(self, chain: Chain, x: Floats) -> Linearised:
+        """Residuals (n,) and their derivatives at x (P,)."""
+        p = len(chain.parameters)
+        trace = trace_point(chain, x[:p], self.q, gather(x, self.constants, self.sphere))
+        bar = trace.p_base - gather(x, self.constants, self.chuck)
+        d = np.sqrt((bar * bar).sum(axis=1))
+        zero, gain = gather(x, self.constants, self.scale).T
+        declared_zero, declared_gain = self.declared.T
+        ratio = declared_gain / gain
+        predicted = declared_zero + ratio * (d - zero)
+        # A sphere in the chuck's centre has no direction: such a row says nothing to first order.
+        u = bar * (ratio / np.where(d > 0.0, d, 1.0))[:, None]
+        derivative = along(trace, u[None])
+        by_rig = no_columns(derivative.wrenches, x.size - p)
+        scatter(by_rig, self.sphere - p, derivative.jac_point)
+        scatter(by_rig, self.chuck - p, -u[None])
+        scatter(by_rig, self.scale - p, np.stack([-ratio, -ratio * (d - zero) / gain], axis=1)[None])
+        return Linearised(
+            self.length - predicted, derivative.wrenches, derivative.twists, by_rig, derivative.jac_joints
+        )

@@ -25,10 +25,8 @@ device's longitudinal place.
 from __future__ import annotations
 
 from truearm.kinds import position
-from truearm.kinds.position import PositionRows, evaluate, nearest_rotation
+from truearm.kinds.position import nearest_rotation
 from truearm.types import Floats
-
-__all__ = ["PLACEMENTS", "PositionRows", "evaluate", "place"]
 
 PLACEMENTS = ("least_squares", "two_point")
 

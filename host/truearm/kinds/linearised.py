@@ -12,25 +12,20 @@ all poses of one column follow each other.
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truearm.types import Floats
 
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
 Indices = NDArray[np.intp]
-AnyRows = TypeVar("AnyRows", bound="DataclassInstance")
 
 
 class Linearised(NamedTuple):
     """Residuals and derivatives of n observations of w scalar residuals each; m = n·w, one observation's together."""
 
-    residual: Floats  # (m,) measured − predicted [m]
+    residual: Floats  # (m,) measured − predicted, in the units of the group's components
     wrenches: Floats  # (w, n, b)
     twists: Floats  # (b, p)
     by_rig: Floats  # (w, n, P − p) ∂predicted/∂(the rig's unknowns)
@@ -45,11 +40,6 @@ class Linearised(NamedTuple):
     def jac_joints(self) -> Floats:
         """(m, j) ∂predicted/∂(joint readings)."""
         return _by_observation(self.by_joints)
-
-
-def take(rows: AnyRows, which: slice | NDArray[Any]) -> AnyRows:
-    """Some of the observations; every field but the shared constants has them as its first axis."""
-    return replace(rows, **{f.name: getattr(rows, f.name)[which] for f in fields(rows) if f.name != "constants"})
 
 
 def gather(x: Floats, constants: Floats, index: Indices) -> Floats:

@@ -11,48 +11,47 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from truearm.kinds.group import Group
 from truearm.kinds.linearised import Indices, Linearised, gather, no_columns, scatter
 from truearm.model.chain import Chain, along, trace_point
 from truearm.model.rotation import left_jacobian, rotation
 from truearm.model.transforms import cross
 from truearm.types import Floats
 
-WIDTH = 1  # scalar residuals an observation
 
-
-@dataclass(frozen=True)
-class PlaneRows:
+@dataclass(frozen=True, kw_only=True)
+class PlaneRows(Group):
     """n touches; indices point into x followed by ``constants``."""
 
-    row: Indices  # (n,) rows of the table
-    sensor_cov: Floats  # (n, 1) m²
+    COMPONENTS = ("m",)
+
     q: Floats  # (n, j)
     distance: Floats  # (n,) measured, m
     target: Indices  # (n, 3) in the end frame
     plane: Indices  # (n, 3) offset and the two tilts
     point: Floats  # (n, 3) declared point c, m
     axes: Floats  # (n, 3, 3) rows e₁, e₂, n₀
-    constants: Floats
 
-
-def evaluate(chain: Chain, rows: PlaneRows, x: Floats) -> Linearised:
-    """Residuals (n,) and their derivatives at x (P,)."""
-    p = len(chain.parameters)
-    trace = trace_point(chain, x[:p], rows.q, gather(x, rows.constants, rows.target))
-    numbers = gather(x, rows.constants, rows.plane)
-    tilts = rows.axes[:, :2]
-    tilt = np.einsum("nk,nki->ni", numbers[:, 1:], tilts)
-    normal = np.einsum("nij,nj->ni", rotation(tilt), rows.axes[:, 2])
-    lever = trace.p_base - rows.point
-    derivative = along(trace, normal[None])
-    by_rig = no_columns(derivative.wrenches, x.size - p)
-    scatter(by_rig, rows.target - p, derivative.jac_point)
-    scatter(by_rig, rows.plane[:, :1] - p, np.full((WIDTH, len(rows.row), 1), -1.0))
-    # (δφ × n)·r = (n × r)·δφ with δφ = J_l δ(tilt)
-    turned = np.einsum("ni,nij,nkj->nk", cross(normal.T, lever.T).T, left_jacobian(tilt), tilts)
-    scatter(by_rig, rows.plane[:, 1:] - p, turned[None])
-    predicted = (normal * lever).sum(axis=1) - numbers[:, 0]
-    return Linearised(rows.distance - predicted, derivative.wrenches, derivative.twists, by_rig, derivative.jac_joints)
+    def evaluate(self, chain: Chain, x: Floats) -> Linearised:
+        """Residuals (n,) and their derivatives at x (P,)."""
+        p = len(chain.parameters)
+        trace = trace_point(chain, x[:p], self.q, gather(x, self.constants, self.target))
+        numbers = gather(x, self.constants, self.plane)
+        tilts = self.axes[:, :2]
+        tilt = np.einsum("nk,nki->ni", numbers[:, 1:], tilts)
+        normal = np.einsum("nij,nj->ni", rotation(tilt), self.axes[:, 2])
+        lever = trace.p_base - self.point
+        derivative = along(trace, normal[None])
+        by_rig = no_columns(derivative.wrenches, x.size - p)
+        scatter(by_rig, self.target - p, derivative.jac_point)
+        scatter(by_rig, self.plane[:, :1] - p, np.full((1, len(self.q), 1), -1.0))
+        # (δφ × n)·r = (n × r)·δφ with δφ = J_l δ(tilt)
+        turned = np.einsum("ni,nij,nkj->nk", cross(normal.T, lever.T).T, left_jacobian(tilt), tilts)
+        scatter(by_rig, self.plane[:, 1:] - p, turned[None])
+        predicted = (normal * lever).sum(axis=1) - numbers[:, 0]
+        return Linearised(
+            self.distance - predicted, derivative.wrenches, derivative.twists, by_rig, derivative.jac_joints
+        )
 
 
 def frame_of(normal: Floats) -> Floats:

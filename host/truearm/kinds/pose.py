@@ -23,38 +23,39 @@ from truearm.model.chain import Chain, about, forward, trace_point
 from truearm.model.rotation import left_jacobian, rotation, rotation_vector
 from truearm.types import Floats
 
-WIDTH = 6  # scalar residuals an observation: x, y, z [m] and a rotation vector [rad], in the tracker's axes
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PoseRows(PositionRows):
     """n measured poses: points, and orientations of the end frame; ``sensor_cov`` is (n, 6) or (n, 6, 6)."""
 
+    COMPONENTS = ("m", "m", "m", "rad", "rad", "rad")
+
     rotation: Floats  # (n, 3) measured rotation vector from the tracker's axes to the end frame, rad
 
-
-def evaluate(chain: Chain, rows: PoseRows, x: Floats) -> Linearised:
-    """Residuals (6n,) and their derivatives at x (P,)."""
-    p = len(chain.parameters)
-    q, params = joints_in_time(rows, x), x[:p]
-    trace = trace_point(chain, params, q, gather(x, rows.constants, rows.target))
-    device = gather(x, rows.constants, rows.device)
-    rot = rotation(device[:, 3:]) @ rows.reference
-    point = in_device_axes(trace, rows, x, device, rot)
-    predicted = np.swapaxes(rot, 1, 2) @ forward(chain, params, q)[:, :3, :3]
-    rho = rotation_vector(rotation(rows.rotation) @ np.swapaxes(predicted, 1, 2))
-    # Row k of J_l(ρ)⁻ᵀ R_dᵀ, as a direction in the base frame.
-    directions = np.asarray(np.linalg.solve(np.swapaxes(left_jacobian(rho), 1, 2), np.swapaxes(rot, 1, 2)), dtype=float)
-    axes = np.swapaxes(directions, 0, 1)
-    derivative = about(trace, axes)
-    by_rig = no_columns(derivative.wrenches, x.size - p)
-    scatter(by_rig, rows.device[:, 3:] - p, -np.einsum("wni,nik->wnk", axes, left_jacobian(device[:, 3:])))
-    by_time = (derivative.jac_joints * rows.q_rate).sum(axis=2, keepdims=True)
-    scatter(by_rig, rows.time_offset - p, by_time)
-    return Linearised(
-        np.concatenate([point.residual.reshape(-1, 3), rho], axis=1).ravel(),
-        np.concatenate([point.wrenches, derivative.wrenches]),
-        point.twists,
-        np.concatenate([point.by_rig, by_rig]),
-        np.concatenate([point.by_joints, derivative.jac_joints]),
-    )
+    def evaluate(self, chain: Chain, x: Floats) -> Linearised:
+        """Residuals (6n,) and their derivatives at x (P,)."""
+        p = len(chain.parameters)
+        q, params = joints_in_time(self, x), x[:p]
+        trace = trace_point(chain, params, q, gather(x, self.constants, self.target))
+        device = gather(x, self.constants, self.device)
+        rot = rotation(device[:, 3:]) @ self.reference
+        point = in_device_axes(trace, self, x, device, rot)
+        predicted = np.swapaxes(rot, 1, 2) @ forward(chain, params, q)[:, :3, :3]
+        rho = rotation_vector(rotation(self.rotation) @ np.swapaxes(predicted, 1, 2))
+        # Row k of J_l(ρ)⁻ᵀ R_dᵀ, as a direction in the base frame.
+        directions = np.asarray(
+            np.linalg.solve(np.swapaxes(left_jacobian(rho), 1, 2), np.swapaxes(rot, 1, 2)), dtype=float
+        )
+        axes = np.swapaxes(directions, 0, 1)
+        derivative = about(trace, axes)
+        by_rig = no_columns(derivative.wrenches, x.size - p)
+        scatter(by_rig, self.device[:, 3:] - p, -np.einsum("wni,nik->wnk", axes, left_jacobian(device[:, 3:])))
+        by_time = (derivative.jac_joints * self.q_rate).sum(axis=2, keepdims=True)
+        scatter(by_rig, self.time_offset - p, by_time)
+        return Linearised(
+            np.concatenate([point.residual.reshape(-1, 3), rho], axis=1).ravel(),
+            np.concatenate([point.wrenches, derivative.wrenches]),
+            point.twists,
+            np.concatenate([point.by_rig, by_rig]),
+            np.concatenate([point.by_joints, derivative.jac_joints]),
+        )

@@ -18,25 +18,26 @@ derivative is −J_q·q̇.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
+from truearm.kinds.group import Group
 from truearm.kinds.linearised import Indices, Linearised, gather, no_columns, scatter
 from truearm.model.chain import Chain, PointTrace, along, trace_point
 from truearm.model.rotation import left_jacobian, rotation
 from truearm.model.transforms import cross
 from truearm.types import Floats
 
-WIDTH = 3  # scalar residuals an observation: x, y, z in the device's axes
 STRAIGHT = 1e-9  # points that leave a line by 3e-5 of its length do not show the roll about it
 
 
-@dataclass(frozen=True)
-class PositionRows:
+@dataclass(frozen=True, kw_only=True)
+class PositionRows(Group):
     """n measured points; indices point into x followed by ``constants``."""
 
-    row: Indices  # (n,) rows of the table
-    sensor_cov: Floats  # (n, 3) or (n, 3, 3) m², in the device's axes
+    COMPONENTS: ClassVar[tuple[str, ...]] = ("m", "m", "m")
+
     q: Floats  # (n, j)
     q_rate: Floats  # (n, j), 0 where the robot stood
     xyz: Floats  # (n, 3) measured, m, in the device's axes
@@ -44,17 +45,19 @@ class PositionRows:
     device: Indices  # (n, 6) x, y, z, rx, ry, rz
     reference: Floats  # (n, 3, 3) declared orientation R_r of the device
     time_offset: Indices  # (n, 1)
-    constants: Floats
 
+    def evaluate(self, chain: Chain, x: Floats) -> Linearised:
+        """Residuals (3n,) and their derivatives at x (P,)."""
+        q = joints_in_time(self, x)
+        trace = trace_point(chain, x[: len(chain.parameters)], q, gather(x, self.constants, self.target))
+        device = gather(x, self.constants, self.device)
+        if (self.device == self.device[:1]).all():  # one device, as a rule
+            device = device[:1]
+        return in_device_axes(trace, self, x, device, rotation(device[:, 3:]) @ self.reference[: len(device)])
 
-def evaluate(chain: Chain, rows: PositionRows, x: Floats) -> Linearised:
-    """Residuals (3n,) and their derivatives at x (P,)."""
-    q = joints_in_time(rows, x)
-    trace = trace_point(chain, x[: len(chain.parameters)], q, gather(x, rows.constants, rows.target))
-    device = gather(x, rows.constants, rows.device)
-    if (rows.device == rows.device[:1]).all():  # one device, as a rule
-        device = device[:1]
-    return in_device_axes(trace, rows, x, device, rotation(device[:, 3:]) @ rows.reference[: len(device)])
+    def orientations(self) -> Indices:
+        """(r, 3) the rotation vectors of the devices."""
+        return np.unique(self.device[:, 3:], axis=0)
 
 
 def joints_in_time(rows: PositionRows, x: Floats) -> Floats:
@@ -72,7 +75,7 @@ def in_device_axes(trace: PointTrace, rows: PositionRows, x: Floats, device: Flo
     by_rig = no_columns(derivative.wrenches, x.size - p)
     scatter(by_rig, rows.target - p, derivative.jac_point)
     if (rows.device < x.size).any():
-        scatter(by_rig, rows.device[:, :3] - p, np.broadcast_to(-axes, (WIDTH, *lever.shape)))
+        scatter(by_rig, rows.device[:, :3] - p, np.broadcast_to(-axes, (3, *lever.shape)))
         # −u·(δφ × r) = (u × r)·δφ
         moment = np.moveaxis(cross(np.moveaxis(axes, 2, 0), lever.T[:, None]), 0, 2)
         scatter(by_rig, rows.device[:, 3:] - p, np.einsum("wni,nik->wnk", moment, left_jacobian(device[:, 3:])))

@@ -9,34 +9,32 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from truearm.kinds.group import Group
 from truearm.kinds.linearised import Indices, Linearised, gather, no_columns, scatter
 from truearm.model.chain import Chain
 from truearm.model.constant_folding import folded
 from truearm.types import Floats
 
-WIDTH = 1  # scalar residuals an observation
 
-
-@dataclass(frozen=True)
-class SocketDistanceRows:
+@dataclass(frozen=True, kw_only=True)
+class SocketDistanceRows(Group):
     """n places where both sockets were used; indices point into x followed by ``constants``."""
 
-    sensor_cov: Floats  # (n, 1) m²
+    COMPONENTS = ("m",)
+
     distance: Floats  # (n,) measured, m
     first: Indices  # (n, 3)
     second: Indices  # (n, 3)
-    constants: Floats
 
-
-def evaluate(chain: Chain, rows: SocketDistanceRows, x: Floats) -> Linearised:
-    """Residuals (n,) and their derivatives at x (P,); those by the robot are zero."""
-    apart = gather(x, rows.constants, rows.first) - gather(x, rows.constants, rows.second)
-    d = np.linalg.norm(apart, axis=1)
-    u = np.divide(apart, d[:, None], out=np.zeros_like(apart), where=d[:, None] > 0.0)
-    p = len(chain.parameters)
-    twists = folded(chain, x[:p]).twists
-    wrenches = np.zeros((WIDTH, d.size, len(twists)))
-    by_rig = no_columns(wrenches, x.size - p)
-    scatter(by_rig, rows.first - p, u[None])
-    scatter(by_rig, rows.second - p, -u[None])
-    return Linearised(rows.distance - d, wrenches, twists, by_rig, np.zeros((WIDTH, d.size, len(chain.joints))))
+    def evaluate(self, chain: Chain, x: Floats) -> Linearised:
+        """Residuals (n,) and their derivatives at x (P,); those by the robot are zero."""
+        apart = gather(x, self.constants, self.first) - gather(x, self.constants, self.second)
+        d = np.linalg.norm(apart, axis=1)
+        u = np.divide(apart, d[:, None], out=np.zeros_like(apart), where=d[:, None] > 0.0)
+        p = len(chain.parameters)
+        twists = folded(chain, x[:p]).twists
+        wrenches = np.zeros((1, d.size, len(twists)))
+        by_rig = no_columns(wrenches, x.size - p)
+        scatter(by_rig, self.first - p, u[None])
+        scatter(by_rig, self.second - p, -u[None])
+        return Linearised(self.distance - d, wrenches, twists, by_rig, np.zeros((1, d.size, len(chain.joints))))

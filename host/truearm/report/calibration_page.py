@@ -71,7 +71,7 @@ class CalibrationPage:
     def __post_init__(self) -> None:
         n = len(self.table)
         angle = self.longitude if self.angle is None else self.angle
-        shapes = (self.longitude.shape, self.estimate.residual.shape, self.estimate.fitted.shape, angle.shape)
+        shapes = (self.longitude.shape, self.estimate.residual["m"].shape, self.estimate.fitted.shape, angle.shape)
         if any(shape != (n,) for shape in shapes):
             raise ValueError(f"longitude, residual, fitted and angle must be ({n},) as the table, are {shapes}")
 
@@ -116,13 +116,14 @@ def _section(title: str, content: str) -> str:
 def _verdict(page: CalibrationPage) -> str:
     e, judged = page.estimate, page.judged
     tiles = [
-        _tile("before", e.rms_before, f"{counted(e.n_observations, 'observation')}, nominal parameters", "old"),
-        _tile("after", e.rms_after, "the same observations, identified parameters", "fit"),
+        _tile("before", e.rms_before["m"], f"{counted(e.n_observations, 'observation')}, nominal parameters", "old"),
+        _tile("after", e.rms_after["m"], "the same observations, identified parameters", "fit"),
     ]
     if judged:
-        more = f"mean {millimetres(judged.mean)}, largest {millimetres(judged.max)} mm"
+        error = judged.figures["m"]
+        more = f"mean {millimetres(error.mean)}, largest {millimetres(error.max)} mm"
         tiles.append(
-            _tile("validation", judged.rms, f"{counted(judged.n, 'observation')} not used to fit; {more}", "val")
+            _tile("validation", error.rms, f"{counted(judged.n, 'observation')} not used to fit; {more}", "val")
         )
     if page.predicted:
         more = f"by the parameters' σ, over {counted(page.predicted.n, 'pose')}; most {millimetres(page.predicted.largest)} mm"
@@ -142,12 +143,11 @@ def verdict(page: CalibrationPage) -> str:
     e, judged = page.estimate, page.judged
     *several, last = (kind_name(str(kind)) for kind in sorted(set(page.table.kind)))
     kinds = f"{', '.join(several)} and {last}" if several else last
-    factor = e.rms_before / e.rms_after if e.rms_after > 0.0 else math.inf
+    before, after = e.rms_before["m"], e.rms_after["m"]
+    factor = before / after if after > 0.0 else math.inf
     better = f"{figures(factor, 2)} times smaller" if factor >= 1.0 and math.isfinite(factor) else "changed"
-    line = (
-        f"The {kinds} error is {better}: {millimetres(e.rms_before)} mm RMS before, {millimetres(e.rms_after)} mm after"
-    )
-    return line + (f", {millimetres(judged.rms)} mm on observations not used to fit." if judged else ".")
+    line = f"The {kinds} error is {better}: {millimetres(before)} mm RMS before, {millimetres(after)} mm after"
+    return line + (f", {millimetres(judged.figures['m'].rms)} mm on observations not used to fit." if judged else ".")
 
 
 def doubts(page: CalibrationPage) -> list[str]:
@@ -163,8 +163,8 @@ def doubts(page: CalibrationPage) -> list[str]:
         found.append(f"The solver stopped early ({e.status}): {e.message}.")
     if judged is None:
         found.append("Nothing was held out: the error after is not an independent judgement.")
-    elif judged.rms > HELD_OUT_DOUBTFUL * e.rms_after:
-        ratio = figures(judged.rms / e.rms_after, 2) if e.rms_after > 0.0 else "many"
+    elif judged.figures["m"].rms > HELD_OUT_DOUBTFUL * e.rms_after["m"]:
+        ratio = figures(judged.figures["m"].rms / e.rms_after["m"], 2) if e.rms_after["m"] > 0.0 else "many"
         found.append(
             f"The held-out error is {ratio} times the fitted one: too few observations for so many parameters, or "
             "errors that the parameters do not model."

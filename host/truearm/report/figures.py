@@ -249,7 +249,7 @@ def quantiles(rows: Rows) -> Figure | None:
 
 def convergence(estimate: Estimate) -> Figure:
     """RMS after every iteration of the solver."""
-    history = 1e3 * np.array(estimate.rms_history)
+    history = 1e3 * np.array(estimate.rms_history["m"])
     history = history[np.isfinite(history)]
     steps = np.arange(history.size)
     last = max(history.size - 1, 1)

@@ -85,7 +85,7 @@ def suspect_table(e: Estimate, table: ObservationTable) -> str:
             escape(row_name(table.source[row])),
             escape(kind_name(str(table.kind[row]))),
             number(float(e.distance[row]), 1),
-            millimetres(float(e.residual[row])),
+            millimetres(float(e.residual["m"][row])),
             figures(float(e.weight[row]), 2),
         ]
         for row in rows[:MAX_ROWS]

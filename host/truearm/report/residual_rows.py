@@ -91,11 +91,11 @@ def rows_by_kind(
 
     ``angle`` (n,) [rad] is the rotation's residual of the rows of kind pose.
     """
-    finite = np.isfinite(estimate.residual) & np.isfinite(estimate.residual_before)
+    finite = np.isfinite(estimate.residual["m"]) & np.isfinite(estimate.residual_before["m"])
     group, source, found = _groups(table), np.array([row_name(s) for s in table.source], dtype=np.str_), []
     for kind in np.unique(table.kind[finite]):
         at = finite & (table.kind == kind)
-        residual, before = 1e3 * estimate.residual[at], 1e3 * estimate.residual_before[at]
+        residual, before = 1e3 * estimate.residual["m"][at], 1e3 * estimate.residual_before["m"][at]
         wrapped = np.degrees(np.arctan2(np.sin(longitude[at]), np.cos(longitude[at])))
         part = "position" if kind == "pose" else ""
         rest = (estimate.fitted[at], group[at], source[at])
@@ -140,17 +140,17 @@ def summaries(estimate: Estimate, table: ObservationTable, angle: Floats | None 
     for rig, kind in sorted(set(zip(table.rig.tolist(), table.kind.tolist(), strict=True))):
         mine = (table.rig == rig) & (table.kind == kind)
         fit, val = mine & estimate.fitted, mine & ~estimate.fitted
-        after = estimate.residual[fit & np.isfinite(estimate.residual)]
+        after = estimate.residual["m"][fit & np.isfinite(estimate.residual["m"])]
         found.append(
             Summary(
                 rig,
                 kind,
                 int(fit.sum()),
                 int(val.sum()),
-                _finite_rms(estimate.residual_before[fit]),
+                _finite_rms(estimate.residual_before["m"][fit]),
                 _finite_rms(after),
                 float(np.abs(after).max(initial=0.0)) if after.size else math.nan,
-                _finite_rms(estimate.residual[val]),
+                _finite_rms(estimate.residual["m"][val]),
                 _finite_rms(turn[fit]),
             )
         )

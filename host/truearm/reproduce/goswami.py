@@ -189,8 +189,8 @@ def run(made: Bench, noise: float, gear: float, rng: np.random.Generator) -> Err
     found = fit(problem, free, problem.start, Options())
     error = found.information.root @ (found.x - made.truth)[free]
     return Errors(
-        _rms(found.information.residual),
-        _rms(observe(far, found.x, free).residual),
+        _rms(found.information.residual["m"]),
+        _rms(observe(far, found.x, free).residual["m"]),
         float(error @ error),
         found.information.chi2,
         found.iterations,

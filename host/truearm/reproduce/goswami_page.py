@@ -125,14 +125,14 @@ def _residuals(made: Bench, estimate: Estimate, every: Estimate, few: Estimate) 
     expected = 1e3 * NOISE * float(np.sqrt(1.0 - free / n))
     (rows,) = rows_by_kind(estimate, made.table, goswami.longitudes(made))
     deviation = 3.0 * 1e3 * NOISE / float(np.sqrt(2.0 * (n - free)))
-    r = 1e3 * estimate.residual[estimate.fitted]
+    r = 1e3 * estimate.residual["m"][estimate.fitted]
     claims = (
-        Claim("RMS residual before, 46 cm", "mm", None, 1e3 * estimate.rms_before),
+        Claim("RMS residual before, 46 cm", "mm", None, 1e3 * estimate.rms_before["m"]),
         Claim(
             "RMS residual after, 46 cm",
             "mm",
             RESIDUAL,
-            1e3 * estimate.rms_after,
+            1e3 * estimate.rms_after["m"],
             expected,
             RESIDUAL - expected + deviation,
             "The noise put in is the paper's residual, 0.084 mm; 36 parameters fitted to "
@@ -160,7 +160,7 @@ def _residuals(made: Bench, estimate: Estimate, every: Estimate, few: Estimate) 
             "36 poses: RMS residual after",
             "mm",
             0.0,
-            1e3 * few.rms_after,
+            1e3 * few.rms_after["m"],
             0.0,
             0.1 * RESIDUAL,
             "“If we had measured only 36 poses we could obtain a residual error of zero, no matter how poor the result "
@@ -171,7 +171,7 @@ def _residuals(made: Bench, estimate: Estimate, every: Estimate, few: Estimate) 
             "54 parameters free instead of 36: largest difference of a residual",
             "mm",
             None,
-            1e3 * float(np.abs(every.residual - estimate.residual).max()),
+            1e3 * float(np.abs(every.residual["m"] - estimate.residual["m"]).max()),
             0.0,
             why=f"The 18 held parameters change no prediction. Rank with all 54 free: {every.rank}.",
         ),
@@ -371,7 +371,7 @@ def _figure(plot: svg.Plot, title: str, caption: str, parts: list[str]) -> Figur
 
 
 def _held(estimate: Estimate) -> float:
-    return 1e3 * estimate.held_out.rms if estimate.held_out else float("nan")
+    return 1e3 * estimate.held_out.figures["m"].rms if estimate.held_out else float("nan")
 
 
 def _some(count: int, what: str) -> str:

@@ -101,7 +101,7 @@ def predictions(problem: Problem, session: Session, free: NDArray[np.bool_], las
         for row in rows[PLACING:]:
             if told.sum() >= judged_from:
                 x = told_of(problem, told, columns, x)
-                errors.append(observe(only(problem, np.arange(told.size) == row), x, columns).residual[row])
+                errors.append(observe(only(problem, np.arange(told.size) == row), x, columns).residual["m"][row])
             told[row] = True
     return np.array(errors)
 

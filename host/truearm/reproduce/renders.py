@@ -22,7 +22,7 @@ from truearm.estimate.solvers import solver as solver_of
 from truearm.estimate.uncertainty import CartesianError, tolerance_error
 from truearm.model.chain import Chain, point_forward, point_jacobians
 from truearm.reproduce.line_bench import ANGLE_SIGMA, Session, line_rig, measured_lines, prior_of
-from truearm.types import Floats
+from truearm.types import Figures, Floats, Residuals
 
 # III-E and III-F, errors identified [rad, m]; III-F prints its lengths as Δα2, Δα4, Δα6, Δα6: a2, d4, a6, d6.
 OFFSETS = {"joint2": 0.0236, "joint3": -0.1277, "joint4": -0.0341, "joint5": 0.2585, "joint6": -0.0109}
@@ -185,5 +185,5 @@ def with_d2(chain: Chain) -> Chain:
     return replace(chain, elements=elements, parameters=(*chain.parameters, extra))
 
 
-def _mean(residual: Floats) -> float:
-    return float(np.abs(residual).mean())
+def _mean(residual: Residuals) -> float:
+    return Figures.of(residual["m"]).mean

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from truearm.estimate.prediction import orientation_residuals, predicted_point_error
+from truearm.estimate.prediction import predicted_point_error
 from truearm.estimate.problem import Rigs
 from truearm.files.disk import write_atomic
 from truearm.model.chain import Chain, point_forward
@@ -32,7 +32,7 @@ class Judged(NamedTuple):
 
 def judge(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Judged:
     """What page and result.json say beyond the estimate itself."""
-    angle = orientation_residuals(chain, rig, table, estimate)
+    angle = estimate.residual.get("rad", np.full(len(table), np.nan))
     return Judged(angle, predicted_point_error(chain, rig, table, estimate))
 
 

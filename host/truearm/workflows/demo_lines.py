@@ -181,21 +181,21 @@ def say_result(found: LineCalibration, result: SyncResult, truth: ClockTruth, st
     _say_group(f"{N_LINES} lines", found, is_line & fitted, f"; the sensors alone would leave {sensors:.4f}")
     _say_group("validation line", found, is_line & ~fitted, ", not fitted")
     if found.kind == "line":
-        steps_of = " → ".join(f"{1e3 * rms:.3f}" for rms in estimate.rms_history[:4])
+        steps_of = " → ".join(f"{1e3 * rms:.3f}" for rms in estimate.rms_history["m"][:4])
         say(f"by iteration    {steps_of} mm RMS on the {N_LINES} lines")
         robot = slice(estimate.n_robot_parameters)
         seen = estimate.sigma[robot] > 0.0
         apart = np.abs(other.value[robot] - estimate.value[robot])[seen] / estimate.sigma[robot][seen]
         say(f"row by row      the recursive solver ends within {apart.max():.1g} σ of this")
     else:
-        alone = 1e3 * _rms(other.residual[is_line & ~fitted])
+        alone = 1e3 * _rms(other.residual["m"][is_line & ~fitted])
         say(f"ball-bar alone  would leave {alone:.4f} mm on the validation line")
     say(f"\nreport          {page}")
 
 
 def _say_group(label: str, found: LineCalibration, rows: NDArray[np.bool_], note: str) -> None:
-    before, after = (1e3 * _rms(r[rows]) for r in (found.estimate.residual_before, found.estimate.residual))
-    n = len(found.estimate.residual[rows])
+    before, after = (1e3 * _rms(r["m"][rows]) for r in (found.estimate.residual_before, found.estimate.residual))
+    n = int(rows.sum())
     typer.echo(f"{label:<16}{before:.3f} mm RMS before, {after:.4f} mm after ({n} observations{note})")
 
 

@@ -27,7 +27,7 @@ from truearm.workflows.selection import free_parameters, held_out_rows
 from truearm.workflows.session_parts import with_parts
 
 Mask = NDArray[np.bool_]
-Progress = Callable[[int, float], None]
+Progress = Callable[[int, Mapping[str, float]], None]  # iteration, RMS of the residuals by SI unit
 
 NO_PRIOR = "none"
 PRIORS: Mapping[str, Callable[[Chain], Floats]] = {"weak": weak_prior, "wide": wide_prior}

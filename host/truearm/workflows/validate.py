@@ -51,8 +51,8 @@ def validated(
     judging = before.judging & after.judging
     if not judging.any():
         raise InputError("no row can judge: each fits unknowns of the rig whatever it says; measure more there")
-    errors = before.error, after.error
-    due = _scaled(expected(after, calibration.covariance, calibration.unseen), calibration.stored.document)
+    errors = before.error["m"], after.error["m"]
+    due = _scaled(expected(after, calibration.covariance, calibration.unseen)["m"], calibration.stored.document)
     inputs_then = calibration.stored.document.get("inputs")
     seen = {
         str(entry.get("sha256"))
@@ -68,7 +68,7 @@ def validated(
         "reference_mm": _reference(calibration.stored.document),
         **_errors(errors, judging),
         "unseen": int((judging & due.unseen).sum()),
-        "expected": _expected(due, after.error, judging & ~due.unseen),
+        "expected": _expected(due, after.error["m"], judging & ~due.unseen),
         "regions": _regions(calibration, table, errors, due, judging),
     }
     return document | {"verdict": verdict(document)}

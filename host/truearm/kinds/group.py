@@ -1,0 +1,65 @@
+"""A group of observations, compiled against a parameter vector x: all that an estimator knows of a kind of observation.
+
+The scalar residuals of an observation have units, ``COMPONENTS``. Those of one unit make one figure an observation: itself,
+with its sign, where there is one, else their norm. Figures of different units are never pooled.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.kinds.linearised import Indices, Linearised
+from truearm.model.chain import Chain
+from truearm.types import Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class Group(ABC):
+    """n observations of one kind. Indices point into x followed by ``constants``; every other field has n rows.
+
+    ``row`` is None for what is knowledge and no row of the table, such as the known distance between two sockets.
+    """
+
+    COMPONENTS: ClassVar[tuple[str, ...]]  # the SI unit of each of the w scalar residuals of an observation
+
+    row: Indices | None  # (n,) rows of the table
+    sensor_cov: Floats  # (n, w) variances or (n, w, w), in the components' units squared
+    constants: Floats
+
+    @abstractmethod
+    def evaluate(self, chain: Chain, x: Floats) -> Linearised:
+        """Residuals (n·w,), measured − predicted, and their derivatives at x (P,)."""
+
+    def settle(self, chain: Chain, x: Floats) -> Self:
+        """The group as a rank test at x needs it (``SeatRows.settle``)."""
+        return self
+
+    def orientations(self) -> Indices:
+        """(r, 3) where rotation vectors stand that are unknowns; an estimator turns these instead of adding to them."""
+        return np.zeros((0, 3), dtype=np.intp)
+
+    def take(self, which: slice | NDArray[Any]) -> Self:
+        """Some of the observations."""
+        every = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "constants"}
+        some: dict[str, Any] = {name: None if part is None else part[which] for name, part in every.items()}
+        return replace(self, **some)
+
+    def by_unit(self, residual: Floats) -> dict[str, Floats]:
+        """The residuals (n·w,) as figures (n,) by unit."""
+        parts = residual.reshape(len(self.sensor_cov), -1)
+        return {unit: _figure(parts[:, at]) for unit, at in unit_columns(self.COMPONENTS).items()}
+
+
+def unit_columns(components: Sequence[str]) -> dict[str, list[int]]:
+    """Which of the components have each unit."""
+    return {unit: [i for i, other in enumerate(components) if other == unit] for unit in dict.fromkeys(components)}
+
+
+def _figure(parts: Floats) -> Floats:
+    return parts[:, 0] if parts.shape[1] == 1 else np.asarray(np.linalg.norm(parts, axis=1))
