@@ -57,12 +57,12 @@ def test_errors_are_as_large_as_expected(rows):
     known, rig, bars, lines = rows
     sigma = np.array([{"m": 1e-4, "rad": 2e-4, "1": 1e-5}[p.unit] for p in known.chain.parameters]) * known.free
     exact, p = concatenate([bars, lines]), sigma.size
-    due = expected(judge(known.chain, rig, exact, known.params), np.diag(sigma**2), np.zeros((p, 0)))
+    due = expected(judge(known.chain, rig, exact, known.params), np.diag(sigma**2), np.zeros((p, 0)))["m"]
     assert (due.by_parameters > 0.0).all()
     assert not due.unseen.any()
     rng = np.random.default_rng(5)
     tables = [drawn(rows, sigma, rng) for _ in range(DRAWS)]
-    square = np.mean([judge(known.chain, rig, t, known.params).error ** 2 for t in tables], axis=0)
+    square = np.mean([judge(known.chain, rig, t, known.params).error["m"] ** 2 for t in tables], axis=0)
     ratio = np.sqrt(square / (due.by_noise + due.by_parameters))
     # A mean of DRAWS squares of one normal residual scatters by 7 % in its root.
     assert np.abs(ratio - 1.0).max() < 0.28
@@ -76,6 +76,6 @@ def test_rows_that_hang_on_what_was_not_seen_are_told(rows):
     known, rig, bars, lines = rows
     p = len(known.chain.parameters)
     base = np.array([[float(name == "base.z")] for name in known.chain.parameter_names])
-    due = expected(judge(known.chain, rig, concatenate([bars, lines]), known.params), np.zeros((p, p)), base)
+    due = expected(judge(known.chain, rig, concatenate([bars, lines]), known.params), np.zeros((p, p)), base)["m"]
     assert np.array_equal(due.unseen, np.arange(len(due.unseen)) < len(bars))
     assert np.all(due.by_parameters == 0.0)
