@@ -125,12 +125,13 @@ def by_hand(a6):
     table = [(-0.5, 0, 0), (0, 0.35, 0), (0.5, 0, 0), (-0.5, 0, 0.35), (0.5, 0, 0), (0, a6, 0.1)]
     elements, parameters = [], []
 
-    def add(motion, name, unit, value, **more):
+    def add(motion, name, unit, value):
+        elements.append(Element(motion, parameter=len(parameters)))
         parameters.append(Parameter(name, unit, value))
-        elements.append(Element(motion, parameter=len(parameters) - 1, **more))
 
     for i, (alpha, a, d) in enumerate(table, start=1):
-        add("rz", f"theta{i}", "rad", 0.0, joint=i - 1)
+        elements.append(Element("rz", joint=i - 1))
+        parameters.append(Parameter(f"theta{i}", "rad", 0.0, "offset", i - 1))
         add("tz", f"d{i}", "m", float(d))
         add("tx", f"a{i}", "m", float(a))
         add("rx", f"alpha{i}", "rad", alpha * np.pi)

@@ -15,9 +15,9 @@ AT = {name: i for i, name in enumerate(CHAIN.parameter_names)}
 
 def two_links():
     """A planar arm, 0.4 and 0.3 m, whose errors are known by hand."""
-    parameters = tuple(Parameter(n, u, v) for n, u, v in (("o1", "rad", 0.0), ("a1", "m", 0.4), ("a2", "m", 0.3)))
+    parameters = (Parameter("o1", "rad", 0.0, "offset", 0), Parameter("a1", "m", 0.4), Parameter("a2", "m", 0.3))
     elements = (
-        Element("rz", parameter=0, joint=0),
+        Element("rz", joint=0),
         Element("tx", parameter=1),
         Element("rz", joint=1),
         Element("tx", parameter=2),

@@ -30,8 +30,8 @@ def chains(draw):
     """Any mix of named constants, fixed constants and joints, with and without gain and offset parameters."""
     elements, parameters, joints = [], [], []
 
-    def name_a_parameter(unit, nominal):
-        parameters.append(Parameter(f"p{len(parameters)}", unit, nominal))
+    def name_a_parameter(unit, nominal, *law):
+        parameters.append(Parameter(f"p{len(parameters)}", unit, nominal, *law))
         return len(parameters) - 1
 
     for kind in draw(st.lists(st.sampled_from("cfj"), min_size=1, max_size=14)):
@@ -40,13 +40,14 @@ def chains(draw):
         if kind == "f":
             elements.append(Element(motion, amount))
             continue
-        index = name_a_parameter(unit, amount) if draw(st.booleans()) or kind == "c" else None
         if kind == "c":
-            elements.append(Element(motion, parameter=index))
+            elements.append(Element(motion, parameter=name_a_parameter(unit, amount)))
             continue
-        gain = name_a_parameter("1", draw(st.floats(0.5, 2.0))) if draw(st.booleans()) else None
-        value = amount if index is None else 0.0
-        elements.append(Element(motion, value, index, joint=len(joints), gain=gain))
+        if draw(st.booleans()):
+            name_a_parameter(unit, amount, "offset", len(joints))
+        if draw(st.booleans()):
+            name_a_parameter("1", draw(st.floats(0.5, 2.0)), "gain", len(joints))
+        elements.append(Element(motion, amount, joint=len(joints)))
         joints.append(Joint(f"q{len(joints)}", "prismatic" if unit == "m" else "revolute", -3.0, 3.0))
     return Chain("random", tuple(elements), tuple(parameters), tuple(joints))
 
@@ -57,7 +58,8 @@ def product(chain, params, q):
     for e in chain.elements:
         amount = e.value if e.parameter is None else params[e.parameter]
         if e.joint is not None:
-            amount = amount + (1.0 if e.gain is None else params[e.gain]) * q[e.joint]
+            law = {p.term: params[i] for i, p in enumerate(chain.parameters) if p.joint == e.joint}
+            amount = law.get("offset", e.value) + law.get("gain", 1.0) * q[e.joint]
         out = out @ plain(e.motion, amount)
     return out
 
@@ -134,7 +136,7 @@ def test_wrenches_are_as_many_as_parameters_can_be_seen(name):
     q, u = rng.uniform(-2, 2, (200, len(chain.joints))), rng.normal(size=(200, 3))
     p_end = rng.normal(size=(200, 3))
     rows = along(trace_point(chain, chain.params_nominal, q, p_end), u)
-    n = 6 + 4 * n_r + 2 * n_p + sum(m.gain is not None for m in chain.movers)
+    n = 6 + 4 * n_r + 2 * n_p + sum(p.term == "gain" for p in chain.parameters)
     assert rows.wrenches.shape == (200, n)
     assert np.linalg.matrix_rank(rows.wrenches, tol=1e-9 * np.linalg.norm(rows.wrenches)) == n
 
@@ -143,8 +145,8 @@ def with_all_constants(kinds, rng):
     """Joints about or along z, "r" or "t", each with a gain, and six constants before, between and after them."""
     elements, parameters, joints = [], [], []
 
-    def parameter(unit, nominal):
-        parameters.append(Parameter(f"p{len(parameters)}", unit, nominal))
+    def parameter(unit, nominal, *law):
+        parameters.append(Parameter(f"p{len(parameters)}", unit, nominal, *law))
         return len(parameters) - 1
 
     def link():
@@ -154,7 +156,8 @@ def with_all_constants(kinds, rng):
     link()
     for i, kind in enumerate(kinds):
         joints.append(Joint(f"q{i}", {"r": "revolute", "t": "prismatic"}[kind], -3.0, 3.0))
-        elements.append(Element(f"{kind}z", joint=i, gain=parameter("1", 1.0)))
+        parameter("1", 1.0, "gain", i)
+        elements.append(Element(f"{kind}z", joint=i))
         link()
     return Chain(kinds, tuple(elements), tuple(parameters), tuple(joints))
 
@@ -183,14 +186,19 @@ def test_cosine_and_sine_by_the_half_angle():
 def scara():
     """Two revolute joints and a prismatic one along −z, whose gain is no parameter."""
     elements = (
-        Element("rz", parameter=0, joint=0, gain=1),
+        Element("rz", joint=0),
         Element("tx", parameter=2),
         Element("rz", joint=1),
         Element("tx", 0.3),
         Element("rx", np.pi),
-        Element("tz", parameter=3, joint=2),
+        Element("tz", joint=2),
     )
-    named = (("t1.offset", "rad", 0.0), ("t1.gain", "1", 1.0), ("a1", "m", 0.4), ("t3.offset", "m", 0.1))
+    named = (
+        ("t1.offset", "rad", 0.0, "offset", 0),
+        ("t1.gain", "1", 1.0, "gain", 0),
+        ("a1", "m", 0.4),
+        ("t3.offset", "m", 0.1, "offset", 2),
+    )
     joints = (Joint("t1", "revolute", -3, 3), Joint("t2", "revolute", -3, 3), Joint("t3", "prismatic", 0, 0.2))
     return Chain("scara", elements, tuple(Parameter(*n) for n in named), joints)
 
@@ -238,11 +246,19 @@ J = (Joint("a", "revolute", -1, 1),)
 P = (Parameter("x", "m", 0.0),)
 
 
+def law(term, joint):
+    return (Parameter("a.x", "rad", 0.0, term, joint),)
+
+
 @pytest.mark.parametrize(
     ("elements", "parameters", "joints", "says"),
     [
         ((Element("rz", joint=0), Element("qx")), (), J, "unknown elementary transform 'qx'"),
-        ((Element("rz", joint=0),), P, J, "every parameter must be used"),
+        ((Element("rz", joint=0),), P, J, "every parameter of a link must be used"),
+        ((Element("rz", joint=0),), law("offset", 1), J, "a.x belongs to joint index 1, which does not exist"),
+        ((Element("rz", joint=0),), law("offset", None), J, "a.x belongs to joint index None"),
+        ((Element("rz", joint=0),), law("spin", 0), J, "a.x is of an unknown term 'spin'"),
+        ((Element("rz", joint=0),), (*law("gain", 0), Parameter("b", "1", 1.0, "gain", 0)), J, "b is a second gain"),
         ((Element("rz", joint=0), Element("tx", parameter=0), Element("ty", parameter=0)), P, J, "exactly one"),
         ((Element("tz", joint=0),), (), J, "revolute but moves by tz"),
         ((Element("rz", joint=1),), (), J, "joint index 1"),

@@ -4,6 +4,7 @@ Rank tests run at the design and at the optimised values; fits start from the de
 """
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -34,7 +35,7 @@ from truearm.estimate.identifiability import identifiability
 from truearm.estimate.identify import identify
 from truearm.estimate.information import fold, observe
 from truearm.estimate.problem import build_problem
-from truearm.model.chain import Chain, Parameter, forward, point_jacobians
+from truearm.model.chain import Chain, forward, point_jacobians
 from truearm.types import Rig
 
 ALL = np.ones(54, dtype=bool)
@@ -283,7 +284,7 @@ def test_converges_from_ten_centimetres_ten_degrees_five_percent(seed, clean):
     rng = np.random.default_rng(seed)
     size = {"m": 0.10, "rad": np.radians(10.0), "1": 0.05}
     start = [
-        Parameter(p.name, p.unit, p.nominal + (rng.uniform(-1, 1) * size[p.unit] if is_free else 0.0))
+        replace(p, nominal=p.nominal + (rng.uniform(-1, 1) * size[p.unit] if is_free else 0.0))
         for p, is_free in zip(CHAIN.parameters, FREE, strict=True)
     ]
     far_off = Chain(CHAIN.name, CHAIN.elements, tuple(start), CHAIN.joints)

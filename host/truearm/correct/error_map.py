@@ -132,9 +132,9 @@ def _reach(
 def _plane(pair: Pair, q: Floats, joints: tuple[int, int]) -> Floats:
     """Unit vectors across the first joint's axis: the second one as far up (or along y) as it goes."""
     frames = joint_frames(pair.chain, pair.nominal, q)
-    movers = [pair.chain.movers[i] for i in joints]
-    turning = all(mover.motion[0] == "r" for mover in movers)
-    normals = [frames[i][:3, "xyz".index(mover.motion[1])] for i, mover in zip(joints, movers, strict=True)]
+    motions = [pair.chain.motions[i] for i in joints]
+    turning = all(motion[0] == "r" for motion in motions)
+    normals = [frames[i][:3, "xyz".index(motion[1])] for i, motion in zip(joints, motions, strict=True)]
     if not turning or joints[0] >= joints[1] or np.linalg.norm(np.cross(*normals)) > 1e-6:
         raise RobotError(
             f"joints {joints[0] + 1} and {joints[1] + 1} do not turn about parallel axes; choose two that do"

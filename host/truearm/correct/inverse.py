@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from truearm.model.chain import Chain, forward, joint_jacobian
-from truearm.model.mountings import gain_of
 from truearm.model.poses import apart
 from truearm.types import Floats
 
@@ -168,13 +167,17 @@ def _chosen(
 
 def turned(chain: Chain, params: Floats, q: Floats, near: Floats) -> Floats:
     """Joint readings (…, j) by whole turns of the joint as near to ``near`` (j,) as the limits allow."""
-    q = q.copy()
-    for i, (joint, mover) in enumerate(zip(chain.joints, chain.movers, strict=True)):
+    turn, law = 2.0 * np.pi / np.abs(chain.law.gain.of(params)), chain.law
+    turns = np.zeros(np.broadcast_shapes(q.shape, near.shape))
+    for i, joint in enumerate(chain.joints):
         if joint.kind == "revolute":
-            turn = 2.0 * np.pi / abs(gain_of(mover, params))
-            least, most = np.ceil((joint.lower - q[..., i]) / turn), np.floor((joint.upper - q[..., i]) / turn)
-            q[..., i] += turn * np.clip(np.round((near[i] - q[..., i]) / turn), least, most)
-    return q
+            least, most = (np.ceil((joint.lower - q[..., i]) / turn[i]), np.floor((joint.upper - q[..., i]) / turn[i]))
+            turns[..., i] = np.clip(np.round((near[i] - q[..., i]) / turn[i]), least, most)
+    there = q + turn * turns
+    if law.affine or not turns.any():
+        return there
+    same = law.angles(params, q) + 2.0 * np.pi * np.sign(law.gain.of(params)) * turns
+    return np.where(turns.any(axis=-1, keepdims=True), law.readings(params, same, near=there), q)
 
 
 def within(chain: Chain, q: Floats, room: float = 0.0) -> NDArray[np.bool_]:

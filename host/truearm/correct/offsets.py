@@ -1,23 +1,18 @@
-"""Correction of the encoders' zeros alone (Renders 1991, IV-C)::
+"""Correction of the joints alone (Renders 1991, IV-C), there of their encoders' zeros::
 
     q_i = f_n⁻¹(x_d) − Δq                                     (35)
 
-With the joint law θ = offset + gain·q the controller wants θ = offset_n + gain_n·q_n, so the reading that gives it is
-(offset_n + gain_n·q_n − offset_i)/gain_i. Exact where offsets (and gains) are all that is wrong; it does nothing for lengths.
+With the joint law θ(q) the controller wants θ_n(q_n), and the reading at which the true joints are there is θ_i⁻¹(θ_n(q_n)). That
+is exact where the law is all that is wrong, offsets, gains and whatever else it has; it does nothing for lengths.
 """
 
 from __future__ import annotations
 
-import numpy as np
-
 from truearm.correct.model_pair import Pair
-from truearm.model.mountings import gain_of, offset_of
 from truearm.types import Floats
 
 
 def offsets(pair: Pair, q_nominal: Floats) -> Floats:
-    """(n, j) the readings that give the joint variables which the nominal robot has at q_nominal (n, j)."""
-    movers = pair.chain.movers
-    offset_n, offset_i = (np.array([offset_of(m, p) for m in movers]) for p in (pair.nominal, pair.identified))
-    gain_n, gain_i = (np.array([gain_of(m, p) for m in movers]) for p in (pair.nominal, pair.identified))
-    return np.asarray((offset_n - offset_i + gain_n * q_nominal) / gain_i)
+    """(n, j) the readings that give the true joint angles which the nominal robot has at q_nominal (n, j); NaN for none."""
+    law = pair.chain.law
+    return law.readings(pair.identified, law.angles(pair.nominal, q_nominal))

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
 from truearm.model.chain import Chain
+from truearm.model.joint_terms.gain import Gain
 from truearm.types import Floats
 from truearm.units import UNITS
 
@@ -41,7 +42,7 @@ def wide_prior(chain: Chain) -> Floats:
 
 def free_without_gains(chain: Chain) -> NDArray[np.bool_]:
     """(p,) True for all but joint gains: encoders count whole turns of the joint, their gain is 1."""
-    return np.array([p.unit != "1" for p in chain.parameters])
+    return np.array([p.term != Gain.name for p in chain.parameters])
 
 
 def robot_prior(chain: Chain, prior_sigma: Mapping[str, float] | Floats | None) -> Floats:

@@ -13,7 +13,7 @@ import numpy as np
 
 from truearm.errors import RobotError
 from truearm.model.chain import Chain, Joint
-from truearm.model.mountings import gain_of, mountings, own_links
+from truearm.model.mountings import mountings, own_links
 from truearm.model.transforms import elementary
 from truearm.types import Floats
 
@@ -51,7 +51,7 @@ def own(chain: Chain, nominal: Floats, calibrated: Floats, with_mountings: bool 
     ``with_mountings`` False leaves them out: B and E are then identities.
     """
     links, offsets = own_links(chain, nominal, calibrated)
-    axes = [_TO_AXIS[mover.motion[1]] for mover in chain.movers]
+    axes = [_TO_AXIS[motion[1]] for motion in chain.motions]
     before = [np.eye(4), *axes]
     after = [*axes, np.eye(4)]
     turned = np.stack([a.T @ link @ b for a, link, b in zip(before, links, after, strict=True)])
@@ -61,7 +61,7 @@ def own(chain: Chain, nominal: Floats, calibrated: Floats, with_mountings: bool 
         joints=chain.joints,
         links=turned,
         offsets=offsets,
-        gains=np.array([gain_of(mover, calibrated) for mover in chain.movers]),
+        gains=chain.law.gain.of(calibrated),
         base=found.base if with_mountings else np.eye(4),
         tool=found.tool if with_mountings else np.eye(4),
         base_frame=chain.base_frame,

@@ -47,7 +47,8 @@ def joint_origins(chain: Chain, nominal: Floats, calibrated: Floats, with_mounti
     moving = [i for i, joint in enumerate(path) if joint.motion]
     origins_n = [_product(joint.origin, nominal) for joint in path]
     origins_i = [_product(joint.origin, calibrated) for joint in path]
-    offsets = [_product(joint.motion, calibrated) @ inverted(_product(joint.motion, nominal)) for joint in path]
+    offset_n, offset_i = chain.law.offset.of(nominal), chain.law.offset.of(calibrated)
+    offsets = [_moved(joint, offset_i) @ inverted(_moved(joint, offset_n)) for joint in path]
     first, last = moving[0], moving[-1]
     has_tail = last + 1 < len(path)
     out = [a @ b for a, b in zip(origins_i, offsets, strict=True)]
@@ -74,7 +75,7 @@ def _path(chain: Chain) -> list[_PathJoint]:
             raise RobotError(f"robot {chain.name} is not from a URDF; a new one can be written of it")
         at += 6
         end = at
-        while end < len(elements) and (elements[end].parameter is None or elements[end].joint is not None):
+        while end < len(elements) and elements[end].parameter is None:
             end += 1
         path.append(_PathJoint(names[0][0], origin, elements[at:end]))
         at = end
@@ -82,9 +83,15 @@ def _path(chain: Chain) -> list[_PathJoint]:
 
 
 def _product(elements: tuple[Element, ...], params: Floats) -> Floats:
-    """The elements' product at reading 0."""
+    """The product of elements that are no joints."""
     amounts = [e.value if e.parameter is None else params[e.parameter] for e in elements]
     return _chained([elementary(e.motion, amount) for e, amount in zip(elements, amounts, strict=True)])
+
+
+def _moved(joint: _PathJoint, offset: Floats) -> Floats:
+    """A joint's motion, between its alignments, by the offsets (j,)."""
+    amounts = [e.value if e.joint is None else offset[e.joint] for e in joint.motion]
+    return _chained([elementary(e.motion, amount) for e, amount in zip(joint.motion, amounts, strict=True)])
 
 
 def _chained(motions: list[Floats]) -> Floats:

@@ -2,7 +2,7 @@
 
 The chain is ``T_base_end = L_0 · J_1(θ_1) · L_1 · J_2(θ_2) · … · J_j(θ_j) · L_j``. A link ``L_i`` is a run of
 constants, each a translation along or a rotation about x, y or z; a joint ``J_i`` is one such motion by
-θ = offset + gain·q. A constant is either a parameter (it has a name and a derivative) or fixed (an alignment that
+its true angle θ_i, which the joint law (``model.joint_law``) makes of the readings q. A constant is either a parameter (it has a name and a derivative) or fixed (an alignment that
 nobody identifies). Every convention (Sheth–Uicker, URDF, Denavit–Hartenberg) is a builder of this one chain.
 
 Derivatives. Let ``L = A·M(p)·B`` where M moves along the unit twist ξ by p. Then ∂L/∂p = L·[Ad(B⁻¹)ξ]: a parameter
@@ -13,14 +13,15 @@ twists of one link as columns (v; w) of a (6, m) matrix X, and a point p and a d
 
 a wrench times constants: a force u through p. It is carried outwards from the base, a constant 6×6 matrix a link. A
 joint about an axis leaves the wrench's force and moment along that axis as they were, so it makes only four new numbers
-(along an axis: two), and a gain one, that on the axis times q. Hence all derivatives are
+(along an axis: two). What the joint feels, the number on its axis, is the derivative by θ_i: an offset's, and times
+∂θ_i/∂parameter that of any parameter of the law, a new number where this varies: of a gain, times q_i. Hence all derivatives are
 
     u·∂p/∂params = wrenches · twists ,   wrenches (n, b), twists (b, p) the same for all poses,
 
 with b = 6 + 5 n_r + 3 n_p for n_r revolute and n_p prismatic joints with gains: the number N of parameters that any
 observation of points and directions can see, so nothing of ``wrenches`` is redundant. An estimator folds these b columns
-and multiplies by ``twists`` once in the end, however many parameters there are. A joint reading's derivative is the
-wrench read on the joint's axis.
+and multiplies by ``twists`` once in the end, however many parameters there are. A joint reading's derivative is what the joints
+feel times ∂θ/∂q.
 
 Shapes: leading axes ``…`` are poses; ``j`` joints, ``p`` parameters. Units: m, rad. Complex params or q pass through
 unharmed, so that a complex step can check every derivative.
@@ -28,26 +29,36 @@ unharmed, so that a complex step can check every derivative.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from truearm.errors import RobotError
+from truearm.model import joint_law
 from truearm.model.constant_folding import Constants, Folded, constants_of, folded, new_numbers, on_axis
-from truearm.model.transforms import MOTIONS, apply, axis_of, cos_sin, cross, elementary, move, turn
+from truearm.model.frames import far_frames
+from truearm.model.joint_law import JointLaw, LawAt, flat
+from truearm.model.transforms import MOTIONS, apply, axis_of, cos_sin, cross, move, turn
 from truearm.types import Floats
+
+GEOMETRY = "geometry"
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A named constant of the robot; ``unit`` is "m", "rad" or "1" (a joint gain), ``nominal`` its design value."""
+    """A named constant of the robot; ``unit`` is its SI unit, ``nominal`` its design value.
+
+    ``term`` says what it is part of: "geometry", a link between joints, or a term of the law of the ``joint`` (an index):
+    "offset", "gain" or another of ``joint_law.TERMS`` by its name.
+    """
 
     name: str
     unit: str
     nominal: float
+    term: str = GEOMETRY
+    joint: int | None = None
 
 
 @dataclass(frozen=True)
@@ -64,15 +75,14 @@ class Joint:
 class Element:
     """One elementary transform along or about ``motion``.
 
-    Its amount is ``params[parameter]``, or the fixed ``value`` [m or rad] where ``parameter`` is None. With a
-    ``joint`` the amount is that (the offset) plus ``params[gain]``·q, gain 1 where ``gain`` is None.
+    Its amount is ``params[parameter]``, or the fixed ``value`` [m or rad] where ``parameter`` is None. That of a ``joint``
+    (an index) is the joint's true angle; ``value`` is then its offset, unless that is a parameter.
     """
 
     motion: str
     value: float = 0.0
     parameter: int | None = None
     joint: int | None = None
-    gain: int | None = None
 
 
 @dataclass(frozen=True)
@@ -91,9 +101,10 @@ class Chain:
 
     def __post_init__(self) -> None:
         _check_motions(self)
-        used = [i for e in self.elements for i in (e.parameter, e.gain) if i is not None]
-        if sorted(used) != list(range(len(self.parameters))):
-            raise RobotError(f"robot {self.name}: every parameter must be used by exactly one transform")
+        used = [e.parameter for e in self.elements if e.parameter is not None]
+        if sorted(used) != [i for i, p in enumerate(self.parameters) if p.term == GEOMETRY]:
+            raise RobotError(f"robot {self.name}: every parameter of a link must be used by exactly one transform")
+        _check_law(self)
         if len(set(self.parameter_names)) != len(self.parameters):
             raise RobotError(f"robot {self.name}: two parameters have the same name")
         if [e.joint for e in self.elements if e.joint is not None] != list(range(len(self.joints))):
@@ -125,6 +136,16 @@ class Chain:
         return tuple(e for e in self.elements if e.joint is not None)
 
     @cached_property
+    def motions(self) -> tuple[str, ...]:
+        """(j,) the joints' motions, "rz" for one about z."""
+        return tuple(mover.motion for mover in self.movers)
+
+    @cached_property
+    def law(self) -> JointLaw:
+        """What makes the joints' true angles of their readings."""
+        return JointLaw(self)
+
+    @cached_property
     def constants(self) -> Constants:
         """The elements that are no joints."""
         return constants_of(self.elements)
@@ -135,10 +156,8 @@ class PointTrace(NamedTuple):
 
     chain: Chain
     folded: Folded
-    q: Floats  # (j, n)
-    amounts: Floats  # (j, n) of the joints' motions
-    cos_sin: tuple[Floats, Floats]  # (j, n) of the amounts
-    gains: tuple[Any, ...]  # j
+    law: LawAt  # the joints' true angles (j, n) and their derivatives
+    cos_sin: tuple[Floats, Floats]  # (j, n) of the angles
     p_base: Floats  # (n, 3)
 
 
@@ -172,16 +191,21 @@ def joint_frames(chain: Chain, params: Floats, q: Floats) -> Floats:
 
 def joint_jacobian(chain: Chain, params: Floats, q: Floats) -> Floats:
     """∂(velocity of the end's origin; angular velocity)/∂(q̇) in the base frame, (…, 6, j)."""
+    params, q = _checked(chain, params, q)
     frames = _far_frames(chain, params, q)
     p_end = frames[-1][..., :3, 3]
+    by_joints = chain.law.at(params, flat(q)).by_joints
     columns = []
-    for mover, frame in zip(chain.movers, frames, strict=False):
-        axis = frame[..., :3, axis_of(mover.motion)] * _amount(params, mover.gain, 1.0)
-        if mover.motion[0] == "t":
+    for i, (motion, frame) in enumerate(zip(chain.motions, frames, strict=False)):
+        axis = frame[..., :3, axis_of(motion)]
+        if by_joints.ndim == 2:
+            axis = axis * by_joints[i].reshape(*(axis.shape[:-1] if by_joints[i].size > 1 else ()), 1)
+        if motion[0] == "t":
             columns.append(np.concatenate([axis, np.zeros_like(axis)], axis=-1))
         else:
             columns.append(np.concatenate([np.cross(axis, p_end - frame[..., :3, 3]), axis], axis=-1))
-    return np.stack(columns, axis=-1)
+    jac = np.stack(columns, axis=-1)
+    return jac if by_joints.ndim == 2 else np.asarray(jac @ chain.law.by_joints(params, q))
 
 
 def point_forward(chain: Chain, params: Floats, q: Floats, p_end_point: Floats) -> Floats:
@@ -208,18 +232,16 @@ def point_jacobians(chain: Chain, params: Floats, q: Floats, p_end_point: Floats
 def trace_point(chain: Chain, params: Floats, q: Floats, p_end_point: Floats) -> PointTrace:
     """Carry a point of the end, (3,) or (…, 3), inwards to the base; leading axes of q are flattened to n."""
     params, q = _checked(chain, params, q)
-    q = np.ascontiguousarray(q.reshape(math.prod(q.shape[:-1]), len(chain.joints)).T)
+    q = np.ascontiguousarray(flat(q))
     links = folded(chain, params)
-    gains = tuple(_amount(params, m.gain, 1.0) for m in chain.movers)
-    offsets = [_amount(params, m.parameter, m.value) for m in chain.movers]
-    amounts = np.array(offsets).reshape(-1, 1) + np.array(gains).reshape(-1, 1) * q
-    cos, sin = cos_sin(amounts)
+    law = chain.law.at(params, q)
+    cos, sin = cos_sin(law.angles)
     point = np.asarray(p_end_point).reshape(-1, 3).T
     for i in reversed(range(len(chain.joints))):
         point = apply(links.transforms[i + 1], point)
-        point = move(chain.movers[i].motion, amounts[i], (cos[i], sin[i]), point)
+        point = move(chain.motions[i], law.angles[i], (cos[i], sin[i]), point)
     p_base = np.broadcast_to(apply(links.transforms[0], point), (3, q.shape[1])).T
-    return PointTrace(chain, links, q, amounts, (cos, sin), gains, p_base)
+    return PointTrace(chain, links, law, (cos, sin), p_base)
 
 
 def along(trace: PointTrace, direction: Floats) -> Rows:
@@ -242,25 +264,29 @@ def about(trace: PointTrace, direction: Floats) -> Rows:
 
 def _carried(trace: PointTrace, force: Floats, moment: Floats) -> Rows:
     """Carry wrenches at the base's origin, (3, …), outwards through the chain."""
-    movers, (_, carries, twists) = trace.chain.movers, trace.folded
+    law, (_, carries, twists) = trace.law, trace.folded
     near = np.stack([force, moment], axis=1)  # (3, 2, …): on each axis, force and moment
     lead = near.shape[2:]
-    wrenches = np.empty((len(twists), *lead), np.result_type(near, trace.amounts, twists))
-    jac_joints = np.empty((len(movers), *lead), wrenches.dtype)
+    wrenches = np.empty((len(twists), *lead), np.result_type(near, law.angles, twists))
+    jac_joints = np.empty((len(carries) - 1, *lead), wrenches.dtype)
+    by_joints, columns = law.by_joints, law.law.columns
+    by_parameters = law.by_parameters.reshape(len(law.law.of_column), *(1,) * (len(lead) - 1), lead[-1])
     wrenches[:6] = near.reshape(6, *lead)
     at = 6
-    for i, mover in enumerate(movers):
+    for i, motion in enumerate(trace.chain.motions):
         far = (carries[i] @ near.reshape(6, -1)).reshape(near.shape)
-        felt = far.reshape(6, *lead)[on_axis(mover)]
-        jac_joints[i] = felt * trace.gains[i]
-        near = _moved(mover.motion, trace.amounts[i], trace.cos_sin[0][i], trace.cos_sin[1][i], far)
-        new = new_numbers(mover)
+        felt = far.reshape(6, *lead)[on_axis(motion)]
+        jac_joints[i] = felt * by_joints[i] if by_joints.ndim == 2 else felt
+        near = _moved(motion, law.angles[i], trace.cos_sin[0][i], trace.cos_sin[1][i], far)
+        new = new_numbers(motion)
         near.reshape(6, *lead).take(new, axis=0, out=wrenches[at : at + len(new)], mode="clip")
         at += len(new)
-        if mover.gain is not None:
-            np.multiply(felt, trace.q[i], out=wrenches[at])
-            at += 1
+        end = at + columns[i].stop - columns[i].start
+        np.multiply(felt, by_parameters[columns[i]], out=wrenches[at:end])
+        at = end
     far = (carries[-1][::2] @ near.reshape(6, -1)).reshape(3, *lead)
+    if by_joints.ndim == 3:
+        jac_joints = np.einsum("i...n,ikn->k...n", jac_joints, by_joints)
     return Rows(np.moveaxis(wrenches, 0, -1), twists, np.moveaxis(jac_joints, 0, -1), np.moveaxis(far, 0, -1))
 
 
@@ -279,15 +305,7 @@ def _moved(motion: str, amount: Floats, cos: Floats, sin: Floats, wrench: Floats
 def _far_frames(chain: Chain, params: Floats, q: Floats) -> list[Floats]:
     """Frames (…, 4, 4) in the base frame: each joint's after its motion (j of them), then the end."""
     params, q = _checked(chain, params, q)
-    links = folded(chain, params).transforms
-    here = np.broadcast_to(links[0], (*q.shape[:-1], 4, 4))
-    frames = []
-    for i, mover in enumerate(chain.movers):
-        amount = _amount(params, mover.parameter, mover.value) + _amount(params, mover.gain, 1.0) * q[..., i]
-        here = here @ elementary(mover.motion, amount)
-        frames.append(here)
-        here = here @ links[i + 1]
-    return [*frames, here]
+    return far_frames(folded(chain, params).transforms, chain.motions, chain.law.angles(params, q))
 
 
 def _checked(chain: Chain, params: Floats, q: Floats) -> tuple[Floats, Floats]:
@@ -314,5 +332,18 @@ def _check_motions(chain: Chain) -> None:
             raise RobotError(f"robot {chain.name}: joint {joint.name} is {joint.kind} but moves by {element.motion}")
 
 
-def _amount(params: Floats, index: int | None, fixed: float) -> Any:
-    return fixed if index is None else params[index]
+def _check_law(chain: Chain) -> None:
+    kinds = {term.name: term for term in joint_law.TERMS}
+    single = set()
+    for parameter in chain.parameters:
+        if parameter.term == GEOMETRY:
+            continue
+        where = f"robot {chain.name}: parameter {parameter.name}"
+        if parameter.term not in kinds:
+            raise RobotError(f"{where} is of an unknown term {parameter.term!r} of the joint law")
+        if parameter.joint is None or not 0 <= parameter.joint < len(chain.joints):
+            raise RobotError(f"{where} belongs to joint index {parameter.joint}, which does not exist")
+        use = parameter.term, parameter.joint
+        if kinds[parameter.term].affine and use in single:
+            raise RobotError(f"{where} is a second {parameter.term} of its joint")
+        single.add(use)

@@ -67,18 +67,28 @@ def folded(chain: Chain, params: Floats) -> Folded:
     return _folded(chain, params.tobytes(), params.dtype.str)
 
 
+def link_transforms(chain: Chain, params: Floats) -> Floats:
+    """(j + 1, 4, 4) the links alone."""
+    return _multiplied(chain.constants, _amounts(chain.constants, params))[0]
+
+
 @lru_cache(maxsize=4)
 def _folded(chain: Chain, params: bytes, dtype: str) -> Folded:
     constants = chain.constants
-    named = constants.parameter >= 0
-    amount = constants.value.astype(dtype)
-    amount[named] = np.frombuffer(params, dtype)[constants.parameter[named]]
-    transforms, beyond = _multiplied(constants, amount)
+    transforms, beyond = _multiplied(constants, _amounts(constants, np.frombuffer(params, dtype)))
     carries = _carries(transforms)
     twists = _combined(chain, _twists_beyond(constants, beyond), carries)
     for array in (transforms, carries, twists):
         array.setflags(write=False)
     return Folded(transforms, carries, twists)
+
+
+def _amounts(constants: Constants, params: Floats) -> Floats:
+    """(c,) the constants' lengths and angles."""
+    named = constants.parameter >= 0
+    amount = constants.value.astype(params.dtype)
+    amount[named] = params[constants.parameter[named]]
+    return amount
 
 
 def _multiplied(constants: Constants, amount: Floats) -> tuple[Floats, Floats]:
@@ -118,36 +128,36 @@ def _carries(transforms: Floats) -> Floats:
 def _combined(chain: Chain, twists_beyond: Floats, carries: Floats) -> Floats:
     """``twists`` (b, p): every parameter's twist times the wrench in its frame, written in the b numbers of ``wrenches``.
 
-    Their order is that of ``chain.along``: the six in the base frame, then what each joint makes new, then its gain's.
+    Their order is that of ``chain.along``: the six in the base frame, then what each joint makes new, then what its law does.
     """
-    movers, constants = chain.movers, chain.constants
-    b = 6 + sum(len(new_numbers(m)) + (m.gain is not None) for m in movers)
+    motions, law, constants = chain.motions, chain.law, chain.constants
+    b = 6 + sum(len(new_numbers(m)) for m in motions) + len(law.of_column)
     twists = np.zeros((len(chain.parameters), b), dtype=twists_beyond.dtype)
     far, at = [carries[0] @ np.eye(6, b)], 6
-    for i, mover in enumerate(movers):
-        if mover.parameter is not None:
-            twists[mover.parameter] = far[i][on_axis(mover)]
-        new = new_numbers(mover)
+    for i, motion in enumerate(motions):
+        new = new_numbers(motion)
         near = far[i].copy()
         near[new] = np.eye(len(new), b, at)
         at += len(new)
-        if mover.gain is not None:
-            twists[mover.gain, at] = 1.0
-            at += 1
+        own = law.of_column[law.columns[i]]
+        twists[own, at + np.arange(len(own))] = 1.0
+        at += len(own)
         far.append(carries[i + 1] @ near)
+    for parameter, joint in law.constant:
+        twists[parameter] = far[joint][on_axis(motions[joint])]
     named = constants.parameter >= 0
     wrench = np.stack(far)[constants.link[named]]
     twists[constants.parameter[named]] = (twists_beyond[named, None] @ wrench)[:, 0]
     return np.ascontiguousarray(twists.T)
 
 
-def on_axis(mover: Element) -> int:
+def on_axis(motion: str) -> int:
     """Which of a wrench's six numbers a joint feels: the force along, or the moment about its axis."""
-    return 2 * axis_of(mover.motion) + (mover.motion[0] == "r")
+    return 2 * axis_of(motion) + (motion[0] == "r")
 
 
-def new_numbers(mover: Element) -> list[int]:
+def new_numbers(motion: str) -> list[int]:
     """Which of a wrench's six numbers a joint changes: all across its axis, or of a prismatic one the moments."""
-    k = axis_of(mover.motion)
+    k = axis_of(motion)
     across = [i for axis in ((k + 1) % 3, (k + 2) % 3) for i in (2 * axis, 2 * axis + 1)]
-    return across if mover.motion[0] == "r" else across[1::2]
+    return across if motion[0] == "r" else across[1::2]

@@ -33,7 +33,7 @@ import numpy as np
 
 from truearm.errors import RobotError
 from truearm.model.chain import Chain, Joint
-from truearm.model.slots import SIX, Slot, chain_from_slots, gain_name, six_slots
+from truearm.model.slots import SIX, Slot, chain_from_slots, law_name, six_slots
 from truearm.types import Floats
 
 Layout = Callable[[Sequence[Joint], Collection[int], bool, bool], tuple[Slot, ...]]
@@ -128,7 +128,7 @@ def _from_rows(
     if not set(twisted) <= set(range(len(joints))):
         raise RobotError(f"robot {name}: twisted joints must be indices below {len(joints)}, are {sorted(twisted)}")
     slots = layout(joints, twisted, base is not None, tool is not None)
-    amounts = {gain_name(slot): 1.0 for slot in slots if slot.joint is not None}
+    amounts = {law_name(slot, "gain"): 1.0 for slot in slots if slot.joint is not None}
     amounts |= _six(name, "base", base) | _six(name, "tool", tool)
     for i, (row, joint) in enumerate(zip(rows.tolist(), joints, strict=True)):
         keys = ("theta", "offset", "a", "alpha") if joint.kind == "prismatic" else ("offset", "d", "a", "alpha")

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from truearm.model.chain import Chain, Element
+from truearm.model.chain import Chain
 from truearm.model.constant_folding import folded
 from truearm.model.poses import inverted
 from truearm.model.transforms import elementary
@@ -36,33 +36,25 @@ NONE = Mountings(np.eye(4), np.eye(4))
 
 def mountings(chain: Chain, nominal: Floats, identified: Floats) -> Mountings:
     """What of the identified parameters (p,) is mounting, the nominal ones (p,) having none."""
-    first, last = chain.movers[0], chain.movers[-1]
+    first, last = chain.motions[0], chain.motions[-1]
+    turned = chain.law.offset.of(identified) - chain.law.offset.of(nominal)
     links_n, links_i = folded(chain, nominal).transforms, folded(chain, identified).transforms
-    turned = _offset(first, identified, nominal) if len(chain.movers) > 1 else np.eye(4)
-    base = links_i[0] @ turned @ inverted(links_n[0])
-    return Mountings(base, inverted(links_n[-1]) @ _offset(last, identified, nominal) @ links_i[-1])
+    by_first = elementary(first, turned[0]) if len(chain.joints) > 1 else np.eye(4)
+    base = links_i[0] @ by_first @ inverted(links_n[0])
+    return Mountings(base, inverted(links_n[-1]) @ elementary(last, turned[-1]) @ links_i[-1])
 
 
 def own_links(chain: Chain, nominal: Floats, identified: Floats) -> tuple[Floats, Floats]:
     """Links (j + 1, 4, 4) and joint offsets (j,) of R(q): the identified ones without the mountings."""
     links = folded(chain, identified).transforms.copy()
-    offsets = np.array([offset_of(m, identified) for m in chain.movers])
     ends = folded(chain, nominal).transforms
     links[0], links[-1] = ends[0], ends[-1]
-    offsets[0] = offset_of(chain.movers[0], nominal)
-    offsets[-1] = offset_of(chain.movers[-1], nominal)
-    return links, offsets
+    return links, chain.law.offset.of(own_law(chain, nominal, identified))
 
 
-def offset_of(mover: Element, params: Floats) -> float:
-    """A joint's offset [rad or m]."""
-    return float(mover.value if mover.parameter is None else params[mover.parameter])
-
-
-def gain_of(mover: Element, params: Floats) -> float:
-    """A joint's gain."""
-    return float(1.0 if mover.gain is None else params[mover.gain])
-
-
-def _offset(mover: Element, identified: Floats, nominal: Floats) -> Floats:
-    return elementary(mover.motion, offset_of(mover, identified) - offset_of(mover, nominal))
+def own_law(chain: Chain, nominal: Floats, identified: Floats) -> Floats:
+    """Parameters (p,) whose joint law is that of R(q): the identified ones, but for the offsets that are mountings."""
+    offset, out = chain.law.offset, identified.copy()
+    at_ends = offset.parameters[np.isin(offset.joints, (0, len(chain.joints) - 1))]
+    out[at_ends] = nominal[at_ends]
+    return out

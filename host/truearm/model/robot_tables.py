@@ -12,10 +12,12 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from truearm.errors import RobotError
+from truearm.model import joint_law
 from truearm.model.chain import Joint
 from truearm.model.dh import Layout, dh_slots, modified_dh_slots
+from truearm.model.joint_terms.offset import Offset
 from truearm.model.sheth_uicker import sheth_uicker_slots
-from truearm.model.slots import Slot, gain_name
+from truearm.model.slots import Slot, law_name
 from truearm.model.transforms import MOTIONS
 from truearm.units import suffixes
 
@@ -38,7 +40,7 @@ class Amount(NamedTuple):
 
 
 class Description(NamedTuple):
-    """A robot file without its head: slots in order, and the amount of every slot and gain by name."""
+    """A robot file without its head: slots in order, and the amount of every slot and joint law by name."""
 
     joints: tuple[Joint, ...]
     slots: tuple[Slot, ...]
@@ -133,7 +135,7 @@ def _moving(
     amounts = {slot.name: Amount(0.0, {}, False)}
     if any(key.startswith("offset") for key in table):
         amounts[slot.name] = _amount(table, where, "offset", slot.unit, used)
-    amounts |= _gain(table, where, slot, used)
+    amounts |= _law(table, where, slot, used)
     check_unknown(table, where, used)
     return slot, Joint(name, "prismatic" if motion[0] == "t" else "revolute", lower, upper), amounts
 
@@ -177,27 +179,34 @@ def _limits(table: Mapping[str, Any], where: str, unit: str, used: set[str]) -> 
 def _described(
     doc: Mapping[str, Any], joints: tuple[Joint, ...], slots: tuple[Slot, ...], used: dict[str, set[str]]
 ) -> Description:
-    """The amounts of all slots and gains; every key of every table must have been of use."""
+    """The amounts of all slots and joint laws; every key of every table must have been of use."""
     amounts: dict[str, Amount] = {}
     for slot in slots:
         table_name, key = slot.name.split(".")
         table, seen = doc[table_name], used.setdefault(table_name, set())
         amounts[slot.name] = _amount(table, table_name, key, slot.unit, seen)
         if slot.joint is not None:
-            amounts |= _gain(table, table_name, slot, seen)
+            amounts |= _law(table, table_name, slot, seen)
     for table_name, seen in used.items():
         check_unknown(doc[table_name], table_name, seen)
     return Description(joints, slots, amounts)
 
 
-def _gain(table: Mapping[str, Any], where: str, slot: Slot, used: set[str]) -> dict[str, Amount]:
-    """The gain beside an offset, a parameter; without one it is 1."""
-    if "gain" not in table:
-        return {}
-    amount = _amount(table, where, "gain", "1", used)
-    if amount.constant is not None or 0.0 in amount.values.values():
-        raise RobotError(f"robot file: {where}.gain must be a table of values, none of them 0; left out it is 1")
-    return {gain_name(slot): amount}
+def _law(table: Mapping[str, Any], where: str, slot: Slot, used: set[str]) -> dict[str, Amount]:
+    """What the table has of the joint's law beside its offset; a term that it does not name says nothing."""
+    amounts = {}
+    for term in joint_law.TERMS:
+        unit = term.unit_of("prismatic" if slot.motion[0] == "t" else "revolute")
+        if term is Offset or not set(_keys(term.name, unit)) & set(table):
+            continue
+        amount = _amount(table, where, term.name, unit, used)
+        if amount.constant is not None or (term.nonzero and 0.0 in amount.values.values()):
+            rule = ", none of them 0" * term.nonzero
+            raise RobotError(
+                f"robot file: {where}.{term.name} must be a table of values{rule}; left out it is {term.neutral:g}"
+            )
+        amounts[law_name(slot, term.name)] = amount
+    return amounts
 
 
 def _amount(table: Mapping[str, Any], where: str, key: str, unit: str, used: set[str]) -> Amount:
@@ -233,11 +242,16 @@ def read_quantities(
 
 def _find(table: Mapping[str, Any], where: str, key: str, unit: str) -> tuple[str, float]:
     """The key with its unit suffix as it stands in the table, and the factor to SI."""
-    candidates = {f"{key}_{suffix}" if suffix else key: scale for suffix, scale in suffixes(unit, SUFFIXES).items()}
+    candidates = _keys(key, unit)
     found = [name for name in candidates if name in table]
     if len(found) != 1:
         raise RobotError(f"robot file: {where} needs exactly one of {', '.join(candidates)}")
     return found[0], candidates[found[0]]
+
+
+def _keys(key: str, unit: str) -> dict[str, float]:
+    """The forms of a key with a unit's suffixes, and the factor to SI of each."""
+    return {f"{key}_{suffix}" if suffix else key: scale for suffix, scale in suffixes(unit, SUFFIXES).items()}
 
 
 def read_number(value: Any, where: str, unit: str, scale: float) -> float:

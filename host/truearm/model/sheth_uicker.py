@@ -13,7 +13,7 @@ import numpy as np
 
 from truearm.errors import RobotError
 from truearm.model.chain import Chain, Joint
-from truearm.model.slots import Slot, chain_from_slots, gain_name, six_slots
+from truearm.model.slots import Slot, chain_from_slots, law_name, six_slots
 from truearm.types import Floats
 
 
@@ -34,7 +34,7 @@ def chain_from_sheth_uicker(
     Raises RobotError if nominal has another length or is not finite.
     """
     slots = sheth_uicker_slots(joints)
-    names = [n for s in slots for n in ((s.name,) if s.joint is None else (s.name, gain_name(s)))]
+    names = [n for s in slots for n in ((s.name,) if s.joint is None else (s.name, law_name(s, "gain")))]
     nominal = np.asarray(nominal, dtype=float)
     if nominal.shape != (len(names),):
         raise RobotError(f"robot {name}: {len(names)} parameters are needed, got {nominal.shape}")

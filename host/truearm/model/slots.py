@@ -2,7 +2,7 @@
 
 Sheth–Uicker, Denavit–Hartenberg, modified Denavit–Hartenberg and transforms listed by hand differ in nothing but this
 row. ``chain_from_slots`` fills it with numbers and makes the one chain of it: a slot with a number becomes a parameter,
-or a constant where it is named as fixed; a joint's slot is its offset, and the joint's gain follows it.
+or a constant where it is named as fixed; a joint's slot is its offset, and what else its law has numbers for follows it.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 from truearm.errors import RobotError
+from truearm.model import joint_law
 from truearm.model.chain import Chain, Element, Joint, Parameter
 
 SIX = (("x", "tx"), ("y", "ty"), ("z", "tz"), ("alpha", "rz"), ("beta", "ry"), ("gamma", "rx"))
@@ -34,9 +35,9 @@ def six_slots(table: str) -> tuple[Slot, ...]:
     return tuple(Slot(f"{table}.{key}", motion) for key, motion in SIX)
 
 
-def gain_name(slot: Slot) -> str:
-    """The name of the gain beside a joint's offset."""
-    return slot.name.rpartition(".")[0] + ".gain"
+def law_name(slot: Slot, term: str) -> str:
+    """The name of a joint's parameter of a term of its law, beside its offset."""
+    return f"{slot.name.rpartition('.')[0]}.{term}"
 
 
 def chain_from_slots(
@@ -50,8 +51,8 @@ def chain_from_slots(
 ) -> Chain:
     """The chain of the slots.
 
-    amounts : a number [m or rad] for every slot, by name, and for the gains that are parameters; a joint without has
-        gain 1.
+    amounts : a number [SI] for every slot, by name, and for what else of the joints' laws is a parameter; a joint
+        without has gain 1, and no further term.
     fixed : names of slots that are constants and not parameters.
 
     Raises RobotError for numbers that are missing or not finite, and what ``Chain`` raises.
@@ -66,14 +67,18 @@ def chain_from_slots(
             raise RobotError(f"robot {name}: parameter {key} is not finite")
         return float(amounts[key])
 
-    def parameter(key: str, unit: str) -> int:
-        parameters.append(Parameter(key, unit, number(key)))
-        return len(parameters) - 1
-
     for slot in slots:
-        at = None if slot.name in fixed else parameter(slot.name, slot.unit)
-        value = number(slot.name) if at is None else 0.0
-        has_gain = slot.joint is not None and gain_name(slot) in amounts
-        gain = parameter(gain_name(slot), "1") if has_gain else None
-        elements.append(Element(slot.motion, value, at, slot.joint, gain))
+        value = number(slot.name)
+        if slot.joint is not None:
+            for term in joint_law.TERMS:
+                key = law_name(slot, term.name)
+                if key in amounts and key not in fixed:
+                    unit = term.unit_of(joints[slot.joint].kind)
+                    parameters.append(Parameter(key, unit, number(key), term.name, slot.joint))
+            elements.append(Element(slot.motion, value, joint=slot.joint))
+        elif slot.name in fixed:
+            elements.append(Element(slot.motion, value))
+        else:
+            elements.append(Element(slot.motion, parameter=len(parameters)))
+            parameters.append(Parameter(slot.name, slot.unit, value))
     return Chain(name, tuple(elements), tuple(parameters), tuple(joints), base_frame, end_frame)

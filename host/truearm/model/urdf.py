@@ -23,6 +23,8 @@ from defusedxml.ElementTree import fromstring
 
 from truearm.errors import RobotError
 from truearm.model.chain import Chain, Element, Joint, Parameter
+from truearm.model.joint_terms.gain import Gain
+from truearm.model.joint_terms.offset import Offset
 
 MAX_TEXT = 8_000_000  # characters; a large humanoid has some 200,000
 MAX_JOINTS = 10_000
@@ -156,10 +158,12 @@ def _build(name: str, path: list[_UrdfJoint], base: str, tip: str) -> Chain:
             parameters.append(Parameter(f"{joint.name}.{key}", "m" if motion[0] == "t" else "rad", value))
         if joint.kind == "fixed":
             continue
-        elements += _moving(joint, offset=len(parameters), number=len(joints))
-        unit = "m" if joint.kind == "prismatic" else "rad"
-        parameters += [Parameter(f"{joint.name}.offset", unit, 0.0), Parameter(f"{joint.name}.gain", "1", 1.0)]
+        at = len(joints)
+        elements += _moving(joint, at)
         joints.append(_limits(joint))
+        for term in (Offset, Gain):
+            unit = term.unit_of(joints[at].kind)
+            parameters.append(Parameter(f"{joint.name}.{term.name}", unit, term.neutral, term.name, at))
     if not joints:
         raise RobotError(f"URDF: no joint moves between {base!r} and {tip!r}")
     return Chain(name, tuple(elements), tuple(parameters), tuple(joints), base, tip)
@@ -174,7 +178,7 @@ def _origin(joint: _UrdfJoint) -> tuple[float, ...]:
     return (*xyz, yaw, pitch, roll)
 
 
-def _moving(joint: _UrdfJoint, offset: int, number: int) -> list[Element]:
+def _moving(joint: _UrdfJoint, number: int) -> list[Element]:
     """The joint's own motion, between alignments where its axis is no coordinate axis."""
     if joint.kind not in MOVING:
         raise RobotError(f"URDF joint {joint.name}: a {joint.kind} joint on the path cannot be modelled")
@@ -184,11 +188,11 @@ def _moving(joint: _UrdfJoint, offset: int, number: int) -> list[Element]:
     letter = "t" if joint.kind == "prismatic" else "r"
     for name, unit in (("x", (1.0, 0.0, 0.0)), ("y", (0.0, 1.0, 0.0)), ("z", (0.0, 0.0, 1.0))):
         if (x, y, z) == unit:
-            return [Element(letter + name, parameter=offset, joint=number, gain=offset + 1)]
+            return [Element(letter + name, joint=number)]
     phi, psi = math.atan2(y, x), math.atan2(math.hypot(x, y), z)
     return [
         *(Element("rz", phi), Element("ry", psi)),
-        Element(letter + "z", parameter=offset, joint=number, gain=offset + 1),
+        Element(letter + "z", joint=number),
         *(Element("ry", -psi), Element("rz", -phi)),
     ]
 

@@ -1,0 +1,175 @@
+"""The joint law: a joint's true angle θ (or position) as a function of all joint readings q and the parameters.
+
+    θ_i = Σ terms ,    as it stands  θ_i = offset_i + gain_i·q_i
+
+Everything that needs a joint's true angle asks here: its value, its derivatives by the readings and by the parameters, and
+its inverse. TERMS is the registry; a term is a file in ``model/joint_terms`` and a line there. A chain has a term's
+parameters where its builder made them: from a key in a robot file's [jointN], say.
+
+A law's parameter moves everything beyond its joint about that joint's axis, so its derivative of any observation is that
+by the joint's true angle times ∂θ/∂parameter. ``chain`` carries the former; where the latter varies from pose to pose a
+parameter is one more column (``columns``), where it is 1 it is a combination of the columns that the links have made.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, reduce
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from truearm.model.joint_terms.gain import Gain
+from truearm.model.joint_terms.offset import Offset
+from truearm.model.joint_terms.term import Term
+from truearm.types import Floats
+
+if TYPE_CHECKING:
+    from truearm.model.chain import Chain
+
+# In the order in which a joint has their parameters. Offset and gain come first: they are what every controller knows.
+TERMS: tuple[type[Term], ...] = (
+    Offset,
+    Gain,
+)
+MAX_STEPS = 30  # of Newton's method, each squaring its error; what does not end by then does not end
+LARGEST_STEP = 0.5  # rad, m
+STEP_END = 1e-13  # of the readings, rad, m
+GOOD = 1e-9  # rad, m: an inverse that leaves more is none
+
+
+@dataclass(frozen=True, eq=False)
+class LawAt:
+    """The law at given params (p,) and readings q (j, n); what is asked for is computed once."""
+
+    law: JointLaw
+    params: Floats
+    q: Floats
+
+    @cached_property
+    def angles(self) -> Floats:
+        """(j, n) θ [rad or m]"""
+        values = (term.value(self.params, self.q) for term in self.law.terms)
+        return reduce(np.add, values)
+
+    @cached_property
+    def by_joints(self) -> Floats:
+        """∂θ/∂q: its diagonal, (j, n) or (j, 1), where the joints do not depend on each other, else (j, j, n)."""
+        parts = [term.by_joints(self.params, self.q) for term in self.law.moving]
+        if len(parts) > 1 and any(part.ndim == 3 for part in parts):
+            parts = [part if part.ndim == 3 else part[:, None] * np.eye(len(part))[..., None] for part in parts]
+        return reduce(np.add, parts)
+
+    @cached_property
+    def by_parameters(self) -> Floats:
+        """(m, n) ∂θ/∂parameter of the law's ``columns``, joint by joint."""
+        terms = self.law.varying
+        if not terms:
+            return np.zeros((0, self.q.shape[1]))
+        parts = [term.by_parameters(self.params, self.q) for term in terms]
+        rows = parts[0] if len(parts) == 1 else np.concatenate(parts)
+        return rows if self.law.order is None else rows[self.law.order]
+
+
+class JointLaw:
+    """The terms that a chain has parameters of; offset and gain always."""
+
+    def __init__(self, chain: Chain) -> None:
+        indices = {
+            term: np.array([i for i, p in enumerate(chain.parameters) if p.term == term.name], dtype=np.intp)
+            for term in TERMS
+        }
+        self.n_parameters = len(chain.parameters)
+        self.offset, self.gain = Offset(chain, indices[Offset]), Gain(chain, indices[Gain])
+        further = (term(chain, at) for term, at in indices.items() if term not in (Offset, Gain) and at.size)
+        self.terms: tuple[Term, ...] = (self.offset, self.gain, *further)
+        self.affine = all(term.affine for term in self.terms)
+        # parameters of ∂θ/∂parameter = 1, and of one that varies: (parameter, joint) and by joint
+        self.constant = tuple(
+            pair
+            for term in self.terms
+            if term.constant
+            for pair in zip(term.parameters.tolist(), term.joints.tolist(), strict=True)
+        )
+        self.moving = tuple(term for term in self.terms if not term.constant)
+        self.varying = tuple(term for term in self.moving if term.parameters.size)
+        joints = np.concatenate([np.zeros(0, int), *(term.joints for term in self.varying)])
+        order = np.argsort(joints, kind="stable")
+        self.order = None if np.array_equal(order, np.arange(order.size)) else order
+        parameters = np.concatenate([np.zeros(0, int), *(term.parameters for term in self.varying)])[order]
+        edges = np.searchsorted(joints[order], np.arange(len(chain.joints) + 1)).tolist()
+        self.columns: Sequence[slice] = [slice(*ends) for ends in pairwise(edges)]
+        self.of_column = parameters
+
+    def at(self, params: Floats, q: Floats) -> LawAt:
+        """The law at params (p,) and readings q (j, n)."""
+        return LawAt(self, params, q)
+
+    def angles(self, params: Floats, q: Floats) -> Floats:
+        """(…, j) true angles or positions at readings q (…, j) [rad or m]."""
+        return self.at(params, flat(q)).angles.T.reshape(q.shape)
+
+    def by_joints(self, params: Floats, q: Floats) -> Floats:
+        """(…, j, j) ∂θ/∂q"""
+        jac = self.at(params, flat(q)).by_joints
+        full = jac if jac.ndim == 3 else jac[:, None] * np.eye(len(jac))[..., None]
+        full = np.broadcast_to(full, (*full.shape[:2], math.prod(q.shape[:-1])))
+        return np.moveaxis(full, -1, 0).reshape(*q.shape, q.shape[-1])
+
+    def by_parameters(self, params: Floats, q: Floats) -> Floats:
+        """(…, j, p) ∂θ/∂params"""
+        rows = self.at(params, flat(q)).by_parameters
+        out = np.zeros((*q.shape, self.n_parameters), dtype=np.result_type(rows, params))
+        for joint, columns in enumerate(self.columns):
+            mine = self.of_column[columns]
+            out[..., joint, mine] = rows[columns].T.reshape(*q.shape[:-1], len(mine))
+        for parameter, joint in self.constant:
+            out[..., joint, parameter] = 1.0
+        return out
+
+    def readings(self, params: Floats, angles: Floats, near: Floats | None = None) -> Floats:
+        """The inverse: readings (…, j) at which the joints' true angles are ``angles`` (…, j).
+
+        Offset and gain are inverted in closed form; from there, or from readings ``near`` (…, j), further terms by Newton's
+        method. NaN where it does not end.
+        """
+        wanted = flat(angles)
+        with np.errstate(all="ignore"):
+            if near is None or self.affine:
+                q = (wanted - self.offset.of(params)[:, None]) / self.gain.of(params)[:, None]
+            else:
+                q = flat(near)
+            if not self.affine:
+                q = self._newton(params, wanted, q)
+        return q.T.reshape(angles.shape)
+
+    def _newton(self, params: Floats, wanted: Floats, q: Floats) -> Floats:
+        for _ in range(MAX_STEPS):
+            here = self.at(params, q)
+            step = np.clip(_solved(here.by_joints, wanted - here.angles), -LARGEST_STEP, LARGEST_STEP)
+            q = q + step
+            if not np.abs(step).max(initial=0.0, where=np.isfinite(step)) > STEP_END:
+                break
+        bad = ~(np.abs(self.at(params, q).angles - wanted).max(axis=0) < GOOD)
+        return np.where(bad, np.nan, q)
+
+
+def flat(q: Floats) -> Floats:
+    """Joint readings (…, j) as (j, n)."""
+    return q.reshape(math.prod(q.shape[:-1]), q.shape[-1]).T
+
+
+def _solved(jac: Floats, error: Floats) -> Floats:
+    """(j, n) jac⁻¹·error; of a singular one by the pseudo-inverse."""
+    if jac.ndim == 2:
+        return np.asarray(error / jac)
+    square, right = np.moveaxis(jac, -1, 0), error.T[..., None]
+    square = np.where(np.isfinite(square), square, 0.0)  # a lost pose must not spoil the others
+    try:
+        step = np.linalg.solve(square, right)
+    except np.linalg.LinAlgError:
+        step = np.linalg.pinv(square) @ right
+    return np.asarray(step[..., 0].T)

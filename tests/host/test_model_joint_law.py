@@ -1,0 +1,279 @@
+"""The joint law: its value by hand, its derivatives against complex steps, its inverse; with a further, coupled term too."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from truearm.errors import RobotError
+from truearm.model import joint_law
+from truearm.model.chain import (
+    Parameter,
+    along,
+    forward,
+    joint_jacobian,
+    point_forward,
+    point_jacobians,
+    trace_point,
+)
+from truearm.model.joint_terms.term import Term
+from truearm.model.mountings import mountings, own_law
+from truearm.model.robot import builtin_robot, parse_robot
+from truearm.model.urdf import chain_from_urdf
+
+H = 1e-30  # of a complex step: no cancellation
+
+
+class Sway(Term):
+    """Every joint's reading bends a joint: a·sin(q_1 + q_2/2 + …) for each parameter a."""
+
+    name = "sway"
+    unit = None
+
+    def __init__(self, chain, parameters):
+        super().__init__(chain, parameters)
+        self._rate = 1.0 / np.arange(1, len(chain.joints) + 1)
+
+    def value(self, params, q):
+        out = np.zeros(q.shape, np.result_type(params, q))
+        np.add.at(out, self.joints, params[self.parameters][:, None] * np.sin(self._rate @ q))
+        return out
+
+    def by_joints(self, params, q):
+        slope = np.zeros((len(q), q.shape[1]), np.result_type(params, q))
+        np.add.at(slope, self.joints, params[self.parameters][:, None] * np.cos(self._rate @ q))
+        return slope[:, None] * self._rate[:, None]
+
+    def by_parameters(self, params, q):
+        return np.broadcast_to(np.sin(self._rate @ q), (len(self.joints), q.shape[1]))
+
+
+class Ripple(Term):
+    """a_k·sin(k·q) of the joint's own reading, one parameter a k."""
+
+    name = "ripple"
+    unit = "rad"
+
+    def __init__(self, chain, parameters):
+        super().__init__(chain, parameters)
+        self._k = np.array([1 + np.sum(self.joints[:i] == joint) for i, joint in enumerate(self.joints)])[:, None]
+
+    def value(self, params, q):
+        out = np.zeros(q.shape, np.result_type(params, q))
+        np.add.at(out, self.joints, params[self.parameters][:, None] * np.sin(self._k * q[self.joints]))
+        return out
+
+    def by_joints(self, params, q):
+        out = np.zeros(q.shape, np.result_type(params, q))
+        np.add.at(out, self.joints, params[self.parameters][:, None] * self._k * np.cos(self._k * q[self.joints]))
+        return out
+
+    def by_parameters(self, params, q):
+        return np.sin(self._k * q[self.joints])
+
+
+@pytest.fixture
+def further_terms(monkeypatch):
+    monkeypatch.setattr(joint_law, "TERMS", (*joint_law.TERMS, Sway, Ripple))
+
+
+def with_terms(chain, *terms):
+    """The chain with a further parameter for each (term, joint)."""
+    more = [Parameter(f"more{i}", "rad", 0.0, *law) for i, law in enumerate(terms)]
+    return replace(chain, name=f"{chain.name} and {terms}", parameters=(*chain.parameters, *more))
+
+
+COUPLED = (("sway", 1), ("ripple", 4), ("ripple", 2), ("sway", 4), ("ripple", 4))
+
+
+def cases(rng):
+    """Chains with laws of every kind, and params near none that are special."""
+    puma, ur = builtin_robot("puma560").chain, builtin_robot("ur10e").chain
+    for chain in (puma, ur, with_terms(puma, *COUPLED), with_terms(ur, ("ripple", 0)), with_terms(ur, ("sway", 5))):
+        yield chain, chain.params_nominal + rng.uniform(-0.05, 0.05, len(chain.parameters))
+
+
+def test_offset_and_gain_by_hand():
+    chain = parse_robot(PLANAR).chain
+    assert [(p.name, p.unit, p.term, p.joint) for p in chain.parameters if p.term != "geometry"] == [
+        ("joint1.offset", "rad", "offset", 0),
+        ("joint1.gain", "1", "gain", 0),
+        ("joint2.offset", "m", "offset", 1),
+    ]
+    q = np.array([0.5, 0.2])
+    np.testing.assert_allclose(chain.law.angles(chain.params_nominal, q), [0.1 - 2.0 * 0.5, 0.3 + 0.2])
+    np.testing.assert_array_equal(chain.law.by_joints(chain.params_nominal, q), np.diag([-2.0, 1.0]))
+    np.testing.assert_allclose(chain.law.readings(chain.params_nominal, np.array([0.1 + 0.4, 0.25])), [-0.2, -0.05])
+    by_parameters = chain.law.by_parameters(chain.params_nominal, q)
+    offset, gain, slide = (chain.parameter_names.index(n) for n in ("joint1.offset", "joint1.gain", "joint2.offset"))
+    assert (by_parameters[0, offset], by_parameters[0, gain], by_parameters[1, slide]) == (1.0, 0.5, 1.0)
+    assert np.count_nonzero(by_parameters) == 3
+
+
+def test_value_and_derivatives_against_complex_steps(further_terms):
+    rng = np.random.default_rng(1)
+    for chain, params in cases(rng):
+        law, n, j = chain.law, 7, len(chain.joints)
+        q = rng.uniform(-3, 3, (n, j))
+        by_joints, by_parameters = law.by_joints(params, q), law.by_parameters(params, q)
+        assert (by_joints.shape, by_parameters.shape) == ((n, j, j), (n, j, len(params)))
+        for k, step in enumerate(1j * H * np.eye(j)):
+            np.testing.assert_allclose(by_joints[..., k], law.angles(params, q + step).imag / H, atol=1e-13)
+        for k, step in enumerate(1j * H * np.eye(len(params))):
+            np.testing.assert_allclose(by_parameters[..., k], law.angles(params + step, q).imag / H, atol=1e-13)
+
+
+def test_a_points_derivatives_go_through_the_law(further_terms):
+    rng = np.random.default_rng(2)
+    for chain, params in cases(rng):
+        q, p_end = rng.uniform(-3, 3, (3, len(chain.joints))), np.array([0.1, -0.2, 0.3])
+        point, jac_params, jac_joints = point_jacobians(chain, params, q, p_end)
+        np.testing.assert_allclose((forward(chain, params, q) @ [*p_end, 1.0])[..., :3], point, atol=1e-13)
+        for k, step in enumerate(1j * H * np.eye(len(params))):
+            moved = point_forward(chain, params + step, q, p_end).imag / H
+            np.testing.assert_allclose(jac_params[..., k], moved, atol=1e-12)
+        end = forward(chain, params, q)
+        jac_end = joint_jacobian(chain, params, q)
+        for k, step in enumerate(1j * H * np.eye(q.shape[1])):
+            moved = point_forward(chain, params, q + step, p_end).imag / H
+            np.testing.assert_allclose(jac_joints[..., k], moved, atol=1e-12)
+            rate = forward(chain, params, q + step).imag / H
+            spin = rate[:, :3, :3] @ np.swapaxes(end[:, :3, :3], -1, -2)
+            np.testing.assert_allclose(jac_end[:, :3, k], rate[:, :3, 3], atol=1e-12)
+            np.testing.assert_allclose(jac_end[:, 3:, k], spin[:, (2, 0, 1), (1, 2, 0)], atol=1e-12)
+
+
+def test_every_varying_parameter_is_one_more_wrench(further_terms):
+    """Offsets are none: what the joint feels is a combination of what the links have made."""
+    chain = builtin_robot("puma560").chain
+    more = with_terms(chain, *COUPLED)
+    q, up = np.random.default_rng(3).uniform(-2, 2, (9, 6)), np.array([0.0, 0.0, 1.0])
+    few, many = (along(trace_point(c, c.params_nominal, q, np.ones(3)), up) for c in (chain, more))
+    assert many.wrenches.shape[-1] == few.wrenches.shape[-1] + len(COUPLED)
+    np.testing.assert_allclose(many.jac_params[:, : len(chain.parameters)], few.jac_params, atol=1e-14)
+
+
+def test_the_inverse_comes_back(further_terms):
+    rng = np.random.default_rng(4)
+    for chain, params in cases(rng):
+        q = rng.uniform(-3, 3, (500, len(chain.joints)))
+        angles = chain.law.angles(params, q)
+        np.testing.assert_allclose(chain.law.readings(params, angles), q, atol=1e-12)
+        np.testing.assert_allclose(chain.law.readings(params, angles, near=q + 0.1), q, atol=1e-12)
+
+
+def test_batches_of_any_shape(further_terms):
+    rng = np.random.default_rng(5)
+    for chain, params in cases(rng):
+        law, j = chain.law, len(chain.joints)
+        flat = rng.uniform(-2, 2, (6, j))
+        for function in (law.angles, law.by_joints, law.by_parameters, law.readings):
+            whole = function(params, flat)
+            for lead in ((2, 3), (6, 1), (1, 2, 3)):
+                batch = function(params, flat.reshape(*lead, j))
+                np.testing.assert_array_equal(batch, whole.reshape(*lead, *whole.shape[1:]))
+            np.testing.assert_allclose(function(params, flat[2]), whole[2], rtol=0.0, atol=1e-15)
+            assert function(params, flat[:0]).shape == (0, *whole.shape[1:])
+
+
+def test_near_a_singular_law_the_inverse_is_right_or_none(further_terms):
+    """a·sin(q) with a = −1 stands still at q = 0: close to it the inverse is ill-conditioned, but what it says is true."""
+    chain = with_terms(builtin_robot("ur10e").chain, ("ripple", 2))
+    params = chain.params_nominal.copy()
+    params[-1] = -1.0
+    q = np.zeros((4, 6))
+    q[:, 2] = 0.0, 1e-4, 0.3, 1.0
+    angles = chain.law.angles(params, q)
+    found = chain.law.readings(params, angles)
+    said = ~np.isnan(found).any(axis=1)
+    assert said[2:].all()
+    np.testing.assert_allclose(found[2:], q[2:], atol=1e-9)
+    np.testing.assert_allclose(chain.law.angles(params, found[said]), angles[said], atol=1e-9)
+    params[-1] = 30.0  # turns back and forth: where the way there ends nowhere, nothing is said
+    angles = chain.law.angles(params, np.random.default_rng(6).uniform(-3, 3, (200, 6)))
+    found = chain.law.readings(params, angles)
+    said = ~np.isnan(found).any(axis=1)
+    np.testing.assert_allclose(chain.law.angles(params, found[said]), angles[said], atol=1e-9)
+
+
+def test_one_lost_pose_does_not_lose_the_others(further_terms):
+    chain = with_terms(builtin_robot("ur10e").chain, ("sway", 1))
+    params = chain.params_nominal.copy()
+    params[-1] = 0.01
+    angles = np.zeros((3, 6))
+    angles[1] = np.nan
+    found = chain.law.readings(params, angles)
+    assert np.isnan(found[1]).all()
+    assert np.isfinite(found[[0, 2]]).all()
+
+
+def test_a_gain_of_zero_has_no_inverse():
+    chain = parse_robot(PLANAR).chain
+    params = chain.params_nominal.copy()
+    params[chain.parameter_names.index("joint1.gain")] = 0.0
+    assert not np.isfinite(chain.law.readings(params, np.array([0.5, 0.1]))[0])
+
+
+def test_mountings_take_offsets_out_whatever_the_law(further_terms):
+    """T_i(q) = B·R(q)·E with R's law that of ``own_law``: exact, with a coupled term on the first and the last joint too."""
+    rng = np.random.default_rng(7)
+    chain = with_terms(builtin_robot("puma560").chain, ("sway", 0), ("ripple", 5))
+    nominal = chain.params_nominal
+    identified = nominal + rng.uniform(-0.1, 0.1, nominal.size)
+    own = own_law(chain, nominal, identified)
+    changed = [chain.parameter_names[i] for i in np.flatnonzero(own != identified)]
+    assert changed == ["joint1.offset", "joint6.offset"]
+    links = [i for i, name in enumerate(chain.parameter_names) if name.startswith(("link1.", "link7."))]
+    own[links] = nominal[links]
+    q = rng.uniform(-2, 2, (20, 6))
+    found = mountings(chain, nominal, identified)
+    expected = found.base @ forward(chain, own, q) @ found.tool
+    np.testing.assert_allclose(forward(chain, identified, q), expected, atol=1e-13)
+
+
+def test_a_robot_file_names_a_further_term(further_terms):
+    robot = parse_robot(
+        PLANAR.replace("gain = { design = -2.0 }", "gain = { design = -2.0 }\nsway_deg = { design = 0.0 }")
+    )
+    at = robot.chain.parameter_names.index("joint1.sway")
+    assert robot.chain.parameters[at] == Parameter("joint1.sway", "rad", 0.0, "sway", 0)
+    assert robot.chain.parameter_names[at - 1] == "joint1.gain"
+    with pytest.raises(RobotError, match=r"transform 1\.sway must be a table of values; left out it is 0"):
+        parse_robot(PLANAR.replace("gain = { design = -2.0 }", "gain = { design = -2.0 }\nsway_deg = 0.0"))
+
+
+def test_a_urdf_has_offsets_and_gains():
+    chain = chain_from_urdf(
+        '<robot name="r"><link name="a"/><link name="b"/><joint name="lift" type="prismatic"><parent link="a"/>'
+        '<child link="b"/><axis xyz="0 0 1"/><limit lower="0" upper="1"/></joint></robot>'
+    )
+    assert chain.parameters[-2:] == (
+        Parameter("lift.offset", "m", 0.0, "offset", 0),
+        Parameter("lift.gain", "1", 1.0, "gain", 0),
+    )
+
+
+PLANAR = """
+name = "planar"
+convention = "elementary"
+nominal = "design"
+base_frame = "base"
+end_frame = "end"
+[[transform]]
+motion = "rz"
+joint = "joint1"
+lower_deg = -180.0
+upper_deg = 180.0
+offset_rad = { design = 0.1 }
+gain = { design = -2.0 }
+[[transform]]
+motion = "tx"
+name = "arm"
+amount_m = { design = 0.5 }
+[[transform]]
+motion = "tx"
+joint = "joint2"
+lower_m = 0.0
+upper_m = 1.0
+offset_m = { design = 0.3 }
+"""
