@@ -9,10 +9,11 @@ import pytest
 from tests.end_to_end.conftest import record_session
 from tests.host.ros_bags import joint_state, write_bag
 
-from truearm.cli.add_joints import _joint_names, _readings
+from truearm.cli.add_joints import _joint_names
 from truearm.cli.main import main
 from truearm.errors import InputError
 from truearm.record.robots.add_readings import Anchors
+from truearm.record.robots.sources import FileOptions, readings_of_file
 from truearm.record.session_writer import SessionWriter
 from truearm.session.session_file import open_session
 from truearm.workflows.session_observations import observations_of_session
@@ -180,7 +181,7 @@ def test_the_order_of_the_joints_from_a_robot(tmp_path):
     bag = write_bag(tmp_path / "bag", "mcap", [(10**18, joint_state(10**18, names, range(8)))])
     joints = _joint_names(None, PANDA, None, "ball_link")
     assert joints == arm
-    (reading,) = _readings(bag, "/joint_states", joints, False)
+    (reading,) = readings_of_file(bag, FileOptions("/joint_states", joints))
     assert json.loads(reading.line)["q"] == [7.0, 6.0, 5.0, 4.0, 3.0, 2.0, 1.0]
 
 
@@ -199,7 +200,7 @@ def test_names_that_are_none(joints, robot, says):
 
 def test_a_table_has_its_order(tmp_path):
     with pytest.raises(InputError, match="a table's columns are in order"):
-        _readings(tmp_path / "joints.csv", "/joint_states", ["a"], False)
+        readings_of_file(tmp_path / "joints.csv", FileOptions("/joint_states", ["a"]))
 
 
 def test_what_is_whole_of_a_damaged_session(recorded, tmp_path, out, capsys):

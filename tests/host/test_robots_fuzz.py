@@ -19,8 +19,8 @@ from ros_bags import joint_state, write_bag
 from truearm.errors import InputError, LinkClosed, LinkError
 from truearm.record.joint_lines import MAX_LINE, JointLines
 from truearm.record.robots import rtde
-from truearm.record.robots.bags import bag_files, readings_of_bag
-from truearm.record.robots.joint_table import readings_of_table
+from truearm.record.robots.bags import bag_files
+from truearm.record.robots.sources import FileOptions, readings_of_file
 from truearm.record.robots.text_lines import Dialect, LinesLink
 from truearm.session.joint_line import parse_reading
 
@@ -279,7 +279,7 @@ def test_tables(tmp_path, n):
         rng = random.Random(seed)
         path.write_bytes(odd_lines(rng) if seed % 2 else b"".join(mutated(rng, LINES[:3])))
         try:
-            found = list(readings_of_table(path))
+            found = list(readings_of_file(path, FileOptions("")))
         except InputError as exc:
             is_clear(exc, str(path))
         else:
@@ -315,7 +315,7 @@ def test_bags(bag, tmp_path, n):
             del data[a:b]
         path.write_bytes(data)
         try:
-            found = list(readings_of_bag(path, "/joint_states", ["a", "b"], allow_damaged=rng.random() < 0.5))
+            found = list(readings_of_file(path, FileOptions("/joint_states", ["a", "b"], rng.random() < 0.5)))
         except InputError as exc:
             is_clear(exc, str(path))
         else:

@@ -11,14 +11,16 @@ import pytest
 from truearm.errors import InputError, LinkClosed, LinkError, TableError
 from truearm.record.joint_lines import MAX_LINE
 from truearm.record.links import HostClock
-from truearm.record.robots.addresses import open_source
 from truearm.record.robots.joint_columns import read_columns
-from truearm.record.robots.joint_table import readings_of_table
+from truearm.record.robots.joint_table import readings
+from truearm.record.robots.sources import FileOptions, open_source
 from truearm.record.robots.text_lines import Dialect, LinesLink, open_lines
 from truearm.session.joint_line import parse_reading
 
 PATIENCE_S = 5.0  # only a broken link waits so long
 DEG = math.pi / 180.0
+
+NO_OPTIONS = FileOptions("")
 
 
 def rows(dialect, *lines):
@@ -342,7 +344,7 @@ class TestTable:
         path = self.table(
             tmp_path, '\ufefft_s,seq,q1_deg,q1_cmd_deg,x_mode\r\n1.5,1,90,91,idle\r\n\r\n1.52,2,45,46,"a, b"\r\n'
         )
-        found = [(reading.t, json.loads(reading.line)) for reading in readings_of_table(path)]
+        found = [(reading.t, json.loads(reading.line)) for reading in readings(path, NO_OPTIONS)]
         assert [t for t, _ in found] == [1.5, 1.52]
         assert found[1][1] == {"t": 1.52, "seq": 2, "q": [45 * DEG], "q_cmd": [46 * DEG], "arrival": False}
 
@@ -363,17 +365,17 @@ class TestTable:
     def test_what_is_wrong_is_said_with_its_row(self, tmp_path, text, says):
         path = self.table(tmp_path, text)
         with pytest.raises(TableError, match=says) as failure:
-            list(readings_of_table(path))
+            list(readings(path, NO_OPTIONS))
         assert str(failure.value).startswith(str(path))
         assert "\n" not in str(failure.value)
 
     def test_other_files(self, tmp_path):
         with pytest.raises(TableError, match="not UTF-8"):
-            list(readings_of_table(self.table(tmp_path, "t_s,q1_rad,x_é\n", "latin-1")))
+            list(readings(self.table(tmp_path, "t_s,q1_rad,x_é\n", "latin-1"), NO_OPTIONS))
         with pytest.raises(TableError, match="No such file"):
-            list(readings_of_table(tmp_path / "none.csv"))
+            list(readings(tmp_path / "none.csv", NO_OPTIONS))
         with pytest.raises(TableError, match="is not a regular file"):
-            list(readings_of_table(tmp_path))
+            list(readings(tmp_path, NO_OPTIONS))
 
 
 def test_opening_lines_checks_before_it_connects():

@@ -5,23 +5,19 @@ from __future__ import annotations
 import os
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from truearm.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from truearm.record.robots.joint_table import Reading
+from truearm.record.robots.sources import FileOptions, files_help, readings_of_file
 
 
 def add_joints(
     session: Annotated[Path, typer.Argument(metavar="SESSION", help="Session file (.mcap) of truearm record.")],
     source: Annotated[
         Path,
-        typer.Argument(metavar="FILE", help="Joint readings: a table (.csv) or a ROS 2 bag (a folder, .mcap or .db3)."),
+        typer.Argument(metavar="FILE", help=f"Joint readings: {files_help()}."),
     ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="The session file to write (.mcap).")],
     topic: Annotated[str, typer.Option(metavar="NAME", help="Of the joint states in a bag.")] = "/joint_states",
@@ -65,7 +61,7 @@ def add_joints(
     if zero is not None and not abs(zero) < 1e9:
         raise InputError(f"--zero {zero:g} is no time; give seconds")
     opened = open_session(session, allow_damaged)
-    readings = _readings(source, topic, _joint_names(joints, robot, base, tip), allow_damaged)
+    readings = readings_of_file(source, FileOptions(topic, _joint_names(joints, robot, base, tip), allow_damaged))
     said = {
         "source": source.name,
         "session": session.name,
@@ -82,17 +78,6 @@ def add_joints(
         f"{out}: {count} joint readings added; their times are {'UTC' if zero is None else 'from --zero'}, not arrivals"
     )
     say_parts(session, f"add the joints to each by itself, and name the files one by one beside {one_line(out.name)}")
-
-
-def _readings(source: Path, topic: str, joints: list[str], allow_damaged: bool) -> Iterator[Reading]:
-    from truearm.record.robots.bags import is_bag, readings_of_bag
-    from truearm.record.robots.joint_table import readings_of_table
-
-    if is_bag(source):
-        return readings_of_bag(source, topic, joints, allow_damaged)
-    if joints:
-        raise InputError("--joints and --robot order the joints of a bag; a table's columns are in order")
-    return readings_of_table(source)
 
 
 def _joint_names(joints: str | None, robot: str | None, base: str | None, tip: str | None) -> list[str]:

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from truearm.errors import InputError
+from truearm.record.robots.sources import sources_help
 
 USUAL_HZ = 1000.0
 _PATIENCE_S = 600.0
@@ -38,9 +39,7 @@ def record(
         str | None,
         typer.Option(
             metavar="URL",
-            help="The robot's joint readings: tcp://127.0.0.1:7008 (JSON lines), rtde://192.168.0.2 (Universal Robots), "
-            "lines+tcp:// or lines+udp:// (CSV, or JSON with names and units of its own: docs/robots.md). None: the sensor "
-            "alone tells the dwells.",
+            help=f"The robot's joint readings: {sources_help()}; see docs/robots.md. None: the sensor alone tells the dwells.",
         ),
     ] = None,
     plan: Annotated[Path | None, typer.Option(metavar="FILE", help="The poses that the robot visits (.csv).")] = None,

@@ -151,7 +151,7 @@ def _record(device: str, work: Work, request: Request) -> tuple[RecordSummary, b
 
 
 def _robot_link(url: str | None, clock: Clock) -> AbstractContextManager[Any]:
-    from truearm.record.robots.addresses import open_source
+    from truearm.record.robots.sources import open_source
 
     return nullcontext() if url is None else closing(open_source(url, clock))
 

@@ -21,6 +21,7 @@ from urllib.parse import quote
 from truearm.errors import InputError, SessionError
 from truearm.files.observation_columns import shown
 from truearm.record.robots.joint_table import NO_ARRIVAL, Reading
+from truearm.record.robots.sources import FileOptions
 from truearm.session.joint_line import MAX_JOINTS, are_joints, format_reading
 from truearm.session.session_file import open_session
 
@@ -34,24 +35,19 @@ SUFFIXES = (".mcap", ".db3")
 _ZSTD = b"\x28\xb5\x2f\xfd"
 
 
-def is_bag(path: Path) -> bool:
-    """Whether a name is that of a bag: a folder, or one of its files."""
-    return path.is_dir() or path.suffix.lower() in SUFFIXES
-
-
-def readings_of_bag(path: Path, topic: str, joints: Sequence[str], allow_damaged: bool = False) -> Iterator[Reading]:
-    """The joint states on ``topic`` in the order in which the bag has them, of the ``joints`` in this order.
+def readings(path: Path, options: FileOptions) -> Iterator[Reading]:
+    """The joint states on a topic in the order in which the bag has them, of the ``joints`` in this order.
 
     Raises InputError where there is no such bag, topic or joint, or rosbags is not installed; SessionError where a file is damaged.
     """
     found = 0
     decoder = _decoder()
     for file in bag_files(path):
-        for data in _messages(file, topic, allow_damaged):
+        for data in _messages(file, options.topic, options.allow_damaged):
             found += 1
-            yield _reading(file, found, decoder, data, joints)
+            yield _reading(file, found, decoder, data, options.joints)
     if not found:
-        raise InputError(f"{path}: has no message on {topic}; name the topic of the joint states with --topic")
+        raise InputError(f"{path}: has no message on {options.topic}; name the topic of the joint states with --topic")
 
 
 def bag_files(path: Path) -> list[Path]:

@@ -13,6 +13,7 @@ from typing import IO, NamedTuple
 from truearm.errors import InputError, TableError
 from truearm.record.joint_lines import MAX_LINE
 from truearm.record.robots.joint_columns import read_columns
+from truearm.record.robots.sources import FileOptions
 from truearm.session.joint_line import parse_reading
 
 
@@ -26,20 +27,26 @@ class Reading(NamedTuple):
 NO_ARRIVAL = {"arrival": False}  # in every such line: nobody saw it arrive
 
 
-def readings_of_table(path: Path) -> Iterator[Reading]:
-    """The readings of a table, in order of time. Raises TableError with file and row."""
+def readings(path: Path, options: FileOptions) -> Iterator[Reading]:
+    """The readings of a table, in order of time. Raises TableError with file and row, InputError where joints are named."""
+    if options.joints:
+        raise InputError("--joints and --robot order the joints of a bag; a table's columns are in order")
+    return _readings(path)
+
+
+def _readings(path: Path) -> Iterator[Reading]:
     if path.exists() and not path.is_file():
         raise TableError(f"{path}: is not a regular file; save the data to a file first")
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            yield from _readings(path, file)
+            yield from _rows(path, file)
     except OSError as exc:
         raise TableError(f"{path}: cannot be read: {exc.strerror}") from exc
     except UnicodeDecodeError as exc:
         raise TableError(f"{path}: is not UTF-8 text; save it as UTF-8") from exc
 
 
-def _readings(path: Path, file: IO[str]) -> Iterator[Reading]:
+def _rows(path: Path, file: IO[str]) -> Iterator[Reading]:
     rows = csv.reader(_lines(path, file), strict=True)
     try:
         columns = read_columns([cell.strip() for cell in next(rows, [])])

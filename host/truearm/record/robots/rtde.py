@@ -19,7 +19,7 @@ from contextlib import suppress
 from urllib.parse import parse_qsl, urlsplit
 
 from truearm.errors import InputError, LinkClosed, LinkError, ProtocolError
-from truearm.record.links import Arrivals, Backlog, Clock, TcpLink, backlog_of
+from truearm.record.links import Arrivals, Backlog, Clock, Link, TcpLink, backlog_of
 from truearm.record.robots import rtde_packages as rtde
 from truearm.session.joint_line import MAX_T_S, format_reading
 
@@ -38,6 +38,11 @@ KEYS = {
 }
 FULL_RATE_HZ = {True: 500.0, False: 125.0}  # whether it is an e-Series or later: controller software from 5 on
 EXAMPLE = "rtde://192.168.0.2, with ?hz=125 for a lower rate"
+
+
+def connect(url: str, clock: Clock, last: Link | None) -> Link:
+    """Return a link whose ``seq`` counts on from that of the ``last`` one. Raises as ``RtdeLink`` does."""
+    return RtdeLink(url, clock, last.first_s if isinstance(last, RtdeLink) else None)
 
 
 class RtdeLink:

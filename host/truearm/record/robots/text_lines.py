@@ -222,6 +222,11 @@ class LinesLink:
             return line
 
 
+def connect(url: str, clock: Clock, last: Link | None) -> Link:
+    """Return a link for which the header of the ``last`` one still counts. Raises as ``open_lines`` does."""
+    return open_lines(url, clock, last.dialect if isinstance(last, LinesLink) else None)
+
+
 def open_lines(url: str, clock: Clock, dialect: Dialect | None = None) -> LinesLink:
     """The source behind ``lines+tcp://`` or ``lines+udp://``. ``dialect``: of an earlier connection, whose header still counts.
 

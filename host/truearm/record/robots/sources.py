@@ -1,0 +1,106 @@
+"""The joint sources by name: live ones by the scheme of an address, files by their suffix.
+
+Imports nothing slow, so that ``--help`` can list them; a source's module is imported when it is used. To add a live source,
+write a module here with ``connect(url, clock, last) -> Link`` and add its line to ``SOURCES``. ``last`` is the link of an
+earlier connection to the same address, None at the first one. To add a file format, write a module with
+``readings(path, options) -> Iterator[Reading]`` and add its line to ``FILES``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, NamedTuple
+
+from truearm.errors import InputError
+
+if TYPE_CHECKING:
+    from truearm.record.links import Clock, Link
+    from truearm.record.reopening import Reopening
+    from truearm.record.robots.joint_table import Reading
+
+
+class SourceEntry(NamedTuple):
+    """A live source: its module in this package, what follows the scheme in an address, and what sends such readings."""
+
+    module: str
+    example: str
+    summary: str
+
+
+class FileEntry(NamedTuple):
+    """A file of readings: its module in this package, its suffixes, whether a folder can be one, and what it is."""
+
+    module: str
+    suffixes: tuple[str, ...]
+    folder: bool
+    summary: str
+
+
+class FileOptions(NamedTuple):
+    """What the user says of a file: the topic and the names of the joints in their order, for files that hold several."""
+
+    topic: str
+    joints: Sequence[str] = ()
+    allow_damaged: bool = False
+
+
+SOURCES: Mapping[str, SourceEntry] = {
+    "tcp": SourceEntry("session_lines", "127.0.0.1:7008", "JSON lines"),
+    "rtde": SourceEntry("rtde", "192.168.0.2", "Universal Robots"),
+    "lines+tcp": SourceEntry("text_lines", "192.168.0.2:7008", "CSV, or JSON with names and units of its own"),
+    "lines+udp": SourceEntry("text_lines", "0.0.0.0:7008", "the same in datagrams, sent to us"),
+}
+TABLE = FileEntry("joint_table", (".csv",), False, "a table (.csv)")
+FILES: tuple[FileEntry, ...] = (
+    FileEntry("bags", (".mcap", ".db3"), True, "a ROS 2 bag (a folder, .mcap or .db3)"),
+    TABLE,
+)
+
+
+def sources_help() -> str:
+    """Return an example of every live source's address with what it is for, as ``--help`` shows it."""
+    return ", ".join(f"{scheme}://{entry.example} ({entry.summary})" for scheme, entry in SOURCES.items())
+
+
+def files_help() -> str:
+    """Return what files of joint readings there are, as ``--help`` shows it."""
+    return " or ".join(entry.summary for entry in FILES)
+
+
+def open_source(url: str, clock: Clock) -> Reopening:
+    """Open the live source at an address; after a loss it can be opened again.
+
+    Raises InputError for an address that no source has, LinkError where nobody answers.
+    """
+    from truearm.record.reopening import Reopening
+
+    scheme, separator, _ = url.partition("://")
+    if not separator or scheme not in SOURCES:
+        known = ", ".join(f"{name}://" for name in SOURCES)
+        raise InputError(f"{url!r} is no address of a robot; it begins with one of {known}")
+    connect: Callable[[str, Clock, Link | None], Link] = _module(SOURCES[scheme].module).connect
+    last: Link | None = None
+
+    def open_link() -> Link:
+        nonlocal last
+        last = connect(url, clock, last)
+        return last
+
+    return Reopening(open_link)
+
+
+def readings_of_file(path: Path, options: FileOptions) -> Iterator[Reading]:
+    """Return the readings of a file by its suffix, in order; a file whose suffix is unknown is read as a table.
+
+    Raises InputError where there is no such file, topic or joint, SessionError or TableError where a file is damaged.
+    """
+    entry = next((e for e in FILES if path.suffix.lower() in e.suffixes or (e.folder and path.is_dir())), TABLE)
+    readings: Iterator[Reading] = _module(entry.module).readings(path, options)
+    return readings
+
+
+def _module(name: str) -> ModuleType:
+    return import_module(f"{__package__}.{name}")
