@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from truearm.errors import InputError, RigError
+from truearm.units import MM
 
 if TYPE_CHECKING:
     from truearm.session.session_file import Session
@@ -80,7 +81,7 @@ def characterize(
         check_writable(out, inputs=read, ours=looks_like_noise)
     loaded = load_robot(robot, base, tip)
     opened = {path: open_session(path, allow_damaged) for path in files}
-    bands = sorted({1e-3 * mm for mm in within_mm or BANDS_MM})
+    bands = sorted({MM.to_si(mm) for mm in within_mm or BANDS_MM})
     around = _rig(opened, rig)
     parts = [Part(_with_plan(one, plan), path.name, ident_of(one)) for path, one in opened.items()]
     found, noise = characterized(parts, loaded.chain, around, bands)

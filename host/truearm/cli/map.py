@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from truearm.cli.options import IdentifiedBaseOption, IdentifiedRobotOption, IdentifiedTipOption, ResultArgument
+from truearm.units import MM
 
 
 class Elbow(StrEnum):
@@ -54,7 +55,9 @@ def map_(
     from truearm.files.robot_file import RobotChoice
     from truearm.workflows.error_map import Choice, map_files
 
-    choice = Choice(RobotChoice(robot, base, tip), vary, at, elbow is Elbow.up, 1e-3 * cell, task, own_frames, within)
+    choice = Choice(
+        RobotChoice(robot, base, tip), vary, at, elbow is Elbow.up, MM.to_si(cell), task, own_frames, within
+    )
     for line in map_files(result, out, picture, choice):
         typer.echo(line)
 

@@ -11,6 +11,7 @@ import typer
 
 from truearm.cli.options import SeedOption
 from truearm.errors import InputError, LinkError
+from truearm.units import MS
 
 CHIP_STEP_NS = 20_000_000  # an emulated chip may be slower than the wall clock
 N_JOINTS = 6
@@ -103,7 +104,9 @@ def simulate(
     faults = [parse_fault(text) for text in fault or []]
     plan, rig = visits(poses, lines, seed, plan_file, rig_file)
     arm = WORN if worn else None
-    world = World(seed, plan, rig, robot_rate=rate, arm=arm, robot_delay_s=1e-3 * robot_delay_ms, robot_input=trigger)
+    world = World(
+        seed, plan, rig, robot_rate=rate, arm=arm, robot_delay_s=MS.to_si(robot_delay_ms), robot_input=trigger
+    )
     own_folder(folder, MARK)
     power_on = hardware(level)
     write_plan(folder / "plan.csv", plan)

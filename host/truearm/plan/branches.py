@@ -8,6 +8,7 @@ from truearm.errors import PlanError
 from truearm.model.builtin import names_with_branch
 from truearm.model.robot import Robot
 from truearm.model.workspace import Branch
+from truearm.units import DEG
 
 
 def branch_of(robot: Robot, bounds_deg: str | None = None) -> Branch:
@@ -27,7 +28,7 @@ def branch_of(robot: Robot, bounds_deg: str | None = None) -> Branch:
     if len(pairs) != len(chain.joints) or any(len(pair) != 2 for pair in pairs):
         raise PlanError(f"--branch needs LOW:HIGH in degrees for each of {len(chain.joints)} joints, between commas")
     try:
-        lower, upper = np.deg2rad([[float(text) for text in pair] for pair in pairs]).T
+        lower, upper = DEG.to_si(np.array([[float(text) for text in pair] for pair in pairs])).T
     except ValueError as exc:
         raise PlanError(f"--branch: {exc}; it needs numbers in degrees") from exc
     if not (np.isfinite(lower) & np.isfinite(upper) & (lower < upper)).all():

@@ -24,6 +24,7 @@ from truearm.plan.collision_shapes import device_is_clear
 from truearm.plan.measurement_limits import Site, all_allowed, smallest_singular_value
 from truearm.plan.region import Region
 from truearm.types import Floats
+from truearm.units import MM
 
 STEPS = 6  # of Newton's method from one place to the next; the fourth is exact to rounding
 ON_LINE = 1e-8  # LEVERs, and rad
@@ -90,7 +91,7 @@ def candidate_lines(
             break
     if len(kept) < least:
         raise PlanError(
-            f"only {len(kept)} lines of {1e3 * shape.length:g} mm fit where the arm reaches; make them shorter, slower or fewer"
+            f"only {len(kept)} lines of {MM.text(shape.length)} fit where the arm reaches; make them shorter, slower or fewer"
         )
     return Lines(*(np.array(part) for part in zip(*kept[:n], strict=True)))
 

@@ -10,6 +10,7 @@ from truearm.errors import PlanError
 from truearm.model.chain import point_forward
 from truearm.plan.measurement_limits import Site, allowed
 from truearm.types import Floats
+from truearm.units import MM
 
 N_POSES = 300
 
@@ -29,7 +30,7 @@ def around(points: Floats) -> Region:
 def parse_region(text: str) -> Region:
     """A box of a text "300:600,-200:200,100:400" in mm. Raises PlanError for anything else."""
     try:
-        lower, upper = 1e-3 * np.array([[float(end) for end in part.split(":")] for part in text.split(",")]).T
+        lower, upper = MM.to_si(np.array([[float(end) for end in part.split(":")] for part in text.split(",")])).T
     except ValueError as exc:
         raise PlanError(f"--region {text[:60]!r}: it needs LOW:HIGH in mm for x, y and z, between commas") from exc
     if lower.shape != (3,) or not (np.isfinite(lower) & np.isfinite(upper) & (lower < upper)).all():

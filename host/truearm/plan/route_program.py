@@ -15,6 +15,7 @@ from truearm.errors import PlanError
 from truearm.plan.route_rapid import rapid
 from truearm.plan.route_urscript import urscript
 from truearm.plan.stops import Stop, Task
+from truearm.units import MM_S
 
 N_AXES = 6
 DIALECTS = {".csv": "stops", ".script": "URScript", ".mod": "RAPID"}
@@ -46,7 +47,7 @@ def csv_text(stops: Sequence[Stop], task: Task) -> str:
     rows[0] += [f"q{i + 1}_rad" for i in range(len(stops[0].q))]
     for number, stop in enumerate(stops):
         rest = f"{task.dwell if stop.move == 'dwell' else 0.0:g}"
-        pace = ("", rest, f"{1e3 * stop.speed:g}") if stop.move == "line" else (f"{stop.seconds:.3f}", rest, "")
+        pace = ("", rest, f"{MM_S.of(stop.speed):g}") if stop.move == "line" else (f"{stop.seconds:.3f}", rest, "")
         rows.append([str(number), stop.move, stop.before, stop.there, *pace, *map(repr, stop.q.tolist())])
     return csv_of(rows)
 

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from truearm.plan.stops import SETTLE, TIMEOUT, Stop, Task, identifier
+from truearm.units import DEG, MM, MM_S
 
 TOOL = "toTruearm"
 
@@ -33,7 +32,7 @@ def rapid(stops: Sequence[Stop], task: Task) -> str:
 
 
 def _data(task: Task, lines_too: bool) -> list[str]:
-    place = ",".join(f"{1e3 * v:.3f}" for v in task.tool)
+    place = ",".join(f"{MM.of(v):.3f}" for v in task.tool)
     tool = [
         "  ! Set the tool's own mass [kg] and its centre before you drive.",
         f"  PERS tooldata {TOOL}:=[TRUE,[[{place}],[1,0,0,0]],[1,[0,0,50],[1,0,0,0],0,0,0]];",
@@ -51,13 +50,13 @@ def _move(stop: Stop, tool: str) -> str:
 
 
 def _line(stop: Stop, task: Task) -> list[str]:
-    speed = f"[{1e3 * stop.speed:.2f},500,5000,1000]"
+    speed = f"[{MM_S.of(stop.speed):.2f},500,5000,1000]"
     drive = f"    MoveL CalcRobT({_joints(stop)}, {TOOL}), {speed}, fine, {TOOL};"
     return [*_at_rest(task), drive, *_switched(task, 0)]
 
 
 def _joints(stop: Stop) -> str:
-    return f"[[{','.join(f'{v:.5f}' for v in np.rad2deg(stop.q))}],[9E9,9E9,9E9,9E9,9E9,9E9]]"
+    return f"[[{','.join(f'{v:.5f}' for v in DEG.of(stop.q))}],[9E9,9E9,9E9,9E9,9E9,9E9]]"
 
 
 def _ask(text: str) -> list[str]:

@@ -18,6 +18,7 @@ from truearm.reproduce.prediction_errors import Convergence, convergence
 from truearm.reproduce.renders import CASE_E, CASE_F, GEAR, N_LINES, N_POINTS, WIDE, Case
 from truearm.reproduce.renders_plots import map_figure, prediction_figure, runs_figure
 from truearm.types import Floats
+from truearm.units import MM
 
 TITLE = "Straight-line calibration of the ULB robot"
 SOURCE = (
@@ -118,12 +119,12 @@ def _identified(chain: Chain, name: str, sets: int, seed: int) -> Chapter:
         found["map"].append(renders.case(chain, clean, truth, errors, "map"))
         found["gears"].append(renders.case(chain, rough, truth, errors, "map"))
     histories = {key: _median_history(cases) for key, cases in found.items()}
-    placed = {rule: 1e3 * float(np.median(values)) for rule, values in starts.items()}
+    placed = {rule: MM.of(float(np.median(values))) for rule, values in starts.items()}
     claims = _case_claims(name, placed, found, histories, runs)
     text = (
         f"Four lines of {N_POINTS} points identify, a fifth validates. The true robot has the errors that the paper identified in "
         f"III-{name}; sensors, joints and priors are those of III-C, but for the place of a device: it is found through the bad "
-        f"nominal robot, so 1 mm is a false prior and {1e3 * WIDE:.0f} mm is used. Medians over {sets} sets of lines."
+        f"nominal robot, so 1 mm is a false prior and {MM.text(WIDE, '.0f')} is used. Medians over {sets} sets of lines."
     )
     title = "III-E: errors of the joint encoders' zeroes" if name == "E" else "III-F: offsets and four lengths"
     head = ("placement of a line", "mean error before [mm]")
@@ -184,7 +185,7 @@ def _case_claims(
             )
         )
     before, after = (
-        1e3 * float(np.median([getattr(c, k) for c in found["gears"]]))
+        MM.of(float(np.median([getattr(c, k) for c in found["gears"]])))
         for k in ("validation_before", "validation_after")
     )
     factor = float(np.median([c.history[0] / c.history[-1] for c in found["gears"]]))
@@ -216,7 +217,7 @@ def _median_history(cases: Sequence[Case]) -> Floats:
     """(runs + 1,) median over cases of the mean error [mm] after each run; a case that ended stays where it is."""
     longest = max(4, *(len(c.history) for c in cases))
     held = [np.concatenate([c.history, np.full(longest, c.history[-1])])[:longest] for c in cases]
-    return np.asarray(1e3 * np.median(held, axis=0))
+    return np.asarray(MM.of(np.median(held, axis=0)))
 
 
 def _covariance(chain: Chain, runs: int, seed: int) -> Chapter:
@@ -227,8 +228,8 @@ def _covariance(chain: Chain, runs: int, seed: int) -> Chapter:
             renders.drawn_case(chain, solver, most, np.random.default_rng([seed, k]), joint_noise) for k in range(runs)
         ]
         nees.append([c.nees for c in cases])
-        after.append(1e3 * float(np.median([c.history[-1] for c in cases])))
-        third.append(1e3 * float(np.median([c.history[min(3, len(c.history) - 1)] for c in cases])))
+        after.append(MM.of(float(np.median([c.history[-1] for c in cases]))))
+        third.append(MM.of(float(np.median([c.history[min(3, len(c.history) - 1)] for c in cases]))))
     k = len(CASE_E)
     band = figures(3.0 * np.sqrt(2.0 * k / runs), 2)
     claims = (
@@ -341,19 +342,19 @@ def _figure_four(quick: bool, seed: int) -> Chapter:
 
 def _means(runs: Sequence[Convergence]) -> tuple[Floats, Floats]:
     return (
-        1e3 * np.mean([r.ml for r in runs], axis=0),
-        1e3 * np.mean([r.ls for r in runs], axis=0),
+        MM.of(np.mean([r.ml for r in runs], axis=0)),
+        MM.of(np.mean([r.ls for r in runs], axis=0)),
     )
 
 
 def _maps(chain: Chain) -> Chapter:
     where = renders.section(chain, 0.05)
     prior = renders.a_priori(chain, where)
-    found = 1e3 * renders.error_map(chain, where, CASE_F)
+    found = MM.of(renders.error_map(chain, where, CASE_F))
     worst = prior.worst
     claims = (
-        Claim("largest expected error (RMS) in the section", "mm", None, 1e3 * float(prior.rms.max())),
-        Claim("smallest", "mm", None, 1e3 * float(prior.rms.min())),
+        Claim("largest expected error (RMS) in the section", "mm", None, MM.of(float(prior.rms.max()))),
+        Claim("smallest", "mm", None, MM.of(float(prior.rms.min()))),
         Claim(
             "largest over smallest standard deviation at the worst place",
             "1",
@@ -365,12 +366,14 @@ def _maps(chain: Chain) -> Chapter:
         Claim("smallest", "mm", None, float(found.min())),
     )
     text = (
-        f"Tolerances of {1e3 * LENGTH_SIGMA:.0f} mm and {ANGLE_SIGMA} rad on every row (III-C) make an error before anything is "
+        f"Tolerances of {MM.text(LENGTH_SIGMA, '.0f')} and {ANGLE_SIGMA} rad on every row (III-C) make an error before anything is "
         "measured; it is largest where measuring pays most (III-G), and smallest along one direction. Fig. 5 of the paper prints no "
         "scale that could be read from the scan."
     )
     pictures = (
-        map_figure("II-D: expected error, direction of the smallest", where, 1e3 * prior.rms, prior.direction_smallest),
+        map_figure(
+            "II-D: expected error, direction of the smallest", where, MM.of(prior.rms), prior.direction_smallest
+        ),
         map_figure("Fig. 5: error map of the identified robot", where, found, None),
     )
     return Chapter("II-D and Fig. 5: error maps", text, claims, figures=pictures)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from truearm.errors import LinkError
+from truearm.units import NS, US
 
 if TYPE_CHECKING:
     from truearm.record.status import Status
@@ -131,8 +132,8 @@ def recording_facts(result: SyncResult, truth: ClockTruth) -> tuple[tuple[str, s
         ("frames lost", f"{losses.frames_lost}"),
         ("clock exchanges", f"{clock.exchanges:,}"),
         ("box's crystal against the host", f"{clock.rate_ppm:+.3f} ppm"),
-        ("clock error, reported bound", f"{truth.bound_ns / 1e3:.0f} µs"),
-        ("clock error against the simulator's truth", f"{truth.error_ns / 1e3:.0f} µs at most"),
+        ("clock error, reported bound", f"{US.text(NS.to_si(truth.bound_ns), '.0f')}"),
+        ("clock error against the simulator's truth", f"{US.text(NS.to_si(truth.error_ns), '.0f')} at most"),
     )
 
 
@@ -147,8 +148,8 @@ def say_samples(result: SyncResult, steps: Steps, used: str) -> None:
 def say_clock(truth: ClockTruth) -> None:
     """How well the box's clock is known."""
     typer.echo(
-        f"clock           largest error {truth.error_ns / 1e3:.0f} µs against the simulator's truth, "
-        f"{'within' if truth.within else 'OUTSIDE'} its reported bound ({truth.bound_ns / 1e3:.0f} µs at most)"
+        f"clock           largest error {US.text(NS.to_si(truth.error_ns), '.0f')} against the simulator's truth, "
+        f"{'within' if truth.within else 'OUTSIDE'} its reported bound ({US.text(NS.to_si(truth.bound_ns), '.0f')} at most)"
     )
 
 

@@ -19,6 +19,7 @@ from truearm.files.robot_file import RobotChoice
 from truearm.report.map_picture import map_picture
 from truearm.text import one_line
 from truearm.types import Floats
+from truearm.units import MM, key, number
 from truearm.workflows.calibration import (
     Calibration,
     check_names,
@@ -97,7 +98,7 @@ def _span_of(text: str) -> tuple[float, float, float, float]:
     """u0, u1, v0, v1 [m]"""
     number = r"(-?[0-9]{1,6}(?:\.[0-9]{1,6})?)"
     match = re.fullmatch(f"{number}:{number},{number}:{number}", text)
-    u0, u1, v0, v1 = (1e-3 * float(part) for part in match.groups()) if match else (0.0,) * 4
+    u0, u1, v0, v1 = (MM.to_si(float(part)) for part in match.groups()) if match else (0.0,) * 4
     if u0 >= u1 or v0 >= v1:
         raise InputError(
             f"--within {text[:40]}: needs LOW:HIGH,LOW:HIGH in mm along the section's axes, as 300:900,0:800"
@@ -109,29 +110,30 @@ def _size_of(text: str) -> tuple[float, float]:
     match = re.fullmatch(r"([0-9]{1,6}(?:\.[0-9]{1,6})?)x([0-9]{1,6}(?:\.[0-9]{1,6})?)", text)
     if match is None or min(float(match[1]), float(match[2])) <= 0.0:
         raise InputError(f"--task {text[:40]}: needs width and height in mm, as 300x200")
-    return 1e-3 * float(match[1]), 1e-3 * float(match[2])
+    return MM.to_si(float(match[1])), MM.to_si(float(match[2]))
 
 
 def _table(found: ErrorMap, units: tuple[str, ...]) -> str:
     """One row a cell that is reached; u, v are the cell's middle, x, y, z where the nominal end is."""
-    scale = np.array([math.degrees(1.0) if unit == "rad" else 1e3 for unit in units])
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
-    joints = [f"q{i}_{'deg' if unit == 'rad' else 'mm'}" for i, unit in enumerate(units, start=1)]
+    joints = [key(f"q{i}", unit) for i, unit in enumerate(units, start=1)]
     writer.writerow(["u_mm", "v_mm", "x_mm", "y_mm", "z_mm", *joints, "error_mm", "sigma_mm"])
     for i, j in zip(*np.nonzero(~np.isnan(found.error)), strict=True):
-        place = [1e3 * found.u[j], 1e3 * found.v[i], *(1e3 * found.point[i, j])]
-        sigma = f"{1e3 * found.sigma[i, j]:.5f}" if np.isfinite(found.sigma[i, j]) else ""
-        cells = [f"{value:.3f}" for value in place] + [f"{value:.5f}" for value in scale * found.q[i, j]]
-        writer.writerow([*cells, f"{1e3 * found.error[i, j]:.5f}", sigma])
+        place = MM.of(np.array([found.u[j], found.v[i], *found.point[i, j]]))
+        sigma = number(found.sigma[i, j], "m", 5) if np.isfinite(found.sigma[i, j]) else ""
+        cells = [f"{value:.3f}" for value in place] + [
+            number(value, unit, 5) for value, unit in zip(found.q[i, j], units, strict=True)
+        ]
+        writer.writerow([*cells, number(found.error[i, j], "m", 5), sigma])
     return text.getvalue()
 
 
 def _picture(found: ErrorMap, region: Region | None, calibration: Calibration) -> str:
-    task = None if region is None else (1e3 * region.u[0], 1e3 * region.u[1], 1e3 * region.v[0], 1e3 * region.v[1])
+    task = None if region is None else MM.of(np.array([*region.u, *region.v])).tolist()
     labels = [f"{_axis(direction)} [mm]" for direction in found.axes]
     title = f"Error of {one_line(calibration.chain.name)[:40]} as described"
-    return map_picture(1e3 * found.u, 1e3 * found.v, 1e3 * found.error, 1e3 * found.sigma, title, task, labels)
+    return map_picture(MM.of(found.u), MM.of(found.v), MM.of(found.error), MM.of(found.sigma), title, task, labels)
 
 
 def _axis(direction: Floats) -> str:
@@ -143,13 +145,13 @@ def _axis(direction: Floats) -> str:
 
 
 def _said(found: ErrorMap, region: Region | None, choice: Choice) -> list[str]:
-    error = 1e3 * found.error[~np.isnan(found.error)]
+    error = MM.of(found.error[~np.isnan(found.error)])
     rms = math.sqrt(float(np.mean(error**2)))
     lines = [
-        f"{error.size} cells of {1e3 * choice.cell:g} mm: error without calibration {error.min():.3f} to {error.max():.3f} mm, "
+        f"{error.size} cells of {MM.text(choice.cell)}: error without calibration {error.min():.3f} to {error.max():.3f} mm, "
         f"RMS {rms:.3f} mm."
     ]
-    sigma = 1e3 * found.sigma[np.isfinite(found.sigma)]
+    sigma = MM.of(found.sigma[np.isfinite(found.sigma)])
     if sigma.size:
         lines.append(
             f"With it, by the parameters' covariance: {sigma.min():.3f} to {sigma.max():.3f} mm (standard deviation)."
@@ -166,9 +168,9 @@ def _said(found: ErrorMap, region: Region | None, choice: Choice) -> list[str]:
 def _task_said(found: ErrorMap, region: Region | None, task: str) -> str:
     if region is None:
         return f"A task of {task} mm fits nowhere into what the arm reaches in this section."
-    u, v = (tuple(round(1e3 * value) for value in span) for span in (region.u, region.v))
+    u, v = (tuple(round(MM.of(value)) for value in span) for span in (region.u, region.v))
     names = [_axis(direction) for direction in found.axes]
     return (
         f"Best place for a task of {task} mm: {names[0]} {u[0]} to {u[1]}, {names[1]} {v[0]} to {v[1]} mm; error at most "
-        f"{1e3 * region.largest:.3f} mm, RMS {1e3 * region.rms:.3f} mm."
+        f"{MM.text(region.largest, '.3f')}, RMS {MM.text(region.rms, '.3f')}."
     )

@@ -20,6 +20,7 @@ from truearm.files.robot_file import MAX_BYTES, RobotChoice
 from truearm.model.chain import Chain
 from truearm.text import one_line
 from truearm.types import Floats
+from truearm.units import MM
 from truearm.workflows.calibration import Calibration, check_names, mounting_lines, read_calibration
 from truearm.workflows.selection import matching
 
@@ -136,4 +137,4 @@ def _refit_said(fitted: Refit, over: Path | None) -> list[str]:
 
 
 def _of(error: Floats) -> str:
-    return f"{1e3 * np.sqrt(np.mean(error**2)):.3f} mm RMS ({1e3 * error.max():.3f} at most)"
+    return f"{MM.text(np.sqrt(np.mean(error**2)), '.3f')} RMS ({MM.of(error.max()):.3f} at most)"

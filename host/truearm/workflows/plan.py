@@ -31,6 +31,7 @@ from truearm.plan.region import Region, parse_region
 from truearm.plan.route_program import check_suffix, program
 from truearm.plan.stops import Signals, Stop, Task
 from truearm.types import Floats, Rig
+from truearm.units import MM, MM_S
 from truearm.workflows.calibration import read_calibration
 from truearm.workflows.identify import PRIORS, default_free
 from truearm.workflows.inputs import Sources, observed
@@ -117,7 +118,7 @@ def plan_ballbar_files(common: Common, given: BallBars, quiet: bool) -> dict[str
         known,
         all_pairings(known.rig, given.bars),
         Wanted(
-            given.poses, common.minutes, common.criterion, 1, common.candidates, 1e-3 * given.spread_mm, common.seed
+            given.poses, common.minutes, common.criterion, 1, common.candidates, MM.to_si(given.spread_mm), common.seed
         ),
         Pace(dwell=common.dwell_s),
         _region(common),
@@ -145,7 +146,7 @@ def plan_line_files(common: Common, given: LineDevice) -> dict[str, Any]:
         raise InputError("give a budget: --lines N or --minutes M")
     known = _known(common)
     target = _target(known, given.target)
-    shape = Shape(1e-3 * given.length_mm, 1e-3 * given.transverse_mm, 1e-3 * given.speed_mm_s, given.points)
+    shape = Shape(MM.to_si(given.length_mm), MM.to_si(given.transverse_mm), MM_S.to_si(given.speed_mm_s), given.points)
     wanted = LinesWanted(
         given.lines, common.minutes, shape, given.passes, common.candidates, common.criterion, common.seed
     )
@@ -203,21 +204,21 @@ def _named(what: str, given: str | None, have: Iterable[str]) -> str:
 
 def _limits(common: Common, reserve_mm: float | None) -> Limits:
     default = DESIGN_RESERVE_MM if common.result is None else RESULT_RESERVE_MM
-    return Limits(reserve=1e-3 * (default if reserve_mm is None else reserve_mm))
+    return Limits(reserve=MM.to_si(default if reserve_mm is None else reserve_mm))
 
 
 def _places(planned: LinePlan, known: Known, point: Floats) -> list[dict[str, Any]]:
     """Where each line lies, from end to end in the base frame, and how the device is turned."""
     from truearm.model.chain import point_forward
 
-    ends = 1e3 * point_forward(known.chain, known.params, planned.lines.q[:, [0, -1]], point)
+    ends = MM.of(point_forward(known.chain, known.params, planned.lines.q[:, [0, -1]], point))
     return [
         {
             "line": device.name,
             "from_mm": end[0].tolist(),
             "to_mm": end[1].tolist(),
             "rotation_rad": list(device.rotation),
-            "a_priori_mm": 1e3 * error,
+            "a_priori_mm": MM.of(error),
         }
         for device, end, error in zip(planned.devices.values(), ends, planned.error.tolist(), strict=True)
     ]
@@ -310,11 +311,11 @@ def _model(common: Common) -> tuple[Robot, Floats, dict[str, float]]:
 
 def _check_travel(known: Known, reserve: float, spread_mm: float) -> None:
     for bar in known.rig.bars.values():
-        left = 0.5 * abs(bar.gain) * bar.travel - reserve - 1e-3 * spread_mm
+        left = 0.5 * abs(bar.gain) * bar.travel - reserve - MM.to_si(spread_mm)
         if left < LEFT:
             raise InputError(
-                f"bar {bar.name}: of {500 * bar.travel:g} mm travel either way {1e3 * reserve:g} mm are reserve and "
-                f"{spread_mm:g} mm spread; {1e3 * LEFT:g} mm must be left to the way, so lower --reserve-mm or --spread-mm"
+                f"bar {bar.name}: of {MM.text(0.5 * bar.travel)} travel either way {MM.text(reserve)} are reserve and "
+                f"{spread_mm:g} mm spread; {MM.text(LEFT)} must be left to the way, so lower --reserve-mm or --spread-mm"
             )
 
 
@@ -341,7 +342,7 @@ def _document(told: Forecast) -> dict[str, Any]:
             for name, unit, sigma, free in zip(told.names, told.units, told.sigma, told.free, strict=True)
             if free
         ],
-        "cartesian_rms_mm": number(1e3 * told.cartesian_rms),
-        "cartesian_worst_mm": None if told.cartesian is None else 1e3 * float(told.cartesian.max()),
+        "cartesian_rms_mm": number(MM.of(told.cartesian_rms)),
+        "cartesian_worst_mm": None if told.cartesian is None else MM.of(float(told.cartesian.max())),
         "cartesian_relative": told.relative,
     }
