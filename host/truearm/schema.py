@@ -374,9 +374,16 @@ def check_known(table: Mapping[str, Any], known: Sequence[str]) -> None:
             raise SchemaError(f"unknown key {key[:MAX_SHOWN]!r}; {hint[:150]}")
 
 
+@contextmanager
+def raising(error: type[InputError], name: str = "") -> Iterator[None]:
+    """Turn a SchemaError into ``error``, with the name of the file in front if there is one."""
+    try:
+        yield
+    except SchemaError as exc:
+        raise error(f"{name}: {exc}" if name else str(exc)) from None
+
+
 def read(table: Table[T], document: Mapping[str, Any], name: str, error: type[InputError]) -> T:
     """What a document makes; ``name`` stands for the file in messages. Raises ``error`` with file, entry and key."""
-    try:
+    with raising(error, name):
         return table.parse(document)
-    except SchemaError as exc:
-        raise error(f"{name}: {exc}") from None

@@ -76,7 +76,7 @@ def test_configuration_by_file_and_by_value(device, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "code", "says"),
     [
-        (["config", "set", "osr=2047"], 2, "osr must be one of"),
+        (["config", "set", "osr=2047"], 2, "osr: must be one of"),
         (["config", "set", "gone.toml"], 2, "gone.toml: no such file"),
         (["config", "set", "osr"], 2, "osr: no such file"),
         (["gauge", "nothing"], 2, "no channel 'nothing'; there are lvdt"),

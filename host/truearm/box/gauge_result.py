@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from truearm.errors import InputError
+from truearm.errors import ConfigError, InputError
+from truearm.schema import raising
 from truearm.units import UM
 
 if TYPE_CHECKING:
@@ -93,7 +94,7 @@ def with_calibration(
     config: dict[str, Any], stream: Stream, index: int, places: Sequence[Place], result: PolyFit, serial: str | None
 ) -> dict[str, Any]:
     """The configuration with the new calibration in it, checked. Raises InputError."""
-    from truearm.box.configuration_rules import check
+    from truearm.box.configuration_schema import check
 
     date = datetime.now(UTC).date().isoformat()
     if stream.name == MAG:
@@ -124,9 +125,10 @@ def _rounded(result: PolyFit, places: Sequence[Place]) -> list[str]:
 
 
 def _pair(text: str) -> list[int]:
-    from truearm.box.configuration import mantissa_exponent
+    from truearm.box.configuration_schema import mantissa_exponent
 
-    return mantissa_exponent(Decimal(text), "the calibration")
+    with raising(ConfigError, "the calibration"):
+        return mantissa_exponent(Decimal(text))
 
 
 def _head(result: PolyFit) -> dict[str, Any]:

@@ -1,0 +1,320 @@
+"""What a box's configuration may be (protocol/SPEC.md §5): every key, in a file and on the wire, and its bounds.
+
+A file has units for people and decimal numbers; the wire has whole numbers of small units and [mantissa, exponent]. A value
+goes from one to the other without a binary float, so nothing is lost. ``check`` names a mistake before anything is sent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from typing import Any, ClassVar, Protocol
+
+from truearm.errors import ConfigError
+from truearm.schema import NO_UNIT, Entries, Key, SchemaError, Table, Text, at, quoted, raising
+
+VERSION = 2
+OSRS = tuple(1 << k for k in range(7, 15))
+GAINS = tuple(1 << k for k in range(8))
+MODULATOR_NS = 240
+MAX_COEFFICIENTS = 16
+MAX_EXPONENT = 300
+MAX_TEXT = 200
+_LOWEST_EXPONENT = -60
+_MANTISSA_END = 2**63
+
+
+class WireValue(Protocol):
+    """A ``schema.Value`` that is read as what the wire holds."""
+
+    suffixes: ClassVar[Sequence[str]]
+
+    def parse(self, raw: Any, suffix: str = "") -> Any: ...
+
+    def format(self, value: Any) -> str:
+        """The wire's value as TOML; one that cannot be read, of a later version, as text."""
+
+    def check(self, wire: Any) -> Any:
+        """The wire's value, if the box takes it. Raises SchemaError."""
+
+
+@dataclass(frozen=True)
+class Whole:
+    """A whole number of units of 10^-``decimals`` on the wire, a decimal number in a file.
+
+    ``options`` are all that it can be. ``ranges`` (least, most) are in units of the wire, and so is the step.
+    """
+
+    ranges: tuple[tuple[int, int], ...] = ()
+    options: tuple[int, ...] = ()
+    decimals: int = 0
+    step: int = 1
+    suffixes: ClassVar[Sequence[str]] = NO_UNIT
+
+    def parse(self, raw: Any, suffix: str = "") -> int:
+        scaled = _decimal(raw).scaleb(self.decimals)
+        if scaled != scaled.to_integral_value() or abs(scaled) >= 2**31:
+            wanted = f"number with at most {self.decimals} decimals" if self.decimals else "whole number"
+            raise SchemaError(f"{_shown(raw)} is not a {wanted}")
+        return self.check(int(scaled))
+
+    def format(self, value: Any) -> str:
+        return format_decimal([value, -self.decimals]) if type(value) is int else _unknown(value)
+
+    def check(self, wire: Any) -> int:
+        in_range = type(wire) is int and any(low <= wire <= high for low, high in self.ranges)
+        if type(wire) is not int or not (wire in self.options or (in_range and wire % self.step == 0)):
+            raise SchemaError(f"must be {self._wanted()}, is {self.format(wire)}")
+        return wire
+
+    def _wanted(self) -> str:
+        if self.options:
+            return f"one of {', '.join(map(str, self.options))}"
+        spans = " or ".join(" to ".join(self.format(end) for end in sorted(set(span))) for span in self.ranges)
+        return spans + f", in steps of {self.format(self.step)}" * (self.step > 1)
+
+
+@dataclass(frozen=True)
+class Exact:
+    """A decimal number, [mantissa, exponent] on the wire; ``least`` ≤ number < ``end``, with at most so many decimals."""
+
+    least: int | None = None
+    end: int = 0
+    decimals: int = 0
+    suffixes: ClassVar[Sequence[str]] = NO_UNIT
+
+    def parse(self, raw: Any, suffix: str = "") -> list[int]:
+        return self.check(mantissa_exponent(_decimal(raw)))
+
+    def format(self, value: Any) -> str:
+        return format_decimal(value)
+
+    def check(self, wire: Any) -> list[int]:
+        number = decimal_of(wire)
+        if number is None:
+            raise SchemaError(f"{_unknown(wire)} is not a number that a file could hold")
+        if self.least is not None and not (self.least <= number < self.end and -self.decimals <= wire[1] <= 0):
+            raise SchemaError(
+                f"must be {self.least} to {self.end}, with at most {self.decimals} decimals, is {self.format(wire)}"
+            )
+        return list(wire)
+
+
+@dataclass(frozen=True)
+class WireList:
+    """A list of ``least`` to ``most`` values of one sort."""
+
+    item: WireValue
+    least: int
+    most: int
+    suffixes: ClassVar[Sequence[str]] = NO_UNIT
+
+    def parse(self, raw: Any, suffix: str = "") -> list[Any]:
+        return [self._item(k, self.item.parse, value) for k, value in enumerate(self._list(raw))]
+
+    def format(self, value: Any) -> str:
+        return f"[{', '.join(map(self.item.format, value))}]" if isinstance(value, list) else _unknown(value)
+
+    def check(self, wire: Any) -> list[Any]:
+        return [self._item(k, self.item.check, value) for k, value in enumerate(self._list(wire))]
+
+    def _list(self, value: Any) -> list[Any]:
+        if not isinstance(value, list) or not self.least <= len(value) <= self.most:
+            count = str(self.most) if self.least == self.most else f"{self.least} to {self.most}"
+            raise SchemaError(f"must be a list of {count} numbers")
+        return value
+
+    def _item(self, index: int, function: Any, value: Any) -> Any:
+        with at(f"[{index}]"):
+            return function(value)
+
+
+@dataclass(frozen=True)
+class Words(Text):
+    """Text; the command line needs no quotes around it. The box takes any length."""
+
+    longest: int = MAX_TEXT
+
+    def format(self, value: Any) -> str:
+        return super().format(value) if isinstance(value, str) else _unknown(value)
+
+    def check(self, wire: Any) -> str:
+        if not isinstance(wire, str):
+            raise SchemaError("must be text, in quotes")
+        return wire
+
+
+@dataclass(frozen=True)
+class ConfigKey(Key):
+    """A key in a file, where any may be left out: the box keeps what it has. ``field`` is its name on the wire.
+
+    ``needed``: the box takes no configuration without it. ``judged``: the box looks at it.
+    """
+
+    value: WireValue
+    optional: bool = True
+    needed: bool = True
+    judged: bool = True
+    comment: str = ""
+
+
+def _microseconds(name: str, *ranges: tuple[int, int], step: int = 1, comment: str = "") -> ConfigKey:
+    return ConfigKey(f"{name}_us", Whole(ranges, decimals=3, step=step), field=f"{name}_ns", comment=comment)
+
+
+_TWO_TIMES = WireList(Whole(((0, 1_000_000),)), 2, 2)
+_TRIGGER = WireList(Whole(((0, 0), (10, 16_000))), 2, 2)
+_POLY = WireList(Exact(), 1, MAX_COEFFICIENTS)
+CALIBRATION: Table[dict[str, Any]] = Table(
+    (
+        ConfigKey("unit", Words()),
+        ConfigKey("poly", _POLY, comment="value = poly[0] + poly[1] x + poly[2] x² …, x = counts · scale / gain"),
+        ConfigKey("serial", Words()),
+        ConfigKey("date", Words()),
+        ConfigKey("sigma", Exact(), judged=False, comment="standard deviation of what was left, in unit"),
+        ConfigKey(
+            "temperature_degc",
+            Whole(((-(2**31), 2**31),), decimals=3),
+            field="temperature_mdegc",
+            judged=False,
+            comment="of the box meanwhile",
+        ),
+    ),
+    dict,
+)
+CHANNEL: Table[dict[str, Any]] = Table(
+    (
+        ConfigKey("name", Words()),
+        ConfigKey("unit", Words()),
+        ConfigKey("scale", Exact(), comment="of a count, at gain 1"),
+        ConfigKey("gain", Whole(options=GAINS), needed=False),
+        Key("calibration", CALIBRATION, optional=True),
+    ),
+    dict,
+)
+MAGNETOSTRICTIVE: Table[dict[str, Any]] = Table(
+    (
+        _microseconds("period", (0, 0), (100_000, 1_000_000_000), step=8, comment="0: off"),
+        _microseconds("blanking", (5000, 21_000), step=8),
+        _microseconds("timeout", (5008, 999_990_000), step=8),
+        ConfigKey("us_per_inch", Exact(5, 20, 9), comment="on the sensor's label"),
+        _microseconds("delay", (-100_000, 100_000), comment="of its electronics"),
+        ConfigKey("serial", Words()),
+        ConfigKey("date", Words()),
+    ),
+    dict,
+)
+CONFIG: Table[dict[str, Any]] = Table(
+    (
+        ConfigKey("osr", Whole(options=OSRS)),
+        ConfigKey("debounce_us", _TWO_TIMES, comment="of trigger inputs 0 and 1; 0: off"),
+        ConfigKey(
+            "trigger_ms",
+            _TRIGGER,
+            needed=False,
+            comment="between edges of the trigger output, shortest and longest; [0, 0]: none",
+        ),
+        ConfigKey("watchdog_ms", Whole(((0, 0), (100, 8000))), comment="0: off"),
+        Key("magnetostrictive", MAGNETOSTRICTIVE, optional=True),
+    ),
+    dict,
+    entries=(Entries("channel", CHANNEL, "channels"),),
+)
+
+
+def config_keys(table: Table[dict[str, Any]]) -> tuple[ConfigKey, ...]:
+    """The keys of a table that hold one value; its own tables are not among them."""
+    return tuple(key for key in table.keys if isinstance(key, ConfigKey))
+
+
+def check(config: dict[str, Any]) -> dict[str, Any]:
+    """``config`` as the wire holds it, if it keeps to SPEC §5. Raises ConfigError with the name of what does not."""
+    if config.get("version") != VERSION:
+        raise ConfigError(f"the box's configuration is of version {config.get('version')!r:.40}; update truearm")
+    channels = config.get("channels")
+    if not isinstance(channels, list) or len(channels) != 4:
+        raise ConfigError("there must be four channels")
+    with raising(ConfigError):
+        _check_keys(CONFIG, config)
+        for channel in map(as_table, channels):
+            with at(f"channel {channel.get('name')!s:.40}"):
+                _check_keys(CHANNEL, channel)
+                if "calibration" in channel:
+                    with at("calibration"):
+                        _check_keys(CALIBRATION, as_table(channel["calibration"]))
+        head = as_table(config.get("magnetostrictive"))
+        with at("magnetostrictive"):
+            _check_keys(MAGNETOSTRICTIVE, head)
+            _check_times(head)
+        first, second = config.get("trigger_ms", [0, 0])
+        if not (first == second == 0 or 0 < first < second):
+            raise SchemaError("trigger_ms: must be [0, 0], or two whole numbers, 10 to 16000, the second the longer")
+    return config
+
+
+def _check_keys(table: Table[dict[str, Any]], values: Mapping[str, Any]) -> None:
+    for key in config_keys(table):
+        if key.called in values and key.judged:
+            with at(key.name):
+                key.value.check(values[key.called])
+        elif key.needed and key.judged:
+            raise SchemaError(f"needs {key.name}")
+
+
+def _check_times(head: Mapping[str, Any]) -> None:
+    """The sensor listens after the blanking, until the time-out; the next interrogation is 10 µs later at the earliest."""
+    if head["timeout_ns"] <= head["blanking_ns"]:
+        raise SchemaError("timeout_us: must be above blanking_us")
+    if 0 < head["period_ns"] < head["timeout_ns"] + 10_000:
+        raise SchemaError("period_us: must be 0, or 10 or more above timeout_us")
+
+
+def as_table(value: Any) -> dict[str, Any]:
+    """``value``, an empty table if it is none."""
+    return value if isinstance(value, dict) else {}
+
+
+def decimal_of(pair: Any) -> Decimal | None:
+    """The number of [mantissa, exponent]; None where it is none, or none that a file could hold."""
+    if not isinstance(pair, list) or len(pair) != 2 or any(type(part) is not int for part in pair):
+        return None
+    mantissa, exponent = pair
+    return Decimal(f"{mantissa}E{exponent}") if abs(mantissa) < 2**64 and abs(exponent) <= MAX_EXPONENT else None
+
+
+def mantissa_exponent(number: Decimal) -> list[int]:
+    """The wire's [mantissa, exponent] of a decimal number, exponent ≤ 0. Raises SchemaError if it has too many digits."""
+    sign, digits, exponent = number.normalize().as_tuple()
+    assert isinstance(exponent, int)  # of a finite number
+    mantissa = int("".join(map(str, digits))) * (-1 if sign else 1)
+    if 0 < exponent < 20:
+        mantissa, exponent = mantissa * 10**exponent, 0
+    if abs(mantissa) >= _MANTISSA_END or not _LOWEST_EXPONENT <= exponent <= 0:
+        raise SchemaError("has too many digits, or is too large; 18 digits are possible")
+    return [mantissa, exponent if mantissa else 0]
+
+
+def format_decimal(pair: Any) -> str:
+    """The number of [mantissa, exponent] as TOML; what is no such pair as text."""
+    number = decimal_of(pair)
+    if number is None:
+        return _unknown(pair)
+    short = number.normalize()
+    return f"{short:f}" if -7 < short.adjusted() < 15 else f"{short:E}".replace("E+", "e").replace("E", "e")
+
+
+def _decimal(raw: Any) -> Decimal:
+    if type(raw) is int and abs(raw) < 2**64:
+        return Decimal(raw)
+    if isinstance(raw, Decimal) and raw.is_finite() and abs(raw.adjusted()) < MAX_EXPONENT:
+        return raw
+    raise SchemaError(f"{_shown(raw)} is not a number" + " of reasonable size" * isinstance(raw, int | Decimal))
+
+
+def _shown(raw: Any) -> str:
+    return str(raw)[:40] if isinstance(raw, Decimal) else quoted(raw)
+
+
+def _unknown(value: Any) -> str:
+    return Text().format(repr(value)[:MAX_TEXT])
