@@ -32,7 +32,7 @@ ROOMS = {
     },
     "cli": {
         *("workflows", "box", "live", "record", "session", "files", "report", "reproduce"),
-        *("estimate", "model"),
+        *("correct", "export", "estimate", "model"),
     },
     "__main__": {"cli"},
     "types": set(),

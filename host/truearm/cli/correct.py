@@ -8,7 +8,14 @@ from typing import Annotated
 
 import typer
 
-from truearm.cli.options import IdentifiedBaseOption, IdentifiedRobotOption, IdentifiedTipOption, ResultArgument
+from truearm.cli.options import (
+    IdentifiedBaseOption,
+    IdentifiedRobotOption,
+    IdentifiedTipOption,
+    ResultArgument,
+    frame_of,
+    numbers_of,
+)
 
 MOST_STEPS = 50
 
@@ -76,9 +83,19 @@ def correct(
     Example:
       truearm correct result.json program.mod --robot irb120 --out corrected.mod
     """
+    from truearm.cli.correct_text import lines
     from truearm.files.robot_file import RobotChoice
-    from truearm.workflows.correct import Choice, correct_file
+    from truearm.workflows.correct import CorrectFiles, CorrectOptions, correct_file
 
-    choice = Choice(RobotChoice(robot, base, tip), method.value, steps, own_frames, work, tool, home, margin, residuals)
-    for line in correct_file(result, targets, out, choice):
+    options = CorrectOptions(
+        method=method.value,
+        steps=steps,
+        own_frames=own_frames,
+        margin=margin,
+        work=frame_of("--work", work),
+        tool=frame_of("--tool", tool),
+        home=numbers_of("--home", home),
+    )
+    files = CorrectFiles(result, RobotChoice(robot, base, tip), targets, out, residuals)
+    for line in lines(correct_file(files, options)):
         typer.echo(line)

@@ -63,9 +63,10 @@ def export(
     Example:
       truearm export result.json --format urdf --robot panda.urdf --out calibrated.urdf
     """
+    from truearm.cli.export_text import lines
     from truearm.files.robot_file import RobotChoice
-    from truearm.workflows.export import Choice, export_file
+    from truearm.workflows.export import ExportOptions, export_file
 
-    choice = Choice(form.value, RobotChoice(robot, base, tip), own_frames, tuple(adjust or ()), over)
-    for line in export_file(result, out, choice):
+    options = ExportOptions(form.value, own_frames, tuple(adjust or ()))
+    for line in lines(export_file(result, RobotChoice(robot, base, tip), out, options, over), out, over):
         typer.echo(line)

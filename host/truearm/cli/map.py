@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import re
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from truearm.cli.options import IdentifiedBaseOption, IdentifiedRobotOption, IdentifiedTipOption, ResultArgument
+from truearm.cli.options import (
+    IdentifiedBaseOption,
+    IdentifiedRobotOption,
+    IdentifiedTipOption,
+    ResultArgument,
+    numbers_of,
+)
+from truearm.errors import InputError
+from truearm.text import one_line
 from truearm.units import MM
 
 
@@ -52,14 +61,46 @@ def map_(
     Example:
       truearm map result.json --picture map.svg --task 300x200 --within 300:900,0:800
     """
+    from truearm.cli.map_text import lines
     from truearm.files.robot_file import RobotChoice
-    from truearm.workflows.error_map import Choice, map_files
+    from truearm.workflows.error_map import MapFiles, Section, Task, map_files
 
-    choice = Choice(
-        RobotChoice(robot, base, tip), vary, at, elbow is Elbow.up, MM.to_si(cell), task, own_frames, within
-    )
-    for line in map_files(result, out, picture, choice):
+    if task is None and within is not None:
+        raise InputError("--within: is of the place for a --task WxH; give that too")
+    section = Section(_joints_of(vary), numbers_of("--at", at), elbow is Elbow.up, MM.to_si(cell), own_frames)
+    wanted = None if task is None else Task(_size_of(task), None if within is None else _span_of(within))
+    files = MapFiles(result, RobotChoice(robot, base, tip), out, picture)
+    for line in lines(map_files(files, section, wanted), section.cell, task):
         typer.echo(line)
+    for path in (out, picture):
+        if path is not None:
+            typer.echo(f"Written: {one_line(str(path))}")
+
+
+def _joints_of(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"([1-9][0-9]?),([1-9][0-9]?)", text)
+    if match is None:
+        raise InputError(f"--vary {text[:40]}: needs two joints, as 2,3")
+    return int(match[1]), int(match[2])
+
+
+def _span_of(text: str) -> tuple[float, float, float, float]:
+    """u0, u1, v0, v1 [m]"""
+    number = r"(-?[0-9]{1,6}(?:\.[0-9]{1,6})?)"
+    match = re.fullmatch(f"{number}:{number},{number}:{number}", text)
+    u0, u1, v0, v1 = (MM.to_si(float(part)) for part in match.groups()) if match else (0.0,) * 4
+    if u0 >= u1 or v0 >= v1:
+        raise InputError(
+            f"--within {text[:40]}: needs LOW:HIGH,LOW:HIGH in mm along the section's axes, as 300:900,0:800"
+        )
+    return u0, u1, v0, v1
+
+
+def _size_of(text: str) -> tuple[float, float]:
+    match = re.fullmatch(r"([0-9]{1,6}(?:\.[0-9]{1,6})?)x([0-9]{1,6}(?:\.[0-9]{1,6})?)", text)
+    if match is None or min(float(match[1]), float(match[2])) <= 0.0:
+        raise InputError(f"--task {text[:40]}: needs width and height in mm, as 300x200")
+    return MM.to_si(float(match[1])), MM.to_si(float(match[2]))
 
 
 map_.__name__ = "map"  # what the command is called; the name itself is Python's

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Collection
 from pathlib import Path
@@ -11,8 +12,10 @@ import typer
 
 from truearm.errors import InputError
 from truearm.model.builtin import builtin_names
+from truearm.units import DEG, MM
 
 ROBOT_HELP = f"Built-in robot ({', '.join(builtin_names())}), robot file (.toml) or URDF (.urdf)."
+LARGEST_MM, LARGEST_DEG = 1e5, 720.0  # of a frame
 LONGEST_NAME = 64  # letters of a rig's name, as of a table's identifiers
 
 ResultArgument = Annotated[Path, typer.Argument(metavar="RESULT", help="What truearm identify --out wrote (.json).")]
@@ -69,3 +72,24 @@ def one_of(names: Collection[str]) -> Callable[[str], str]:
 def choices(names: Collection[str]) -> str:
     """Return the names of a registry as ``--help`` shows the values of an option."""
     return f"[{'|'.join(names)}]"
+
+
+def numbers_of(option: str, text: str | None, count: int | None = None) -> tuple[float, ...] | None:
+    """The numbers between the commas of an option, None where it was not given. Raises InputError."""
+    if text is None:
+        return None
+    try:
+        values = tuple(float(word) for word in text.split(","))
+    except ValueError:
+        values = ()
+    if not values or (count is not None and (len(values) != count or not all(map(math.isfinite, values)))):
+        raise InputError(f"{option} {text[:60]}: needs {count or 'some'} numbers between commas")
+    return values
+
+
+def frame_of(option: str, text: str | None) -> tuple[float, float, float, float, float, float]:
+    """Position [m] and rotation vector [rad] of an option in mm and deg; zeros where it was not given. Raises InputError."""
+    x, y, z, rx, ry, rz = numbers_of(option, text, 6) or (0.0,) * 6
+    if max(map(abs, (x, y, z))) > LARGEST_MM or max(map(abs, (rx, ry, rz))) > LARGEST_DEG:
+        raise InputError(f"{option} {text}: needs x, y, z in mm and a rotation vector in deg")
+    return MM.to_si(x), MM.to_si(y), MM.to_si(z), DEG.to_si(rx), DEG.to_si(ry), DEG.to_si(rz)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from truearm.model.mountings import NONE, Mountings, mountings
 from truearm.model.poses import six_of
 from truearm.model.robot import Robot
 from truearm.types import Floats
+from truearm.units import from_shown
 
 LARGEST_JOINT = 100.0  # rad, m
 DEFAULT = RobotChoice()
@@ -118,26 +118,17 @@ def mounting_lines(chain: Chain, nominal: Floats, identified: Floats) -> list[st
     ]
 
 
-def joints_of(option: str, text: str | None, units: tuple[str, ...]) -> Floats | None:
+def joints_of(option: str, given: Sequence[float] | None, units: tuple[str, ...]) -> Floats | None:
     """Joint readings (j,) of an option in deg and mm; None where it was not given. Raises InputError."""
-    if text is None:
+    if given is None:
         return None
-    scale = np.array([math.radians(1.0) if unit == "rad" else 1e-3 for unit in units])
-    q = scale * numbers_of(option, text, len(units))
+    text = ",".join(f"{value:g}" for value in given)[:60]
+    if len(given) != len(units) or not np.isfinite(given).all():
+        raise InputError(f"{option} {text}: needs {len(units)} numbers between commas")
+    q = np.array([from_shown(value, unit) for value, unit in zip(given, units, strict=True)])
     if np.abs(q).max() > LARGEST_JOINT:
-        raise InputError(f"{option} {text[:60]}: no joint goes so far")
+        raise InputError(f"{option} {text}: no joint goes so far")
     return q
-
-
-def numbers_of(option: str, text: str, count: int) -> Floats:
-    """The numbers between the commas of an option. Raises InputError."""
-    try:
-        values = np.array([float(word) for word in text.split(",")])
-    except ValueError:
-        values = np.zeros(0)
-    if values.size != count or not np.isfinite(values).all():
-        raise InputError(f"{option} {text[:60]}: needs {count} numbers between commas")
-    return values
 
 
 def _covariance(stored: StoredResult, names: tuple[str, ...]) -> Floats:

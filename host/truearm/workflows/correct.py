@@ -1,4 +1,4 @@
-"""The work of ``truearm correct``: read, correct or refuse, write, say."""
+"""The work of ``truearm correct``: read, correct or refuse, write."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from truearm.correct.correction import Correction, correct
+from truearm.correct.correction import MARGIN, Correction, correct
 from truearm.correct.model_pair import Pair
 from truearm.errors import InputError, ProgramError, TargetError
 from truearm.files.disk import check_writable, write_atomic
@@ -26,11 +26,12 @@ from truearm.workflows.calibration import (
     check_names,
     chosen_mountings,
     joints_of,
-    mounting_lines,
-    numbers_of,
     read_calibration,
 )
 
+Six = tuple[float, float, float, float, float, float]
+
+NO_FRAME: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 SHOWN = 12  # targets printed one by one
 MOVES = 1e-6  # m by a direction that was not seen, whose largest weight is 1
 SEARCHED = (
@@ -39,23 +40,36 @@ SEARCHED = (
 )
 
 
-class Choice(NamedTuple):
-    """The command line."""
+class CorrectOptions(NamedTuple):
+    """How to correct.
 
+    ``own_frames``: targets lie in the robot's own base and flange frames. ``margin``: targets with a smaller singular value
+    are refused. ``work`` and ``tool``: the frame that the targets are in and the tool's pose, position [m] and rotation
+    vector [rad]. ``home``: joints near those of the first target, in deg or mm by the joint.
+    """
+
+    method: str = "newton"
+    steps: int = 1
+    own_frames: bool = False
+    margin: float = MARGIN
+    work: Six = NO_FRAME
+    tool: Six = NO_FRAME
+    home: tuple[float, ...] | None = None
+
+
+class CorrectFiles(NamedTuple):
+    """What ``truearm correct`` reads and writes."""
+
+    result: Path
     robot: RobotChoice
-    method: str
-    steps: int
-    own_frames: bool
-    work: str | None
-    tool: str | None
-    home: str | None
-    margin: float
+    targets: Path
+    out: Path
     residuals: Path | None = None
 
 
 @dataclass(frozen=True)
 class _Request:
-    """How to correct."""
+    """How to correct, for a robot."""
 
     pair: Pair
     units: tuple[str, ...]
@@ -67,7 +81,7 @@ class _Request:
     margin: float
 
 
-class _Corrected(NamedTuple):
+class _Done(NamedTuple):
     """What was done, and what is to be said of it."""
 
     correction: Correction
@@ -75,42 +89,72 @@ class _Corrected(NamedTuple):
     notes: tuple[str, ...]
 
 
-def correct_file(result: Path, targets: Path, out: Path, choice: Choice) -> list[str]:
-    """Correct a table or a program and write it; returns what is to be said of it.
+@dataclass(frozen=True)
+class CorrectedFile:
+    """A table or a program that was corrected and written to ``out``; ``places`` are its rows or lines."""
 
-    Raises InputError in one line, and then writes nothing.
-    """
-    check_names(result, targets, out, choice.residuals)
-    program = is_program(targets)
-    read = [result, targets, *choice.robot.files]
-    check_writable(out, inputs=read, ours=None if program else looks_like_targets)
-    if program and out.exists():
-        raise InputError(f"{out}: exists; a program is only written under a new name")
-    calibration = read_calibration(result, choice.robot)
-    request = _request(calibration, choice)
-    if choice.residuals is not None:
-        check_writable(choice.residuals, inputs=[*read, out], ours=looks_like_targets)
-    found = _correct_program(targets, out, request) if program else _correct_table(targets, out, request)
-    if choice.residuals is not None:
-        write_atomic(choice.residuals, _residuals(found, "line" if program else "row"))
-    return _summary(found, calibration, choice.own_frames, out)
+    calibration: Calibration
+    own_frames: bool
+    out: Path
+    correction: Correction
+    places: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
-def _request(calibration: Calibration, choice: Choice) -> _Request:
-    taken_out = chosen_mountings(calibration, choice.own_frames)
-    return _Request(
-        pair=Pair(calibration.chain, calibration.nominal, calibration.identified, taken_out),
-        units=calibration.joint_units,
-        method=choice.method,
-        steps=choice.steps,
-        work=_frame("--work", choice.work),
-        tool=_frame("--tool", choice.tool),
-        home=joints_of("--home", choice.home, calibration.joint_units),
-        margin=choice.margin,
+def correct_file(files: CorrectFiles, options: CorrectOptions) -> CorrectedFile:
+    """Correct a table or a program and write it. Raises InputError in one line, and then writes nothing."""
+    check_names(*files[:1], *files[2:])
+    program = is_program(files.targets)
+    read = [files.result, files.targets, *files.robot.files]
+    check_writable(files.out, inputs=read, ours=None if program else looks_like_targets)
+    if program and files.out.exists():
+        raise InputError(f"{files.out}: exists; a program is only written under a new name")
+    calibration = read_calibration(files.result, files.robot)
+    request = _request(calibration, options)
+    if files.residuals is not None:
+        check_writable(files.residuals, inputs=[*read, files.out], ours=looks_like_targets)
+    done = (_correct_program if program else _correct_table)(files.targets, files.out, request)
+    if files.residuals is not None:
+        write_atomic(files.residuals, _residuals(done, "line" if program else "row"))
+    doubts = _doubts(calibration, done.correction.q[:SHOWN], options.own_frames)
+    return CorrectedFile(
+        calibration, options.own_frames, files.out, done.correction, done.places, (*doubts, *done.notes)
     )
 
 
-def _correct_table(path: Path, out: Path, request: _Request) -> _Corrected:
+def corrected_poses(calibration: Calibration, poses: Floats, options: CorrectOptions) -> Correction:
+    """Correct poses (n, 4, 4) of the end frame in the base frame.
+
+    Raises TargetError for the first that is out of reach or near a singularity.
+    """
+    request = _request(calibration, options)
+    done = correct(
+        request.pair,
+        request.work @ poses @ inverted(request.tool),
+        request.method,
+        request.steps,
+        home=request.home,
+        margin=request.margin,
+    )
+    _refuse(done, [f"pose {i}" for i in range(len(poses))], TargetError)
+    return done._replace(told=inverted(request.work) @ done.told @ request.tool)
+
+
+def _request(calibration: Calibration, options: CorrectOptions) -> _Request:
+    taken_out = chosen_mountings(calibration, options.own_frames)
+    return _Request(
+        pair=Pair(calibration.chain, calibration.nominal, calibration.identified, taken_out),
+        units=calibration.joint_units,
+        method=options.method,
+        steps=options.steps,
+        work=_frame(options.work),
+        tool=_frame(options.tool),
+        home=joints_of("--home", options.home, calibration.joint_units),
+        margin=options.margin,
+    )
+
+
+def _correct_table(path: Path, out: Path, request: _Request) -> _Done:
     targets = read_targets(path, request.units)
     if not targets.oriented and not np.array_equal(request.tool, np.eye(4)):
         raise TargetError(f"{path}: positions without orientations cannot be moved by --tool; give rx, ry, rz too")
@@ -128,10 +172,10 @@ def _correct_table(path: Path, out: Path, request: _Request) -> _Corrected:
     told = inverted(request.work) @ done.told @ request.tool
     write_atomic(out, format_corrected(targets, told, done.q, done.before, done.after, request.units))
     rows = tuple(source.rpartition(" ")[2] for source in targets.source)
-    return _Corrected(done, rows, (SEARCHED,) if targets.q_start is None else ())
+    return _Done(done, rows, (SEARCHED,) if targets.q_start is None else ())
 
 
-def _correct_program(path: Path, out: Path, request: _Request) -> _Corrected:
+def _correct_program(path: Path, out: Path, request: _Request) -> _Done:
     program = read_program(path)
     quadrants = quadrants_of(program, len(request.units))
     done = correct(
@@ -147,7 +191,7 @@ def _correct_program(path: Path, out: Path, request: _Request) -> _Corrected:
     write_atomic(out, with_poses(program, inverted(request.work) @ done.told @ request.tool))
     lines = tuple(str(target.line) for target in program.targets)
     searched = [SEARCHED] if quadrants is None else _other_quadrant(done, quadrants, lines)
-    return _Corrected(done, lines, (*_left(program.left), *searched))
+    return _Done(done, lines, (*_left(program.left), *searched))
 
 
 def _refuse(done: Correction, sources: Sequence[str], error: type[InputError]) -> None:
@@ -176,29 +220,6 @@ def _listed(lines: Sequence[object]) -> str:
     return ", ".join(map(str, lines[:SHOWN])) + (", …" if len(lines) > SHOWN else "")
 
 
-def _summary(found: _Corrected, calibration: Calibration, own_frames: bool, out: Path) -> list[str]:
-    done, chain = found.correction, calibration.chain
-    if own_frames:
-        frames = "Targets lie in the robot's own base and flange frames; these mountings are left to you:"
-    else:
-        frames = (
-            f"Targets are of {chain.end_frame} in {chain.base_frame}; how robot and tool were mounted is corrected too:"
-        )
-    lines = [
-        one_line(frames),
-        *(f"  {one_line(line)}" for line in mounting_lines(chain, calibration.nominal, calibration.identified)),
-    ]
-    lines.append(f"{'target':<10}{'before [mm]':>14}{'after [mm]':>14}{'before [deg]':>14}{'after [deg]':>14}")
-    rows = list(zip(found.places, done.before, done.after, strict=True))
-    lines += [f"{place:<10}{_cells(before, after)}" for place, before, after in rows[:SHOWN]]
-    lines += [f"and {len(rows) - SHOWN} more"] * (len(rows) > SHOWN)
-    before, after = (np.sqrt(np.mean(np.square(error), axis=0)) for error in (done.before, done.after))
-    lines.append(f"{'RMS':<10}{_cells(before, after)}")
-    lines.append("These errors are what the identified robot says; its own uncertainty comes on top.")
-    lines += _doubts(calibration, done.q[:SHOWN], own_frames)
-    return [*lines, *found.notes, f"Written: {one_line(str(out))}"]
-
-
 def _doubts(calibration: Calibration, q: Floats, own_frames: bool) -> list[str]:
     """What a reader of the errors should know of the calibration."""
     doubts = []
@@ -214,7 +235,7 @@ def _doubts(calibration: Calibration, q: Floats, own_frames: bool) -> list[str]:
     return doubts
 
 
-def _residuals(found: _Corrected, what: str) -> str:
+def _residuals(found: _Done, what: str) -> str:
     """One row a target; no angles where only positions matter."""
     lines = [f"{what},before_mm,after_mm,before_deg,after_deg"]
     for place, before, after in zip(found.places, found.correction.before, found.correction.after, strict=True):
@@ -224,15 +245,6 @@ def _residuals(found: _Corrected, what: str) -> str:
     return "\n".join([*lines, ""])
 
 
-def _cells(before: Floats, after: Floats) -> str:
-    mm = [f"{1e3 * error[0]:>14.4f}" for error in (before, after)]
-    deg = [f"{math.degrees(error[1]):>14.5f}" if math.isfinite(error[1]) else f"{'-':>14}" for error in (before, after)]
-    return "".join(mm + deg)
-
-
-def _frame(option: str, text: str | None) -> Floats:
-    """A pose (4, 4) of six numbers in mm and deg, the last three a rotation vector."""
-    numbers = np.zeros(6) if text is None else numbers_of(option, text, 6)
-    if np.abs(numbers[:3]).max() > 1e5 or np.abs(numbers[3:]).max() > 720.0:
-        raise InputError(f"{option} {text}: needs x, y, z in mm and a rotation vector in deg")
-    return np.asarray(pose_of(1e-3 * numbers[None, :3], np.radians(numbers[None, 3:]))[0])
+def _frame(six: Six) -> Floats:
+    """(4, 4) of a position [m] and a rotation vector [rad]."""
+    return np.asarray(pose_of(np.array([six[:3]]), np.array([six[3:]]))[0])

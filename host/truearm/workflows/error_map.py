@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
-import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,86 +29,82 @@ from truearm.workflows.calibration import (
 MARK = "u_mm,v_mm"
 
 
-class Choice(NamedTuple):
-    """The command line."""
+class Section(NamedTuple):
+    """The section of the workspace to map.
 
+    ``joints``: the two that span it, from 1 on. ``at``: where the others stand, in deg or mm by the joint; None for 0.
+    ``elbow_up``: which of the arm's two configurations. ``cell`` [m] is the size of a cell. ``own_frames``: leave out how base and tool
+    were mounted.
+    """
+
+    joints: tuple[int, int] = (2, 3)
+    at: tuple[float, ...] | None = None
+    elbow_up: bool = True
+    cell: float = 0.025
+    own_frames: bool = False
+
+
+class Task(NamedTuple):
+    """A task of a width and a height [m] to find the best place for, ``within`` u0, u1, v0, v1 [m] or anywhere."""
+
+    size: tuple[float, float]
+    within: tuple[float, float, float, float] | None = None
+
+
+class MapFiles(NamedTuple):
+    """What ``truearm map`` reads and writes."""
+
+    result: Path
     robot: RobotChoice
-    vary: str
-    at: str | None
-    elbow_up: bool
-    cell: float  # m
-    task: str | None
-    own_frames: bool
-    within: str | None = None
+    out: Path | None = None
+    picture: Path | None = None
 
 
-def map_files(result: Path, out: Path | None, picture: Path | None, choice: Choice) -> list[str]:
-    """Write what was asked for; returns what is to be said. Raises InputError in one line."""
-    check_names(result, out, picture)
-    read = [result, *choice.robot.files]
-    if out is not None:
-        check_writable(out, inputs=read, ours=lambda head: not head.strip() or head.startswith(MARK.encode()))
-    if picture is not None:
-        check_writable(picture, inputs=[*read, *filter(None, [out])], ours=_looks_like_picture)
-    calibration = read_calibration(result, choice.robot)
-    found, region = _mapped(calibration, choice)
-    if out is not None:
-        write_atomic(out, _table(found, calibration.joint_units))
-    if picture is not None:
-        write_atomic(picture, _picture(found, region, calibration))
-    return [*_said(found, region, choice), *(f"Written: {one_line(str(path))}" for path in (out, picture) if path)]
+class Mapped(NamedTuple):
+    """A map, and the best region for the task; None where there is no task, or no place for it."""
+
+    map: ErrorMap
+    region: Region | None
+
+
+def map_files(files: MapFiles, section: Section, task: Task | None = None) -> Mapped:
+    """Make a map and write what was asked for. Raises InputError in one line."""
+    check_names(files.result, files.out, files.picture)
+    read = [files.result, *files.robot.files]
+    if files.out is not None:
+        check_writable(files.out, inputs=read, ours=lambda head: not head.strip() or head.startswith(MARK.encode()))
+    if files.picture is not None:
+        check_writable(files.picture, inputs=[*read, *filter(None, [files.out])], ours=_looks_like_picture)
+    calibration = read_calibration(files.result, files.robot)
+    found = mapped(calibration, section)
+    region = None if task is None else best_region(found, *task.size, task.within)
+    if files.out is not None:
+        write_atomic(files.out, _table(found, calibration.joint_units))
+    if files.picture is not None:
+        write_atomic(files.picture, _picture(found, region, calibration))
+    return Mapped(found, region)
+
+
+def mapped(calibration: Calibration, section: Section) -> ErrorMap:
+    """The map of a section. Raises InputError for joints that the robot does not have or cannot take."""
+    chain = calibration.chain
+    pair = Pair(chain, calibration.nominal, calibration.identified, chosen_mountings(calibration, section.own_frames))
+    q = joints_of("--at", section.at, calibration.joint_units)
+    q = np.zeros(len(chain.joints)) if q is None else q
+    if min(section.joints) < 1 or max(section.joints) > q.size:
+        raise InputError(
+            f"--vary {','.join(map(str, section.joints))}: needs two joints between 1 and {q.size}, as 2,3"
+        )
+    varied = section.joints[0] - 1, section.joints[1] - 1
+    for i, joint in enumerate(chain.joints):
+        if section.at and i not in varied and not joint.lower <= q[i] <= joint.upper:
+            text = ",".join(f"{value:g}" for value in section.at)
+            raise InputError(f"--at {text[:60]}: joint {i + 1} would be outside its limits")
+    return error_map(pair, q, varied, section.cell, calibration.covariance, calibration.unseen, section.elbow_up)
 
 
 def _looks_like_picture(head: bytes) -> bool:
     return not head.strip() or (head.startswith(b"<svg") and b"Error of" in head)
-
-
-def _mapped(calibration: Calibration, choice: Choice) -> tuple[ErrorMap, Region | None]:
-    chain = calibration.chain
-    pair = Pair(chain, calibration.nominal, calibration.identified, chosen_mountings(calibration, choice.own_frames))
-    q = joints_of("--at", choice.at, calibration.joint_units)
-    q = np.zeros(len(chain.joints)) if q is None else q
-    varied = _pair_of(choice.vary, q.size)
-    for i, joint in enumerate(chain.joints):
-        if choice.at and i not in varied and not joint.lower <= q[i] <= joint.upper:
-            raise InputError(f"--at {choice.at[:60]}: joint {i + 1} would be outside its limits")
-    found = error_map(pair, q, varied, choice.cell, calibration.covariance, calibration.unseen, choice.elbow_up)
-    return found, _best(found, choice)
-
-
-def _pair_of(text: str, n_joints: int) -> tuple[int, int]:
-    match = re.fullmatch(r"([1-9][0-9]?),([1-9][0-9]?)", text)
-    if match is None or max(int(match[1]), int(match[2])) > n_joints:
-        raise InputError(f"--vary {text[:40]}: needs two joints between 1 and {n_joints}, as 2,3")
-    return int(match[1]) - 1, int(match[2]) - 1
-
-
-def _best(found: ErrorMap, choice: Choice) -> Region | None:
-    """The best place for a task, where one was asked for."""
-    if choice.task is None:
-        if choice.within is not None:
-            raise InputError("--within: is of the place for a --task WxH; give that too")
-        return None
-    return best_region(found, *_size_of(choice.task), None if choice.within is None else _span_of(choice.within))
-
-
-def _span_of(text: str) -> tuple[float, float, float, float]:
-    """u0, u1, v0, v1 [m]"""
-    number = r"(-?[0-9]{1,6}(?:\.[0-9]{1,6})?)"
-    match = re.fullmatch(f"{number}:{number},{number}:{number}", text)
-    u0, u1, v0, v1 = (MM.to_si(float(part)) for part in match.groups()) if match else (0.0,) * 4
-    if u0 >= u1 or v0 >= v1:
-        raise InputError(
-            f"--within {text[:40]}: needs LOW:HIGH,LOW:HIGH in mm along the section's axes, as 300:900,0:800"
-        )
-    return u0, u1, v0, v1
-
-
-def _size_of(text: str) -> tuple[float, float]:
-    match = re.fullmatch(r"([0-9]{1,6}(?:\.[0-9]{1,6})?)x([0-9]{1,6}(?:\.[0-9]{1,6})?)", text)
-    if match is None or min(float(match[1]), float(match[2])) <= 0.0:
-        raise InputError(f"--task {text[:40]}: needs width and height in mm, as 300x200")
-    return MM.to_si(float(match[1])), MM.to_si(float(match[2]))
 
 
 def _table(found: ErrorMap, units: tuple[str, ...]) -> str:
@@ -131,46 +125,14 @@ def _table(found: ErrorMap, units: tuple[str, ...]) -> str:
 
 def _picture(found: ErrorMap, region: Region | None, calibration: Calibration) -> str:
     task = None if region is None else MM.of(np.array([*region.u, *region.v])).tolist()
-    labels = [f"{_axis(direction)} [mm]" for direction in found.axes]
+    labels = [f"{axis(direction)} [mm]" for direction in found.axes]
     title = f"Error of {one_line(calibration.chain.name)[:40]} as described"
     return map_picture(MM.of(found.u), MM.of(found.v), MM.of(found.error), MM.of(found.sigma), title, task, labels)
 
 
-def _axis(direction: Floats) -> str:
+def axis(direction: Floats) -> str:
     """x, y, z for the axes of the base frame, else the direction's components."""
     for i, name in enumerate("xyz"):
         if abs(direction[i]) > 1.0 - 1e-6:
             return ("-" if direction[i] < 0.0 else "") + name
     return "along (" + ", ".join(f"{value:.2f}" for value in direction) + ")"
-
-
-def _said(found: ErrorMap, region: Region | None, choice: Choice) -> list[str]:
-    error = MM.of(found.error[~np.isnan(found.error)])
-    rms = math.sqrt(float(np.mean(error**2)))
-    lines = [
-        f"{error.size} cells of {MM.text(choice.cell)}: error without calibration {error.min():.3f} to {error.max():.3f} mm, "
-        f"RMS {rms:.3f} mm."
-    ]
-    sigma = MM.of(found.sigma[np.isfinite(found.sigma)])
-    if sigma.size:
-        lines.append(
-            f"With it, by the parameters' covariance: {sigma.min():.3f} to {sigma.max():.3f} mm (standard deviation)."
-        )
-    if sigma.size < error.size:
-        lines.append(
-            f"In {error.size - sigma.size} cells that cannot be said: combinations of parameters that were not seen move the end."
-        )
-    if choice.task:
-        lines.append(_task_said(found, region, choice.task))
-    return lines
-
-
-def _task_said(found: ErrorMap, region: Region | None, task: str) -> str:
-    if region is None:
-        return f"A task of {task} mm fits nowhere into what the arm reaches in this section."
-    u, v = (tuple(round(MM.of(value)) for value in span) for span in (region.u, region.v))
-    names = [_axis(direction) for direction in found.axes]
-    return (
-        f"Best place for a task of {task} mm: {names[0]} {u[0]} to {u[1]}, {names[1]} {v[0]} to {v[1]} mm; error at most "
-        f"{MM.text(region.largest, '.3f')}, RMS {MM.text(region.rms, '.3f')}."
-    )

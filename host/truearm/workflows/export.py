@@ -1,7 +1,8 @@
-"""The work of ``truearm export``: refit what must be, write, say what is lost."""
+"""The work of ``truearm export``: refit what must be, write, and keep what is lost."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +21,6 @@ from truearm.files.robot_file import MAX_BYTES, RobotChoice
 from truearm.model.chain import Chain
 from truearm.text import one_line
 from truearm.types import Floats
-from truearm.units import MM
 from truearm.workflows.calibration import Calibration, check_names, mounting_lines, read_calibration
 from truearm.workflows.selection import matching
 
@@ -29,78 +29,103 @@ N_POSES = 600  # of a refit that names none; 2400 marks for some 60 unknowns
 MARK = "written by truearm export"
 
 
-class Choice(NamedTuple):
-    """The command line."""
+class ExportOptions(NamedTuple):
+    """What to write: a format, with or without the mountings of base and tool, and patterns of what may change (all by default)."""
 
     form: str
-    robot: RobotChoice
-    own_frames: bool
-    adjust: tuple[str, ...]
-    over: Path | None
+    own_frames: bool = False
+    adjust: tuple[str, ...] = ()
 
 
-def export_file(result: Path, out: Path, choice: Choice) -> list[str]:
-    """Write the calibrated robot; returns what is to be said of it. Raises InputError in one line, and writes nothing."""
-    check_names(result, out, choice.over)
-    check_writable(out, inputs=[result, *choice.robot.files, *filter(None, [choice.over])], ours=_looks_like_ours)
-    calibration = read_calibration(result, choice.robot)
-    fitted = _fitted(calibration, choice)
-    text = _text(calibration, fitted.params, choice)
-    write_atomic(out, text)
-    return [
-        *_mountings_said(calibration, fitted.params, choice),
-        *_refit_said(fitted, choice.over),
-        f"Written: {one_line(str(out))}",
-    ]
+@dataclass(frozen=True)
+class Exported:
+    """A calibrated robot as a file's text, where its mountings are, and what had to be refitted.
+
+    ``refit`` holds the errors over the poses that were fitted: none where the format holds all that was identified.
+    """
+
+    text: str
+    mountings: tuple[str, ...]
+    refit: Refit
 
 
-def _looks_like_ours(head: bytes) -> bool:
+def export_file(
+    result: Path, robot: RobotChoice, out: Path, options: ExportOptions, over: Path | None = None
+) -> Exported:
+    """Write the calibrated robot; ``over``: a table or a plan of poses to refit over. Raises InputError, and writes nothing."""
+    check_names(result, out, over)
+    check_writable(out, inputs=[result, *robot.files, *filter(None, [over])], ours=looks_like_ours)
+    calibration = read_calibration(result, robot)
+    found = exported(calibration, options, None if over is None else _poses_of(over, calibration.chain))
+    write_atomic(out, found.text)
+    return found
+
+
+def exported(calibration: Calibration, options: ExportOptions, over: Floats | None = None) -> Exported:
+    """The calibrated robot in a format; ``over`` (n, j): where a refit shall be good, anywhere within the limits by default.
+
+    Raises InputError where nothing of what may change can be held by the format.
+    """
+    fitted = _fitted(calibration, options, over)
+    return Exported(
+        _text(calibration, fitted.params, options), tuple(_mountings(calibration, fitted.params, options)), fitted
+    )
+
+
+def looks_like_ours(head: bytes) -> bool:
     """A URDF that was changed in place bears no mark, since nothing but its numbers may change: it is not replaced."""
     return not head.strip() or MARK.encode() in head
 
 
-def _fitted(calibration: Calibration, choice: Choice) -> Refit:
+def _fitted(calibration: Calibration, options: ExportOptions, over: Floats | None) -> Refit:
     """Parameters that the format holds and the user may adjust."""
     chain, identified = calibration.chain, calibration.identified
     gains = np.array([p.unit == "1" for p in chain.parameters])
     adjustable = np.ones(identified.size, dtype=bool)
     start = identified.copy()
-    if choice.adjust:
-        adjustable = matching(chain.parameter_names, "--adjust", choice.adjust)
+    if options.adjust:
+        adjustable = matching(chain.parameter_names, "--adjust", options.adjust)
         start = np.where(adjustable, identified, calibration.nominal)
-    if choice.form in WITHOUT_GAINS:
+    if options.form in WITHOUT_GAINS:
         adjustable = adjustable & ~gains
         start = np.where(gains, 1.0, start)
     if np.array_equal(start, identified):
         return Refit(identified, np.zeros(0), np.zeros(0))
     if not adjustable.any():
-        raise InputError(f"--adjust {choice.adjust[0]}: leaves nothing that --format {choice.form} can hold")
-    return refit(chain, identified, start, adjustable, _poses(chain, calibration.joint_units, choice.over))
+        raise InputError(f"--adjust {options.adjust[0]}: leaves nothing that --format {options.form} can hold")
+    return refit(chain, identified, start, adjustable, _anywhere(chain) if over is None else _thinned(over))
 
 
-def _poses(chain: Chain, units: tuple[str, ...], over: Path | None) -> Floats:
-    if over is None:
-        lower, upper = (np.array([getattr(joint, end) for joint in chain.joints]) for end in ("lower", "upper"))
-        return np.random.default_rng(0).uniform(
-            np.maximum(lower, -np.pi), np.minimum(upper, np.pi), (N_POSES, lower.size)
-        )
-    is_plan = read_text(over, MAX_BYTES, InputError).lstrip().startswith("pose,")
-    q = read_plan(over).q if is_plan else read_table(over, units).q
-    if q.shape[1] != len(chain.joints):
-        raise InputError(f"{over}: has {q.shape[1]} joints, robot {chain.name} has {len(chain.joints)}")
+def _anywhere(chain: Chain) -> Floats:
+    """(n, j) poses within the joints' limits and a half turn either way, drawn by chance."""
+    lower, upper = (np.array([getattr(joint, end) for joint in chain.joints]) for end in ("lower", "upper"))
+    return np.random.default_rng(0).uniform(np.maximum(lower, -np.pi), np.minimum(upper, np.pi), (N_POSES, lower.size))
+
+
+def _thinned(q: Floats) -> Floats:
+    """As many poses of q (n, j) as a refit needs."""
     return np.asarray(q[np.unique(np.linspace(0, len(q) - 1, min(len(q), N_POSES)).astype(int))])
 
 
-def _text(calibration: Calibration, params: Floats, choice: Choice) -> str:
+def _poses_of(path: Path, chain: Chain) -> Floats:
+    """(n, j) of a table or a plan. Raises InputError."""
+    is_plan = read_text(path, MAX_BYTES, InputError).lstrip().startswith("pose,")
+    q = read_plan(path).q if is_plan else read_table(path, chain.joint_units).q
+    if q.shape[1] != len(chain.joints):
+        raise InputError(f"{path}: has {q.shape[1]} joints, robot {chain.name} has {len(chain.joints)}")
+    return q
+
+
+def _text(calibration: Calibration, params: Floats, options: ExportOptions) -> str:
     chain, nominal = calibration.chain, calibration.nominal
-    with_mountings = not choice.own_frames
-    if choice.form == "urdf" and calibration.robot.is_urdf:
+    with_mountings = not options.own_frames
+    if options.form == "urdf" and calibration.robot.is_urdf:
         template = read_text(Path(calibration.robot.file), MAX_BYTES, InputError)
         return edited(template, joint_origins(chain, nominal, params, with_mountings))
     robot = own(chain, nominal, params, with_mountings)
     described = own(chain, nominal, nominal)
-    comment = "\n".join([MARK, *(one_line(line) for line in _mountings_said(calibration, params, choice))])
-    return _written(robot, described, choice.form, comment)
+    comment = "\n".join([MARK, *(one_line(line) for line in _mountings(calibration, params, options))])
+    return _written(robot, described, options.form, comment)
 
 
 def _written(robot: Own, described: Own, form: str, comment: str) -> str:
@@ -117,24 +142,10 @@ def _written(robot: Own, described: Own, form: str, comment: str) -> str:
             return sheth_uicker_table(robot, comment)
 
 
-def _mountings_said(calibration: Calibration, params: Floats, choice: Choice) -> list[str]:
+def _mountings(calibration: Calibration, params: Floats, options: ExportOptions) -> list[str]:
     """Where the mountings are, and what they are."""
-    kept = "left out" if choice.own_frames or choice.form == "ur" else "written at both ends"
+    kept = "left out" if options.own_frames or options.form == "ur" else "written at both ends"
     return [
         f"Mountings ({kept}):",
         *(f"  {one_line(line)}" for line in mounting_lines(calibration.chain, calibration.nominal, params)),
     ]
-
-
-def _refit_said(fitted: Refit, over: Path | None) -> list[str]:
-    if not fitted.left.size:
-        return ["Nothing was refitted: the file holds all that was identified."]
-    return [
-        f"Refitted over {fitted.left.size} poses: what the file cannot hold or you do not adjust costs {_of(fitted.dropped)}",
-        f"where it is simply left out, and {_of(fitted.left)} after the rest has made up for it.",
-        *["Give --over FILE, a plan or a table, to have it best where you work."] * (over is None),
-    ]
-
-
-def _of(error: Floats) -> str:
-    return f"{MM.text(np.sqrt(np.mean(error**2)), '.3f')} RMS ({MM.of(error.max()):.3f} at most)"

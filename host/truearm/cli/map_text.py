@@ -1,0 +1,45 @@
+"""What ``truearm map`` prints."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from truearm.correct.error_map import ErrorMap, Region
+from truearm.units import MM
+from truearm.workflows.error_map import Mapped, axis
+
+
+def lines(mapped: Mapped, cell: float, task: str | None) -> list[str]:
+    """The errors over the section, and the best place for a task (the option's text); ``cell`` [m]."""
+    found = mapped.map
+    error = MM.of(found.error[~np.isnan(found.error)])
+    rms = math.sqrt(float(np.mean(error**2)))
+    said = [
+        f"{error.size} cells of {MM.text(cell)}: error without calibration {error.min():.3f} to {error.max():.3f} mm, "
+        f"RMS {rms:.3f} mm."
+    ]
+    sigma = MM.of(found.sigma[np.isfinite(found.sigma)])
+    if sigma.size:
+        said.append(
+            f"With it, by the parameters' covariance: {sigma.min():.3f} to {sigma.max():.3f} mm (standard deviation)."
+        )
+    if sigma.size < error.size:
+        said.append(
+            f"In {error.size - sigma.size} cells that cannot be said: combinations of parameters that were not seen move the end."
+        )
+    if task:
+        said.append(_task_line(found, mapped.region, task))
+    return said
+
+
+def _task_line(found: ErrorMap, region: Region | None, task: str) -> str:
+    if region is None:
+        return f"A task of {task} mm fits nowhere into what the arm reaches in this section."
+    u, v = (tuple(round(MM.of(value)) for value in span) for span in (region.u, region.v))
+    names = [axis(direction) for direction in found.axes]
+    return (
+        f"Best place for a task of {task} mm: {names[0]} {u[0]} to {u[1]}, {names[1]} {v[0]} to {v[1]} mm; error at most "
+        f"{MM.text(region.largest, '.3f')}, RMS {MM.text(region.rms, '.3f')}."
+    )
