@@ -76,6 +76,7 @@ class Session:
         reader = BoxReader()
         for frame in self.frames("/box/ident"):
             reader.feed(Message("/box/ident", 0, bytes(wire.encode_payload(frame))))
+        reader.finish()
         ident = reader.segment.ident
         assert ident is not None
         return ident

@@ -80,9 +80,8 @@ def test_two_seconds_of_python_lose_nothing(device, tmp_path):
         sys.setswitchinterval(5e-3)
     assert (summary.counters.held_up, summary.counters.lost_frames) == (0, 0)
     reader = BoxReader()
-    blocks = [
-        block for message in open_session(path).messages() if (block := reader.feed(message)) and block.data.stream == 0
-    ]
+    blocks = [block for message in open_session(path).messages() for block in reader.feed(message)] + [*reader.finish()]
+    blocks = [block for block in blocks if block.data.stream == 0]
     losses = reader.losses()
     assert (losses.frames_lost, losses.samples_lost, losses.samples_overrun, losses.console_bytes) == (0, 0, 0, 0)
     assert len(blocks) == pytest.approx(6.0 * 1e9 / (240 * OSR * 13), rel=0.03)
@@ -138,6 +137,7 @@ def test_a_terminal_that_stands_still(device, tmp_path):
     reader = BoxReader()
     for message in open_session(out).messages():
         reader.feed(message)
+    reader.finish()
     losses = reader.losses()
     assert (losses.frames_lost, losses.samples_lost, losses.samples_overrun) == (0, 0, 0)
 

@@ -36,9 +36,8 @@ def test_everything_is_there_or_counted(tmp_path, rate, seconds, poses):
     assert done.returncode == 0, done.stderr
     session = open_session(tmp_path / "session.mcap")
     reader, taken, begin_us = BoxReader(ident_of(session)), 0, None
-    for message in session.messages():
-        block = reader.feed(message)
-        if block is not None:
+    for blocks in (*(reader.feed(message) for message in session.messages()), reader.finish()):
+        for block in blocks:
             taken, end_us = block.data.n0 + block.n, block.data.t0_us + block.n * block.data.period_ns / 1000
             begin_us = block.data.t0_us if begin_us is None else begin_us
     losses = reader.losses()

@@ -127,8 +127,8 @@ def test_cable_and_network(tmp_path, monkeypatch):
     blocks = []
     for message in open_session(out).messages():
         joints.feed(message)
-        if (block := reader.feed(message)) is not None:
-            blocks.append(block)
+        blocks += reader.feed(message)
+    blocks += reader.finish()
     assert {block.segment for block in blocks} == {0, 1}
     assert (reader.losses().samples_overrun, reader.losses().restarts) == (0, 1)
     for segment in (0, 1):  # each life of the box is whole: n0 counts on from block to block

@@ -25,7 +25,8 @@ def box_with(blocks=20, seq=0):
 
 def read(messages, ident=None):
     reader = BoxReader(ident)
-    blocks = [block for message in messages if (block := reader.feed(message)) is not None]
+    blocks = [block for message in messages for block in reader.feed(message)]
+    blocks += reader.finish()
     return blocks, reader
 
 

@@ -20,7 +20,7 @@ from truearm.files.rig_file import write_rig
 from truearm.record.session_writer import SessionWriter
 from truearm.session.joint_readings import parse_lines
 from truearm.session.pipeline import observations, survey
-from truearm.session.sample_blocks import BoxReader
+from truearm.session.sample_blocks import blocks_of
 from truearm.session.session_columns import MAX_TABLES, tabulate
 from truearm.session.session_file import open_session
 from truearm.types import Message
@@ -95,8 +95,7 @@ def test_what_sync_sees(made, tmp_path, format):
     tables, said = export(path, tmp_path / "x", format)
     opened = open_session(path)
     found = survey(opened.messages, ident_of(opened))
-    reader = BoxReader()
-    blocks = [block for message in messages if (block := reader.feed(message)) is not None]
+    blocks = list(blocks_of(messages, None))
     adc = tables["box_adc"]
     counts = np.concatenate([block.counts for block in blocks])
     np.testing.assert_array_equal(adc["lvdt_counts"], counts[:, 0])

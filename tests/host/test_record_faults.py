@@ -237,6 +237,7 @@ class TestFaults:
         reader = BoxReader()
         for message in open_session(path).messages():
             reader.feed(message)
+        reader.finish()
         assert (reader.losses().frames_lost, reader.losses().frames_malformed, len(reader.segments)) == (0, 1, 1)
 
     def test_a_count_that_goes_on_elsewhere(self, lab, path):

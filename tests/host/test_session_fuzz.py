@@ -33,6 +33,7 @@ from truearm.record.recover import recover
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
 from truearm.session.box_ident import parse_ident
+from truearm.session.data_frames import usual_data
 from truearm.session.sample_blocks import BoxReader
 from truearm.session.session_file import open_session
 from truearm.types import Message
@@ -85,9 +86,10 @@ class Kept:
 def check_blocks(messages, of_ours=frozenset(PAYLOADS)):
     """The samples of all frames that are ours are what was sent; the numbers of samples seen, and the account."""
     reader, seen = BoxReader(IDENT), []
-    for message in messages:
-        block = reader.feed(message)
-        if block is not None and message.data in of_ours:
+    sent = {data for payload in of_ours if (data := usual_data(payload)) is not None}
+    blocks = [block for message in messages for block in reader.feed(message)]
+    for block in (*blocks, *reader.finish()):
+        if block.data in sent:
             np.testing.assert_array_equal(block.counts, counts_from(block.data.n0, block.n))
             seen.append(block.data.n0)
     return seen, reader.losses()

@@ -15,7 +15,7 @@ from truearm.session.device_clock_fit import fit_clock
 from truearm.session.dwell_samples import gather
 from truearm.session.dwells import REASONS, DwellRules
 from truearm.session.pipeline import observations, survey
-from truearm.session.sample_blocks import BoxReader
+from truearm.session.sample_blocks import blocks_of
 from truearm.types import Message
 
 
@@ -313,8 +313,7 @@ def test_samples_are_those_of_the_interval_by_signal_time():
         box.data(10**9 + 13 * k * PERIOD_NS, np.stack([index] * 4, axis=1))
     exchanges = [Exchange(t, t // 1000 + 1, t // 1000 + 1, t + 2000) for t in range(0, 8 * 10**9, 250_000_000)]
     clocks = {0: fit_clock(0, exchanges)[0]}
-    reader = BoxReader()
-    blocks = [(b, reader.segment.ident) for m in box.messages if (b := reader.feed(m)) is not None]
+    blocks = [(block, block.ident) for block in blocks_of(box.messages, None)]
     intervals = [(0, 2 * 10**9, 3 * 10**9), (1, 3_000_000_001, 3_000_500_000), (2, 4 * 10**9, 60 * 10**9)]
     signal = 10**9 + np.arange(13 * 400) * PERIOD_NS - 1_500_000
     for taken, (_, start, end) in zip(gather(iter(blocks), clocks, intervals, "lvdt"), intervals, strict=True):

@@ -12,6 +12,7 @@ DWELLS = 24  # listed one by one
 LOSSES = (
     ("frames_lost", "frames lost on the link"),
     ("frames_duplicated", "frames doubled"),
+    ("frames_late", "frames too late"),
     ("frames_malformed", "frames malformed"),
     ("frames_unknown", "frames of unknown types"),
     ("samples_lost", "samples lost with frames"),

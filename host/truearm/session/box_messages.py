@@ -68,3 +68,8 @@ def device_time(frame: list[Any]) -> tuple[int, int] | None:
 def is_boot(frame: list[Any]) -> bool:
     """Whether a frame is the first page of the ident that a box sends unasked at boot (SPEC §5: req_id 0)."""
     return frame[0] == wire.IDENT and frame[2:4] == [0, 0]
+
+
+def boot_id(frame: list[Any]) -> int | None:
+    """The boot that a heartbeat is of; None for other frames."""
+    return frame[2] if frame[0] == wire.HEARTBEAT and len(frame) > 2 and type(frame[2]) is int else None

@@ -1,21 +1,7 @@
 """What did not arrive, counted exactly (hop 4).
 
-What a frame's ``seq`` means is decided in this order, with step = seq − the last seq on the circle of 2^32:
-
-1. It is one of the last 64 frames again, byte for byte, and step ≠ 1: **doubled**. It is ignored and changes nothing,
-   however late it is. The same seq with other bytes is no double.
-2. Device time of its kind runs backward, step is 0 or at least half the circle, or it is the ident of a boot and
-   step ≠ 1: a **restart**. seq counts from 0, so the seq frames before it are lost. A new boot id is a restart too,
-   whatever seq says.
-3. More frames would be lost than any link carries in the time between their arrivals: the frame is **malformed**, whatever
-   its CRC says, and changes nothing. Where the next one goes on from it, the count began anew: a restart, by which nobody knows
-   what was lost.
-4. Otherwise step − 1 frames are **lost**.
-
-Frames of a type that only a host sends are malformed too: an echo.
-
-A single frame that was delivered late and is no double looks like a restart by rule 2: two segments with one boot id. While a
-session is recorded the box can be asked; afterwards a segment too many does no harm, as nothing is fitted across segments.
+``frame_order`` decides what each frame is: in its place, doubled, too late, malformed, or the first of a box that restarted. Frames of a type that only a host
+sends are malformed too: an echo.
 """
 
 from __future__ import annotations
@@ -62,6 +48,7 @@ class Losses:
     frames_lost: int = 0  # gaps of seq
     loss_events: int = 0  # places where seq has a gap
     frames_duplicated: int = 0
+    frames_late: int = 0  # frames that came when they were no longer waited for: counted as lost, too
     frames_malformed: int = 0  # frames with a good CRC that do not keep to the specification
     frames_unknown: int = 0  # of types that this version does not know
     blocks: int = 0

@@ -30,7 +30,7 @@ from truearm.session.losses import Losses
 from truearm.session.manual_joints import are_noted, noted_dwells
 from truearm.session.motion_samples import Heard, Listener
 from truearm.session.observation_rows import table_of
-from truearm.session.sample_blocks import Block, BoxReader
+from truearm.session.sample_blocks import Block, BoxReader, blocks_of
 from truearm.session.sample_streams import StreamReport
 from truearm.session.trigger_edges import Output, with_edges
 from truearm.types import Message, ObservationTable, Rig
@@ -101,6 +101,7 @@ def survey(messages: Messages, ident: Ident | None = None, rules: DwellRules | N
         else:
             robot.feed(message)  # an event may say that its link was lost
             marks.feed(message.topic, message.t_host_ns, message.data)
+    box.finish()
     fits = {s.index: fit for s in box.segments if (fit := fit_clock(s.index, s.exchanges)) is not None}
     clocks = {index: clock for index, (clock, _) in fits.items()}
     outputs = {s.index: Output.of(s.output) for s in box.segments if s.output}
@@ -183,17 +184,19 @@ def _blocks(
     listener: Listener | None,
     over: Callable[[list[Heard]], None],
 ) -> Iterator[tuple[Block, Ident]]:
-    """All blocks in log order; the ``listener`` hears them too, and the robot, and ``over`` takes the legs that are over."""
-    reader = BoxReader(ident, keep_exchanges=False)
-    for message in messages(topics if listener is None else {*topics, "/robot/joints"}):
-        if listener is not None and message.topic == "/robot/joints":
-            over(listener.line(message))
-            continue
-        block = reader.feed(message)
-        if block is not None and reader.segment.ident is not None:
-            if listener is not None:
-                over(listener.block(block, reader.segment.ident))
-            yield block, reader.segment.ident
+    """All blocks in the order of sending; the ``listener`` hears them too, and the robot, and ``over`` takes the legs that are over."""
+
+    def of_box() -> Iterator[Message]:
+        for message in messages(topics if listener is None else {*topics, "/robot/joints"}):
+            if listener is not None and message.topic == "/robot/joints":
+                over(listener.line(message))
+            else:
+                yield message
+
+    for block in blocks_of(of_box(), ident):
+        if listener is not None:
+            over(listener.block(block, block.ident))
+        yield block, block.ident
 
 
 def _on_host(dwell: Dwell, joints: JointStream) -> Dwell:

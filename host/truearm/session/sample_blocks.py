@@ -1,12 +1,7 @@
 """Box messages in the order of their arrival → blocks of samples, clock exchanges and exact losses.
 
-Every frame from the box counts in one ``seq`` (SPEC §4), so each is looked at, whatever its type:
-
-- ``seq`` one on: the next frame. A jump ahead by less than half the circle: frames lost on the link.
-- a ``seq`` of one of the last 64 frames with the same bytes: a frame that was doubled, ignored.
-- any other step back, the ident that a box sends unasked at boot, device time that runs backward within one kind of
-  frame, or a new boot id: the box restarted.
-  A new **segment** begins; its ``seq`` counts from 0, so frames missing at its beginning are known too.
+``frame_order`` puts the frames into the order of sending, says what is missing between them and where the box restarted. A new **segment** begins
+there.
 
 ``n0`` counts samples. A jump with frames lost since the stream's last block: the samples went with them; without: the box
 overran. ``n0`` that falls back without a restart is a new ``start``, a new **run**. Device time belongs to a segment;
@@ -16,6 +11,7 @@ samples are whole within a run between blocks marked ``gap``.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -24,17 +20,15 @@ from numpy.typing import NDArray
 
 from truearm.errors import ProtocolError
 from truearm.session.box_ident import Ident, Stream, decode_ident
-from truearm.session.box_messages import Exchange, device_time, is_boot, is_echo, is_text, parse_exchange
-from truearm.session.data_frames import MAX_DEVICE_US, Data, data_of, decode, too_many, usual_data
+from truearm.session.box_messages import Exchange, boot_id, device_time, is_boot, is_echo, is_text, parse_exchange
+from truearm.session.data_frames import MAX_DEVICE_US, Data, data_of, decode, usual_data
+from truearm.session.frame_order import Frame, FrameOrder, Placed
 from truearm.session.heartbeats import Heartbeats
 from truearm.session.losses import Losses
 from truearm.session.pages import Pages
 from truearm.session.sample_streams import COUNTED, StreamReport, StreamTrack
 from truearm.types import Message
 from truearm_wire import messages as wire
-
-REMEMBERED = 64  # frames that a doubled one may lag behind
-HALF_CIRCLE = 2**31
 
 _HEARTBEAT_VALUES = len(wire.names(wire.HEARTBEAT)) - 1  # without seq
 _HEARTBEAT_NEEDED = wire.needed(wire.HEARTBEAT) - 1  # of a box of any minor version
@@ -50,6 +44,7 @@ class Block(NamedTuple):
     channels: int
     t_host_ns: int
     data: Data
+    ident: Ident  # in force when the block was sent
 
     @property
     def counts(self) -> NDArray[np.int32]:
@@ -81,11 +76,8 @@ class BoxReader:
         self.segments = [self._segment]
         self._keep_exchanges = keep_exchanges
         self._count: Counter[str] = Counter()
-        self._last_seq: int | None = None
-        self._last_host_ns = 0  # when that frame arrived
-        self._far_seq: int | None = None  # of the frame before, if it was too far ahead
-        self._recent: list[bytes] = [b""] * REMEMBERED
-        self._times: dict[int, int] = {}
+        self._order = FrameOrder()
+        self._aside: list[bytes] = []  # exchanges that came while it was undecided whether the box had restarted
         self._streams: dict[int, StreamTrack] = {}
         self._layout: dict[int, tuple[int, StreamTrack]] = {}  # channels and track by the ident in force
         self._pages = Pages()
@@ -96,21 +88,32 @@ class BoxReader:
         """The segment that the last message belongs to."""
         return self._segment
 
-    def feed(self, message: Message) -> Block | None:
-        """Account for one message; the block of samples if it is one. Messages of other topics are ignored."""
+    def feed(self, message: Message) -> Sequence[Block]:
+        """Account for one message; the blocks of samples that are due by then. Messages of other topics are ignored."""
         topic = message.topic
         if topic.startswith("/box/"):
             if topic != "/box/console":
                 return self._frame(message)
             self._console(message.data)
         elif topic == "/sync":
-            self._exchange(message.data)
-        return None
+            if self._order.undecided:
+                self._aside.append(message.data)
+            else:
+                self._exchange(message.data)
+        return ()
+
+    def finish(self) -> Sequence[Block]:
+        """The blocks that were held back for late frames, at the end of the session."""
+        return self._placed(self._order.finish())
 
     def losses(self) -> Losses:
         """The account so far."""
         box = self._heartbeats.counters({s.index for s in self.segments if s.booted})
-        known = {name: self._count[name] for name in Losses.__dataclass_fields__ if name != "box"}
+        order = self._order
+        count = self._count + Counter(
+            frames_duplicated=order.doubled, frames_late=order.late, frames_malformed=order.malformed
+        )
+        known = {name: count[name] for name in Losses.__dataclass_fields__ if name != "box"}
         for name in COUNTED:
             known[name] = sum(getattr(stream, name) for stream in self._streams.values())
         return Losses(**known, box=box)
@@ -126,91 +129,67 @@ class BoxReader:
 
     # ------------------------------------------------------------------------------------------------ frames
 
-    def _frame(self, message: Message) -> Block | None:
-        data = usual_data(message.data)
+    def _frame(self, message: Message) -> Sequence[Block]:
+        payload = message.data
+        data = usual_data(payload)
         if data is not None:
-            new = self._follows(data, message) or self._new(data.seq, (data.stream, data.t0_us), message, False)
-            return self._data(data, message) if new else None
-        frame = decode(message.data)
+            stamp = data.stream, data.t0_us
+            if self._order.follows(data.seq, stamp, message.t_host_ns, payload):
+                self._count["frames"] += 1
+                block = self._data(data, message.t_host_ns)
+                return () if block is None else (block,)
+            return self._take(Frame(data.seq, stamp, False, None, message.t_host_ns, payload, data))
+        frame = decode(payload)
         if frame is None or is_echo(frame):
             self._count["frames_malformed"] += 1
-            return None
-        kind, boot = frame[0], is_boot(frame)
-        if not self._new(frame[1], device_time(frame), message, boot):
-            return None
-        self._segment.booted |= boot
+            return ()
+        return self._take(
+            Frame(frame[1], device_time(frame), is_boot(frame), boot_id(frame), message.t_host_ns, payload, frame)
+        )
+
+    def _take(self, frame: Frame) -> Sequence[Block]:
+        return self._placed(self._order.take(frame))
+
+    def _placed(self, due: Iterable[Placed]) -> list[Block]:
+        """Account for frames in their order; the blocks among them."""
+        blocks = []
+        for frame, lost, restarts in due:
+            if restarts:
+                self._restart()
+            self._count["frames"] += 1
+            self._count["frames_lost"] += lost
+            self._count["loss_events"] += lost > 0
+            self._segment.booted |= frame.is_boot
+            block = self._content(frame)
+            if block is not None:
+                blocks.append(block)
+        if self._aside and not self._order.undecided:
+            exchanges, self._aside = self._aside, []
+            for data in exchanges:
+                self._exchange(data)
+        return blocks
+
+    def _content(self, frame: Frame) -> Block | None:
+        if isinstance(frame.content, Data):
+            return self._data(frame.content, frame.t_host_ns)
+        kind = frame.content[0]
         if kind == wire.DATA:
-            return self._data(data_of(frame), message)
+            return self._data(data_of(frame.content), frame.t_host_ns)
         if kind == wire.HEARTBEAT:
-            self._heartbeat(frame)
+            self._heartbeat(frame.content)
         elif kind == wire.EVENT:
-            self._event(frame)
+            self._event(frame.content)
         elif kind == wire.IDENT:
-            self._ident_page(frame)
+            self._ident_page(frame.content)
         elif kind not in wire.LAYOUT:
             self._count["frames_unknown"] += 1
         return None
-
-    def _follows(self, data: Data, message: Message) -> bool:
-        """Whether a frame is simply the next one, as nearly all are; then it is accounted for as ``_new`` would."""
-        seq, stream, t0_us = data.seq, data.stream, data.t0_us
-        if self._last_seq is None or seq != self._last_seq + 1 or self._far_seq is not None:
-            return False
-        if t0_us < self._times.get(stream, 0):
-            return False
-        self._last_seq, self._last_host_ns = seq, message.t_host_ns
-        self._recent[seq % REMEMBERED] = message.data
-        self._times[stream] = t0_us
-        self._count["frames"] += 1
-        return True
-
-    def _new(self, seq: int, stamp: tuple[int, int] | None, message: Message, boot: bool) -> bool:
-        """Account for a frame; False for a doubled or foreign one."""
-        if self._foreign(seq, message.t_host_ns, boot):
-            self._count["frames_malformed"] += 1
-            return False
-        new = self._advance(seq, stamp, message.data, boot)
-        self._count["frames" if new else "frames_duplicated"] += 1
-        self._last_host_ns = message.t_host_ns
-        return new
-
-    def _foreign(self, seq: int, t_host_ns: int, boot: bool) -> bool:
-        """Whether ``seq`` lies further ahead than can be; if it goes on from such a one, a new segment begins before it."""
-        step = 1 if self._last_seq is None or boot else (seq - self._last_seq) & 0xFFFFFFFF
-        far = step < HALF_CIRCLE and too_many(step, t_host_ns - self._last_host_ns)
-        before, self._far_seq = self._far_seq, seq if far else None
-        if not far or before is None or seq != (before + 1) & 0xFFFFFFFF:
-            return far
-        self._restart()
-        self._last_seq, self._far_seq = before, None
-        return False
-
-    def _advance(self, seq: int, stamp: tuple[int, int] | None, data: bytes, boot: bool) -> bool:
-        """Account for ``seq`` and device time; False for a doubled frame."""
-        last = self._last_seq
-        step = 1 if last is None else (seq - last) & 0xFFFFFFFF
-        if step != 1 and self._recent[seq % REMEMBERED] == data:
-            return False
-        backward = stamp is not None and stamp[1] < self._times.get(stamp[0], 0)
-        if last is not None and (backward or step == 0 or step >= HALF_CIRCLE or (boot and step != 1)):
-            self._restart()
-            step = seq + 1
-        if step != 1:
-            self._count["frames_lost"] += step - 1
-            self._count["loss_events"] += 1
-        self._last_seq = seq
-        self._recent[seq % REMEMBERED] = data
-        if stamp is not None:
-            self._times[stamp[0]] = stamp[1]
-        return True
 
     def _restart(self) -> None:
         self._count["restarts"] += 1
         self._segment = Segment(len(self.segments), booted=True, ident=self.segment.ident)
         self.segments.append(self._segment)
-        self._times.clear()
         self._pages = Pages()
-        self._recent = [b""] * REMEMBERED
         for stream in self._streams.values():
             stream.restart(self._count["frames_lost"])
 
@@ -218,10 +197,11 @@ class BoxReader:
         if self.segment.boot_id not in (None, boot_id):
             self._restart()
         self.segment.boot_id = boot_id
+        self._order.new_boot(boot_id)
 
     # ------------------------------------------------------------------------------------------------ contents
 
-    def _data(self, data: Data | None, message: Message) -> Block | None:
+    def _data(self, data: Data | None, t_host_ns: int) -> Block | None:
         if data is None:
             self._count["frames_malformed"] += 1
             return None
@@ -234,7 +214,8 @@ class BoxReader:
             self._count["frames_malformed"] += 1
             return None
         gap = stream.take(data, n, self._count["frames_lost"])
-        return Block(self._segment.index, stream.run, gap, n, channels, message.t_host_ns, data)
+        assert self._segment.ident is not None  # which describes the stream
+        return Block(self._segment.index, stream.run, gap, n, channels, t_host_ns, data, self._segment.ident)
 
     def _described_now(self, stream_id: int) -> tuple[int, StreamTrack | None]:
         """How many channels a stream has by the ident in force, and its track; none where it does not know the stream."""
@@ -286,3 +267,11 @@ class BoxReader:
         self._count.update(sync_requests=1, sync_unanswered=exchange is None)
         if exchange is not None and self._keep_exchanges:
             self.segment.exchanges.append(exchange)
+
+
+def blocks_of(messages: Iterable[Message], ident: Ident | None) -> Iterator[Block]:
+    """The blocks of samples of a session's messages in the order of sending; ``ident`` as of ``BoxReader``."""
+    reader = BoxReader(ident, keep_exchanges=False)
+    for message in messages:
+        yield from reader.feed(message)
+    yield from reader.finish()

@@ -129,13 +129,14 @@ class _Box(_Small):
         self._stream: dict[int, Stream] = {}
 
     def feed(self, message: Message) -> Iterator[Batch]:
-        block = self._reader.feed(message)
-        if block is not None:
+        for block in self._reader.feed(message):
             yield from self._block(block)
-        elif message.topic in ("/box/heartbeat", "/box/event"):
+        if message.topic in ("/box/heartbeat", "/box/event"):
             yield from self._frame(message)
 
     def flush(self) -> Iterator[Batch]:
+        for block in self._reader.finish():
+            yield from self._block(block)
         for stream_id in list(self._blocks):
             yield from self._flush_stream(stream_id)
         yield from super().flush()
@@ -147,9 +148,7 @@ class _Box(_Small):
         yield from self.add("sync", {**row, "t0_ns": t0, "t1_us": t1, "t2_us": t2, "t3_ns": t3})
 
     def _block(self, block: Block) -> Iterator[Batch]:
-        ident = self._reader.segment.ident
-        assert ident is not None  # or it would be no block
-        key, stream = block.data.stream, ident.streams[block.data.stream]
+        key, stream = block.data.stream, block.ident.streams[block.data.stream]
         waiting = self._blocks.get(key)
         if waiting:
             last = waiting[-1]

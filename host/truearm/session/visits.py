@@ -18,7 +18,7 @@ from truearm.session.dwells import Dwell
 from truearm.session.joint_readings import Bins
 from truearm.session.lvdt import bar_length, extension
 from truearm.session.pipeline import Messages, SyncResult, disjoint
-from truearm.session.sample_blocks import Block, BoxReader
+from truearm.session.sample_blocks import Block, blocks_of
 from truearm.session.sample_statistics import mean_variance
 from truearm.types import Floats, Rig
 
@@ -105,11 +105,7 @@ def visits(
 
 
 def _blocks(messages: Messages, topics: Collection[str], ident: Ident | None) -> Iterator[tuple[Block, Ident]]:
-    reader = BoxReader(ident, keep_exchanges=False)
-    for message in messages(topics):
-        block = reader.feed(message)
-        if block is not None and reader.segment.ident is not None:
-            yield block, reader.segment.ident
+    return ((block, block.ident) for block in blocks_of(messages(topics), ident))
 
 
 def stabilisation_time(deviation: Floats, band: float, period_s: float) -> float:
