@@ -32,7 +32,7 @@ ROOMS = {
     },
     "cli": {
         *("workflows", "box", "live", "record", "session", "files", "report", "reproduce"),
-        *("correct", "export", "estimate", "model"),
+        *("plan", "correct", "export", "estimate", "model"),
     },
     "__main__": {"cli"},
     "types": set(),

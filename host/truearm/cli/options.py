@@ -39,6 +39,15 @@ def warn(text: str) -> None:
     typer.echo(f"warning: {text}", err=True)
 
 
+def planning(text: str) -> None:
+    """Print a step of a plan on standard error."""
+    typer.echo(f"planning: {text}", err=True)
+
+
+def silent(_: str) -> None:
+    """Print nothing: what --json prints stands alone."""
+
+
 def rigs_of(given: list[str] | None) -> dict[str, Path]:
     """The files of ``--rig`` by rig name, "" for one without a name; ./a=b.toml has none.
 
@@ -93,3 +102,10 @@ def frame_of(option: str, text: str | None) -> tuple[float, float, float, float,
     if max(map(abs, (x, y, z))) > LARGEST_MM or max(map(abs, (rx, ry, rz))) > LARGEST_DEG:
         raise InputError(f"{option} {text}: needs x, y, z in mm and a rotation vector in deg")
     return MM.to_si(x), MM.to_si(y), MM.to_si(z), DEG.to_si(rx), DEG.to_si(ry), DEG.to_si(rz)
+
+
+def check_finite(**given: float | None) -> None:
+    """Raise InputError for an option that is nan or inf, which typer's bounds let pass."""
+    for name, value in given.items():
+        if value is not None and not math.isfinite(value):
+            raise InputError(f"--{name.replace('_', '-')} must be a finite number, is {value}")

@@ -8,8 +8,9 @@ from typing import Annotated
 
 import typer
 
-from truearm.cli.options import ROBOT_HELP
+from truearm.cli.options import ROBOT_HELP, check_finite, planning, silent
 from truearm.model.builtin import names_with_branch
+from truearm.units import MM, MM_S
 
 app = typer.Typer(
     name="plan",
@@ -132,14 +133,33 @@ def ballbar(
       truearm plan ballbar --robot puma560 --rig rig.toml --minutes 40 --out plan.csv --program plan.script
     """
     from truearm.cli.plan_text import show
-    from truearm.workflows.plan import BallBars, Common, plan_ballbar_files
+    from truearm.files.robot_file import RobotChoice
+    from truearm.plan.region import parse_region
+    from truearm.plan.stops import Signals
+    from truearm.workflows.plan import BallBarOptions, Budget, PlanFiles, plan_ball_bar_files
 
-    common = Common(
-        robot, base, tip, rig, minutes, criterion.value, region, candidates, result, tuple(measured or ()), branch, dwell_s, seed,
-        out, tuple(program or ()), output_line, input_line,
-    )  # fmt: skip
-    document = plan_ballbar_files(common, BallBars(poses, tuple(bar or ()), reserve_mm, spread_mm), quiet=as_json)
-    show(document, as_json)
+    check_finite(minutes=minutes, reserve_mm=reserve_mm, spread_mm=spread_mm, dwell_s=dwell_s)
+    files = PlanFiles(
+        robot=RobotChoice(robot, base, tip),
+        rig=rig,
+        result=result,
+        measured=tuple(measured or ()),
+        branch=branch,
+        out=out,
+        programs=tuple(program or ()),
+        signals=Signals(output_line, input_line),
+    )
+    options = BallBarOptions(
+        criterion=criterion.value,
+        region=None if region is None else parse_region(region),
+        candidates=candidates,
+        bars=tuple(bar or ()),
+        reserve=None if reserve_mm is None else MM.to_si(reserve_mm),
+        spread=MM.to_si(spread_mm),
+        dwell=dwell_s,
+        seed=seed,
+    )
+    show(plan_ball_bar_files(files, Budget(poses, minutes), options, silent if as_json else planning), as_json)
 
 
 @app.command("line")
@@ -190,14 +210,34 @@ def line(
       truearm plan line --robot ur5e --rig rig.toml --lines 6 --out lines.csv --rig-out lines.toml --program lines.script
     """
     from truearm.cli.plan_text import show
-    from truearm.workflows.plan import Common, LineDevice, plan_line_files
+    from truearm.files.robot_file import RobotChoice
+    from truearm.plan.cartesian_lines import Shape
+    from truearm.plan.region import parse_region
+    from truearm.plan.stops import Signals
+    from truearm.workflows.plan import Budget, LineOptions, PlanFiles, plan_line_files
 
-    common = Common(
-        robot, base, tip, rig, minutes, criterion.value, region, candidates, result, tuple(measured or ()), branch, 0.0, seed,
-        out, tuple(program or ()), output_line, input_line,
-    )  # fmt: skip
-    device = LineDevice(lines, length_mm, transverse_mm, speed_mm_s, passes, points, target, rig_out)
-    show(plan_line_files(common, device), as_json)
+    check_finite(minutes=minutes, length_mm=length_mm, transverse_mm=transverse_mm, speed_mm_s=speed_mm_s)
+    files = PlanFiles(
+        robot=RobotChoice(robot, base, tip),
+        rig=rig,
+        result=result,
+        measured=tuple(measured or ()),
+        branch=branch,
+        out=out,
+        rig_out=rig_out,
+        programs=tuple(program or ()),
+        signals=Signals(output_line, input_line),
+    )
+    options = LineOptions(
+        shape=Shape(MM.to_si(length_mm), MM.to_si(transverse_mm), MM_S.to_si(speed_mm_s), points),
+        passes=passes,
+        target=target,
+        criterion=criterion.value,
+        region=None if region is None else parse_region(region),
+        candidates=candidates,
+        seed=seed,
+    )
+    show(plan_line_files(files, Budget(lines, minutes), options), as_json)
 
 
 @app.command("characterize")
@@ -236,10 +276,29 @@ def characterize(
       truearm plan characterize --robot puma560 --rig rig.toml --out approaches.csv --program approaches.script
     """
     from truearm.cli.plan_text import show_approaches
-    from truearm.workflows.plan import Approaches, Common, plan_approaches_files
+    from truearm.files.robot_file import RobotChoice
+    from truearm.plan.stops import Signals
+    from truearm.workflows.plan import ApproachOptions, PlanFiles, plan_approaches_files
 
-    common = Common(
-        robot, base, tip, rig, None, "I", None, 400, result, (), branch, dwell_s, seed, out, tuple(program or ()), output_line, input_line,
-    )  # fmt: skip
-    document = plan_approaches_files(common, Approaches(bar, chuck, sphere, poses, rounds, long_s, reserve_mm), as_json)
-    show_approaches(document, as_json)
+    check_finite(long_s=long_s, reserve_mm=reserve_mm, dwell_s=dwell_s)
+    files = PlanFiles(
+        robot=RobotChoice(robot, base, tip),
+        rig=rig,
+        result=result,
+        branch=branch,
+        out=out,
+        programs=tuple(program or ()),
+        signals=Signals(output_line, input_line),
+    )
+    options = ApproachOptions(
+        bar=bar,
+        chuck=chuck,
+        sphere=sphere,
+        poses=poses,
+        rounds=rounds,
+        long_dwell=long_s,
+        dwell=dwell_s,
+        reserve=None if reserve_mm is None else MM.to_si(reserve_mm),
+        seed=seed,
+    )
+    show_approaches(plan_approaches_files(files, options, silent if as_json else planning), as_json)

@@ -2,196 +2,229 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import typer
 
 from truearm.errors import InputError
 from truearm.files.disk import check_writable, write_atomic
 from truearm.files.plan_file import write_plan
 from truearm.files.rig_file import read_rig, write_rig
-from truearm.files.robot_file import RobotChoice, load_robot, robot_file
+from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.model.robot import Robot
 from truearm.plan.approaches import ApproachesWanted, plan_approaches
-from truearm.plan.ball_bar_plan import Wanted, all_pairings, make_site, plan_ballbar
+from truearm.plan.ball_bar_plan import BallBarPlan, Wanted, all_pairings, make_site, plan_ballbar
 from truearm.plan.bar_paths import Pace
 from truearm.plan.branches import branch_of
 from truearm.plan.cartesian_lines import Shape
 from truearm.plan.collision_shapes import Sizes
 from truearm.plan.forecast import Forecast, Known, with_rig_values
 from truearm.plan.line_plan import LinePlan, LinesWanted, plan_lines
-from truearm.plan.measurement_limits import Limits, Pairing, Site
-from truearm.plan.region import Region, parse_region
+from truearm.plan.measurement_limits import Limits, Pairing
+from truearm.plan.region import Region
 from truearm.plan.route_program import check_suffix, program
 from truearm.plan.stops import Signals, Stop, Task
 from truearm.types import Floats, Rig
-from truearm.units import MM, MM_S
-from truearm.workflows.calibration import read_calibration
+from truearm.units import MM
+from truearm.workflows.calibration import Calibration, read_calibration
 from truearm.workflows.identify import PRIORS, default_free
 from truearm.workflows.inputs import Sources, observed
+from truearm.workflows.session_observations import Say, silent
 from truearm.workflows.session_parts import with_parts
 
-DESIGN_RESERVE_MM = 22.0
-RESULT_RESERVE_MM = 3.0
+DESIGN_RESERVE = 22e-3  # m of travel for what the model does not know
+RESULT_RESERVE = 3e-3  # m
+APPROACH_CANDIDATES = 400
 # how what is written here begins, by its suffix; a rig begins with the first key of format_rig()
 WRITTEN = {
     ".script": (b"def truearm_",),
     ".mod": (b"MODULE truearm_",),
     "": (b"pose,", b"seat_sigma_m = "),
 }
+NO_SIGNALS = Signals()
 LEFT = 2e-3  # m of travel that the ways between poses need at least
 
 
-class Common(NamedTuple):
-    """The command line's options that all plans have."""
+@dataclass(frozen=True)
+class PlanFiles:
+    """What a plan is made from, and what is written.
 
-    robot: str
-    base: str | None  # of a URDF
-    tip: str | None
+    ``result``: an earlier result.json, whose model takes the place of the design. ``measured``: sessions and tables that count
+    as measured already. ``branch``: the text of ``--branch``, None for the robot file's. ``programs`` are written for the controller
+    that their suffixes name, with these ``signals`` between robot and box.
+    """
+
+    robot: RobotChoice
     rig: Path
-    minutes: float | None
-    criterion: str
-    region: str | None
-    candidates: int
-    result: Path | None
-    measured: tuple[Path, ...]
-    branch: str | None
-    dwell_s: float
-    seed: int
-    out: Path | None
-    programs: tuple[Path, ...]
-    output_line: int
-    input_line: int | None
+    result: Path | None = None
+    measured: tuple[Path, ...] = ()
+    branch: str | None = None
+    out: Path | None = None
+    rig_out: Path | None = None
+    programs: tuple[Path, ...] = ()
+    signals: Signals = NO_SIGNALS
+
+    @property
+    def outputs(self) -> list[Path]:
+        """Every file to write."""
+        return [path for path in (self.out, self.rig_out, *self.programs) if path is not None]
 
 
-class BallBars(NamedTuple):
-    """Those of ``plan ballbar``."""
+class Budget(NamedTuple):
+    """How much to measure: ``n`` poses or lines, or an operator's ``minutes``."""
 
-    poses: int | None
-    bars: tuple[str, ...]
-    reserve_mm: float | None
-    spread_mm: float
+    n: int | None = None
+    minutes: float | None = None
 
 
-class LineDevice(NamedTuple):
-    """Those of ``plan line``."""
+@dataclass(frozen=True)
+class BallBarOptions:
+    """How ball-bar poses are chosen.
 
-    lines: int | None
-    length_mm: float
-    transverse_mm: float
-    speed_mm_s: float
-    passes: int
-    points: int
-    target: str | None
-    rig_out: Path | None
+    ``criterion`` is one of ``plan.choose.CRITERIA``, "I" for the error in the ``region`` (default: around the poses). ``bars``:
+    only these. ``reserve`` [m] of the bar's travel is kept for what the model does not know (default 22 mm on the design, 3 mm
+    on a result); ``spread`` [m] varies the bar's length about mid-travel. ``dwell`` [s]: rest at a pose.
+    """
 
-
-class Approaches(NamedTuple):
-    """Those of ``plan characterize``."""
-
-    bar: str | None
-    chuck: str | None
-    sphere: str | None
-    poses: int
-    rounds: int
-    long_s: float
-    reserve_mm: float | None
+    criterion: str = "I"
+    region: Region | None = None
+    candidates: int = 5000
+    bars: tuple[str, ...] = ()
+    reserve: float | None = None
+    spread: float = 0.0
+    dwell: float = 2.0
+    seed: int = 0
 
 
-def plan_ballbar_files(common: Common, given: BallBars, quiet: bool) -> dict[str, Any]:
+@dataclass(frozen=True)
+class LineOptions:
+    """How lines are chosen, and what drives along them: ``target`` is the rig's target that is measured."""
+
+    shape: Shape
+    passes: int = 1
+    target: str | None = None
+    criterion: str = "I"
+    region: Region | None = None
+    candidates: int = 120
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class ApproachOptions:
+    """The poses of ``plan characterize``: on one pairing (the rig's first by default), each reached ``rounds`` times from eight sides.
+
+    ``long_dwell`` and ``dwell`` [s]: a long rest at each pose, and all others. ``reserve`` [m] as of ``BallBarOptions``.
+    """
+
+    bar: str | None = None
+    chuck: str | None = None
+    sphere: str | None = None
+    poses: int = 4
+    rounds: int = 4
+    long_dwell: float = 20.0
+    dwell: float = 2.0
+    reserve: float | None = None
+    seed: int = 0
+
+
+def plan_ball_bar_files(files: PlanFiles, budget: Budget, options: BallBarOptions, say: Say = silent) -> dict[str, Any]:
     """Plan, write what was asked for, and tell what will be known. Raises InputError in one line."""
-    _check(common)
-    _check_finite(reserve_mm=given.reserve_mm, spread_mm=given.spread_mm, dwell_s=common.dwell_s)
-    if (given.poses is None) == (common.minutes is None):
+    _check(files)
+    if (budget.n is None) == (budget.minutes is None):
         raise InputError("give a budget: --poses N or --minutes M")
-    known = _known(common)
-    limits = _limits(common, given.reserve_mm)
-    _check_travel(known, limits.reserve, given.spread_mm)
-    planned = plan_ballbar(
-        _site(common, known, limits),
-        known,
-        all_pairings(known.rig, given.bars),
-        Wanted(
-            given.poses, common.minutes, common.criterion, 1, common.candidates, MM.to_si(given.spread_mm), common.seed
-        ),
-        Pace(dwell=common.dwell_s),
-        _region(common),
-        (lambda _: None) if quiet else _say,
-    )
+    planned = planned_ball_bar(_known(files), budget, _with_reserve(options, files.result), say)
     route = planned.route
-    if common.out is not None:
-        write_plan(common.out, route.visits)
-    _write_programs(common, route.stops)
+    if files.out is not None:
+        write_plan(files.out, route.visits)
+    _write_programs(files, route.stops, options.dwell)
     return {
         **_document(planned.forecast),
         "poses": len(route.plan),
         "via_points": int(np.sum(route.pose < 0)),
         "mounts": route.n_mounts,
         "minutes": route.minutes,
-        "written": _written(common),
+        "written": _written(files),
     }
 
 
-def plan_line_files(common: Common, given: LineDevice) -> dict[str, Any]:
+def planned_ball_bar(known: Known, budget: Budget, options: BallBarOptions, say: Say = silent) -> BallBarPlan:
+    """The best poses for a budget, in order, and what they will tell.
+
+    Raises InputError for a bar whose travel does not leave the reserve, and PlanError as ``plan_ballbar`` does.
+    """
+    limits = _limits(options.reserve)
+    _check_travel(known, limits.reserve, options.spread)
+    wanted = Wanted(budget.n, budget.minutes, options.criterion, 1, options.candidates, options.spread, options.seed)
+    site = make_site(known, limits, Sizes(), options.seed)
+    pairings, pace = all_pairings(known.rig, options.bars), Pace(dwell=options.dwell)
+    return plan_ballbar(site, known, pairings, wanted, pace, options.region, say)
+
+
+def plan_line_files(files: PlanFiles, budget: Budget, options: LineOptions) -> dict[str, Any]:
     """Plan, write what was asked for, and tell what will be known. Raises InputError in one line."""
-    _check(common, given.rig_out)
-    _check_finite(length_mm=given.length_mm, transverse_mm=given.transverse_mm, speed_mm_s=given.speed_mm_s)
-    if (given.lines is None) == (common.minutes is None):
+    _check(files)
+    if (budget.n is None) == (budget.minutes is None):
         raise InputError("give a budget: --lines N or --minutes M")
-    known = _known(common)
-    target = _target(known, given.target)
-    shape = Shape(MM.to_si(given.length_mm), MM.to_si(given.transverse_mm), MM_S.to_si(given.speed_mm_s), given.points)
-    wanted = LinesWanted(
-        given.lines, common.minutes, shape, given.passes, common.candidates, common.criterion, common.seed
-    )
-    planned = plan_lines(_site(common, known, Limits()), known, wanted, Pace(), _region(common), target)
-    if common.out is not None:
-        write_plan(common.out, planned.visits)
-    if given.rig_out is not None:
-        write_rig(given.rig_out, planned.rig)
+    known = _known(files)
+    target = _target(known, options.target)
+    wanted = LinesWanted(*budget, options.shape, options.passes, options.candidates, options.criterion, options.seed)
+    site = make_site(known, Limits(), Sizes(), options.seed)
+    planned = plan_lines(site, known, wanted, Pace(), options.region, target)
+    if files.out is not None:
+        write_plan(files.out, planned.visits)
+    if files.rig_out is not None:
+        write_rig(files.rig_out, planned.rig)
     tool = known.rig.targets[target].xyz if target else (0.0, 0.0, 0.0)
-    _write_programs(common, planned.stops, tool)
+    _write_programs(files, planned.stops, 0.0, tool)
     return {
         **_document(planned.forecast),
         "lines": _places(planned, known, np.array(tool)),
         "minutes": planned.minutes,
-        "written": _written(common, given.rig_out),
+        "written": _written(files),
     }
 
 
-def plan_approaches_files(common: Common, given: Approaches, quiet: bool) -> dict[str, Any]:
+def plan_approaches_files(files: PlanFiles, options: ApproachOptions, say: Say = silent) -> dict[str, Any]:
     """Plan, write what was asked for, and tell what is planned. Raises InputError in one line."""
-    _check(common)
-    _check_finite(long_s=given.long_s, reserve_mm=given.reserve_mm, dwell_s=common.dwell_s)
-    known = _known(common)
-    limits = _limits(common, given.reserve_mm)
+    _check(files)
+    known = _known(files)
+    limits = _limits(_reserve(options.reserve, files.result))
     pairing = Pairing(
-        _named("bar", given.bar, known.rig.bars),
-        _named("chuck", given.chuck, known.rig.chucks),
-        _named("sphere", given.sphere, known.rig.spheres),
+        _named("bar", options.bar, known.rig.bars),
+        _named("chuck", options.chuck, known.rig.chucks),
+        _named("sphere", options.sphere, known.rig.spheres),
     )
-    wanted = ApproachesWanted(given.poses, given.rounds, given.long_s, common.candidates, common.seed)
-    say = (lambda _: None) if quiet else _say
-    route = plan_approaches(_site(common, known, limits), pairing, wanted, Pace(dwell=common.dwell_s), say)
-    if common.out is not None:
-        write_plan(common.out, route.visits)
-    _write_programs(common, route.stops)
+    wanted = ApproachesWanted(options.poses, options.rounds, options.long_dwell, APPROACH_CANDIDATES, options.seed)
+    site = make_site(known, limits, Sizes(), options.seed)
+    route = plan_approaches(site, pairing, wanted, Pace(dwell=options.dwell), say)
+    if files.out is not None:
+        write_plan(files.out, route.visits)
+    _write_programs(files, route.stops, options.dwell)
     return {
         "bar": pairing.bar,
         "chuck": pairing.chuck,
         "sphere": pairing.sphere,
-        "poses": given.poses,
+        "poses": options.poses,
         "via_points": int(np.sum(route.pose < 0)),
         "mounts": route.n_mounts,
         "minutes": route.minutes,
-        "written": _written(common),
+        "written": _written(files),
     }
+
+
+def known_of(robot: Robot, rig: Rig, result: Calibration | None = None) -> Known:
+    """What is known before a plan: the design, or a result's robot and its estimates of the rig."""
+    params, values = robot.chain.params_nominal, {}
+    if result is not None:
+        estimates = zip(result.stored.parameter_names, result.stored.value.tolist(), strict=True)
+        params, values = result.identified, {name: value for name, value in estimates if np.isfinite(value)}
+    prior = PRIORS["weak"](robot.chain) if robot.is_urdf else None  # as identify does
+    known = Known.design(robot, with_rig_values(rig, values))
+    return replace(known, params=params, rig_values=values, free=default_free(robot), prior_sigma=prior)
 
 
 def _named(what: str, given: str | None, have: Iterable[str]) -> str:
@@ -202,9 +235,16 @@ def _named(what: str, given: str | None, have: Iterable[str]) -> str:
     return names[0] if given is None else given
 
 
-def _limits(common: Common, reserve_mm: float | None) -> Limits:
-    default = DESIGN_RESERVE_MM if common.result is None else RESULT_RESERVE_MM
-    return Limits(reserve=MM.to_si(default if reserve_mm is None else reserve_mm))
+def _limits(reserve: float | None) -> Limits:
+    return Limits(reserve=DESIGN_RESERVE if reserve is None else reserve)
+
+
+def _reserve(reserve: float | None, result: Path | None) -> float | None:
+    return RESULT_RESERVE if reserve is None and result is not None else reserve
+
+
+def _with_reserve(options: BallBarOptions, result: Path | None) -> BallBarOptions:
+    return replace(options, reserve=_reserve(options.reserve, result))
 
 
 def _places(planned: LinePlan, known: Known, point: Floats) -> list[dict[str, Any]]:
@@ -234,35 +274,22 @@ def _target(known: Known, name: str | None) -> str:
     return name
 
 
-def _say(text: str) -> None:
-    typer.echo(f"planning: {text}", err=True)
+def _written(files: PlanFiles) -> list[str]:
+    return [str(path) for path in files.outputs]
 
 
-def _region(common: Common) -> Region | None:
-    return None if common.region is None else parse_region(common.region)
-
-
-def _site(common: Common, known: Known, limits: Limits) -> Site:
-    return make_site(known, limits, Sizes(), common.seed)
-
-
-def _written(common: Common, *more: Path | None) -> list[str]:
-    return [str(path) for path in (common.out, *more, *common.programs) if path is not None]
-
-
-def _check(common: Common, *more: Path | None) -> None:
-    """Outputs over inputs or over each other, suffixes that are none, numbers that are none."""
-    outputs = [path for path in (common.out, *more, *common.programs) if path is not None]
+def _check(files: PlanFiles) -> None:
+    """No output over an input or another output, no suffix that is none. Raises InputError."""
+    outputs = files.outputs
     marks = {path: WRITTEN.get(path.suffix.lower(), WRITTEN[""]) for path in outputs}
     if Path("-") in outputs:
         raise InputError("-: is no file name; --json prints the forecast to standard output")
-    for path in common.programs:
+    for path in files.programs:
         check_suffix(path.suffix.lower())
-    read = [robot_file(common.robot), common.rig, common.result, *common.measured]
+    read = [*files.robot.files, files.rig, files.result, *files.measured]
     inputs = [path for path in read if path is not None and path.exists()]
     for i, path in enumerate(outputs):
         check_writable(path, inputs=[*inputs, *outputs[:i]], ours=partial(_begins, marks[path]))
-    _check_finite(minutes=common.minutes)
 
 
 def _begins(marks: tuple[bytes, ...], head: bytes) -> bool:
@@ -270,59 +297,34 @@ def _begins(marks: tuple[bytes, ...], head: bytes) -> bool:
     return not head.strip() or head.startswith(marks)
 
 
-def _check_finite(**given: float | None) -> None:
-    """typer's bounds let nan and inf pass."""
-    for name, value in given.items():
-        if value is not None and not math.isfinite(value):
-            raise InputError(f"--{name.replace('_', '-')} must be a finite number, is {value}")
-
-
-def _known(common: Common) -> Known:
+def _known(files: PlanFiles) -> Known:
     """Robot, rig, model and what was measured, from files."""
-    loaded, params, values = _model(common)
-    around = with_rig_values(read_rig(common.rig), values)
-    table = None
-    if common.measured:
-        sources = Sources(tuple(with_parts(list(common.measured))), {"": common.rig})
-        same, table = observed(sources, loaded.chain.joint_units)
-        if not isinstance(same, Rig):
-            raise InputError("--measured: rows of several rigs cannot be planned on; give those of one rig")
-    known = replace(
-        Known.design(loaded, around),
-        params=params,
-        measured=table,
-        rig_values=values,
-        branch=branch_of(loaded, common.branch),
-    )
-    prior = PRIORS["weak"](known.chain) if loaded.is_urdf else None  # as identify does
-    return replace(known, free=default_free(loaded), prior_sigma=prior)
+    result = None if files.result is None else read_calibration(files.result, files.robot)
+    robot = load_robot(files.robot.robot or "", files.robot.base, files.robot.tip) if result is None else result.robot
+    known = replace(known_of(robot, read_rig(files.rig), result), branch=branch_of(robot, files.branch))
+    if not files.measured:
+        return known
+    same, table = observed(Sources(tuple(with_parts(list(files.measured))), {"": files.rig}), robot.chain.joint_units)
+    if not isinstance(same, Rig):
+        raise InputError("--measured: rows of several rigs cannot be planned on; give those of one rig")
+    return replace(known, measured=table)
 
 
-def _model(common: Common) -> tuple[Robot, Floats, dict[str, float]]:
-    """The robot, parameters (p,) to plan with, and what is known of the rig by name."""
-    if common.result is None:
-        robot = load_robot(common.robot, common.base, common.tip)
-        return robot, robot.chain.params_nominal, {}
-    found = read_calibration(common.result, RobotChoice(common.robot, common.base, common.tip))
-    values = dict(zip(found.stored.parameter_names, found.stored.value.tolist(), strict=True))
-    known = {name: value for name, value in values.items() if np.isfinite(value)}
-    return found.robot, found.identified, known
-
-
-def _check_travel(known: Known, reserve: float, spread_mm: float) -> None:
+def _check_travel(known: Known, reserve: float, spread: float) -> None:
     for bar in known.rig.bars.values():
-        left = 0.5 * abs(bar.gain) * bar.travel - reserve - MM.to_si(spread_mm)
+        left = 0.5 * abs(bar.gain) * bar.travel - reserve - spread
         if left < LEFT:
             raise InputError(
                 f"bar {bar.name}: of {MM.text(0.5 * bar.travel)} travel either way {MM.text(reserve)} are reserve and "
-                f"{spread_mm:g} mm spread; {MM.text(LEFT)} must be left to the way, so lower --reserve-mm or --spread-mm"
+                f"{MM.text(spread)} spread; {MM.text(LEFT)} must be left to the way, so lower --reserve-mm or --spread-mm"
             )
 
 
-def _write_programs(common: Common, stops: list[Stop], tool: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
-    for path in common.programs:
-        task = Task(path.stem, common.dwell_s, Signals(common.output_line, common.input_line), tool)
-        write_atomic(path, program(stops, path.suffix.lower(), task))
+def _write_programs(
+    files: PlanFiles, stops: list[Stop], dwell: float, tool: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> None:
+    for path in files.programs:
+        write_atomic(path, program(stops, path.suffix.lower(), Task(path.stem, dwell, files.signals, tool)))
 
 
 def _document(told: Forecast) -> dict[str, Any]:
