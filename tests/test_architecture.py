@@ -44,7 +44,7 @@ ROOMS = {
 }
 WIRE_ALLOWED = {"record", "session", "box", "live"}
 SIMULATOR_ALLOWED = {"cli", "workflows"}  # simulate, demo and reproduce alone
-PURE = ("model", "kinds", "estimate", "correct", "plan")  # compute; touch neither files nor the network
+PURE = ("model", "kinds", "estimate", "correct", "plan", "export")  # compute; touch neither files nor the network
 IO_MODULES = {"socket", "serial", "urllib", "http", "subprocess", "shutil", "tempfile", "os", "mcap", "pathlib", "io"}
 DEVICE_MODULES = {"machine", "rp2"}
 # what the firmware may use of MicroPython's library

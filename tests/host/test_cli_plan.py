@@ -9,7 +9,7 @@ from tests.host import plan_bench as bench
 
 from truearm.cli.main import main
 from truearm.estimate.identify import identify
-from truearm.export.link_frames import own
+from truearm.export.link_frames import link_frames
 from truearm.export.urdf import new_urdf
 from truearm.files.observation_table import write_table
 from truearm.files.plan_file import check_against_rig, read_plan
@@ -62,7 +62,7 @@ def test_plan_measure_identify_plan_again(folder, capsys):
 def test_a_urdf_with_several_ends(folder, capsys):
     """As makers' files have them: the end is chosen, or is that of the result. What is foretold, identify then says."""
     chain = bench.known("irb120").chain
-    text = new_urdf(own(chain, chain.params_nominal, chain.params_nominal))
+    text = new_urdf(link_frames(chain, chain.params_nominal, chain.params_nominal))
     camera = '<link name="camera"/><joint name="c" type="fixed"><parent link="tool0"/><child link="camera"/></joint>'
     plate = camera.replace("camera", "plate").replace('"c"', '"p"')
     urdf, rig = folder / "arm.urdf", str(folder / "rig.toml")

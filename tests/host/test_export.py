@@ -12,13 +12,17 @@ import yourdfpy
 from puma_bench import CHAIN, DESIGN, TRUTH
 
 from truearm.errors import RobotError
-from truearm.export.link_frames import own
+from truearm.export.formats import FORMATS, writer
+from truearm.export.link_frames import link_frames
 from truearm.export.refit import refit
 from truearm.export.toml_tables import dh_table, modified_dh_table, sheth_uicker_table
 from truearm.export.ur import KEYS, SEGMENTS, ur_segments, ur_yaml
 from truearm.export.urdf import edited, joint_origins, new_urdf
+from truearm.export.writing import RobotToWrite, fit_to, written
+from truearm.model import joint_law
 from truearm.model.builtin import builtin_names
-from truearm.model.chain import forward
+from truearm.model.chain import Parameter, forward
+from truearm.model.joint_terms.term import Term
 from truearm.model.poses import inverted
 from truearm.model.robot import builtin_robot, parse_robot
 from truearm.model.transforms import elementary
@@ -31,7 +35,7 @@ ROUNDING = 1e-13  # of an arm of a metre and some twenty products
 def disturbed(chain, sigma=0.003, gains=0.0, seed=0):
     """Nominal and calibrated parameters: errors of millimetres and milliradians, mountings too."""
     rng = np.random.default_rng(seed)
-    scale = np.where([p.unit == "1" for p in chain.parameters], gains, sigma)
+    scale = np.where([p.term == "gain" for p in chain.parameters], gains, sigma)
     return chain.params_nominal, chain.params_nominal + scale * rng.normal(size=scale.size)
 
 
@@ -56,7 +60,7 @@ PARALLEL = ("irb120", "puma560", "ulb", "ur5e", "ur10e")  # nominally parallel a
 def test_tables_are_robot_files_that_predict_the_same(name, form):
     chain = builtin_robot(name).chain
     nominal, calibrated = disturbed(chain, gains=1e-3)
-    robot, described = own(chain, nominal, calibrated), own(chain, nominal, nominal)
+    robot, described = link_frames(chain, nominal, calibrated), link_frames(chain, nominal, nominal)
     if form in ("dh", "mdh") and name in PARALLEL:
         with pytest.raises(RobotError, match=r"joints 2 and 3 are 0\.\d+° from parallel: d would be -?\d+\.\d+ m"):
             tables(robot, described)[form]()
@@ -84,7 +88,7 @@ def test_rows_are_the_makers():
 
 def rows_of(name):
     chain = builtin_robot(name).chain
-    described = own(chain, chain.params_nominal, chain.params_nominal)
+    described = link_frames(chain, chain.params_nominal, chain.params_nominal)
     again = parse_robot(dh_table(described, described)).chain
     found = dict(zip(again.parameter_names, again.params_nominal.tolist(), strict=True))
     short = {"a_m": "a", "d_m": "d", "alpha_rad": "alpha", "offset_rad": "offset"}
@@ -105,7 +109,7 @@ def library_forward(text, chain, q, base, tip):
 def test_new_urdfs_agree_with_an_independent_library(name):
     chain = builtin_robot(name).chain
     nominal, calibrated = disturbed(chain)
-    text = new_urdf(own(chain, nominal, calibrated), "-- a comment --")
+    text = new_urdf(link_frames(chain, nominal, calibrated), "-- a comment --")
     q = some_poses(chain, 10)
     expected = forward(chain, calibrated, q)
     again = chain_from_urdf(text)
@@ -201,20 +205,24 @@ def test_origins_of_any_writing(origins, ends):
 
 
 def test_gains_are_refused_where_there_is_no_place_for_them():
-    robot = own(CHAIN, DESIGN, TRUTH)
+    robot = link_frames(CHAIN, DESIGN, TRUTH)
     with pytest.raises(RobotError, match=r"joint1 has gain 0\.999217, but a URDF has no gains"):
         new_urdf(robot)
 
 
 def test_refitting_makes_up_for_most_of_the_gains():
     """PAPERS: dropping identified gains leaves 0.44 mm RMS, refitting the rest 0.34; over what region decides the figure."""
-    gains = np.array([p.unit == "1" for p in CHAIN.parameters])
-    start = np.where(gains, 1.0, TRUTH)
+    gains = np.array([p.term == "gain" for p in CHAIN.parameters])
     q = np.random.default_rng(0).uniform([-1, -1.5, 1.5, -1.5, 0.3, -1.5], [1, 0.2, 3.3, 1.5, 1.5, 1.5], (300, 6))
-    found = refit(CHAIN, TRUTH, start, ~gains, q)
+    found = fit_to("urdf", CHAIN, DESIGN, TRUTH, np.ones(gains.size, dtype=bool), q)
+    assert found.refitted
+    assert not found.exact
+    assert found.missing == tuple(f"joint{i}.gain" for i in range(1, 7))
     rms = [np.sqrt(np.mean(error**2)) for error in (found.dropped, found.left)]
     assert rms[1] < 0.6 * rms[0]
     np.testing.assert_array_equal(found.params[gains], 1.0)
+    apart = (forward(CHAIN, found.params, q) - forward(CHAIN, TRUTH, q))[:, :3, 3]
+    np.testing.assert_allclose(found.left, np.linalg.norm(apart, axis=1), atol=ROUNDING)
     # no step in any parameter makes it better: the gradient over the marks is zero to first order
     rng = np.random.default_rng(1)
     for _ in range(5):
@@ -228,11 +236,98 @@ def cost(params, q):
 
 
 def test_nothing_lost_is_nothing_refitted():
-    gains = np.array([p.unit == "1" for p in CHAIN.parameters])
+    gains = np.array([p.term == "gain" for p in CHAIN.parameters])
     target = np.where(gains, 1.0, TRUTH)
-    found = refit(CHAIN, target, target, ~gains, some_poses(CHAIN))
+    q = some_poses(CHAIN)
+    np.testing.assert_array_equal(refit(CHAIN, target, target, ~gains, q), target)
+    found = fit_to("urdf", CHAIN, DESIGN, target, np.ones(gains.size, dtype=bool), q)
+    assert (found.refitted, found.exact, found.missing) == (False, True, ())
     np.testing.assert_array_equal(found.params, target)
-    assert found.left.max() == 0.0
+    assert found.left.max() < ROUNDING
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_every_format_says_what_it_holds(name):
+    """Its writer is there, its terms are terms, and what it holds of a robot it holds exactly."""
+    assert callable(writer(name))
+    form = FORMATS[name]
+    assert set(form.holds) <= {term.name for term in joint_law.TERMS}
+    chain = builtin_robot("ur5e").chain
+    nominal, calibrated = disturbed(chain, gains=1e-3)
+    found = fit_to(name, chain, nominal, calibrated, np.ones(nominal.size, dtype=bool), some_poses(chain))
+    assert found.exact == ("gain" in form.holds)
+    assert bool(found.missing) == ("gain" not in form.holds)
+
+
+class Wave(Term):
+    """a·sin(q) of a joint."""
+
+    name = "wave"
+    unit = "rad"
+
+    def value(self, params, q):
+        out = np.zeros(q.shape, np.result_type(params, q))
+        out[self.joints] = params[self.parameters][:, None] * np.sin(q[self.joints])
+        return out
+
+    def by_joints(self, params, q):
+        out = np.zeros(q.shape, np.result_type(params, q))
+        out[self.joints] = params[self.parameters][:, None] * np.cos(q[self.joints])
+        return out
+
+    def by_parameters(self, params, q):
+        return np.sin(q[self.joints])
+
+
+@pytest.fixture
+def waving(monkeypatch):
+    """A robot whose joint 2 obeys a term that no format knows: the chain, nominal and identified parameters."""
+    monkeypatch.setattr(joint_law, "TERMS", (*joint_law.TERMS, Wave))
+    plain = builtin_robot("ur5e").chain
+    chain = replace(plain, name="wavy", parameters=(*plain.parameters, Parameter("joint2.wave", "rad", 0.0, "wave", 1)))
+    nominal, calibrated = disturbed(chain)
+    calibrated[-1] = 2e-3
+    return chain, nominal, calibrated
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_term_that_no_format_has_is_costed_by_each(name, waving):
+    chain, nominal, calibrated = waving
+    q = some_poses(chain, 200)
+    found = fit_to(name, chain, nominal, calibrated, np.ones(nominal.size, dtype=bool), q)
+    assert (found.refitted, found.exact) == (True, False)
+    assert "joint2.wave" in found.missing
+    assert found.params[-1] == 0.0
+    assert 1e-5 < np.sqrt(np.mean(found.left**2)) < np.sqrt(np.mean(found.dropped**2))
+    text = written("sheth-uicker" if name in ("dh", "mdh", "ur") else name, RobotToWrite(chain, nominal, found.params))
+    again = parse_robot(text).chain if text.startswith("name") else chain_from_urdf(text)
+    apart = (forward(again, again.params_nominal, q) - forward(chain, calibrated, q))[:, :3, 3]
+    np.testing.assert_allclose(np.linalg.norm(apart, axis=1), found.left, atol=1e-12)  # the cost is that of the file
+
+
+def test_a_format_that_declares_what_it_cannot_write_is_found_out(waving, monkeypatch):
+    chain, nominal, calibrated = waving
+    lying = FORMATS["sheth-uicker"]._replace(holds=("offset", "gain", "wave"))
+    monkeypatch.setitem(FORMATS, "sheth-uicker", lying)
+    found = fit_to("sheth-uicker", chain, nominal, calibrated, np.ones(nominal.size, dtype=bool), some_poses(chain))
+    assert (found.refitted, found.missing, found.exact) == (False, (), False)
+    assert found.left.max() > 1e-4
+
+
+def test_where_nothing_sensible_can_be_written_nothing_is():
+    """Two joints that turn against their readings: without their gains of −1 no links help."""
+    chain = builtin_robot("irb120").chain
+    nominal = chain.params_nominal.copy()
+    against = [i for i, p in enumerate(chain.parameters) if p.name in ("joint1.gain", "joint5.gain")]
+    nominal[against] = -1.0
+    _, calibrated = disturbed(chain)
+    calibrated[against] = -1.0
+    every = np.ones(nominal.size, dtype=bool)
+    with pytest.raises(
+        RobotError, match=r"urdf has no place for joint1\.gain, joint5\.gain.*use dh or .* or sheth-uicker"
+    ):
+        fit_to("urdf", chain, nominal, calibrated, every, some_poses(chain))
+    assert fit_to("sheth-uicker", chain, nominal, calibrated, every, some_poses(chain)).exact
 
 
 PUBLISHED = {  # Universal_Robots_ROS2_Description, config/ur5e/default_kinematics.yaml
@@ -264,7 +359,7 @@ def six_pose(x, y, z, roll, pitch, yaw):
 
 def test_kinematics_of_design_values_are_the_published_ones():
     chain = builtin_robot("ur5e").chain
-    described = own(chain, chain.params_nominal, chain.params_nominal)
+    described = link_frames(chain, chain.params_nominal, chain.params_nominal)
     found = read_kinematics(ur_yaml(described, described, "note"))
     for name, six in PUBLISHED.items():
         np.testing.assert_allclose(found[name], six_pose(*six), atol=1e-12)
@@ -273,7 +368,7 @@ def test_kinematics_of_design_values_are_the_published_ones():
 def test_a_kinematics_file_predicts_the_robot_without_its_mountings():
     chain = builtin_robot("ur5e").chain
     nominal, calibrated = disturbed(chain)
-    robot, described = own(chain, nominal, calibrated), own(chain, nominal, nominal)
+    robot, described = link_frames(chain, nominal, calibrated), link_frames(chain, nominal, nominal)
     found = read_kinematics(ur_yaml(robot, described))
     _, rest = ur_segments(robot)
     for q in some_poses(chain, 10):
@@ -286,11 +381,11 @@ def test_a_kinematics_file_predicts_the_robot_without_its_mountings():
 
 def test_kinematics_files_are_of_universal_robots_alone():
     chain = builtin_robot("irb120").chain
-    described = own(chain, chain.params_nominal, chain.params_nominal)
+    described = link_frames(chain, chain.params_nominal, chain.params_nominal)
     with pytest.raises(RobotError, match="irb120: its axes do not lie as those of Universal Robots"):
         ur_yaml(described, described)
     panda = builtin_robot("panda").chain
-    described = own(panda, panda.params_nominal, panda.params_nominal)
+    described = link_frames(panda, panda.params_nominal, panda.params_nominal)
     with pytest.raises(RobotError, match="of six turning joints"):
         ur_yaml(described, described)
 
@@ -301,7 +396,7 @@ def test_names_that_would_be_taken_twice():
     names = ("flange", "base_mounting", "tool_mounting", "a", "b", "c")
     joints = tuple(replace(joint, name=name) for joint, name in zip(chain.joints, names, strict=True))
     odd = replace(chain, joints=joints, base_frame="link1", end_frame="link1", name='<&"\u00e9\U0001f600')
-    robot = own(odd, odd.params_nominal, odd.params_nominal)
+    robot = link_frames(odd, odd.params_nominal, odd.params_nominal)
     again = chain_from_urdf(new_urdf(robot))
     q = some_poses(chain)
     np.testing.assert_allclose(

@@ -2,35 +2,27 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from truearm.cli.options import IdentifiedBaseOption, IdentifiedRobotOption, IdentifiedTipOption, ResultArgument
-
-
-class Format(StrEnum):
-    """What can be written."""
-
-    urdf = "urdf"
-    ur = "ur"
-    dh = "dh"
-    dh_hayati = "dh-hayati"
-    mdh = "mdh"
-    sheth_uicker = "sheth-uicker"
+from truearm.cli.options import (
+    IdentifiedBaseOption,
+    IdentifiedRobotOption,
+    IdentifiedTipOption,
+    ResultArgument,
+    choices,
+    one_of,
+)
+from truearm.export.formats import FORMATS, formats_help
 
 
 def export(
     result: ResultArgument,
     form: Annotated[
-        Format,
-        typer.Option(
-            "--format",
-            help="urdf: the robot's own URDF with other origins, or a new one. ur: Universal Robots' kinematics (YAML). "
-            "dh, dh-hayati, mdh (Craig), sheth-uicker: tables, as robot files (TOML).",
-        ),
+        str,
+        typer.Option("--format", metavar=choices(FORMATS), callback=one_of(FORMATS), help=formats_help()),
     ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="Write it here.")],
     robot: IdentifiedRobotOption = None,
@@ -57,7 +49,7 @@ def export(
 ) -> None:
     """Write a calibrated robot for other programs.
 
-    What a format cannot hold, or the user cannot adjust, is made up for by the rest, and the error that remains is said.
+    What a format cannot hold, or you do not adjust, the other parameters are refitted for; the remaining error is printed.
 
     \b
     Example:
@@ -67,6 +59,6 @@ def export(
     from truearm.files.robot_file import RobotChoice
     from truearm.workflows.export import ExportOptions, export_file
 
-    options = ExportOptions(form.value, own_frames, tuple(adjust or ()))
+    options = ExportOptions(form, own_frames, tuple(adjust or ()))
     for line in lines(export_file(result, RobotChoice(robot, base, tip), out, options, over), out, over):
         typer.echo(line)

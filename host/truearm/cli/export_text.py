@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from truearm.export.refit import Refit
+from truearm.export.writing import named
 from truearm.text import one_line
 from truearm.types import Floats
 from truearm.units import MM
@@ -15,17 +15,23 @@ from truearm.workflows.export import Exported
 
 def lines(found: Exported, out: Path, over: Path | None) -> list[str]:
     """The mountings, the error that the refit leaves, and the file; ``over``: what it was refitted over."""
-    return [*found.mountings, *_refit_lines(found.refit, over), f"Written: {one_line(str(out))}"]
+    return [*found.mountings, *_cost_lines(found, over), f"Written: {one_line(str(out))}"]
 
 
-def _refit_lines(fitted: Refit, over: Path | None) -> list[str]:
-    if not fitted.left.size:
+def _cost_lines(found: Exported, over: Path | None) -> list[str]:
+    """What the file does not hold, and how far it errs by that."""
+    fitted = found.fitted
+    lines = [f"--format {found.form} has no place for {named(fitted.missing)}."] if fitted.missing else []
+    if fitted.refitted:
+        return [
+            *lines,
+            f"Refitted over {fitted.left.size} poses: what the file cannot hold or you do not adjust costs {_of(fitted.dropped)}",
+            f"where it is simply left out, and {_of(fitted.left)} after the rest has made up for it.",
+            *["Give --over FILE, a plan or a table, to have it best where you work."] * (over is None),
+        ]
+    if fitted.exact:
         return ["Nothing was refitted: the file holds all that was identified."]
-    return [
-        f"Refitted over {fitted.left.size} poses: what the file cannot hold or you do not adjust costs {_of(fitted.dropped)}",
-        f"where it is simply left out, and {_of(fitted.left)} after the rest has made up for it.",
-        *["Give --over FILE, a plan or a table, to have it best where you work."] * (over is None),
-    ]
+    return [*lines, f"What the file cannot hold costs {_of(fitted.left)}."]
 
 
 def _of(error: Floats) -> str:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.errors import RobotError
-from truearm.export.link_frames import Own
+from truearm.export.link_frames import LinkFrames
 from truearm.model.poses import inverted
 from truearm.types import Floats
 
@@ -36,7 +36,7 @@ class Rows(NamedTuple):
     tool: Floats  # (4, 4) from frame n to the robot's flange
 
 
-def dh_rows(robot: Own, nominal: Own, hayati: bool = False) -> Rows:
+def dh_rows(robot: LinkFrames, nominal: LinkFrames, hayati: bool = False) -> Rows:
     """The rows of a robot. ``hayati``: with β where axes are nearly parallel; else these are refused (RobotError)."""
     ways = _ways(nominal)
     axes = _axes(robot)
@@ -53,7 +53,7 @@ def dh_rows(robot: Own, nominal: Own, hayati: bool = False) -> Rows:
     return Rows(theta, d, a, alpha, beta, base, inverted(last) @ end)
 
 
-def _ways(nominal: Own) -> list[Floats]:
+def _ways(nominal: LinkFrames) -> list[Floats]:
     """The nominal x axes of frames 1 to n − 1, pointing so that θ is smallest."""
     axes = _axes(nominal)
     frame, ways = _frame_on(axes[0], np.eye(4)), []
@@ -67,7 +67,7 @@ def _ways(nominal: Own) -> list[Floats]:
     return ways
 
 
-def _axes(robot: Own) -> list[Floats]:
+def _axes(robot: LinkFrames) -> list[Floats]:
     """Frames (4, 4) whose z axes are the joints', in the robot's base frame, at joint variables 0."""
     here, out = np.eye(4), []
     for link in robot.links[:-1]:
@@ -76,7 +76,7 @@ def _axes(robot: Own) -> list[Floats]:
     return out
 
 
-def _end(robot: Own) -> Floats:
+def _end(robot: LinkFrames) -> Floats:
     here = np.eye(4)
     for link in robot.links:
         here = here @ link

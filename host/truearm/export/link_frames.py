@@ -2,7 +2,8 @@
 
     T(q) = B · S_0 · Z_1(θ_1) · S_1 · … · Z_j(θ_j) · S_j · E ,    θ = offset + gain·q
 
-B and E are the mountings (``model.mountings``), S_i rigid constants, Z_i a turn about z or a motion along it.
+B and E are the mountings (``model.mountings``), S_i rigid constants, Z_i a turn about z or a motion along it. Other terms of the
+joint law have no place here.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 
 from truearm.errors import RobotError
 from truearm.model.chain import Chain, Joint
+from truearm.model.frames import far_frames
 from truearm.model.mountings import mountings, own_links
 from truearm.model.transforms import elementary
 from truearm.types import Floats
@@ -21,7 +23,7 @@ from truearm.types import Floats
 _TO_AXIS = {"x": elementary("ry", 0.5 * np.pi), "y": elementary("rx", -0.5 * np.pi), "z": np.eye(4)}
 
 
-class Own(NamedTuple):
+class LinkFrames(NamedTuple):
     """A robot of j joints."""
 
     name: str
@@ -45,7 +47,7 @@ class Own(NamedTuple):
         return np.asarray(self.links[-1] @ self.tool)
 
 
-def own(chain: Chain, nominal: Floats, calibrated: Floats, with_mountings: bool = True) -> Own:
+def link_frames(chain: Chain, nominal: Floats, calibrated: Floats, with_mountings: bool = True) -> LinkFrames:
     """The robot with calibrated parameters (p,); its mountings are those that the nominal ones (p,) do not have.
 
     ``with_mountings`` False leaves them out: B and E are then identities.
@@ -56,7 +58,7 @@ def own(chain: Chain, nominal: Floats, calibrated: Floats, with_mountings: bool 
     after = [*axes, np.eye(4)]
     turned = np.stack([a.T @ link @ b for a, link, b in zip(before, links, after, strict=True)])
     found = mountings(chain, nominal, calibrated)
-    return Own(
+    return LinkFrames(
         name=chain.name,
         joints=chain.joints,
         links=turned,
@@ -69,12 +71,19 @@ def own(chain: Chain, nominal: Floats, calibrated: Floats, with_mountings: bool 
     )
 
 
+def predicted(robot: LinkFrames, q: Floats) -> Floats:
+    """T(q), (n, 4, 4), at joint readings q (n, j)."""
+    links = np.stack([robot.first, *robot.links[1:-1], robot.last])
+    motions = ["tz" if joint.kind == "prismatic" else "rz" for joint in robot.joints]
+    return far_frames(links, motions, robot.offsets + robot.gains * q)[-1]
+
+
 def joint_motion(joint: Joint, amount: float) -> Floats:
     """Z (4, 4)"""
     return elementary("tz" if joint.kind == "prismatic" else "rz", amount)
 
 
-def check_gains(robot: Own, what: str) -> None:
+def check_gains(robot: LinkFrames, what: str) -> None:
     """Raise RobotError for a gain that is not 1: ``what`` has no place for it."""
     for joint, gain in zip(robot.joints, robot.gains, strict=True):
         if gain != 1.0:

@@ -8,12 +8,10 @@ on the end, LEVER apart, so that turns of the end count as well; parameters coun
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.model.chain import Chain, forward, point_forward, point_jacobians
+from truearm.model.chain import Chain, point_forward, point_jacobians
 from truearm.types import Floats
 from truearm.units import UNITS
 
@@ -24,16 +22,8 @@ MAX_STEPS = 30
 STEP_END = 1e-9  # of the units above: a pm, 5 prad
 
 
-class Refit(NamedTuple):
-    """What was fitted and what it leaves."""
-
-    params: Floats  # (p,)
-    dropped: Floats  # (n,) m, position error if what does not fit were simply left out
-    left: Floats  # (n,) m, position error after the fit
-
-
-def refit(chain: Chain, identified: Floats, start: Floats, adjustable: NDArray[np.bool_], q: Floats) -> Refit:
-    """Fit the adjustable (p,) parameters, from ``start`` (p,), to the identified robot over poses q (n, j)."""
+def refit(chain: Chain, identified: Floats, start: Floats, adjustable: NDArray[np.bool_], q: Floats) -> Floats:
+    """Return parameters (p,): the adjustable ones (p,) fitted, from ``start`` (p,), to the identified robot over poses q (n, j)."""
     params = np.array(start, dtype=float)
     unit = np.array([UNITS[p.unit].weak_sigma for p in chain.parameters])[adjustable]
     wanted = _marks(chain, identified, q)
@@ -45,13 +35,8 @@ def refit(chain: Chain, identified: Floats, start: Floats, adjustable: NDArray[n
         params[adjustable] += unit * step
         if np.abs(step).max(initial=0.0) < STEP_END:
             break
-    return Refit(params, _distance(chain, start, identified, q), _distance(chain, params, identified, q))
+    return params
 
 
 def _marks(chain: Chain, params: Floats, q: Floats) -> Floats:
     return np.stack([point_forward(chain, params, q, mark) for mark in MARKS], axis=1)
-
-
-def _distance(chain: Chain, a: Floats, b: Floats, q: Floats) -> Floats:
-    apart = forward(chain, a, q)[:, :3, 3] - forward(chain, b, q)[:, :3, 3]
-    return np.asarray(np.linalg.norm(apart, axis=1))

@@ -14,7 +14,8 @@ import numpy as np
 
 from truearm.errors import RobotError
 from truearm.export.dh import dh_rows
-from truearm.export.link_frames import Own
+from truearm.export.link_frames import LinkFrames
+from truearm.export.writing import RobotToWrite
 from truearm.model.chain import Joint
 from truearm.model.poses import six_of
 from truearm.types import Floats
@@ -23,8 +24,28 @@ SIX = ("x_m", "y_m", "z_m", "alpha_rad", "beta_rad", "gamma_rad")
 NO_LIMIT = 20.0 * math.pi  # rad: ten turns either way, for a joint without limits
 
 
-def sheth_uicker_table(robot: Own, comment: str = "") -> str:
-    """Links of six constants, joints about or along z; holds everything."""
+def write_sheth_uicker(what: RobotToWrite) -> str:
+    """Return a robot file of links."""
+    return sheth_uicker_table(what.robot, what.comment)
+
+
+def write_dh(what: RobotToWrite) -> str:
+    """Return a robot file of distal rows. Raises RobotError for nearly parallel axes."""
+    return dh_table(what.robot, what.described, comment=what.comment)
+
+
+def write_dh_hayati(what: RobotToWrite) -> str:
+    """Return a robot file of distal rows, with β where it is needed."""
+    return dh_table(what.robot, what.described, hayati=True, comment=what.comment)
+
+
+def write_mdh(what: RobotToWrite) -> str:
+    """Return a robot file of Craig's rows. Raises RobotError for nearly parallel axes."""
+    return modified_dh_table(what.robot, what.described, what.comment)
+
+
+def sheth_uicker_table(robot: LinkFrames, comment: str = "") -> str:
+    """Links of six constants, joints about or along z; of any robot."""
     links = [robot.first, *robot.links[1:-1], robot.last]
     lines = _head(robot, "sheth_uicker", comment)
     for i, link in enumerate(links):
@@ -34,7 +55,7 @@ def sheth_uicker_table(robot: Own, comment: str = "") -> str:
     return "\n".join([*lines, ""])
 
 
-def dh_table(robot: Own, nominal: Own, hayati: bool = False, comment: str = "") -> str:
+def dh_table(robot: LinkFrames, nominal: LinkFrames, hayati: bool = False, comment: str = "") -> str:
     """Distal rows, with β if ``hayati`` and needed. Raises RobotError for what rows cannot say well."""
     _check_turning(robot)
     rows = dh_rows(robot, nominal, hayati)
@@ -48,7 +69,7 @@ def dh_table(robot: Own, nominal: Own, hayati: bool = False, comment: str = "") 
     return "\n".join([*lines, "", "[tool]", *_six(rows.tool @ robot.tool), ""])
 
 
-def modified_dh_table(robot: Own, nominal: Own, comment: str = "") -> str:
+def modified_dh_table(robot: LinkFrames, nominal: LinkFrames, comment: str = "") -> str:
     """Craig's rows: a and α of a row are those that the distal form has one row earlier."""
     _check_turning(robot)
     rows = dh_rows(robot, nominal)
@@ -60,7 +81,7 @@ def modified_dh_table(robot: Own, nominal: Own, comment: str = "") -> str:
     return "\n".join([*lines, "", "[tool]", *_six(rows.tool @ robot.tool), ""])
 
 
-def _check_turning(robot: Own) -> None:
+def _check_turning(robot: LinkFrames) -> None:
     for joint in robot.joints:
         if joint.kind != "revolute":
             raise RobotError(
@@ -68,7 +89,7 @@ def _check_turning(robot: Own) -> None:
             )
 
 
-def _head(robot: Own, convention: str, comment: str) -> list[str]:
+def _head(robot: LinkFrames, convention: str, comment: str) -> list[str]:
     return [
         *(f"# {line}" for line in comment.splitlines()),
         *([""] if comment else []),
@@ -90,7 +111,7 @@ def _six(pose: Floats) -> list[str]:
     return [_parameter(key, value) for key, value in zip(SIX, six_of(pose), strict=True)]
 
 
-def _joint(i: int, robot: Own, offset: float) -> list[str]:
+def _joint(i: int, robot: LinkFrames, offset: float) -> list[str]:
     joint = robot.joints[i]
     unit = "m" if joint.kind == "prismatic" else "rad"
     lower, upper = _limits(joint)

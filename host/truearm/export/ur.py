@@ -12,7 +12,8 @@ from __future__ import annotations
 import numpy as np
 
 from truearm.errors import RobotError
-from truearm.export.link_frames import Own, check_gains
+from truearm.export.link_frames import LinkFrames, check_gains
+from truearm.export.writing import RobotToWrite
 from truearm.model.poses import inverted, six_of
 from truearm.model.transforms import elementary
 from truearm.types import Floats
@@ -22,7 +23,12 @@ ROLLS = (0.0, 0.5 * np.pi, 0.0, 0.0, 0.5 * np.pi, -0.5 * np.pi)  # of the publis
 KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
-def ur_segments(robot: Own) -> tuple[Floats, Floats]:
+def write(what: RobotToWrite) -> str:
+    """Return a kinematics file. Raises RobotError as ``ur_yaml`` does."""
+    return ur_yaml(what.robot, what.described, what.comment)
+
+
+def ur_segments(robot: LinkFrames) -> tuple[Floats, Floats]:
     """U (6, 4, 4), and (4, 4) what is left between the last of them and the robot's flange."""
     check_gains(robot, "a kinematics file")
     if len(robot.joints) != len(SEGMENTS) or any(joint.kind != "revolute" for joint in robot.joints):
@@ -36,7 +42,7 @@ def ur_segments(robot: Own) -> tuple[Floats, Floats]:
     return np.stack(out), before @ robot.links[-1]
 
 
-def ur_yaml(robot: Own, nominal: Own, comment: str = "") -> str:
+def ur_yaml(robot: LinkFrames, nominal: LinkFrames, comment: str = "") -> str:
     """The text of a kinematics file. Raises RobotError for a robot whose nominal geometry is none of Universal Robots'."""
     described, rest = ur_segments(nominal)
     turns = np.stack([elementary("rx", roll) for roll in ROLLS])

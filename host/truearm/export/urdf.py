@@ -21,7 +21,8 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from truearm.errors import RobotError
-from truearm.export.link_frames import Own, check_gains, joint_motion
+from truearm.export.link_frames import LinkFrames, check_gains, joint_motion
+from truearm.export.writing import RobotToWrite
 from truearm.model.chain import Chain, Element
 from truearm.model.poses import inverted, six_of
 from truearm.model.transforms import elementary
@@ -36,6 +37,13 @@ class _PathJoint(NamedTuple):
     name: str
     origin: tuple[Element, ...]
     motion: tuple[Element, ...]  # empty for a fixed joint
+
+
+def write(what: RobotToWrite) -> str:
+    """Return the URDF that the robot came from with other origins, or a new one. Raises RobotError for what neither can say."""
+    if what.urdf is None:
+        return new_urdf(what.robot, what.comment)
+    return edited(what.urdf, joint_origins(what.chain, what.nominal, what.params, what.mountings))
 
 
 def joint_origins(chain: Chain, nominal: Floats, calibrated: Floats, with_mountings: bool = True) -> dict[str, Floats]:
@@ -209,7 +217,7 @@ def _numbers(values: tuple[float, ...]) -> str:
     return '"' + " ".join(repr(float(value) + 0.0) for value in values) + '"'
 
 
-def new_urdf(robot: Own, comment: str = "") -> str:
+def new_urdf(robot: LinkFrames, comment: str = "") -> str:
     """A URDF of a chain of any convention. Raises RobotError for gains, which a URDF cannot hold."""
     check_gains(robot, "a URDF")
     names = _link_names(robot)
@@ -237,7 +245,7 @@ def new_urdf(robot: Own, comment: str = "") -> str:
     return "\n".join([*lines, "</robot>", ""])
 
 
-def _link_names(robot: Own) -> list[str]:
+def _link_names(robot: LinkFrames) -> list[str]:
     """Base frame, robot base, a link behind each joint, flange, end frame; all different."""
     inner = ["robot_base", *(f"link{i + 1}" for i in range(len(robot.joints))), "robot_flange"]
     first = _other_than(set(inner), robot.base_frame)

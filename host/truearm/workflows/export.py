@@ -9,11 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.errors import InputError
-from truearm.export.link_frames import Own, own
-from truearm.export.refit import Refit, refit
-from truearm.export.toml_tables import dh_table, modified_dh_table, sheth_uicker_table
-from truearm.export.ur import ur_yaml
-from truearm.export.urdf import edited, joint_origins, new_urdf
+from truearm.export.formats import FORMATS
+from truearm.export.writing import Fitted, RobotToWrite, fit_to, held, written
 from truearm.files.disk import check_writable, read_text, write_atomic
 from truearm.files.observation_table import read_table
 from truearm.files.plan_file import read_plan
@@ -24,7 +21,6 @@ from truearm.types import Floats
 from truearm.workflows.calibration import Calibration, check_names, mounting_lines, read_calibration
 from truearm.workflows.selection import matching
 
-WITHOUT_GAINS = ("urdf", "ur")
 N_POSES = 600  # of a refit that names none; 2400 marks for some 60 unknowns
 MARK = "written by truearm export"
 
@@ -39,14 +35,12 @@ class ExportOptions(NamedTuple):
 
 @dataclass(frozen=True)
 class Exported:
-    """A calibrated robot as a file's text, where its mountings are, and what had to be refitted.
+    """A calibrated robot as a file's text in a format, where its mountings are, and what the format costs."""
 
-    ``refit`` holds the errors over the poses that were fitted: none where the format holds all that was identified.
-    """
-
+    form: str
     text: str
     mountings: tuple[str, ...]
-    refit: Refit
+    fitted: Fitted
 
 
 def export_file(
@@ -64,12 +58,25 @@ def export_file(
 def exported(calibration: Calibration, options: ExportOptions, over: Floats | None = None) -> Exported:
     """The calibrated robot in a format; ``over`` (n, j): where a refit shall be good, anywhere within the limits by default.
 
-    Raises InputError where nothing of what may change can be held by the format.
+    Raises InputError where the format holds nothing of what may change, or nothing that is worth writing.
     """
     fitted = _fitted(calibration, options, over)
-    return Exported(
-        _text(calibration, fitted.params, options), tuple(_mountings(calibration, fitted.params, options)), fitted
+    mountings = tuple(_mountings(calibration, fitted.params, options))
+    robot = RobotToWrite(
+        chain=calibration.chain,
+        nominal=calibration.nominal,
+        params=fitted.params,
+        mountings=not options.own_frames,
+        comment="\n".join([MARK, *map(one_line, mountings)]),
+        urdf=_urdf_text(calibration),
     )
+    return Exported(options.form, written(options.form, robot), mountings, fitted)
+
+
+def _urdf_text(calibration: Calibration) -> str | None:
+    """The text that the robot came from, where that is a URDF."""
+    robot = calibration.robot
+    return read_text(Path(robot.file), MAX_BYTES, InputError) if robot.is_urdf else None
 
 
 def looks_like_ours(head: bytes) -> bool:
@@ -77,23 +84,16 @@ def looks_like_ours(head: bytes) -> bool:
     return not head.strip() or MARK.encode() in head
 
 
-def _fitted(calibration: Calibration, options: ExportOptions, over: Floats | None) -> Refit:
+def _fitted(calibration: Calibration, options: ExportOptions, over: Floats | None) -> Fitted:
     """Parameters that the format holds and the user may adjust."""
-    chain, identified = calibration.chain, calibration.identified
-    gains = np.array([p.unit == "1" for p in chain.parameters])
-    adjustable = np.ones(identified.size, dtype=bool)
-    start = identified.copy()
+    chain = calibration.chain
+    adjustable = np.ones(len(chain.parameters), dtype=bool)
     if options.adjust:
         adjustable = matching(chain.parameter_names, "--adjust", options.adjust)
-        start = np.where(adjustable, identified, calibration.nominal)
-    if options.form in WITHOUT_GAINS:
-        adjustable = adjustable & ~gains
-        start = np.where(gains, 1.0, start)
-    if np.array_equal(start, identified):
-        return Refit(identified, np.zeros(0), np.zeros(0))
-    if not adjustable.any():
-        raise InputError(f"--adjust {options.adjust[0]}: leaves nothing that --format {options.form} can hold")
-    return refit(chain, identified, start, adjustable, _anywhere(chain) if over is None else _thinned(over))
+        if not (adjustable & held(chain, FORMATS[options.form])).any():
+            raise InputError(f"--adjust {options.adjust[0]}: leaves nothing that --format {options.form} can hold")
+    q = _anywhere(chain) if over is None else _thinned(over)
+    return fit_to(options.form, chain, calibration.nominal, calibration.identified, adjustable, q)
 
 
 def _anywhere(chain: Chain) -> Floats:
@@ -116,35 +116,9 @@ def _poses_of(path: Path, chain: Chain) -> Floats:
     return q
 
 
-def _text(calibration: Calibration, params: Floats, options: ExportOptions) -> str:
-    chain, nominal = calibration.chain, calibration.nominal
-    with_mountings = not options.own_frames
-    if options.form == "urdf" and calibration.robot.is_urdf:
-        template = read_text(Path(calibration.robot.file), MAX_BYTES, InputError)
-        return edited(template, joint_origins(chain, nominal, params, with_mountings))
-    robot = own(chain, nominal, params, with_mountings)
-    described = own(chain, nominal, nominal)
-    comment = "\n".join([MARK, *(one_line(line) for line in _mountings(calibration, params, options))])
-    return _written(robot, described, options.form, comment)
-
-
-def _written(robot: Own, described: Own, form: str, comment: str) -> str:
-    match form:
-        case "urdf":
-            return new_urdf(robot, comment)
-        case "ur":
-            return ur_yaml(robot, described, comment)
-        case "dh" | "dh-hayati":
-            return dh_table(robot, described, form == "dh-hayati", comment)
-        case "mdh":
-            return modified_dh_table(robot, described, comment)
-        case _:
-            return sheth_uicker_table(robot, comment)
-
-
 def _mountings(calibration: Calibration, params: Floats, options: ExportOptions) -> list[str]:
     """Where the mountings are, and what they are."""
-    kept = "left out" if options.own_frames or options.form == "ur" else "written at both ends"
+    kept = "written at both ends" if FORMATS[options.form].mountings and not options.own_frames else "left out"
     return [
         f"Mountings ({kept}):",
         *(f"  {one_line(line)}" for line in mounting_lines(calibration.chain, calibration.nominal, params)),

@@ -1,0 +1,56 @@
+"""The formats to export by name. Imports nothing slow, so that ``--help`` can list them.
+
+To add a format, write a module with a function that returns the text of a ``writing.RobotToWrite``, and add its line to FORMATS. The
+module is imported when it is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from truearm.export.writing import Writer
+
+
+class Format(NamedTuple):
+    """A format: its writer as "module:function" of this package, what ``--help`` says of it, and what it can hold.
+
+    ``suffix``: of its files. ``holds``: the terms of the joint law by name, with their identified values. What a format does
+    not hold the rest of its parameters is refitted for, and what that leaves is computed and printed. ``mountings``: it has a place for
+    how base and tool were mounted.
+    """
+
+    writer: str
+    suffix: str
+    summary: str
+    holds: tuple[str, ...]
+    mountings: bool = True
+
+
+FORMATS: Mapping[str, Format] = {
+    "urdf": Format("urdf:write", ".urdf", "the robot's own URDF with other origins, or a new one", ("offset",)),
+    "ur": Format("ur:write", ".yaml", "Universal Robots' kinematics", ("offset",), mountings=False),
+    "dh": Format("toml_tables:write_dh", ".toml", "Denavit-Hartenberg rows", ("offset", "gain")),
+    "dh-hayati": Format(
+        "toml_tables:write_dh_hayati",
+        ".toml",
+        "the same, with Hayati's β where axes are nearly parallel",
+        ("offset", "gain"),
+    ),
+    "mdh": Format("toml_tables:write_mdh", ".toml", "Craig's rows", ("offset", "gain")),
+    "sheth-uicker": Format("toml_tables:write_sheth_uicker", ".toml", "links of six constants", ("offset", "gain")),
+}
+
+
+def writer(name: str) -> Writer:
+    """Return the function that writes a format, loading its module. Raises KeyError for an unknown name."""
+    module, _, function = FORMATS[name].writer.partition(":")
+    found: Writer = getattr(import_module(f"{__package__}.{module}"), function)
+    return found
+
+
+def formats_help() -> str:
+    """Return one sentence a format."""
+    return " ".join(f"{name}: {form.summary} ({form.suffix})." for name, form in FORMATS.items())

@@ -1,0 +1,147 @@
+"""A calibrated robot made ready for a format: refitted for what the format cannot hold, and what that costs.
+
+What is said of a file is computed from what is written: the links, offsets and gains of ``link_frames``, which are all that any
+writer gets of the joint law, predict poses, and these are compared with the identified robot's. A format that declares a term and has
+no place for it is found out by that, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.errors import RobotError
+from truearm.export.formats import FORMATS, Format, writer
+from truearm.export.link_frames import LinkFrames, link_frames, predicted
+from truearm.export.refit import MARKS, refit
+from truearm.model import joint_law
+from truearm.model.chain import GEOMETRY, Chain, forward
+from truearm.model.mountings import mountings
+from truearm.types import Floats
+
+EXACT = 1e-9  # m, and of a rotation matrix: a file that predicts so well holds everything
+NAMED = 8  # parameters that a message names
+
+
+@dataclass(frozen=True)
+class RobotToWrite:
+    """What a format's writer gets: a robot whose joint law has nothing but what the format holds.
+
+    ``nominal`` and ``params`` are parameters (p,). ``mountings`` False: both ends as they are described. ``comment``: text for
+    the head of the file. ``urdf``: the text that the robot came from, None where that is no URDF.
+    """
+
+    chain: Chain
+    nominal: Floats
+    params: Floats
+    mountings: bool = True
+    comment: str = ""
+    urdf: str | None = None
+
+    @cached_property
+    def robot(self) -> LinkFrames:
+        """The calibrated robot."""
+        return link_frames(self.chain, self.nominal, self.params, self.mountings)
+
+    @cached_property
+    def described(self) -> LinkFrames:
+        """The nominal robot, for what is chosen as its maker did: directions of axes, say."""
+        return link_frames(self.chain, self.nominal, self.nominal)
+
+
+Writer = Callable[[RobotToWrite], str]
+
+
+class Fitted(NamedTuple):
+    """Parameters that a format holds, and what they cost against the identified ones over n poses."""
+
+    params: Floats  # (p,)
+    missing: tuple[str, ...]  # identified parameters that the format has no place for
+    refitted: bool
+    dropped: Floats  # (n,) m, position error if what does not fit were simply left out
+    left: Floats  # (n,) m, position error of what is written
+    exact: bool  # the file holds all that was identified
+
+
+def written(name: str, robot: RobotToWrite) -> str:
+    """Return the text of the format called ``name``. Raises RobotError for a robot that it cannot hold."""
+    return writer(name)(robot)
+
+
+def held(chain: Chain, form: Format) -> NDArray[np.bool_]:
+    """(p,) the parameters that a format has a place for."""
+    return np.array([p.term == GEOMETRY or p.term in form.holds for p in chain.parameters])
+
+
+def fit_to(
+    name: str, chain: Chain, nominal: Floats, identified: Floats, adjustable: NDArray[np.bool_], q: Floats
+) -> Fitted:
+    """Fit what the format called ``name`` holds and is ``adjustable`` (p,) to the identified robot over poses q (n, j).
+
+    Parameters that are not adjustable stay nominal. Raises RobotError where no value of the others makes the file better
+    than the nominal robot.
+    """
+    form = FORMATS[name]
+    has_place = held(chain, form)
+    neutral = {term.name: term.neutral for term in joint_law.TERMS}
+    without = np.where(has_place, nominal, [neutral.get(p.term, np.nan) for p in chain.parameters])
+    start = np.where(adjustable & has_place, identified, without)
+    missing = tuple(chain.parameter_names[i] for i in np.flatnonzero(~has_place & (identified != without)))
+    refitted = not np.array_equal(start, identified)
+    params = refit(chain, identified, start, adjustable & has_place, q) if refitted else identified
+    wanted = forward(chain, identified, q)
+    poses = predicted(link_frames(chain, nominal, params), q)
+    if missing and adjustable.all():
+        _check_worth(name, chain, nominal, identified, poses, missing, q)
+    return Fitted(
+        params=params,
+        missing=missing,
+        refitted=refitted,
+        dropped=_distance(forward(chain, start, q), wanted),
+        left=_distance(poses, wanted),
+        exact=bool(np.abs(poses - wanted).max(initial=0.0) <= EXACT),
+    )
+
+
+def named(names: tuple[str, ...]) -> str:
+    """Return parameter names as a message lists them."""
+    return ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more" if len(names) > NAMED else "")
+
+
+def _check_worth(
+    name: str,
+    chain: Chain,
+    nominal: Floats,
+    identified: Floats,
+    poses: Floats,
+    missing: tuple[str, ...],
+    q: Floats,
+) -> None:
+    """Raise RobotError unless a file's poses (n, 4, 4) are nearer to the identified robot's than those of the nominal one.
+
+    Without a gain of −1, say, no links are of any use.
+    """
+    wanted, mounted = forward(chain, identified, q), mountings(chain, nominal, identified)
+    as_described = mounted.base @ forward(chain, nominal, q) @ mounted.tool
+    if _marks_apart(poses, wanted) <= _marks_apart(as_described, wanted):
+        return
+    terms = {p.term for p in chain.parameters if p.name in missing}
+    others = [other for other, form in FORMATS.items() if terms <= set(form.holds)]
+    raise RobotError(
+        f"{name} has no place for {named(missing)}, and without {'it' if len(missing) == 1 else 'them'} no file is nearer to the "
+        f"identified robot than the nominal one; {'use ' + ' or '.join(others) if others else 'no format holds this robot'}"
+    )
+
+
+def _marks_apart(a: Floats, b: Floats) -> float:
+    """The sum of squares that ``refit`` makes small."""
+    return float(np.sum(((a - b) @ np.concatenate([MARKS.T, np.ones((1, len(MARKS)))])) ** 2))
+
+
+def _distance(a: Floats, b: Floats) -> Floats:
+    return np.asarray(np.linalg.norm((a - b)[:, :3, 3], axis=1))
