@@ -28,7 +28,7 @@ from truearm.box.configuration_schema import (
 )
 from truearm.errors import ConfigError, ProtocolError
 from truearm.files.disk import parse_toml
-from truearm.schema import Table, check_known, raising, read
+from truearm.schema import Table, at, check_known, raising, read
 from truearm.text import one_line
 
 if TYPE_CHECKING:
@@ -157,7 +157,9 @@ def with_assignment(config: Mapping[str, Any], text: str) -> Values:
     with raising(ConfigError):
         check_known({name: value}, list(keys))
         key = keys[name]
-        target[key.called] = key.parse(_value(value.strip(), isinstance(key.value, Words)), name)
+        with at(path.strip()):
+            raw = _value(value.strip(), isinstance(key.value, Words))
+            target[key.called] = key.value.parse(raw, key.spellings[name])
     return new
 
 
