@@ -54,6 +54,8 @@ def quoted(value: object) -> str:
         return str(value).lower()
     if isinstance(value, str):
         return repr(value[:MAX_SHOWN])
+    if value is None:
+        return "nothing"
     if isinstance(value, list | dict):
         return "a list" if isinstance(value, list) else "a table"
     if isinstance(value, int | float) and not abs(value) > HUGE:
@@ -72,6 +74,17 @@ class Value(Protocol):
 
     def format(self, value: Any) -> str:
         """TOML text of a value, under a key with the first of the suffixes."""
+
+
+class ReadOnly:
+    """A value of a file that truearm reads and does not write."""
+
+    @property
+    def suffixes(self) -> Sequence[str]:
+        return NO_UNIT
+
+    def format(self, value: Any) -> str:
+        raise NotImplementedError(type(self).__name__)
 
 
 @dataclass(frozen=True)
@@ -116,6 +129,23 @@ class Number:
         return json.dumps(UNKNOWN) if value is None else repr(float(value))
 
 
+@dataclass(frozen=True)
+class Whole:
+    """A whole number between ``least`` and ``most``."""
+
+    least: int
+    most: int
+    suffixes: ClassVar[Sequence[str]] = NO_UNIT
+
+    def parse(self, raw: Any, suffix: str = "") -> int:
+        if type(raw) is not int or not self.least <= raw <= self.most:
+            raise SchemaError(f"{quoted(raw)} is not a whole number from {self.least} to {self.most}")
+        return raw
+
+    def format(self, value: int) -> str:
+        return str(value)
+
+
 def sigma(si: str = "1", *, unknown: bool = False) -> Number:
     """A standard deviation, 0 or more."""
     return Number(si, least=0.0, unknown=unknown)
@@ -123,18 +153,21 @@ def sigma(si: str = "1", *, unknown: bool = False) -> Number:
 
 @dataclass(frozen=True)
 class List:
-    """A list of ``size`` values of one sort (None: 1 to MAX_SIZE), read as a tuple."""
+    """A list of ``size`` values of one sort (None: 1 to ``most``), read as a tuple."""
 
     item: Value
     size: int | None = None
+    most: int = MAX_SIZE
 
     @property
     def suffixes(self) -> Sequence[str]:
         return self.item.suffixes
 
     def parse(self, raw: Any, suffix: str = "") -> tuple[Any, ...]:
-        if not isinstance(raw, list) or not (1 <= len(raw) <= MAX_SIZE if self.size is None else len(raw) == self.size):
-            wanted = f"1 to {MAX_SIZE} values" if self.size is None else f"{self.size} value{'s' * (self.size != 1)}"
+        if not isinstance(raw, list) or not (
+            1 <= len(raw) <= self.most if self.size is None else len(raw) == self.size
+        ):
+            wanted = f"1 to {self.most} values" if self.size is None else f"{self.size} value{'s' * (self.size != 1)}"
             has = str(len(raw)) if isinstance(raw, list) else quoted(raw)
             raise SchemaError(f"needs a list of {wanted}, has {has}")
         return tuple(self._item(i, value, suffix) for i, value in enumerate(raw, start=1))
@@ -195,17 +228,29 @@ class Sigmas:
 
 @dataclass(frozen=True)
 class Text:
-    """Text of at most ``longest`` characters; where ``pattern`` is given, all of it must match, else ``wanted`` is the complaint."""
+    """Text of at most ``longest`` characters; ``one_line``: not empty, and all of it printable.
+
+    Where ``pattern`` is given, all of the text must match; ``wanted`` says what it is then.
+    """
 
     longest: int = 200
     pattern: re.Pattern[str] | None = None
     wanted: str = ""
+    one_line: bool = False
     suffixes: ClassVar[Sequence[str]] = NO_UNIT
 
     def parse(self, raw: Any, suffix: str = "") -> str:
-        if not isinstance(raw, str) or len(raw) > self.longest or (self.pattern and not self.pattern.fullmatch(raw)):
-            raise SchemaError(f"{quoted(raw)} is not {self.wanted or f'text of at most {self.longest} characters'}")
+        if not isinstance(raw, str) or not self.matches(raw):
+            lines = f"text of at most {self.longest} characters" + ", on one line" * self.one_line
+            raise SchemaError(f"{quoted(raw)} is not {self.wanted or lines}")
         return raw
+
+    def matches(self, text: str) -> bool:
+        return (
+            len(text) <= self.longest
+            and (self.pattern is None or self.pattern.fullmatch(text) is not None)
+            and (not self.one_line or (text != "" and text.isprintable()))
+        )
 
     def format(self, value: str) -> str:
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
@@ -328,21 +373,20 @@ class Table(Generic[T]):
 
     def values(self, raw: Any) -> dict[str, Any]:
         """The values of a table's keys, by field; those of optional keys only where they are there. Raises SchemaError."""
-        if not isinstance(raw, dict):
-            raise SchemaError(f"must be a table, is {quoted(raw)}")
+        table = as_table(raw)
         spellings = {spelled: key for key in self.keys for spelled in key.spellings}
-        check_known(raw, [*spellings, *(entries.name for entries in self.entries)])
+        check_known(table, [*spellings, *(entries.name for entries in self.entries)])
         given: dict[str, str] = {}
-        for spelled in (spelled for spelled in spellings if spelled in raw):
+        for spelled in (spelled for spelled in spellings if spelled in table):
             before = given.setdefault(spellings[spelled].called, spelled)
             if before != spelled:
                 raise SchemaError(f"has both {before} and {spelled}; keep one")
-        values = {field: spellings[spelled].parse(raw[spelled], spelled) for field, spelled in given.items()}
+        values = {field: spellings[spelled].parse(table[spelled], spelled) for field, spelled in given.items()}
         for key in self.keys:
             if not key.optional and key.called not in given:
                 first, *others = [s for s, other in spellings.items() if other.called == key.called]
                 raise SchemaError(f"needs {first}" + (f" (or {', '.join(others)})" if others else ""))
-        return values | {e.field: e.parse(raw[e.name]) for e in self.entries if e.name in raw}
+        return values | {e.field: e.parse(table[e.name]) for e in self.entries if e.name in table}
 
     def lines(self, item: T) -> list[str]:
         """``key = value`` of an object, a line each; its entries are not among them."""
@@ -363,6 +407,13 @@ class Table(Generic[T]):
 
 def _is_written(value: Any, of: Value) -> bool:
     return value != () and value != "" and (value is not None or (isinstance(of, Number) and of.unknown))
+
+
+def as_table(raw: Any) -> Mapping[str, Any]:
+    """``raw``, if it is a table. Raises SchemaError."""
+    if not isinstance(raw, dict):
+        raise SchemaError(f"must be a table, is {quoted(raw)}")
+    return raw
 
 
 def check_known(table: Mapping[str, Any], known: Sequence[str]) -> None:

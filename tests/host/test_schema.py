@@ -24,6 +24,7 @@ from truearm.schema import (
     Sigmas,
     Table,
     Text,
+    Whole,
     read,
     sigma,
 )
@@ -41,6 +42,7 @@ class Thing:
     mode: Any = 2
     on: bool = True
     note: str = ""
+    count: int = 0
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,7 @@ THING = Table(
         Key("mode", Choice((2, 4, "auto")), optional=True),
         Key("on", Flag(), optional=True),
         Key("note", Text(20), optional=True),
+        Key("count", Whole(-5, 5), optional=True),
     ),
     _thing,
 )
@@ -91,6 +94,7 @@ things = st.builds(
     st.sampled_from((2, 4, "auto")),
     st.booleans(),
     st.text(st.characters(exclude_categories=["Cs"]), max_size=20),
+    st.integers(-5, 5),
 )
 documents = st.builds(
     Document,
@@ -181,6 +185,8 @@ WRONG = {
     "no choice": (GOOD + "mode = 3\n", "mode: 3 is none of 2, 4, 'auto'"),
     "a choice of another type": (GOOD + "mode = 2.0\n", "mode: 2 is none of 2"),
     "no flag": (GOOD + "on = 1\n", "on: 1 is not true or false"),
+    "no whole number": (GOOD + "count = 1.0\n", "count: 1 is not a whole number from -5 to 5"),
+    "too large a count": (GOOD + "count = 0x" + "f" * 999 + "\n", "count: a value of type int is not a whole number"),
     "no text": (GOOD + "note = 1\n", "note: 1 is not text of at most 20 characters"),
     "too long a text": (GOOD + f'note = "{"n" * 21}"\n', "is not text of at most 20 characters"),
     "an odd name": ('[[thing]]\nname = "a b"\nlength_m = 1\n', "name: 'a b' is not a name of up to 64 letters"),

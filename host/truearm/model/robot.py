@@ -27,7 +27,6 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,13 +34,21 @@ from numpy.typing import NDArray
 from truearm.errors import RobotError
 from truearm.model.builtin import builtin_text
 from truearm.model.chain import Chain
-from truearm.model.robot_tables import HEAD, MAX_NAME, Description, read_description
+from truearm.model.robot_tables import MAX_NAME, Description, read_tables
 from truearm.model.slots import chain_from_slots
-from truearm.model.workspace import Branch, Capsules, read_branch, read_capsules
+from truearm.model.workspace import BRANCH, CAPSULE, MAX_CAPSULES, Branch, Capsules, capsules_of, check_branch
+from truearm.schema import Key, List, SchemaError, Text, raising
 from truearm.types import Floats
 
 MAX_TEXT = 1_000_000  # characters; the PUMA's file has 3,000
 MAX_SOURCE = 2_000  # characters
+LINE = Text(MAX_NAME, one_line=True)
+HEAD = (
+    *(Key(name, LINE) for name in ("name", "convention", "nominal", "base_frame", "end_frame")),
+    Key("source", Text(MAX_SOURCE, one_line=True), optional=True),
+    Key("branch", BRANCH, optional=True),
+    Key("capsule", List(CAPSULE, most=MAX_CAPSULES), optional=True),
+)
 
 
 @dataclass(frozen=True)
@@ -87,29 +94,26 @@ def parse_robot(text: str) -> Robot:
         doc = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # tomllib passes on int()'s limit of digits and impossible dates
         raise RobotError(f"robot file is not valid TOML: {error}") from error
-    head = {key: _string(doc, key, MAX_NAME) for key in HEAD}
-    source = _string(doc, "source", MAX_SOURCE) if "source" in doc else ""
-    description = read_description(doc, head["convention"])
-    sets = _set_names(description, head["nominal"])
-    chain = _chain(head, description)
+    with raising(RobotError, "robot file"):
+        head, description = read_tables(doc, HEAD)
+        sets = _set_names(description, head["nominal"])
+        chain = _chain(head, description)
+        branch = head.get("branch")
+        if branch is not None:
+            check_branch(branch, chain.joints)
+        capsules = capsules_of(head["capsule"], len(chain.joints)) if "capsule" in head else None
     amounts = [description.amounts[name] for name in chain.parameter_names]
     values = {name: np.array([amount.values[name] for amount in amounts]) for name in sets}
-    return Robot(
-        chain,
-        values,
-        np.array([not amount.held for amount in amounts], dtype=bool),
-        source,
-        read_branch(doc, chain.joints),
-        read_capsules(doc, len(chain.joints)),
-    )
+    free = np.array([not amount.held for amount in amounts], dtype=bool)
+    return Robot(chain, values, free, head.get("source", ""), branch, capsules)
 
 
 def _set_names(description: Description, nominal: str) -> list[str]:
     sets = [set(amount.values) for amount in description.amounts.values() if amount.constant is None]
     if not sets:
-        raise RobotError("robot file: nothing can be identified; write parameters as tables, { design = 0.0 }")
+        raise SchemaError("nothing can be identified; write parameters as tables, { design = 0.0 }")
     if nominal not in sets[0] or any(names != sets[0] for names in sets):
-        raise RobotError(f"robot file: every parameter needs the same sets of values, {nominal!r} among them")
+        raise SchemaError(f"every parameter needs the same sets of values, {nominal!r} among them")
     return sorted(sets[0])
 
 
@@ -124,10 +128,3 @@ def _chain(head: Mapping[str, str], description: Description) -> Chain:
             fixed.add(name)
     frames = head["base_frame"], head["end_frame"]
     return chain_from_slots(head["name"], description.joints, description.slots, nominal, fixed, *frames)
-
-
-def _string(doc: Mapping[str, Any], key: str, longest: int) -> str:
-    value = doc.get(key)
-    if not isinstance(value, str) or not value or not value.isprintable() or len(value) > longest:
-        raise RobotError(f"robot file: {key} must be a text of one line, at most {longest} characters")
-    return value

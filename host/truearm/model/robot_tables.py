@@ -1,42 +1,45 @@
-"""The tables of a robot file, checked and turned into joints, slots and numbers in SI.
+"""The tables of a robot file: joints, slots and numbers in SI.
 
 A parameter is written as a table of named values, ``{ design = 0.35, held = true }``, a constant that nobody identifies
-as a plain number. Units stand in the keys: ``_m _cm _mm`` for lengths, ``_rad _deg`` for angles, none for a gain. The
-file may come from a stranger: everything unknown, missing, doubled or absurd raises RobotError in one line.
+as a plain number. Units stand in the keys: ``_m _cm _mm`` for lengths, ``_rad _deg`` for angles, none for a gain. Which keys
+a table has follows from the convention's slots and the terms of the joint law.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from truearm.errors import RobotError
 from truearm.model import joint_law
 from truearm.model.chain import Joint
 from truearm.model.dh import Layout, dh_slots, modified_dh_slots
 from truearm.model.joint_terms.offset import Offset
+from truearm.model.joint_terms.term import Term
 from truearm.model.sheth_uicker import sheth_uicker_slots
 from truearm.model.slots import Slot, law_name
 from truearm.model.transforms import MOTIONS
+from truearm.schema import Choice, Flag, Key, List, Number, ReadOnly, SchemaError, Table, Text, as_table, at, quoted
 from truearm.units import suffixes
 
-HEAD = ("name", "convention", "nominal", "base_frame", "end_frame")
-OPTIONAL = {"source", "branch", "capsule"}  # keys and tables that a file of any convention may have
 MAX_JOINTS = 64
 MAX_TRANSFORMS = 1000
 MAX_NAME = 100  # characters
-SUFFIXES = ("m", "cm", "mm", "rad", "deg", "")
-LARGEST = {"m": 100.0, "rad": 1e4, "1": 1e6}  # larger than any arm; millimetres written as metres are caught by it
-NAME = re.compile(rf"[A-Za-z0-9_.-]{{1,{MAX_NAME}}}")
+LARGEST = {"rad": 1e4, "1": 1e6}  # larger than any arm's; of other units, see UNITS
+KIND = Choice(("revolute", "prismatic"))
+MOTION = Choice(tuple(MOTIONS))
+NAME = Text(
+    pattern=re.compile(rf"[A-Za-z0-9_.-]{{1,{MAX_NAME}}}"), wanted=f"a name of up to {MAX_NAME} letters, digits, _ . -"
+)
 
 
 class Amount(NamedTuple):
     """What a file says of one number [SI]: a constant, or a parameter's value in each named set."""
 
     constant: float | None
-    values: Mapping[str, float]
-    held: bool
+    values: Mapping[str, float] = {}
+    held: bool = False
 
 
 class Description(NamedTuple):
@@ -47,240 +50,195 @@ class Description(NamedTuple):
     amounts: Mapping[str, Amount]
 
 
-def read_description(doc: Mapping[str, Any], convention: str) -> Description:
-    """The joints and numbers of a parsed robot file in one of the CONVENTIONS. Raises RobotError."""
-    if convention not in CONVENTIONS:
-        raise RobotError(f"robot file: convention {shown(convention)} is not known; use {', '.join(CONVENTIONS)}")
-    return CONVENTIONS[convention](doc)
+@dataclass(frozen=True)
+class AmountValue(ReadOnly):
+    """An Amount; of a ``term`` of the joint law it is a parameter, never a constant."""
+
+    number: Number
+    term: type[Term] | None = None
+
+    @property
+    def suffixes(self) -> Sequence[str]:
+        return self.number.suffixes
+
+    def parse(self, raw: Any, suffix: str = "") -> Amount:
+        if isinstance(raw, dict):
+            amount = Amount(None, *self._sets(raw, suffix))
+        elif isinstance(raw, int | float):
+            amount = Amount(self.number.parse(raw, suffix))
+        else:
+            raise SchemaError(f"{quoted(raw)} is neither a number nor a table such as {{ design = 0.0 }}")
+        if self.term and (amount.constant is not None or (self.term.nonzero and 0.0 in amount.values.values())):
+            rule = ", none of them 0" * self.term.nonzero
+            raise SchemaError(f"must be a table of values{rule}; left out it is {self.term.neutral:g}")
+        return amount
+
+    def _sets(self, raw: Mapping[str, Any], suffix: str) -> tuple[dict[str, float], bool]:
+        with at("held"):
+            held = Flag().parse(raw.get("held", False))
+        values: dict[str, Any] = {}
+        for name in raw.keys() - {"held"}:
+            with at(name if NAME.matches(name) else quoted(name)):
+                values[name] = self.number.parse(raw[name], suffix)
+        return values, held
 
 
-def _read_sheth_uicker(doc: Mapping[str, Any]) -> Description:
-    count = _count_joints(doc)
-    _check_tables(doc, [f"link{i + 1}" for i in range(count + 1)])
-    joints, used = _joints(doc, count)
-    return _described(doc, joints, sheth_uicker_slots(joints), used)
+def robot_number(unit: str) -> Number:
+    """A number of a robot file, in an SI unit."""
+    return Number(unit, most=LARGEST.get(unit), spelled=tuple(suffixes(unit, ("m", "cm", "mm", "rad", "deg"))))
 
 
-def _read_dh(doc: Mapping[str, Any]) -> Description:
-    return _read_rows(doc, dh_slots)
+def _amount(name: str, unit: str, *, optional: bool = False) -> Key:
+    return Key(name, AmountValue(robot_number(unit)), optional)
 
 
-def _read_modified_dh(doc: Mapping[str, Any]) -> Description:
-    return _read_rows(doc, modified_dh_slots)
+def _moving_keys(kind: str) -> tuple[Key, ...]:
+    """What a joint's table has beside its slots: its limits, and the terms of its law that are known of it."""
+    limit = robot_number(_unit(kind))
+    terms = (term for term in joint_law.TERMS if term is not Offset)
+    return (
+        Key("lower", limit),
+        Key("upper", limit),
+        *(Key(term.name, AmountValue(robot_number(term.unit_of(kind)), term), optional=True) for term in terms),
+    )
 
 
-def _read_rows(doc: Mapping[str, Any], layout: Layout) -> Description:
+def _unit(kind: str) -> str:
+    return "m" if kind == "prismatic" else "rad"
+
+
+def _joint(name: str, kind: str, lower: float, upper: float) -> Joint:
+    if lower >= upper:
+        raise SchemaError(f"{name}: its lower limit is not below its upper limit")
+    return Joint(name, kind, lower, upper)
+
+
+def read_tables(doc: Mapping[str, Any], head: Sequence[Key]) -> tuple[Mapping[str, Any], Description]:
+    """The values of the ``head`` keys of a parsed robot file, and what its convention's tables say. Raises SchemaError."""
+    with at("convention"):
+        convention = Choice(tuple(CONVENTIONS)).parse(doc.get("convention"))
+    return CONVENTIONS[convention](doc, head)
+
+
+def _read_slots(
+    doc: Mapping[str, Any], head: Sequence[Key], layout: Callable[[Sequence[Joint]], tuple[Slot, ...]]
+) -> tuple[Mapping[str, Any], Description]:
+    """A table for each joint, and for each other thing that the convention's slots name."""
+    count = sum(key.startswith("joint") for key in doc)
+    _check_count(count)
+    kinds = {f"joint{i + 1}": _kind(doc, f"joint{i + 1}") for i in range(count)}
+    slots = layout([Joint(name, kind, 0.0, 0.0) for name, kind in kinds.items()])
+    keys: dict[str, list[Key]] = {name: [Key("kind", KIND), *_moving_keys(kind)] for name, kind in kinds.items()}
+    for slot in slots:
+        table, name = slot.name.split(".")
+        keys.setdefault(table, []).append(_amount(name, slot.unit))
+    tables = (Key(name, Table(tuple(own), dict)) for name, own in keys.items())
+    values: dict[str, Any] = Table((*head, *tables), dict).parse(doc)
+    amounts: dict[str, Amount] = {}
+    for slot in slots:
+        table, name = slot.name.split(".")
+        amounts[slot.name] = values[table][name]
+        if slot.joint is not None:
+            amounts |= _law(slot, values[table])
+    joints = tuple(_joint(name, kind, values[name]["lower"], values[name]["upper"]) for name, kind in kinds.items())
+    return values, Description(joints, slots, amounts)
+
+
+def _check_count(joints: int) -> None:
+    if not 1 <= joints <= MAX_JOINTS:
+        raise SchemaError(f"has {joints} joints; 1 to {MAX_JOINTS} are possible")
+
+
+def _kind(doc: Mapping[str, Any], name: str) -> str:
+    """Of a joint, on which the units in its table depend; a table that is not there is told later."""
+    table = doc.get(name)
+    if not isinstance(table, dict):
+        return str(KIND.options[0])
+    with at(f"{name}: kind"):
+        return str(KIND.parse(table.get("kind")))
+
+
+def _law(slot: Slot, values: Mapping[str, Any]) -> dict[str, Amount]:
+    """What a joint's table has of its law beside the offset; a term that it does not name says nothing."""
+    return {law_name(slot, t.name): values[t.name] for t in joint_law.TERMS if t is not Offset and t.name in values}
+
+
+def _read_sheth_uicker(doc: Mapping[str, Any], head: Sequence[Key]) -> tuple[Mapping[str, Any], Description]:
+    return _read_slots(doc, head, sheth_uicker_slots)
+
+
+def _rows_of(layout: Layout) -> Callable[[Mapping[str, Any], Sequence[Key]], tuple[Mapping[str, Any], Description]]:
     """Rows of four constants; ``base``, ``tool`` and the β of a row are there if they are written."""
-    count = _count_joints(doc)
-    _check_tables(doc, [key for key in ("base", "tool") if key in doc])
-    joints, used = _joints(doc, count)
-    twisted = [i for i in range(count) if any(key.startswith("beta_") for key in doc[f"joint{i + 1}"])]
-    return _described(doc, joints, layout(joints, twisted, "base" in doc, "tool" in doc), used)
+
+    def read_rows(doc: Mapping[str, Any], head: Sequence[Key]) -> tuple[Mapping[str, Any], Description]:
+        def slots(joints: Sequence[Joint]) -> tuple[Slot, ...]:
+            tables = [doc.get(joint.name) for joint in joints]
+            twisted = [i for i, t in enumerate(tables) if isinstance(t, dict) and any(k.startswith("beta_") for k in t)]
+            return layout(joints, twisted, "base" in doc, "tool" in doc)
+
+        return _read_slots(doc, head, slots)
+
+    return read_rows
 
 
-def _read_elementary(doc: Mapping[str, Any]) -> Description:
-    """``[[transform]]`` by ``[[transform]]``: a joint, a parameter with a name, or a constant without."""
-    for key in sorted((set(doc) - OPTIONAL) ^ {*HEAD, "transform"}):
-        raise RobotError(f"robot file: {'unknown' if key in doc else 'missing'} table or key {shown(key)}")
-    entries = doc["transform"]
-    if not isinstance(entries, list) or not 1 <= len(entries) <= MAX_TRANSFORMS:
-        raise RobotError(f"robot file: transform must be 1 to {MAX_TRANSFORMS} tables, [[transform]] each")
+class _Transform(NamedTuple):
+    """A ``[[transform]]``: of a joint (with its limits), a parameter with a name, or a constant without."""
+
+    motion: str
+    amount: Amount
+    name: str = ""
+    joint: Joint | None = None
+    law: Mapping[str, Any] = {}
+
+
+class _TransformValue(ReadOnly):
+    """Which keys it has depends on its motion, and on whether a joint moves it."""
+
+    def parse(self, raw: Any, suffix: str = "") -> _Transform:
+        table = as_table(raw)
+        with at("motion"):
+            motion = MOTION.parse(table.get("motion"))
+        kind = "prismatic" if motion[0] == "t" else "revolute"
+        if "joint" in table:
+            offset = _amount("offset", _unit(kind), optional=True)
+            keys = (Key("motion", MOTION), Key("joint", NAME), offset, *_moving_keys(kind))
+            values: dict[str, Any] = Table(keys, dict).parse(table)
+            joint = _joint(values["joint"], kind, values["lower"], values["upper"])
+            return _Transform(motion, values.get("offset", Amount(0.0)), joint=joint, law=values)
+        keys = (Key("motion", MOTION), Key("name", NAME, optional=True), _amount("amount", _unit(kind)))
+        transform = Table(keys, _Transform).parse(table)
+        if (transform.amount.constant is None) != bool(transform.name):
+            raise SchemaError("a parameter needs a name and a table of values, a constant neither")
+        return transform
+
+
+def _read_elementary(doc: Mapping[str, Any], head: Sequence[Key]) -> tuple[Mapping[str, Any], Description]:
+    """``[[transform]]`` by ``[[transform]]``."""
+    key = Key("transform", List(_TransformValue(), most=MAX_TRANSFORMS))
+    values: dict[str, Any] = Table((*head, key), dict).parse(doc)
     joints: list[Joint] = []
     slots: list[Slot] = []
     amounts: dict[str, Amount] = {}
-    for i, entry in enumerate(entries):
-        slot, joint, more = _transform(f"transform {i + 1}", entry, len(joints))
+    for i, transform in enumerate(values["transform"], start=1):
+        if transform.joint is None:
+            slot, more = Slot(transform.name or f"transform {i}", transform.motion), {}
+        else:
+            slot = Slot(f"{transform.joint.name}.offset", transform.motion, len(joints))
+            more = _law(slot, transform.law)
+            joints.append(transform.joint)
+        more[slot.name] = transform.amount
         twice = sorted(set(more) & set(amounts))
         if twice:
-            raise RobotError(f"robot file: transform {i + 1}: {twice[0]} is the name of an earlier one")
+            raise SchemaError(f"transform: item {i}: {twice[0]} is the name of an earlier one")
         slots.append(slot)
         amounts |= more
-        joints += [joint] if joint else []
-    if not 1 <= len(joints) <= MAX_JOINTS:
-        raise RobotError(f"robot file has {len(joints)} joints; 1 to {MAX_JOINTS} are possible")
-    return Description(tuple(joints), tuple(slots), amounts)
+    _check_count(len(joints))
+    return values, Description(tuple(joints), tuple(slots), amounts)
 
 
-CONVENTIONS: Mapping[str, Callable[[Mapping[str, Any]], Description]] = {
+CONVENTIONS: Mapping[str, Callable[[Mapping[str, Any], Sequence[Key]], tuple[Mapping[str, Any], Description]]] = {
     "sheth_uicker": _read_sheth_uicker,
-    "dh": _read_dh,
-    "modified_dh": _read_modified_dh,
+    "dh": _rows_of(dh_slots),
+    "modified_dh": _rows_of(modified_dh_slots),
     "elementary": _read_elementary,
 }
-
-
-def _transform(where: str, entry: Any, number: int) -> tuple[Slot, Joint | None, dict[str, Amount]]:
-    table = as_table(entry, where)
-    motion = table.get("motion")
-    if motion not in MOTIONS:
-        raise RobotError(f"robot file: {where}: motion must be one of {', '.join(MOTIONS)}")
-    if "joint" in table:
-        return _moving(where, table, motion, number)
-    slot = Slot(where if "name" not in table else _name(table, "name", where), motion)
-    used = {"motion", "name"} & set(table)
-    amount = _amount(table, where, "amount", slot.unit, used)
-    if (amount.constant is None) != ("name" in table):
-        raise RobotError(f"robot file: {where}: a parameter needs a name and a table of values, a constant neither")
-    check_unknown(table, where, used)
-    return slot, None, {slot.name: amount}
-
-
-def _moving(
-    where: str, table: Mapping[str, Any], motion: str, number: int
-) -> tuple[Slot, Joint | None, dict[str, Amount]]:
-    name = _name(table, "joint", where)
-    slot = Slot(f"{name}.offset", motion, number)
-    used = {"motion", "joint"}
-    lower, upper = _limits(table, where, slot.unit, used)
-    amounts = {slot.name: Amount(0.0, {}, False)}
-    if any(key.startswith("offset") for key in table):
-        amounts[slot.name] = _amount(table, where, "offset", slot.unit, used)
-    amounts |= _law(table, where, slot, used)
-    check_unknown(table, where, used)
-    return slot, Joint(name, "prismatic" if motion[0] == "t" else "revolute", lower, upper), amounts
-
-
-def _count_joints(doc: Mapping[str, Any]) -> int:
-    count = sum(1 for key in doc if key.startswith("joint"))
-    if not 1 <= count <= MAX_JOINTS:
-        raise RobotError(f"robot file has {count} joints; 1 to {MAX_JOINTS} are possible")
-    return count
-
-
-def _check_tables(doc: Mapping[str, Any], more: Sequence[str]) -> None:
-    """The keys of the file are the head, joint1 … and ``more``; a source may be named."""
-    expected = {*HEAD, *more, *(f"joint{i + 1}" for i in range(_count_joints(doc)))}
-    for key in sorted((set(doc) - OPTIONAL) ^ expected):
-        raise RobotError(f"robot file: {'unknown' if key in doc else 'missing'} table or key {shown(key)}")
-    for key in expected - set(HEAD):
-        as_table(doc[key], key)
-
-
-def _joints(doc: Mapping[str, Any], count: int) -> tuple[tuple[Joint, ...], dict[str, set[str]]]:
-    """The joints, and by table the keys that they used up."""
-    used: dict[str, set[str]] = {f"joint{i + 1}": {"kind"} for i in range(count)}
-    return tuple(_joint(name, doc[name], seen) for name, seen in used.items()), used
-
-
-def _joint(name: str, table: Mapping[str, Any], used: set[str]) -> Joint:
-    kind = table.get("kind")
-    if kind not in ("revolute", "prismatic"):
-        raise RobotError(f"robot file: {name}.kind must be revolute or prismatic")
-    return Joint(name, kind, *_limits(table, name, "rad" if kind == "revolute" else "m", used))
-
-
-def _limits(table: Mapping[str, Any], where: str, unit: str, used: set[str]) -> tuple[float, float]:
-    lower, upper = (read_quantity(table, where, key, unit, used) for key in ("lower", "upper"))
-    if lower >= upper:
-        raise RobotError(f"robot file: {where}'s lower limit is not below its upper limit")
-    return lower, upper
-
-
-def _described(
-    doc: Mapping[str, Any], joints: tuple[Joint, ...], slots: tuple[Slot, ...], used: dict[str, set[str]]
-) -> Description:
-    """The amounts of all slots and joint laws; every key of every table must have been of use."""
-    amounts: dict[str, Amount] = {}
-    for slot in slots:
-        table_name, key = slot.name.split(".")
-        table, seen = doc[table_name], used.setdefault(table_name, set())
-        amounts[slot.name] = _amount(table, table_name, key, slot.unit, seen)
-        if slot.joint is not None:
-            amounts |= _law(table, table_name, slot, seen)
-    for table_name, seen in used.items():
-        check_unknown(doc[table_name], table_name, seen)
-    return Description(joints, slots, amounts)
-
-
-def _law(table: Mapping[str, Any], where: str, slot: Slot, used: set[str]) -> dict[str, Amount]:
-    """What the table has of the joint's law beside its offset; a term that it does not name says nothing."""
-    amounts = {}
-    for term in joint_law.TERMS:
-        unit = term.unit_of("prismatic" if slot.motion[0] == "t" else "revolute")
-        if term is Offset or not set(_keys(term.name, unit)) & set(table):
-            continue
-        amount = _amount(table, where, term.name, unit, used)
-        if amount.constant is not None or (term.nonzero and 0.0 in amount.values.values()):
-            rule = ", none of them 0" * term.nonzero
-            raise RobotError(
-                f"robot file: {where}.{term.name} must be a table of values{rule}; left out it is {term.neutral:g}"
-            )
-        amounts[law_name(slot, term.name)] = amount
-    return amounts
-
-
-def _amount(table: Mapping[str, Any], where: str, key: str, unit: str, used: set[str]) -> Amount:
-    found, scale = _find(table, where, key, unit)
-    used.add(found)
-    entry = table[found]
-    if not isinstance(entry, Mapping):
-        return Amount(read_number(entry, f"{where}.{found}", unit, scale), {}, False)
-    held = entry.get("held", False)
-    if not isinstance(held, bool):
-        raise RobotError(f"robot file: {where}.{found}.held must be true or false")
-    values = {k: read_number(v, f"{where}.{found}.{shown(k)}", unit, scale) for k, v in entry.items() if k != "held"}
-    return Amount(None, values, held)
-
-
-def read_quantity(table: Mapping[str, Any], where: str, key: str, unit: str, used: set[str]) -> float:
-    found, scale = _find(table, where, key, unit)
-    used.add(found)
-    return read_number(table[found], f"{where}.{found}", unit, scale)
-
-
-def read_quantities(
-    table: Mapping[str, Any], where: str, key: str, unit: str, count: int, used: set[str]
-) -> list[float]:
-    """A list of ``count`` numbers [SI]."""
-    found, scale = _find(table, where, key, unit)
-    used.add(found)
-    values = table[found]
-    if not isinstance(values, list) or len(values) != count:
-        raise RobotError(f"robot file: {where}.{found} must be a list of {count} numbers")
-    return [read_number(value, f"{where}.{found}", unit, scale) for value in values]
-
-
-def _find(table: Mapping[str, Any], where: str, key: str, unit: str) -> tuple[str, float]:
-    """The key with its unit suffix as it stands in the table, and the factor to SI."""
-    candidates = _keys(key, unit)
-    found = [name for name in candidates if name in table]
-    if len(found) != 1:
-        raise RobotError(f"robot file: {where} needs exactly one of {', '.join(candidates)}")
-    return found[0], candidates[found[0]]
-
-
-def _keys(key: str, unit: str) -> dict[str, float]:
-    """The forms of a key with a unit's suffixes, and the factor to SI of each."""
-    return {f"{key}_{suffix}" if suffix else key: scale for suffix, scale in suffixes(unit, SUFFIXES).items()}
-
-
-def read_number(value: Any, where: str, unit: str, scale: float) -> float:
-    # the comparison holds for integers too large for a float, and fails for nan
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not -1e300 < value < 1e300:
-        raise RobotError(f"robot file: {where} must be a finite number, or a table as {{ design = 0.0 }}")
-    if not abs(value * scale) <= LARGEST[unit]:
-        raise RobotError(f"robot file: {where} is {value:g}, more than any robot has; is the unit right?")
-    return float(value) * scale
-
-
-def check_unknown(table: Mapping[str, Any], where: str, used: set[str]) -> None:
-    for key in sorted(set(table) - used):
-        raise RobotError(f"robot file: unknown key {where}.{shown(key)}")
-
-
-def as_table(value: Any, where: str) -> Mapping[str, Any]:
-    if not isinstance(value, Mapping):
-        raise RobotError(f"robot file: {where} must be a table")
-    return value
-
-
-def _name(table: Mapping[str, Any], key: str, where: str) -> str:
-    value = table[key]
-    if not isinstance(value, str) or not NAME.fullmatch(value):
-        raise RobotError(f"robot file: {where}: {key} must be a name of letters, digits, _ . - (at most {MAX_NAME})")
-    return value
-
-
-def shown(text: str) -> str:
-    """A stranger's text as it may stand in a one-line message."""
-    return text if text.isprintable() and len(text) <= MAX_NAME else repr(text[:MAX_NAME])

@@ -20,16 +20,15 @@ stays in one branch: joints then go straight from any pose to any other, and the
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from truearm.errors import RobotError
 from truearm.model.chain import Joint
-from truearm.model.robot_tables import as_table, check_unknown, read_number, read_quantities, read_quantity
+from truearm.model.robot_tables import MAX_JOINTS, robot_number
+from truearm.schema import Key, List, SchemaError, Table, Whole, at
 from truearm.types import Floats
 
 MAX_CAPSULES = 100
@@ -61,48 +60,52 @@ class Capsules(NamedTuple):
     radius: Floats
 
 
-def read_branch(doc: Mapping[str, Any], joints: Sequence[Joint]) -> Branch | None:
-    """Return the branch of a parsed robot file, None where it has none. Raises RobotError."""
-    if "branch" not in doc:
-        return None
-    table, used = as_table(doc["branch"], "branch"), set[str]()
-    if any(joint.kind != "revolute" for joint in joints):
-        raise RobotError("robot file: branch: only an arm of revolute joints has one")
-    lower, upper = (
-        np.array(read_quantities(table, "branch", key, "rad", len(joints), used)) for key in ("lower", "upper")
-    )
-    near = {
-        key: read_quantity(table, "branch", key, "m", used)
-        for key in ("clearance", "height")
-        if any(name.startswith(f"{key}_") for name in table)
-    }
-    check_unknown(table, "branch", used)
-    limits = np.array([(joint.lower, joint.upper) for joint in joints])
-    for i in np.flatnonzero((lower >= upper) | (lower < limits[:, 0]) | (upper > limits[:, 1]))[:1]:
-        raise RobotError(
-            f"robot file: branch: the bounds of joint {i + 1} must lie within its limits, lower below upper"
-        )
-    return Branch(lower, upper, **near)
+def _branch(lower: tuple[float, ...], upper: tuple[float, ...], **near: float) -> Branch:
+    return Branch(np.array(lower), np.array(upper), **near)
 
 
-def read_capsules(doc: Mapping[str, Any], n_joints: int) -> Capsules | None:
-    """Return the links' capsules of a parsed robot file, None where it has none. Raises RobotError."""
-    if "capsule" not in doc:
-        return None
-    entries = doc["capsule"]
-    if not isinstance(entries, list) or not 1 <= len(entries) <= MAX_CAPSULES:
-        raise RobotError(f"robot file: capsule must be 1 to {MAX_CAPSULES} tables, [[capsule]] each")
-    joint, ends, radius = [], [], []
-    for i, entry in enumerate(entries):
-        where, used = f"capsule {i + 1}", {"joint"}
-        table = as_table(entry, where)
-        moved_by = read_number(table.get("joint"), f"{where}.joint", "1", 1.0)
-        if moved_by != math.floor(moved_by) or not 0 <= moved_by <= n_joints:
-            raise RobotError(f"robot file: {where}.joint must be a whole number from 0 (fixed) to {n_joints}")
-        joint.append(int(moved_by))
-        ends.append([read_quantities(table, where, key, "m", 3, used) for key in ("start", "end")])
-        radius.append(read_quantity(table, where, "radius", "m", used))
-        if radius[-1] <= 0.0:
-            raise RobotError(f"robot file: {where}.radius must be above 0")
-        check_unknown(table, where, used)
-    return Capsules(tuple(joint), np.array(ends), np.array(radius))
+_ANGLES, _LENGTH, _POINT = List(robot_number("rad")), robot_number("m"), List(robot_number("m"), 3)
+BRANCH = Table(
+    (
+        Key("lower", _ANGLES),
+        Key("upper", _ANGLES),
+        Key("clearance", _LENGTH, optional=True),
+        Key("height", _LENGTH, optional=True),
+    ),
+    _branch,
+)
+CAPSULE: Table[dict[str, Any]] = Table(
+    (
+        Key("joint", Whole(0, MAX_JOINTS)),
+        Key("start", _POINT),
+        Key("end", _POINT),
+        Key("radius", replace(_LENGTH, positive=True)),
+    ),
+    dict,
+)
+
+
+def check_branch(branch: Branch, joints: Sequence[Joint]) -> None:
+    """Raise SchemaError for a branch that is none of an arm with these joints."""
+    with at("branch"):
+        if any(joint.kind != "revolute" for joint in joints):
+            raise SchemaError("only an arm of revolute joints has one")
+        for key, bounds in (("lower", branch.lower), ("upper", branch.upper)):
+            if len(bounds) != len(joints):
+                raise SchemaError(f"{key}: needs a list of {len(joints)} values, one a joint, has {len(bounds)}")
+        limits = np.array([(joint.lower, joint.upper) for joint in joints])
+        wrong = (branch.lower >= branch.upper) | (branch.lower < limits[:, 0]) | (branch.upper > limits[:, 1])
+        for i in np.flatnonzero(wrong)[:1]:
+            raise SchemaError(f"the bounds of joint {i + 1} must lie within its limits, lower below upper")
+
+
+def capsules_of(entries: Sequence[Mapping[str, Any]], n_joints: int) -> Capsules:
+    """The capsules of a robot file's ``[[capsule]]`` tables. Raises SchemaError."""
+    joint = tuple(entry["joint"] for entry in entries)
+    for i, index in enumerate(joint, start=1):
+        if index > n_joints:
+            raise SchemaError(
+                f"capsule: item {i}: joint: must be a whole number from 0 (fixed) to {n_joints}, is {index}"
+            )
+    ends = np.array([(entry["start"], entry["end"]) for entry in entries])
+    return Capsules(joint, ends, np.array([entry["radius"] for entry in entries]))
