@@ -6,7 +6,7 @@ Shapes: ``n`` rows, ``j`` joints, ``p`` parameters, ``m`` scalar residuals.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, NamedTuple
 
@@ -142,6 +142,11 @@ class Rig:
     backlash: tuple[float, ...] = ()
     backlash_sigma: tuple[float, ...] = ()
     sockets: Mapping[tuple[str, str], Point] = field(default_factory=dict)  # by place and socket
+    entries: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # of other types that kinds declare, by name
+
+    def things(self, field: str) -> Any:
+        """The entries of a type, by the name of the field that they stand in: a field of this class, or one of ``entries``."""
+        return getattr(self, field) if field in self.__dataclass_fields__ else self.entries.get(field, {})
 
 
 def _absent() -> Any:
@@ -153,28 +158,29 @@ def _absent() -> Any:
 class ObservationTable:
     """Observations of one or several kinds, a row each (hop 5): what tables and sessions both become.
 
-    ``kind`` is ``ball_bar``, ``seat``, ``line``, ``position``, ``pose`` or ``plane``. ``value`` [m]: the measured length
+    ``kind`` is one of ``kinds.registry.NAMES``. ``value`` [m]: the measured length
     of a ball-bar row, the distance from the flat of a plane row (NaN: touched, 0), NaN for other kinds. ``xyz`` [m]: the
     measured point of a line, position or pose row in the device's axes; ``rotation`` [rad]: the measured rotation vector
     of a pose row; ``q_rate``: the joints' velocities, NaN where the robot stood or nobody measured; ``side``: in which direction
-    each joint last moved before the robot stood, −1 or 1, NaN where nobody knows. ``sigma`` [m]: the
-    standard deviation of each coordinate, NaN where the rig's figure is to be used; ``xyz_sigma`` [m]: of this point's own
+    each joint last moved before the robot stood, −1 or 1, NaN where nobody knows. ``sigma``: the
+    standard deviation of each residual in the (first) unit of the row's kind, m or rad, NaN where the rig's figure is to be used; ``xyz_sigma`` [m]: of this point's own
     noise along the device's axes, beside that figure, NaN for none. The identifier columns hold ""
     where a row has none. ``rig`` says which of several rigs a row belongs to, ``source`` where a row comes from, for
-    messages ("poses.csv row 17"). Columns that are not given are filled with NaN or "".
+    messages ("poses.csv row 17"). ``more`` are the columns that only other kinds have, (n,) or (n, c), by the name that the kind
+    declares. Columns that are not given are filled with NaN or "".
     """
 
     q: Floats  # (n, j) joint readings, rad or m
     kind: Strings  # (n,)
-    value: Floats  # (n,)
-    sigma: Floats  # (n,)
-    bar: Strings  # (n,)
-    chuck: Strings  # (n,)
-    sphere: Strings  # (n,)
-    socket: Strings  # (n,)
-    place: Strings  # (n,)
-    shell: Strings  # (n,)
-    source: Strings  # (n,)
+    value: Floats = field(default_factory=_absent)  # (n,)
+    sigma: Floats = field(default_factory=_absent)  # (n,)
+    bar: Strings = field(default_factory=_absent)  # (n,)
+    chuck: Strings = field(default_factory=_absent)  # (n,)
+    sphere: Strings = field(default_factory=_absent)  # (n,)
+    socket: Strings = field(default_factory=_absent)  # (n,)
+    place: Strings = field(default_factory=_absent)  # (n,)
+    shell: Strings = field(default_factory=_absent)  # (n,)
+    source: Strings = field(default_factory=_absent)  # (n,)
     xyz: Floats = field(default_factory=_absent)  # (n, 3)
     xyz_sigma: Floats = field(default_factory=_absent)  # (n, 3)
     rotation: Floats = field(default_factory=_absent)  # (n, 3)
@@ -185,28 +191,63 @@ class ObservationTable:
     tracker: Strings = field(default_factory=_absent)  # (n,)
     plane: Strings = field(default_factory=_absent)  # (n,)
     rig: Strings = field(default_factory=_absent)  # (n,)
+    more: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.q.ndim != 2:
             raise ValueError(f"q must be (n, j), is {self.q.shape}")
         n = self.q.shape[0]
-        wide = {
+        shapes = {
+            **dict.fromkeys(self.fields(), (n,)),
             **dict.fromkeys(("q", "q_rate", "side"), self.q.shape),
             **dict.fromkeys(("xyz", "xyz_sigma", "rotation"), (n, 3)),
         }
-        for name in self.__dataclass_fields__:
-            shape = wide.get(name, (n,))
+        for name, shape in shapes.items():
             if getattr(self, name) is None:
-                object.__setattr__(self, name, np.broadcast_to(np.array(np.nan if name in wide else ""), shape))
+                blank = np.nan if len(shape) == 2 or name in ("value", "sigma") else ""
+                object.__setattr__(self, name, np.broadcast_to(np.array(blank), shape))
             if getattr(self, name).shape != shape:
                 raise ValueError(f"{name} must be {shape}, is {getattr(self, name).shape}")
+        for name, column in self.more.items():
+            if column.shape[:1] != (n,):
+                raise ValueError(f"{name} must have {n} rows, is {column.shape}")
 
     def __len__(self) -> int:
         return int(self.q.shape[0])
 
+    @classmethod
+    def fields(cls) -> tuple[str, ...]:
+        """The columns that every table has."""
+        return tuple(column.name for column in fields(cls) if column.name != "more")
+
+    def column(self, name: str, absent: float | str = "") -> NDArray[Any]:
+        """A column, one of ``more`` too; filled with ``absent`` where the table does not have it."""
+        if name in self.fields():
+            return np.asarray(getattr(self, name))
+        return self.more[name] if name in self.more else np.full(len(self), absent)
+
     def select(self, rows: NDArray[Any]) -> ObservationTable:
         """The rows of a boolean mask or an index array."""
-        return ObservationTable(**{name: getattr(self, name)[rows] for name in self.__dataclass_fields__})
+        columns: dict[str, Any] = {name: getattr(self, name)[rows] for name in self.fields()}
+        return ObservationTable(**columns, more={name: column[rows] for name, column in self.more.items()})
+
+    @classmethod
+    def joined(cls, tables: Sequence[ObservationTable]) -> ObservationTable:
+        """The rows of several tables one after the other. Raises ValueError where their joints differ in number."""
+        columns: dict[str, Any] = {
+            name: np.concatenate([getattr(table, name) for table in tables]) for name in cls.fields()
+        }
+        more = {
+            name: np.concatenate([_like(column, table.more.get(name), len(table)) for table in tables])
+            for name, column in {name: column for table in tables for name, column in table.more.items()}.items()
+        }
+        return cls(**columns, more=more)
+
+
+def _like(column: NDArray[Any], own: NDArray[Any] | None, n: int) -> NDArray[Any]:
+    """A table's ``own`` column; where it has none, n rows without a value."""
+    blank = np.nan if column.dtype.kind == "f" else ""
+    return np.full((n, *column.shape[1:]), blank) if own is None else own
 
 
 @dataclass(frozen=True)

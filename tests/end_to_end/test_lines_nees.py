@@ -1,6 +1,6 @@
 """Is what `map` says of its errors true, and does it notice a device that is not what it says? Robots drawn from the prior."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -135,8 +135,7 @@ def test_a_wrong_velocity_of_sound_is_noticed_beside_a_ball_bar():
     for flaws, wrong in ((Flaws(), False), (Flaws(sound=5e-3), True)):
         lines = shown(world, flaws)
         assert in_band(found(world, lines))  # by themselves they are none the wiser
-        names = [column.name for column in fields(ObservationTable)]
-        table = ObservationTable(**{k: np.concatenate([getattr(bars, k), getattr(lines, k)]) for k in names})
+        table = ObservationTable.joined([bars, lines])
         estimate = found(world, table)
         assert in_band(estimate) is not wrong
         assert not wrong or estimate.chi2_reduced > estimate.chi2_band[1]

@@ -26,8 +26,7 @@ def rows(kind, q, **columns):
 
 
 def join(*tables):
-    names = ObservationTable.__dataclass_fields__
-    return ObservationTable(**{name: np.concatenate([getattr(t, name) for t in tables]) for name in names})
+    return ObservationTable.joined(tables)
 
 
 def in_device(p_base, xyz, vector):

@@ -173,8 +173,7 @@ def both(a, b):
     def joined(x, y):
         return np.concatenate([x, y])
 
-    columns = a.table.__dataclass_fields__
-    table = ObservationTable(**{k: joined(getattr(a.table, k), getattr(b.table, k)) for k in columns})
+    table = ObservationTable.joined([a.table, b.table])
     changed = ("fitted", "suspect", "distance", "weight")
     rows = {k: joined(getattr(a.estimate, k), getattr(b.estimate, k)) for k in changed}
     for k in ("residual", "residual_before"):

@@ -93,9 +93,7 @@ def test_when_nothing_fits_nothing_is_named(shells):
 
 
 def joined(*tables):
-    return ObservationTable(
-        **{name: np.concatenate([getattr(t, name) for t in tables]) for name in tables[0].__dataclass_fields__}
-    )
+    return ObservationTable.joined(tables)
 
 
 def on(day, t):

@@ -13,10 +13,11 @@ from test_files_plan import MOVING
 from test_files_rig import FULL
 
 from truearm.errors import TruearmError
-from truearm.files.observation_table import LARGEST, read_table
+from truearm.files.observation_table import read_table
 from truearm.files.plan_file import read_plan
 from truearm.files.rig_file import read_rig
 from truearm.files.target_table import read_targets
+from truearm.units import UNITS
 
 DATA = Path(__file__).parents[1] / "data" / "mukca"
 TABLE = "kind,q1_deg,q2_mm,length_mm,sigma_mm,bar,chuck,sphere,place,socket\n" + "".join(
@@ -27,7 +28,7 @@ TARGETS = "x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\n" + "".join(f"{500 + k},{k},{-k}
 
 def sane_table(table):
     assert np.all(np.isfinite(table.q))
-    assert not np.any(np.abs(table.value) > LARGEST["m"])
+    assert not np.any(np.abs(table.value) > UNITS["m"].largest)
     assert not np.any(table.sigma <= 0.0)
 
 

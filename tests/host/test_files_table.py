@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from truearm.errors import TableError
 from truearm.files.observation_table import (
-    NEEDS,
     check_against_rig,
     concatenate,
     format_table,
@@ -18,6 +17,7 @@ from truearm.files.observation_table import (
     read_table,
     write_table,
 )
+from truearm.kinds.registry import NAMES
 from truearm.types import BallBar, Device, ObservationTable, Plane, Point, Rig, SocketDistance
 
 GOOD = "kind,q1_rad,q2_deg,length_mm,sigma_mm,bar,chuck,sphere,shell\nball_bar,0.5,90,460.25,0.1,b46,c1,s1,low\n"
@@ -75,7 +75,7 @@ lengths = st.floats(min_value=1e-9, max_value=100.0)
 @st.composite
 def tables(draw: st.DrawFn) -> ObservationTable:
     joints, n = draw(st.integers(1, 8)), draw(st.integers(1, 5))
-    kind = np.array(draw(st.lists(st.sampled_from(sorted(NEEDS)), min_size=n, max_size=n)))
+    kind = np.array(draw(st.lists(st.sampled_from(sorted(NAMES)), min_size=n, max_size=n)))
 
     def identifier(*kinds: str) -> np.ndarray:
         return np.where(np.isin(kind, kinds), draw(st.lists(names, min_size=n, max_size=n)), "")
@@ -84,7 +84,7 @@ def tables(draw: st.DrawFn) -> ObservationTable:
         row = st.lists(numbers, min_size=columns, max_size=columns)
         return np.array(draw(st.lists(row, min_size=n, max_size=n)))
 
-    pointed, every = np.isin(kind, ("line", "position", "pose"))[:, None], sorted(NEEDS)
+    pointed, every = np.isin(kind, ("line", "position", "pose"))[:, None], sorted(NAMES)
     moving = np.array(draw(st.lists(st.booleans(), min_size=n, max_size=n)))[:, None]
     sigma = np.array(draw(st.lists(st.just(math.nan) | st.floats(1e-9, 0.1), min_size=n, max_size=n)))
     return ObservationTable(
@@ -116,7 +116,7 @@ def tables(draw: st.DrawFn) -> ObservationTable:
 def test_a_written_table_comes_back_bit_for_bit(table: ObservationTable) -> None:
     units = ("rad",) * table.q.shape[1]
     back = parse_table(format_table(table, units), "t.csv", units)
-    for field in ObservationTable.__dataclass_fields__:
+    for field in ObservationTable.fields():
         np.testing.assert_array_equal(getattr(back, field), getattr(table, field), err_msg=field)
 
 
@@ -166,7 +166,10 @@ WRONG = {
         "has no x_mm",
     ),
     "point in cm": (LINE.replace("y_mm", "y_cm"), "unit 'cm' is not known"),
-    "pose without a turn": ("kind,q1_rad,tracker,x_m,y_m,z_m\npose,0,t,0,0,0\n", "needs rx_rad, ry_rad, rz_rad"),
+    "pose without a turn": (
+        "kind,q1_rad,tracker,x_m,y_m,z_m\npose,0,t,0,0,0\n",
+        "needs rx_deg, ry_deg, rz_deg (or _rad)",
+    ),
     "turn in degrees called rad": ("kind,q1_rad,rx_rad\nseat,0,90\n", "too large for rad"),
     "touch of no plane": ("kind,q1_rad,plane\nplane,0,\n", "a plane row needs a plane"),
     "speed of one joint": ("kind,q1_rad,q2_rad,qd1_rad_s,place,socket\nseat,0,0,0,a,0\n", "2 joint columns but 1"),

@@ -37,9 +37,7 @@ def seats(n, rng, sphere="s1", places=("here", "there")):
 def both_kinds(rng):
     q, pairs = random_poses(12, rng), all_pairs(12)
     bar, ball = table(q, lengths(TRUTH, q, pairs), pairs), seats(9, rng)
-    return ObservationTable(
-        **{f: np.concatenate([getattr(bar, f), getattr(ball, f)]) for f in bar.__dataclass_fields__}
-    )
+    return ObservationTable.joined([bar, ball])
 
 
 def test_derivatives_of_every_kind_by_every_unknown():

@@ -95,8 +95,7 @@ def rows(name, q, xyz):
 
 
 def join(tables):
-    names = ObservationTable.__dataclass_fields__
-    return ObservationTable(**{name: np.concatenate([getattr(t, name) for t in tables]) for name in names})
+    return ObservationTable.joined(tables)
 
 
 def lines(count, n, truth, rng, noise=1.0):

@@ -177,10 +177,10 @@ def _about_one_point(here: Chain, q: Floats, p_end: Floats, rng: np.random.Gener
 
 def _rows(q: Floats, kind: str, **columns: Any) -> ObservationTable:
     n = len(q)
-    names = ("bar", "chuck", "sphere", "socket", "place", "shell", "source")
-    given = {k: np.full(n, v) if isinstance(v, str) else v for k, v in columns.items()}
-    base: dict[str, Any] = {"kind": np.full(n, kind), "value": np.full(n, np.nan), "sigma": np.full(n, LINE_SIGMA)}
-    return ObservationTable(**{"q": q, **base, **{name: np.full(n, "") for name in names}, **given})
+    given: dict[str, Any] = {
+        name: np.full(n, value) if isinstance(value, str) else value for name, value in columns.items()
+    }
+    return ObservationTable(q=q, kind=np.full(n, kind), sigma=np.full(n, LINE_SIGMA), **given)
 
 
 def _at(chain: Chain, known: Mapping[str, float]) -> Chain:

@@ -21,6 +21,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from truearm.estimate.problem import Rigs
+from truearm.kinds.registry import kinds
 from truearm.model.chain import Chain, point_jacobians
 from truearm.types import Estimate, Floats, ObservationTable, PredictedError, Rig
 
@@ -69,17 +70,16 @@ def _measured_points(rig: Rigs, table: ObservationTable, estimate: Estimate) -> 
     points = np.zeros((len(table), 3))
     for name, one in rigs.items():
         prefix = f"{name}." if name else ""
-        for what, column, known in (("sphere", table.sphere, one.spheres), ("target", table.target, one.targets)):
+        for kind, of in kinds().items():
+            rows = (table.rig == name) & (table.kind == kind)
+            known, column = of.points(one), table.column(of.point)
             for label, point in known.items():
-                only = len(known) == 1 and np.isin(table.kind, ("seat",) if what == "sphere" else _TOUCHING)
-                mine = (table.rig == name) & ((column == label) | (only & (column == "")))
+                mine = rows & ((column == label) | ((column == "") & (len(known) == 1)))
                 points[mine] = [
-                    found.get(f"{prefix}{what}.{label}.{k}", value) for k, value in zip("xyz", point.xyz, strict=True)
+                    found.get(f"{prefix}{of.point}.{label}.{k}", value)
+                    for k, value in zip("xyz", point.xyz, strict=True)
                 ]
     return points
-
-
-_TOUCHING = ("line", "position", "pose", "plane")
 
 
 def _null_directions(estimate: Estimate) -> Floats:

@@ -1,7 +1,7 @@
 """A problem: one robot, the rigs around it and a table of observations, with every unknown named.
 
 The parameter vector x (P,) is the robot's params followed by what the rigs leave unknown, kind by kind as in
-``drafts.KINDS``: ``chuck.<name>.x .y .z``, ``sphere.<name>.x .y .z``, ``bar.<name>.zero .gain``,
+``kinds.registry``: ``chuck.<name>.x .y .z``, ``sphere.<name>.x .y .z``, ``bar.<name>.zero .gain``,
 ``socket.<place>.<socket>.x .y .z``, ``target.<name>.x .y .z``, ``line.<name>.x .y .z .rx .ry .rz``, ``tracker.<name>``
 likewise, ``time_offset``, ``plane.<name>.offset .tilt1 .tilt2``; of all these only what a row uses and the rig does not
 know exactly. Sockets are always unknown and start at the mean of the ball's positions that the nominal robot predicts.
@@ -19,11 +19,12 @@ import numpy as np
 
 from truearm.errors import ProblemError
 from truearm.estimate.backlash import Backlash
-from truearm.estimate.drafts import KINDS, Draft
 from truearm.estimate.prior import robot_prior
 from truearm.estimate.residual_noise import checked_joint_cov, residual_cov
-from truearm.estimate.unknowns import Layout, Scope
+from truearm.kinds.draft import Draft, Scope
 from truearm.kinds.group import Group
+from truearm.kinds.registry import kinds
+from truearm.kinds.unknowns import Layout
 from truearm.model.chain import Chain
 from truearm.types import Floats, ObservationTable, Residuals, Rig
 from truearm.units import UNITS
@@ -66,10 +67,10 @@ def build_problem(
     the row), for missing readings, for σ that are not positive and for rigs that differ in the joints' noise.
     """
     _check_joints(chain, table)
-    bad = np.flatnonzero(~np.isin(table.kind, list(KINDS)))
+    bad = np.flatnonzero(~np.isin(table.kind, list(kinds())))
     if bad.size:
-        kind, known = str(table.kind[bad[0]]), ", ".join(KINDS)
-        raise ProblemError(f"{table.source[bad[0]]}: kind {kind!r} is not known; use one of {known}")
+        unknown, known = str(table.kind[bad[0]]), ", ".join(kinds())
+        raise ProblemError(f"{table.source[bad[0]]}: kind {unknown!r} is not known; use one of {known}")
     rigs = _rigs(rig, table)
     first = next(iter(rigs.values()))
     joint_cov = checked_joint_cov(first.joint_cov, len(chain.joints))
@@ -80,10 +81,10 @@ def build_problem(
     for name, one in rigs.items():
         scope = Scope(chain, one, table, f"{name}." if name else "")
         mine = table.rig == name
-        for kind, draft in KINDS.items():
-            rows = np.flatnonzero(mine & (table.kind == kind))
+        for name_of_kind, kind in kinds().items():
+            rows = np.flatnonzero(mine & (table.kind == name_of_kind))
             if rows.size:
-                drafts.append(draft(scope, rows))
+                drafts.append(kind.draft(scope, rows))
     layout = Layout(len(chain.parameters), [used for draft in drafts for used in draft.used])
     free = layout.unknown
     prior = np.concatenate([robot_prior(chain, prior_sigma), [u.sigma for u in free]])

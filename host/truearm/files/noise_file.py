@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 
 from truearm.errors import RigError
 from truearm.files.disk import parse_toml, read_text
-from truearm.files.rig_file import JOINT_COVARIANCE, NAME, SIZE, by_name
+from truearm.files.rig_file import JOINT_COVARIANCE
+from truearm.kinds.rig_entries import NAME, SIZE, by_name
 from truearm.schema import Entries, Key, List, Number, SchemaError, Table, read, sigma
 from truearm.types import Matrix, Rig
 

@@ -8,17 +8,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from truearm.errors import TableError
+from truearm.kinds import registry
+from truearm.units import SUFFIXES, suffixes
 
-UNITS = {
-    "q": ("rad", "deg", "m", "mm"),
-    "qd": ("rad_s", "deg_s", "m_s", "mm_s"),
-    **dict.fromkeys(("length", "sigma", "x", "y", "z", "sx", "sy", "sz"), ("m", "mm")),
-    **dict.fromkeys(("rx", "ry", "rz"), ("rad", "deg")),
-}
-IDS = ("bar", "chuck", "sphere", "socket", "place", "shell", "target", "line", "tracker", "plane", "rig")
+JOINTS = {"q": ("rad", "deg", "m", "mm"), "qd": ("rad_s", "deg_s", "m_s", "mm_s")}
 MEASURED_X = ("x_m", "x_mm")  # the only titles in x_… that are not the user's own
-
-_QUANTITY = re.compile(r"(qd?[1-9][0-9]{0,2}|length|sigma|[rs]?[xyz])(?:_(\w*))?")
 
 
 class Column(NamedTuple):
@@ -49,26 +43,41 @@ def read_header(header: list[str], name: str) -> dict[str, Column]:
     return columns
 
 
+def number_units() -> dict[str, tuple[str, ...]]:
+    """The columns of numbers, joints left out, and the units that each may have at its end."""
+    sigma = tuple(suffix for unit in registry.units() for suffix in suffixes(unit))
+    measured = {c: tuple(suffixes(quantity.unit)) for quantity in registry.quantities() for c in quantity.columns}
+    return {"sigma": sigma, **measured}
+
+
 def _quantity(title: str, where: str) -> tuple[str, str]:
-    """Quantity and unit of a column's title, or TableError with the title that was probably meant."""
-    if title == "kind" or title in IDS:
+    """Quantity and unit of a column's title, or TableError with the title that was probably meant.
+
+    A ``sigma`` in another unit than metres is a quantity of its own, ``sigma_rad``: a table may have both.
+    """
+    if title == "kind" or title in registry.identifiers():
         return title, ""
-    match = _QUANTITY.fullmatch(title)
-    if match is None:
+    units = number_units() | JOINTS
+    match = re.fullmatch(rf"(qd?(?=[1-9])|{'|'.join(map(re.escape, number_units()))})([0-9]{{0,3}})(?:_(\w*))?", title)
+    if match is None or (match[2] != "") != (match[1] in JOINTS):
         raise TableError(f"{where}: is no known column; {_suggestion(title)}")
-    quantity, unit = match.groups()
-    known = UNITS[quantity.rstrip("0123456789")]
+    quantity, unit, known = match[1] + match[2], match[3], units[match[1]]
     if unit is None:
         raise TableError(f"{where}: has no unit; name it {' or '.join(f'{quantity}_{u}' for u in known)}")
     if unit not in known:
         raise TableError(f"{where}: unit {shown(unit)} is not known; use one of {', '.join(known)}")
-    return quantity, unit
+    return sigma_column(SUFFIXES[unit].si) if quantity == "sigma" else quantity, unit
+
+
+def sigma_column(si: str) -> str:
+    """What the column of standard deviations in an SI unit is called."""
+    return "sigma" if si == "m" else f"sigma_{si}"
 
 
 def _suggestion(title: str) -> str:
-    joints = [f"{quantity}{i}_{unit}" for quantity, unit in (("q", "rad"), ("qd", "rad_s")) for i in range(1, 8)]
-    numbers = [f"{quantity}_{unit}" for quantity, units in UNITS.items() if quantity[0] != "q" for unit in units]
-    known = ["kind", *IDS, *numbers, *joints]
+    joints = [f"{quantity}{i}_{units[0]}" for quantity, units in JOINTS.items() for i in range(1, 8)]
+    numbers = [f"{quantity}_{unit}" for quantity, units in number_units().items() for unit in units]
+    known = ["kind", *registry.identifiers(), *numbers, *joints]
     close = difflib.get_close_matches(title[:40].lower(), known, n=2)
     return f"did you mean {' or '.join(close)}?" if close else "begin its name with x_ if it is to be ignored"
 
@@ -111,7 +120,7 @@ def _numbered(columns: dict[str, Column], letter: str, name: str) -> list[Column
 
 def base_unit(unit: str) -> str:
     """The SI unit that a joint's column is turned into, of a velocity without its "per second"."""
-    return "rad" if unit.removesuffix("_s") in ("rad", "deg") else "m"
+    return SUFFIXES[unit].si.removesuffix("/s")
 
 
 def shown(text: str) -> str:

@@ -11,7 +11,6 @@ import csv
 import io
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,39 +19,13 @@ import numpy as np
 from truearm.errors import TableError
 from truearm.files.csv_cells import Row, identifiers, numbers, read_cells, together
 from truearm.files.disk import read_text, write_atomic
-from truearm.files.observation_columns import IDS, Column, base_unit, joint_columns, rate_columns, read_header, shown
+from truearm.files.observation_columns import Column, joint_columns, rate_columns, read_header, shown, sigma_column
+from truearm.kinds import registry
+from truearm.kinds.quantities import LARGEST_NOISE, Quantity
 from truearm.types import Floats, ObservationTable, Rig
+from truearm.units import SUFFIXES, UNITS, suffixes
 
 MAX_BYTES = 16 * 2**20
-# What a kind must have and what else it may have; ANY is what every row may carry. The rest it must leave empty.
-NEEDS = {
-    "ball_bar": ("bar", "chuck", "sphere", "length"),
-    "seat": ("place", "socket"),
-    "line": ("line", "point"),
-    "position": ("tracker", "point"),
-    "pose": ("tracker", "point", "turn"),
-    "plane": ("plane",),
-}
-MAY = {
-    "ball_bar": (),
-    "seat": ("sphere",),
-    "line": ("target", "spread"),
-    "position": ("target", "spread"),
-    "pose": ("target", "spread"),
-    "plane": ("target", "length"),
-}
-ANY = ("place", "shell", "rig")
-TITLES = {
-    "length": "length_mm or length_m",
-    "point": "x_mm, y_mm, z_mm (or _m)",
-    "turn": "rx_rad, ry_rad, rz_rad (or _deg)",
-    "spread": "sx_mm, sy_mm, sz_mm (or _m)",
-}
-POINT, SPREAD, TURN = ("x", "y", "z"), ("sx", "sy", "sz"), ("rx", "ry", "rz")
-# Beyond these a column is in another unit than its name says: ten turns of a joint, a room, a decimetre of noise.
-LARGEST = {"rad": 20.0 * math.pi, "m": 100.0}
-LARGEST_SIGMA = 0.1
-LARGEST_TURN = 2.0 * math.pi  # a rotation vector's length need not pass π
 
 
 def read_table(path: Path, joint_units: Sequence[str] | None = None) -> ObservationTable:
@@ -72,61 +45,101 @@ def parse_table(text: str, name: str, joint_units: Sequence[str] | None = None) 
     if not rows:
         raise TableError(f"{name}: has a header but no rows of observations")
     kind = _kinds(rows, columns["kind"], name)
-    ids = {id_: identifiers(rows, columns.get(id_), name) for id_ in IDS}
-    value = numbers(rows, columns.get("length"), name, LARGEST["m"])
-    sigma = numbers(rows, columns.get("sigma"), name, LARGEST_SIGMA, positive=True)
-    xyz = together([numbers(rows, columns.get(k), name, LARGEST["m"]) for k in POINT], rows, "x, y and z", name)
-    spread = [numbers(rows, columns.get(k), name, LARGEST_SIGMA, positive=True) for k in SPREAD]
-    xyz_sigma = together(spread, rows, "sx, sy and sz", name)
-    turn = together([numbers(rows, columns.get(k), name, LARGEST_TURN) for k in TURN], rows, "rx, ry and rz", name)
-    measured = {"length": ~np.isnan(value), "point": ~np.isnan(xyz[:, 0]), "turn": ~np.isnan(turn[:, 0])}
-    measured["spread"] = ~np.isnan(xyz_sigma[:, 0])
-    _check_kinds(rows, kind, {**ids, **measured}, name)
-    _check_lengths(rows, (kind == "ball_bar") & (value <= 0.0), columns.get("length"), name)
-    q = np.stack(
-        [numbers(rows, joint, name, LARGEST[base_unit(joint.unit)], required=True) for joint in joints], axis=1
-    )
-    rates = [numbers(rows, rate, name, LARGEST[base_unit(rate.unit)]) for rate in rate_columns(columns, joints, name)]
-    q_rate = together(rates, rows, "the velocities of all joints", name) if rates else np.full_like(q, np.nan)
+    names = {column: identifiers(rows, columns.get(column), name) for column in registry.identifiers()}
+    measured = {quantity.field: _measured(rows, columns, quantity, name) for quantity in registry.quantities()}
+    sigma = _sigmas(rows, kind, columns, name)
+    _check_kinds(rows, kind, names, measured, name)
+    _check_signs(rows, kind, columns, measured, name)
+    q = np.stack([numbers(rows, joint, name, _largest(joint), required=True) for joint in joints], axis=1)
+    rates = [numbers(rows, rate, name, _largest(rate)) for rate in rate_columns(columns, joints, name)]
+    given: dict[str, Any] = {**names, **measured, "sigma": sigma}
+    if rates:
+        given["q_rate"] = together(rates, rows, "the velocities of all joints", name)
+    more = {field: given.pop(field) for field in tuple(given) if field not in ObservationTable.fields()}
     source = np.array([f"{name} row {row.number}" for row in rows])
-    table = ObservationTable(q, kind, value, sigma, source=source, xyz=xyz, rotation=turn, q_rate=q_rate, **ids)
-    return replace(table, xyz_sigma=xyz_sigma)
+    return ObservationTable(
+        q=q, kind=kind, source=source, **given, more={k: column for k, column in more.items() if _filled(column).any()}
+    )
 
 
 def _kinds(rows: list[Row], column: Column, name: str) -> np.ndarray:
     for row in rows:
-        if row.cells[column.position] not in NEEDS:
+        if row.cells[column.position] not in registry.NAMES:
             raise TableError(
                 f"{name} row {row.number} column kind: {shown(row.cells[column.position])} is no kind of observation; "
-                f"use {' or '.join(NEEDS)}"
+                f"use {' or '.join(registry.NAMES)}"
             )
     return np.array([row.cells[column.position] for row in rows])
 
 
-def _check_kinds(rows: list[Row], kind: np.ndarray, cells: dict[str, np.ndarray], name: str) -> None:
+def _measured(rows: list[Row], columns: Mapping[str, Column], quantity: Quantity, name: str) -> Floats:
+    """(n,) of one column of a quantity, (n, c) of several."""
+    parts = [numbers(rows, columns.get(column), name, quantity.most) for column in quantity.columns]
+    return parts[0] if len(parts) == 1 else together(parts, rows, quantity.words, name)
+
+
+def _sigmas(rows: list[Row], kind: np.ndarray, columns: Mapping[str, Column], name: str) -> Floats:
+    """(n,) each row's in the unit of its kind."""
+    sigma = np.full(len(rows), np.nan)
+    for unit in registry.units():
+        column = columns.get(sigma_column(unit))
+        given = numbers(rows, column, name, LARGEST_NOISE, positive=True)
+        mine = np.isin(kind, [key for key, of in registry.kinds().items() if of.components[0] == unit])
+        wrong = np.flatnonzero(~mine & ~np.isnan(given))
+        if wrong.size and column:
+            raise TableError(
+                f"{name} row {rows[wrong[0]].number} column {column.name}: the residual of a {kind[wrong[0]]} row is not "
+                f"in {column.unit}; leave that cell empty"
+            )
+        sigma[mine] = given[mine]
+    return sigma
+
+
+def _largest(column: Column) -> float:
+    """Beyond it a joint's column is in another unit than its name says."""
+    return UNITS[SUFFIXES[column.unit].si].largest
+
+
+def _filled(column: np.ndarray) -> np.ndarray:
+    """(n,) which rows have something in a column of identifiers or numbers."""
+    return np.asarray(column != "" if column.dtype.kind == "U" else ~np.isnan(column.reshape(len(column), -1)[:, 0]))
+
+
+def _check_kinds(
+    rows: list[Row], kind: np.ndarray, names: Mapping[str, np.ndarray], measured: Mapping[str, Floats], name: str
+) -> None:
     """Each row has the cells its kind needs and leaves empty those that would say something else."""
-    leaves = {k: [q for q in cells if q not in (*NEEDS[k], *MAY[k], *ANY)] for k in NEEDS}
+    titles = {column: f"a {column}" for column in names} | {q.field: q.title for q in registry.quantities()}
+    filled = {column: _filled(cells) for column, cells in {**names, **measured}.items()}
+    needs = {key: [_field(column) for column in of.needs] for key, of in registry.kinds().items()}
+    known = {key: {*map(_field, (*of.needs, *of.may)), *registry.ANYWHERE} for key, of in registry.kinds().items()}
+    leaves = {key: [column for column in filled if column not in known[key]] for key in known}
     for i, row in enumerate(rows):
         where = f"{name} row {row.number}"
-        for quantity in NEEDS[kind[i]]:
-            if not cells[quantity][i]:
-                raise TableError(f"{where}: a {kind[i]} row needs {_titled(quantity)}, which is empty or missing")
-        for quantity in leaves[kind[i]]:
-            if cells[quantity][i]:
-                raise TableError(f"{where}: a {kind[i]} row has no {_titled(quantity)}; leave that cell empty")
+        for column in needs[kind[i]]:
+            if not filled[column][i]:
+                raise TableError(f"{where}: a {kind[i]} row needs {titles[column]}, which is empty or missing")
+        for column in leaves[kind[i]]:
+            if filled[column][i]:
+                raise TableError(f"{where}: a {kind[i]} row has no {titles[column]}; leave that cell empty")
 
 
-def _check_lengths(rows: list[Row], bad: np.ndarray, column: Column | None, name: str) -> None:
+def _field(column: str | Quantity) -> str:
+    return column if isinstance(column, str) else column.field
+
+
+def _check_signs(
+    rows: list[Row], kind: np.ndarray, columns: Mapping[str, Column], measured: Mapping[str, Floats], name: str
+) -> None:
     """A bar has a length; the distance from a plane may be on either side of it."""
-    if column is None:
-        return
-    for i in np.flatnonzero(bad):
-        cell = shown(rows[i].cells[column.position])
-        raise TableError(f"{name} row {rows[i].number} column {column.name}: {cell} must be greater than 0")
-
-
-def _titled(quantity: str) -> str:
-    return TITLES.get(quantity, f"a {quantity}")
+    for key, of in registry.kinds().items():
+        for quantity in of.quantities:
+            small = measured[quantity.field].reshape(len(rows), -1) <= 0.0
+            bad = np.argwhere(small & (kind == key)[:, None] & quantity.positive)
+            for i, k in bad[:1].tolist():
+                column = columns[quantity.columns[k]]
+                cell = shown(rows[i].cells[column.position])
+                raise TableError(f"{name} row {rows[i].number} column {column.name}: {cell} must be greater than 0")
 
 
 def concatenate(tables: Sequence[ObservationTable]) -> ObservationTable:
@@ -136,46 +149,30 @@ def concatenate(tables: Sequence[ObservationTable]) -> ObservationTable:
             raise TableError(
                 f"{table.source[0]}: has {table.q.shape[1]} joints, {tables[0].source[0]} has {tables[0].q.shape[1]}"
             )
-    names = [field.name for field in fields(ObservationTable)]
-    return ObservationTable(**{name: np.concatenate([getattr(t, name) for t in tables]) for name in names})
+    return ObservationTable.joined(tables)
 
 
 def check_against_rig(table: ObservationTable, rig: Rig) -> None:
     """Raise TableError for the first row that names a bar, chuck, sphere, … which the rig does not have.
 
-    Likewise for a socket, or a distance of sockets, that no row of a table with seats has: it would silently do nothing.
+    Likewise for a row that does not say which of several points it means, and what the row's kind itself refuses.
     """
-    known_things: dict[str, Mapping[str, object]] = {
-        **{"bar": rig.bars, "chuck": rig.chucks, "sphere": rig.spheres, "target": rig.targets},
-        **{"tracker": rig.trackers, "plane": rig.planes},
-        # A rig that lists no lines takes them as they come.
-        **({"line": rig.lines} if rig.lines else {}),
-    }
-    for column, known in known_things.items():
-        for identifier, source in zip(getattr(table, column), table.source, strict=True):
+    for column, known in registry.things(rig).items():
+        for identifier, source in zip(table.column(column), table.source, strict=True):
             if identifier and identifier not in known:
                 names = ", ".join(sorted(known)) or "none; give it with --rig"
                 raise TableError(
                     f"{source} column {column}: {shown(str(identifier))} is not in the rig (it has {names})"
                 )
-    seats = table.kind == "seat"
-    touching = np.isin(table.kind, ("line", "position", "pose", "plane"))
-    for column, of_kind, points in (("sphere", seats, rig.spheres), ("target", touching, rig.targets)):
-        nameless = np.flatnonzero(of_kind & (getattr(table, column) == ""))
-        if nameless.size and len(points) > 1:
+    for key, kind in registry.kinds().items():
+        rows, points = table.kind == key, kind.points(rig)
+        nameless = np.flatnonzero(rows & (table.column(kind.point) == "")) if len(points) > 1 else np.zeros(0, int)
+        if nameless.size:
             names = ", ".join(sorted(points))
-            raise TableError(f"{table.source[nameless[0]]} column {column}: is empty; name one of the rig's ({names})")
-    used = set(zip(table.place[seats].tolist(), table.socket[seats].tolist(), strict=True))
-    for place, socket in rig.sockets if used else ():
-        if (place, socket) not in used:
-            raise TableError(f"the rig's socket {socket} at place {place!r} is of no use: no row is seated in it")
-    for distance in rig.socket_distances if used else ():
-        if not any({(place, socket) for socket in distance.sockets} <= used for place, _ in used):
-            sockets = ", ".join(sorted({socket for _, socket in used})[:12])
-            raise TableError(
-                f"the rig's socket distance {' to '.join(distance.sockets)} is of no use: "
-                f"the seats are in sockets {sockets}, and no place has both"
-            )
+            where = f"{table.source[nameless[0]]} column {kind.point}"
+            raise TableError(f"{where}: is empty; name one of the rig's ({names})")
+        if kind.check and rows.any():
+            kind.check(table, rig)
 
 
 def format_table(table: ObservationTable, joint_units: Sequence[str]) -> str:
@@ -191,19 +188,33 @@ def format_table(table: ObservationTable, joint_units: Sequence[str]) -> str:
 
 def table_columns(table: ObservationTable, joint_units: Sequence[str]) -> dict[str, Any]:
     """Titles and values of the columns that ``format_table`` writes; ``source`` is not among them."""
-    ids = {name: getattr(table, name) for name in IDS if np.any(getattr(table, name) != "")}
-    return {"kind": table.kind, **_number_columns(table, joint_units), **ids}
+    names = {column: table.column(column) for column in registry.identifiers()}
+    return {
+        "kind": table.kind,
+        **_number_columns(table, joint_units),
+        **{title: column for title, column in names.items() if np.any(column != "")},
+    }
 
 
 def _number_columns(table: ObservationTable, joint_units: Sequence[str]) -> dict[str, Floats]:
     """Titles and values of all columns of numbers; but for the joints only those that have any."""
     joints = {f"q{i}_{unit}": table.q[:, i - 1] for i, unit in enumerate(joint_units, start=1)}
-    others = {"length_m": table.value, "sigma_m": table.sigma}
-    others |= {f"{k}_m": table.xyz[:, i] for i, k in enumerate(POINT)}
-    others |= {f"{k}_m": table.xyz_sigma[:, i] for i, k in enumerate(SPREAD)}
-    others |= {f"{k}_rad": table.rotation[:, i] for i, k in enumerate(TURN)}
+    others: dict[str, Floats] = {}
+    for quantity in registry.quantities():
+        column = table.column(quantity.field, np.nan).reshape(len(table), -1)
+        others |= {
+            f"{title}_{_own(quantity.unit)}": part for title, part in zip(quantity.columns, column.T, strict=False)
+        }
+    for unit in registry.units():
+        mine = [key for key, kind in registry.kinds().items() if kind.components[0] == unit]
+        others[f"sigma_{_own(unit)}"] = np.where(np.isin(table.kind, mine), table.sigma, np.nan)
     others |= {f"qd{i}_{unit}_s": table.q_rate[:, i - 1] for i, unit in enumerate(joint_units, start=1)}
     return joints | {title: column for title, column in others.items() if not np.isnan(column).all()}
+
+
+def _own(unit: str) -> str:
+    """The end of a title in an SI unit."""
+    return next(iter(suffixes(unit)))
 
 
 def _written(number: float) -> str:

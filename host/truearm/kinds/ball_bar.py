@@ -14,10 +14,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from truearm import schema
+from truearm.kinds.draft import Draft, Scope, measured, sigmas, use
 from truearm.kinds.group import Group
+from truearm.kinds.kind import Kind
 from truearm.kinds.linearised import Indices, Linearised, gather, no_columns, scatter
+from truearm.kinds.quantities import LENGTH
+from truearm.kinds.rig_entries import NAME, POINT, SIZE, SPHERE, by_name
+from truearm.kinds.unknowns import Layout, Number, point_numbers
 from truearm.model.chain import Chain, along, trace_point
-from truearm.types import Floats
+from truearm.schema import Entries, Key, Table
+from truearm.types import BallBar, Floats
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,3 +60,70 @@ class BallBarRows(Group):
         return Linearised(
             self.length - predicted, derivative.wrenches, derivative.twists, by_rig, derivative.jac_joints
         )
+
+
+def bar_numbers(name: str, bar: BallBar) -> list[Number]:
+    """Zero and gain of a bar."""
+    zero = Number(f"{name}.zero", "m", bar.zero, bar.zero_sigma)
+    return [zero, Number(f"{name}.gain", "1", bar.gain, bar.gain_sigma)]
+
+
+def draft(scope: Scope, rows: Indices) -> Draft:
+    """Chucks, spheres and bars that the rows use."""
+    table, rig = scope.table, scope.rig
+    chucks = use(scope, rows, "chuck", rig.chucks, point_numbers)
+    spheres = use(scope, rows, "sphere", rig.spheres, point_numbers)
+    bars = use(scope, rows, "bar", rig.bars, bar_numbers)
+    length = measured(scope, rows, LENGTH)
+    declared = np.array([[number.value for number in bar] for bar in bars.numbers])[bars.which]
+    sigma = np.array([rig.bars[str(label)].sigma for label in bars.labels])[bars.which]
+    variance = sigmas(scope, rows, sigma[:, None]) ** 2
+
+    def make(layout: Layout) -> list[Group]:
+        return [
+            BallBarRows(
+                row=rows,
+                sensor_cov=variance,
+                q=table.q[rows],
+                length=length,
+                sphere=layout.index(spheres),
+                chuck=layout.index(chucks),
+                scale=layout.index(bars),
+                declared=declared,
+                constants=layout.constants,
+            )
+        ]
+
+    return Draft((chucks, spheres, bars), make)
+
+
+CHUCK = Entries("chuck", POINT, "chucks", by_name)
+BAR = Entries(
+    "bar",
+    Table(
+        (
+            NAME,
+            Key("zero", SIZE),
+            Key("gain", schema.Number("1", positive=True), optional=True),
+            Key("travel", SIZE),
+            Key("sigma", SIZE),
+            Key("zero_sigma", schema.sigma("m"), optional=True),
+            Key("gain_sigma", schema.sigma("1"), optional=True),
+        ),
+        lambda gain=1.0, **values: BallBar(gain=gain, **values),
+    ),
+    "bars",
+    by_name,
+)
+KIND = Kind(
+    group=BallBarRows,
+    draft=draft,
+    needs=("bar", "chuck", "sphere", LENGTH),
+    entries=(CHUCK, SPHERE, BAR),
+    point="sphere",
+    grouped_by=("chuck", "sphere"),
+    regions=("bar",),
+    name="ball-bar",
+    residual={"m": "measured less predicted length of the bar"},
+    groups="pairing of chuck and sphere",
+)

@@ -24,9 +24,19 @@ device's longitudinal place.
 
 from __future__ import annotations
 
+import numpy as np
+
+from truearm.errors import ProblemError
 from truearm.kinds import position
-from truearm.kinds.position import nearest_rotation
-from truearm.types import Floats
+from truearm.kinds.draft import Draft, Scope
+from truearm.kinds.kind import Kind
+from truearm.kinds.linearised import Indices
+from truearm.kinds.position import nearest_rotation, points_of
+from truearm.kinds.quantities import POINT, SPREAD
+from truearm.kinds.rig_entries import DEVICE, TARGET, by_name
+from truearm.model.rotation import rotation
+from truearm.schema import Entries
+from truearm.types import Device, Floats
 
 PLACEMENTS = ("least_squares", "two_point")
 
@@ -44,3 +54,37 @@ def place(xyz: Floats, p_base: Floats, declared: Floats, rule: str, roll_known: 
     middle_device, middle_base = xyz.mean(axis=0), p_base.mean(axis=0)
     rot = nearest_rotation((p_base - middle_base).T @ (xyz - middle_device), about, most=1)
     return middle_base - rot @ middle_device, rot
+
+
+def draft(scope: Scope, rows: Indices) -> Draft:
+    """Targets and line devices that the rows use; a rig that lists no lines takes any that a row names."""
+    rig = scope.rig
+    if rig.line_placement not in PLACEMENTS:
+        raise ProblemError(f"line_placement {rig.line_placement!r} is not known; use {' or '.join(PLACEMENTS)}")
+    cov = tuple(tuple(sigma**2 * (i == k) for k in range(3)) for i, sigma in enumerate(rig.line_sigma))
+    known = rig.lines or {name: Device(name, cov) for name in scope.table.line[rows].tolist()}
+
+    def placed(xyz: Floats, p_base: Floats, device: Device) -> tuple[Floats, Floats]:
+        declared = rotation(np.array(device.rotation))
+        return place(xyz, p_base, declared, rig.line_placement, device.turn_sigma is not None)
+
+    used, make = points_of(scope, rows, "line", known, placed)
+    return Draft(used, lambda layout: [make(layout)])
+
+
+LINE = Entries("line", DEVICE, "lines", by_name)
+KIND = Kind(
+    group=position.PositionRows,
+    draft=draft,
+    needs=("line", POINT),
+    may=("target", SPREAD),
+    entries=(TARGET, LINE),
+    free_names=("line",),
+    point="target",
+    grouped_by=("line",),
+    regions=("line",),
+    drawn_from=("line",),
+    name="line",
+    residual={"m": "distance of the measured from the predicted point, along and across the line"},
+    groups="line",
+)

@@ -8,15 +8,24 @@ make a right-handed frame: e₁ is the base axis that n₀ is least along, made 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from truearm import schema
+from truearm.errors import ProblemError
+from truearm.kinds.draft import Draft, Scope, nominal_points, refuse, sigmas, use, use_points
 from truearm.kinds.group import Group
+from truearm.kinds.kind import Kind
 from truearm.kinds.linearised import Indices, Linearised, gather, no_columns, scatter
+from truearm.kinds.quantities import DISTANCE
+from truearm.kinds.rig_entries import NAME, SIZE, TARGET, XYZ, by_name
+from truearm.kinds.unknowns import Layout, Number, or_inf
 from truearm.model.chain import Chain, along, trace_point
 from truearm.model.rotation import left_jacobian, rotation
 from truearm.model.transforms import cross
-from truearm.types import Floats
+from truearm.schema import HUGE, Entries, Key, List, SchemaError, Table
+from truearm.types import Floats, Plane
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,3 +70,86 @@ def frame_of(normal: Floats) -> Floats:
     e1 = e1 - (e1 @ n0) * n0
     e1 /= np.linalg.norm(e1)
     return np.stack([e1, np.cross(n0, e1), n0])
+
+
+def plane_numbers(name: str, flat: Plane) -> list[Number]:
+    """Offset and tilts of a flat from where it is declared."""
+    tilts = [Number(f"{name}.tilt{k}", "rad", 0.0, or_inf(flat.tilt_sigma)) for k in (1, 2)]
+    return [Number(f"{name}.offset", "m", 0.0, or_inf(flat.offset_sigma)), *tilts]
+
+
+def draft(scope: Scope, rows: Indices) -> Draft:
+    """Targets and flats that the rows use."""
+    table, rig = scope.table, scope.rig
+    targets = use_points(scope, rows, "target", rig.targets)
+    flats = use(scope, rows, "plane", rig.planes, plane_numbers)
+    known = [rig.planes[str(label)] for label in flats.labels]
+    for flat in known:
+        if not (np.isfinite([*flat.xyz, *flat.normal]).all() and any(flat.normal)):
+            raise ProblemError(f"plane {flat.name!r}: its point and normal must be finite, its normal not zero")
+    point = np.array([flat.xyz for flat in known], dtype=float)[flats.which]
+    frames = np.array([frame_of(np.array(flat.normal)) for flat in known])[flats.which]
+    refuse(scope, rows, np.isinf(table.value[rows]), "its distance from the plane must be finite")
+    distance = np.nan_to_num(table.value[rows], nan=0.0)
+    sigma = np.array([flat.sigma for flat in known])[flats.which]
+    variance = sigmas(scope, rows, sigma[:, None]) ** 2
+    # A flat of which only the rough direction is known starts at the mean height of its touches.
+    height = ((nominal_points(scope, rows, targets) - point) * frames[:, 2]).sum(axis=1) - distance
+    for i, (offset, *_) in enumerate(flats.numbers):
+        if np.isinf(offset.sigma):
+            flats.numbers[i][0] = offset._replace(value=float(height[flats.which == i].mean()))
+
+    def make(layout: Layout) -> list[Group]:
+        return [
+            PlaneRows(
+                row=rows,
+                sensor_cov=variance,
+                q=table.q[rows],
+                distance=distance,
+                target=layout.index(targets),
+                plane=layout.index(flats),
+                point=point,
+                axes=frames,
+                constants=layout.constants,
+            )
+        ]
+
+    return Draft((targets, flats), make)
+
+
+def _plane(**values: Any) -> Plane:
+    plane = Plane(**values)
+    if not any(plane.normal):
+        raise SchemaError("normal must not be zero; [0, 0, 1] is that of a table seen from above")
+    return plane
+
+
+PLANE = Entries(
+    "plane",
+    Table(
+        (
+            NAME,
+            Key("xyz", XYZ),
+            Key("normal", List(schema.Number("1", most=HUGE), 3)),
+            Key("sigma", SIZE),
+            Key("offset_sigma", schema.sigma("m", unknown=True), optional=True),
+            Key("tilt_sigma", schema.sigma("rad", unknown=True), optional=True),
+        ),
+        _plane,
+    ),
+    "planes",
+    by_name,
+)
+KIND = Kind(
+    group=PlaneRows,
+    draft=draft,
+    needs=("plane",),
+    may=("target", DISTANCE),
+    entries=(TARGET, PLANE),
+    point="target",
+    grouped_by=("plane",),
+    regions=("plane",),
+    name="touched flat",
+    residual={"m": "distance of the touching point from the flat, with its sign"},
+    groups="flat",
+)

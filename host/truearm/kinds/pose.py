@@ -17,8 +17,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truearm.kinds.linearised import Linearised, gather, no_columns, scatter
-from truearm.kinds.position import PositionRows, in_device_axes, joints_in_time
+from truearm.kinds.draft import Draft, Scope, look_up, measured, refuse
+from truearm.kinds.group import Group
+from truearm.kinds.kind import Kind
+from truearm.kinds.linearised import Indices, Linearised, gather, no_columns, scatter
+from truearm.kinds.position import TRACKER, PositionRows, in_device_axes, joints_in_time, points_of
+from truearm.kinds.quantities import POINT, SPREAD, TURN
+from truearm.kinds.rig_entries import TARGET
+from truearm.kinds.unknowns import Layout
 from truearm.model.chain import Chain, about, forward, trace_point
 from truearm.model.rotation import left_jacobian, rotation, rotation_vector
 from truearm.types import Floats
@@ -59,3 +65,49 @@ class PoseRows(PositionRows):
             np.concatenate([point.by_rig, by_rig]),
             np.concatenate([point.by_joints, derivative.jac_joints]),
         )
+
+
+def draft(scope: Scope, rows: Indices) -> Draft:
+    """Targets and trackers that the rows use."""
+    known = scope.rig.trackers
+    used, make_points = points_of(scope, rows, "tracker", known)
+    labels, which = look_up(scope, rows, "tracker", known)
+    turns = measured(scope, rows, TURN)
+    sigma = np.array([known[str(label)].rotation_sigma or 0.0 for label in labels])[which]
+    refuse(scope, rows, ~((sigma > 0.0) & np.isfinite(sigma)), "a pose row needs a tracker with a rotation_sigma")
+
+    def make(layout: Layout) -> list[Group]:
+        points = vars(make_points(layout))
+        cov = _beside(points["sensor_cov"], sigma**2)
+        return [PoseRows(**{**points, "sensor_cov": cov}, rotation=turns)]
+
+    return Draft(used, make)
+
+
+def _beside(cov: Floats, variance: Floats) -> Floats:
+    """(n, 6) or (n, 6, 6): the covariance of a point (n, 3) or (n, 3, 3) and one variance (n,) of three angles."""
+    angles = np.repeat(variance[:, None], 3, axis=1)
+    if cov.ndim == 2:
+        return np.concatenate([cov, angles], axis=1)
+    out = np.zeros((len(cov), 6, 6))
+    out[:, :3, :3] = cov
+    out[:, range(3, 6), range(3, 6)] = angles
+    return out
+
+
+KIND = Kind(
+    group=PoseRows,
+    draft=draft,
+    needs=("tracker", POINT, TURN),
+    may=("target", SPREAD),
+    entries=(TARGET, TRACKER),
+    point="target",
+    grouped_by=("tracker", "target"),
+    regions=("tracker",),
+    name="tracked pose",
+    residual={
+        "m": "distance of the measured from the predicted point",
+        "rad": "angle between the measured and the predicted orientation",
+    },
+    groups="tracker and target",
+)

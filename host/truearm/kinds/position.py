@@ -17,19 +17,29 @@ derivative is −J_q·q̇.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
+from truearm.errors import ProblemError
+from truearm.kinds.draft import Draft, Scope, look_up, measured, nominal_points, sigmas, use_points
 from truearm.kinds.group import Group
+from truearm.kinds.kind import Kind
 from truearm.kinds.linearised import Indices, Linearised, gather, no_columns, scatter
+from truearm.kinds.quantities import POINT, SPREAD
+from truearm.kinds.rig_entries import DEVICE, TARGET, by_name
+from truearm.kinds.unknowns import XYZ, Layout, Number, Used, or_inf
 from truearm.model.chain import Chain, PointTrace, along, trace_point
-from truearm.model.rotation import left_jacobian, rotation
+from truearm.model.rotation import left_jacobian, rotation, rotation_vector
 from truearm.model.transforms import cross
-from truearm.types import Floats
+from truearm.schema import Entries
+from truearm.types import Device, Floats
 
 STRAIGHT = 1e-9  # points that leave a line by 3e-5 of its length do not show the roll about it
+
+Placing = Callable[[Floats, Floats, Device], tuple[Floats, Floats]]  # readings, the same by the nominal robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,3 +121,123 @@ def nearest_rotation(correlation: Floats, declared: Floats, most: int = 2) -> Fl
     left, _, right = np.linalg.svd(u[:, k:].T @ declared @ vt[k:].T)
     left[:, -1] *= np.sign(np.linalg.det(u) * np.linalg.det(vt) * np.linalg.det(left) * np.linalg.det(right))
     return np.asarray(u[:, :k] @ vt[:k] + u[:, k:] @ left @ right @ vt[k:])
+
+
+def draft(scope: Scope, rows: Indices) -> Draft:
+    """Targets and trackers that the rows use."""
+    used, make = points_of(scope, rows, "tracker", scope.rig.trackers)
+    return Draft(used, lambda layout: [make(layout)])
+
+
+def _placed(xyz: Floats, p_base: Floats, device: Device) -> tuple[Floats, Floats]:
+    return place(xyz, p_base, rotation(np.array(device.rotation)))
+
+
+def points_of(
+    scope: Scope, rows: Indices, what: str, known: Mapping[str, Device], placed: Placing = _placed
+) -> tuple[tuple[Used, ...], Callable[[Layout], PositionRows]]:
+    """Points in the axes of devices that the column ``what`` names: what they use, and how they become a group.
+
+    ``placed`` is the pose of a device that the rig does not place, from its readings.
+    """
+    table = scope.table
+    xyz = measured(scope, rows, POINT)
+    labels, which = look_up(scope, rows, what, known)
+    devices = [known[str(label)] for label in labels]
+    targets = use_points(scope, rows, "target", scope.rig.targets)
+    p_base = nominal_points(scope, rows, targets)
+    numbers = [
+        _device_numbers(
+            scope.prefix + ".".join(filter(None, (what, str(label)))),
+            device,
+            xyz[which == i],
+            p_base[which == i],
+            placed,
+        )
+        for i, (label, device) in enumerate(zip(labels, devices, strict=True))
+    ]
+    poses = Used(labels, numbers, which)
+    offset = Number(f"{scope.prefix}time_offset", "s", scope.rig.time_offset, or_inf(scope.rig.time_offset_sigma))
+    clock = Used([""], [[offset if _moving(scope) else offset._replace(sigma=0.0)]], np.zeros(len(rows), dtype=np.intp))
+    declared = [rotation(np.array(d.rotation)) for d in devices]
+    cov = _device_cov(scope, rows, devices, which)
+
+    def make(layout: Layout) -> PositionRows:
+        return PositionRows(
+            row=rows,
+            sensor_cov=cov,
+            q=table.q[rows],
+            q_rate=np.nan_to_num(table.q_rate[rows], nan=0.0),
+            xyz=xyz,
+            target=layout.index(targets),
+            device=layout.index(poses),
+            reference=np.array(declared)[which],
+            time_offset=layout.index(clock),
+            constants=layout.constants,
+        )
+
+    return (targets, poses, clock), make
+
+
+def _device_numbers(name: str, device: Device, xyz: Floats, p_base: Floats, placed: Placing) -> list[Number]:
+    """x, y, z, rx, ry, rz of a device; where the rig gives no pose, from its readings and the nominal robot."""
+    sigmas = [or_inf(device.sigma)] * 3 + [or_inf(device.turn_sigma)] * 3
+    if not np.isfinite(device.rotation).all():
+        raise ProblemError(f"{name} has a rotation that is not finite")
+    if device.xyz is not None:
+        values = [*device.xyz, 0.0, 0.0, 0.0]
+    elif 0.0 in sigmas:
+        raise ProblemError(f"{name} has sigma 0, known exactly, but no xyz that says where it is")
+    else:
+        p, rot = placed(xyz, p_base, device)
+        values = [*p, *rotation_vector(rot @ rotation(np.array(device.rotation)).T)]
+    units = ("m", "m", "m", "rad", "rad", "rad")
+    parts = zip((*XYZ, "rx", "ry", "rz"), units, values, sigmas, strict=True)
+    return [Number(f"{name}.{k}", unit, float(value), sigma) for k, unit, value, sigma in parts]
+
+
+def _device_cov(scope: Scope, rows: Indices, devices: Sequence[Device], which: Indices) -> Floats:
+    """(n, 3) variances, or (n, 3, 3) where a device's axes are correlated.
+
+    A row's own sigma comes before the device's, its point's own noise on top of either.
+    """
+    cov = []
+    for device in devices:
+        matrix = np.array(device.sensor_cov, dtype=float)
+        if matrix.shape != (3, 3) or not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0):
+            raise ProblemError(f"sensor_cov of {device.name!r} must be a symmetric 3×3 matrix")
+        if not (np.isfinite(matrix).all() and np.linalg.eigvalsh(matrix)[0] > 0.0):
+            raise ProblemError(f"sensor_cov of {device.name!r} must be positive definite, in m²")
+        cov.append(matrix)
+    full = np.array(cov)[which]
+    own = ~np.isnan(scope.table.sigma[rows])
+    sigma = sigmas(scope, rows, np.ones((len(rows), 3)))
+    full[own] = sigma[own, :1, None] ** 2 * np.eye(3)
+    full += np.nan_to_num(scope.table.xyz_sigma[rows], nan=0.0)[:, :, None] ** 2 * np.eye(3)
+    variances = np.diagonal(full, axis1=1, axis2=2)
+    return variances.copy() if np.array_equal(full, variances[:, :, None] * np.eye(3)) else full
+
+
+def _moving(scope: Scope) -> bool:
+    """Whether any row carries joint velocities. Raises ProblemError for a row that has some and lacks others."""
+    finite = np.isfinite(scope.table.q_rate)
+    bad = np.flatnonzero(~(finite.all(axis=1) | np.isnan(scope.table.q_rate).all(axis=1)))
+    if bad.size:
+        raise ProblemError(f"{scope.table.source[bad[0]]}: needs the velocities of all joints, finite, or none")
+    return bool(finite.any())
+
+
+TRACKER = Entries("tracker", DEVICE, "trackers", by_name)
+KIND = Kind(
+    group=PositionRows,
+    draft=draft,
+    needs=("tracker", POINT),
+    may=("target", SPREAD),
+    entries=(TARGET, TRACKER),
+    point="target",
+    grouped_by=("tracker", "target"),
+    regions=("tracker",),
+    name="tracked point",
+    residual={"m": "distance of the measured from the predicted point"},
+    groups="tracker and target",
+)

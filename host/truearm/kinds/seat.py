@@ -7,13 +7,21 @@ parameters per place and socket, so only the spread of the predicted ball about 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from truearm.errors import ProblemError, TableError
+from truearm.kinds.draft import Draft, Scope, nominal_points, sigmas, use_points
 from truearm.kinds.group import Group
+from truearm.kinds.kind import Kind
 from truearm.kinds.linearised import Indices, Linearised, gather, no_columns, scatter
+from truearm.kinds.rig_entries import POINT, SIZE, SPHERE
+from truearm.kinds.socket_distance import known_distances
+from truearm.kinds.unknowns import Layout, Used, enumerate_labels, point_numbers
 from truearm.model.chain import Chain, along, trace_point
-from truearm.types import Floats
+from truearm.schema import IDENTIFIER, Entries, Key, List, SchemaError, Table
+from truearm.types import Floats, ObservationTable, Point, Rig, SocketDistance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,3 +60,107 @@ class SeatRows(Group):
             inverse = np.linalg.pinv(lin.jac_joints.reshape(-1, 3, len(chain.joints)), rcond=1e-3)
             rows = replace(rows, q=rows.q + (inverse @ lin.residual.reshape(-1, 3, 1))[..., 0])
         return rows
+
+
+def draft(scope: Scope, rows: Indices) -> Draft:
+    """Balls and sockets that the rows use, and the distances that are known between these sockets."""
+    table, rig = scope.table, scope.rig
+    balls = use_points(scope, rows, "sphere", rig.spheres)
+    sockets = _sockets(scope, rows, balls)
+    variance = sigmas(scope, rows, np.full((len(rows), 3), rig.seat_sigma)) ** 2
+
+    def make(layout: Layout) -> list[Group]:
+        group = SeatRows(
+            row=rows,
+            sensor_cov=variance,
+            q=table.q[rows],
+            sphere=layout.index(balls),
+            socket=layout.index(sockets),
+            constants=layout.constants,
+        )
+        return [group, *known_distances(rig, sockets, layout)]
+
+    return Draft((balls, sockets), make)
+
+
+def _sockets(scope: Scope, rows: Indices, balls: Used) -> Used:
+    """The sockets of the seat rows, by (place, socket): the rig's, else unknown and first at the mean of the predicted ball."""
+    table = scope.table
+    labels, which = enumerate_labels(list(zip(table.place[rows].tolist(), table.socket[rows].tolist(), strict=True)))
+    pairs = [label for label in labels if isinstance(label, tuple)]
+    names = [".".join(("socket", *(part for part in pair if part))) for pair in pairs]
+    if len(set(names)) < len(names):
+        raise ProblemError(f"two sockets would both be called {max(names, key=names.count)}; rename places or sockets")
+    total = np.zeros((len(names), 3))
+    np.add.at(total, which, nominal_points(scope, rows, balls))
+    mean = total / np.bincount(which)[:, None]
+    points = [
+        scope.rig.sockets.get(pair, Point(name, tuple(xyz), None))
+        for pair, name, xyz in zip(pairs, names, mean.tolist(), strict=True)
+    ]
+    numbers = [point_numbers(f"{scope.prefix}{name}", point) for name, point in zip(names, points, strict=True)]
+    return Used(labels, numbers, which)
+
+
+def check(table: ObservationTable, rig: Rig) -> None:
+    """Raise TableError for a socket of the rig, or a distance of sockets, that no seat has: it would silently do nothing."""
+    seats = table.kind == "seat"
+    used = set(zip(table.place[seats].tolist(), table.socket[seats].tolist(), strict=True))
+    for place, socket in rig.sockets:
+        if (place, socket) not in used:
+            raise TableError(f"the rig's socket {socket} at place {place!r} is of no use: no row is seated in it")
+    for distance in rig.socket_distances:
+        if not any({(place, socket) for socket in distance.sockets} <= used for place, _ in used):
+            sockets = ", ".join(sorted({socket for _, socket in used})[:12])
+            raise TableError(
+                f"the rig's socket distance {' to '.join(distance.sockets)} is of no use: "
+                f"the seats are in sockets {sockets}, and no place has both"
+            )
+
+
+class Socket(NamedTuple):
+    """A socket, and the place that it stands at."""
+
+    point: Point
+    place: str = ""
+
+
+def _socket(place: str = "", **point: Any) -> Socket:
+    return Socket(Point(**point), place)
+
+
+def _socket_distance(sockets: tuple[str, str], distance: float, sigma: float) -> SocketDistance:
+    if sockets[0] == sockets[1]:
+        raise SchemaError(f"the distance of socket {sockets[0]!r} from itself is no measurement")
+    return SocketDistance(sockets, distance, sigma)
+
+
+SOCKET = Entries(
+    "socket",
+    Table(
+        (Key("place", IDENTIFIER, optional=True), *POINT.keys),
+        _socket,
+        lambda socket: {"place": socket.place, **vars(socket.point)},
+    ),
+    "sockets",
+    lambda socket: (socket.place, socket.point.name),
+)
+SOCKET_DISTANCE = Entries(
+    "socket_distance",
+    Table((Key("sockets", List(IDENTIFIER, 2)), Key("distance", SIZE), Key("sigma", SIZE)), _socket_distance),
+    "socket_distances",
+)
+KIND = Kind(
+    group=SeatRows,
+    draft=draft,
+    needs=("place", "socket"),
+    may=("sphere",),
+    entries=(SPHERE, SOCKET, SOCKET_DISTANCE),
+    point="sphere",
+    grouped_by=("place",),
+    drawn_from=("socket",),
+    name="ball-in-socket",
+    residual={"m": "distance of the ball's predicted centre from its socket"},
+    groups="place",
+    check=check,
+)

@@ -9,11 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from truearm.errors import ProblemError
 from truearm.kinds.group import Group
 from truearm.kinds.linearised import Indices, Linearised, gather, no_columns, scatter
+from truearm.kinds.unknowns import Layout, Used
 from truearm.model.chain import Chain
 from truearm.model.constant_folding import folded
-from truearm.types import Floats
+from truearm.types import Floats, Rig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,3 +40,31 @@ class SocketDistanceRows(Group):
         scatter(by_rig, self.first - p, u[None])
         scatter(by_rig, self.second - p, -u[None])
         return Linearised(self.distance - d, wrenches, twists, by_rig, np.zeros((1, d.size, len(chain.joints))))
+
+
+def known_distances(rig: Rig, sockets: Used, layout: Layout) -> list[Group]:
+    """A row for every place where both sockets of a declared distance were used; no group where there is none."""
+    at = {label: i for i, label in enumerate(sockets.labels)}
+    places = dict.fromkeys(label[0] for label in sockets.labels if isinstance(label, tuple))
+    pairs = []
+    for known in rig.socket_distances:
+        for place in places:
+            first, second = ((place, socket) for socket in known.sockets)
+            if first in at and second in at:
+                pairs.append((at[first], at[second], known.distance, known.sigma))
+    if not pairs:
+        return []
+    ends = [layout.index(sockets._replace(which=np.array([pair[k] for pair in pairs]))) for k in (0, 1)]
+    distance, sigma = np.array([pair[2:] for pair in pairs]).T
+    if not (sigma > 0.0).all():
+        raise ProblemError("a socket distance needs a positive sigma")
+    return [
+        SocketDistanceRows(
+            row=None,
+            sensor_cov=sigma[:, None] ** 2,
+            distance=distance,
+            first=ends[0],
+            second=ends[1],
+            constants=layout.constants,
+        )
+    ]

@@ -165,7 +165,7 @@ def region_root(known: Known, planned: ObservationTable, aim: Aim) -> Floats:
 
 def compiled(known: Known, planned: ObservationTable) -> tuple[Problem, Floats, NDArray[np.bool_]]:
     """Problem of all rows, the point x (P,) it is linearised at, and what is free (P,)."""
-    table = planned if known.measured is None else _joined(known.measured, planned)
+    table = planned if known.measured is None else ObservationTable.joined([known.measured, planned])
     problem = build_problem(known.chain, known.rig, table)
     x = problem.start.copy()
     x[: problem.n_robot] = known.params
@@ -202,17 +202,8 @@ def bar_table(known: Known, plan: Plan) -> ObservationTable:
 
 def planned_table(q: Floats, kind: str, **columns: Any) -> ObservationTable:
     """A table of one kind with the given columns."""
-    n = len(q)
-    names = ("bar", "chuck", "sphere", "socket", "place", "shell")
-    blank: dict[str, Any] = {name: np.full(n, "") for name in names}
-    blank["source"] = np.array([f"planned pose {i}" for i in range(n)])
-    filled = blank | {"value": np.full(n, np.nan), "sigma": np.full(n, np.nan)} | columns
-    return ObservationTable(q=q, kind=np.full(n, kind), **filled)
-
-
-def _joined(first: ObservationTable, second: ObservationTable) -> ObservationTable:
-    fields = ObservationTable.__dataclass_fields__
-    return ObservationTable(**{name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in fields})
+    source = np.array([f"planned pose {i}" for i in range(len(q))])
+    return ObservationTable(q=q, kind=np.full(len(q), kind), source=source, **columns)
 
 
 def _cartesian(

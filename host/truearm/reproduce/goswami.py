@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,17 +52,14 @@ def bench(
 ) -> Bench:
     """A bench of n poses q (n, j) with what stood between robot and table at each."""
     n = len(q)
-    blank: dict[str, Any] = dict.fromkeys(("socket", "place", "shell"), np.full(n, ""))
     table = ObservationTable(
         q=q,
         kind=np.full(n, "ball_bar"),
-        value=np.full(n, np.nan),
         sigma=np.full(n, NOISE),
         bar=bar,
         chuck=chuck,
         sphere=sphere,
         source=np.array([f"pose {i + 1}" for i in range(n)]),
-        **blank,
     )
     made = Bench(robot, rig, table)
     return made._replace(table=replace(table, value=lengths(made, q)))

@@ -10,7 +10,7 @@ depends on the lines drawn: quote medians over many sets.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,13 +136,9 @@ def _device(points: Floats, rng: np.random.Generator) -> Floats:
 
 def _table(q: Floats, xyz: Floats, lines: NDArray[np.str_]) -> ObservationTable:
     n = len(q)
-    empty, nan = np.full(n, ""), np.full(n, np.nan)
-    blank: dict[str, Any] = dict.fromkeys(("bar", "chuck", "sphere", "socket", "place", "shell"), empty)
     source = np.array([f"point {i + 1} of line {name[1:]}" for i, name in enumerate(lines)])
     kind, target = np.full(n, "line"), np.full(n, TARGET)
-    return ObservationTable(
-        q=q, kind=kind, value=nan, sigma=nan, source=source, xyz=xyz, line=lines, target=target, **blank
-    )
+    return ObservationTable(q=q, kind=kind, source=source, xyz=xyz, line=lines, target=target)
 
 
 def _diagonal(variance: tuple[float, ...]) -> Matrix:

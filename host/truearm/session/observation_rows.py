@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from truearm.session.approach_sides import came_from
 from truearm.session.dwells import Dwell
 from truearm.session.joint_readings import Bins
 from truearm.session.line_passes import Pass
-from truearm.types import Floats, ObservationTable, Strings
+from truearm.types import ObservationTable, Strings
 
 
 def table_of(
@@ -23,10 +22,7 @@ def table_of(
     """
     parts = [_of_dwells(dwells, joints, name, bins)]
     parts += [_of_pass(one, number, name) for number, one in enumerate(passes, start=1) if not one.reason]
-    if len(parts) == 1:
-        return parts[0]
-    columns = (column.name for column in fields(ObservationTable))
-    return ObservationTable(**{key: np.concatenate([getattr(part, key) for part in parts]) for key in columns})
+    return ObservationTable.joined(parts)
 
 
 def _of_dwells(dwells: Sequence[Dwell], joints: int, name: str, bins: Bins | None) -> ObservationTable:
@@ -38,35 +34,30 @@ def _of_dwells(dwells: Sequence[Dwell], joints: int, name: str, bins: Bins | Non
     side = np.full((len(rows), joints), np.nan)
     if bins is not None and rows:
         side[:] = [came_from(bins, dwell) for _, dwell in rows]
-    table = _table(
+    return ObservationTable(
         q=np.array([dwell.q for _, dwell in rows]).reshape(len(rows), joints),
         kind=np.array(["ball_bar"] * len(rows), dtype=np.str_),  # np.full would keep one letter
         value=np.array([dwell.value for _, dwell in rows], dtype=np.float64),
         sigma=np.array([dwell.sigma for _, dwell in rows], dtype=np.float64),
         source=np.array([f"{name} dwell {i}" for i, _ in rows], dtype=np.str_),
-        words={key: words(key) for key in ("bar", "chuck", "sphere", "shell")},
+        side=np.where(side == 0.0, np.nan, side),
+        bar=words("bar"),
+        chuck=words("chuck"),
+        sphere=words("sphere"),
+        shell=words("shell"),
     )
-    return replace(table, side=np.where(side == 0.0, np.nan, side))
 
 
 def _of_pass(one: Pass, number: int, name: str) -> ObservationTable:
     n = len(one.xyz)
-    table = _table(
+    return ObservationTable(
         q=one.q,
         kind=np.full(n, "line"),
-        value=np.full(n, np.nan),
-        sigma=np.full(n, np.nan),
         source=np.array([f"{name} pass {number}.{i}" for i in range(1, n + 1)], dtype=np.str_),
-        words={"shell": np.full(n, one.group)},
+        shell=np.full(n, one.group),
+        line=np.full(n, one.mounted.get("line", "")),
+        target=np.full(n, one.mounted.get("target", "")),
+        xyz=one.xyz,
+        xyz_sigma=one.xyz_sigma,
+        q_rate=one.q_rate,
     )
-    line, target = (np.full(n, one.mounted.get(key, "")) for key in ("line", "target"))
-    return replace(table, line=line, target=target, xyz=one.xyz, xyz_sigma=one.xyz_sigma, q_rate=one.q_rate)
-
-
-def _table(
-    q: Floats, kind: Strings, value: Floats, sigma: Floats, source: Strings, words: dict[str, Strings]
-) -> ObservationTable:
-    """A table with empty words where none are given."""
-    empty = np.full(len(q), "", dtype=np.str_)
-    bar, chuck, sphere, shell = (words.get(key, empty) for key in ("bar", "chuck", "sphere", "shell"))
-    return ObservationTable(q, kind, value, sigma, bar, chuck, sphere, empty, empty, shell, source)

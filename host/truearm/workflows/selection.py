@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import InputError
+from truearm.kinds.registry import drawn_from, identifiers
 from truearm.types import ObservationTable
 
 Mask = NDArray[np.bool_]
 
 GROUPS = ("place", "shell")  # what a bare identifier may mean
-COLUMNS = (*GROUPS, "line", "bar", "chuck", "sphere", "socket", "target", "tracker", "plane", "rig")
-DRAWN_FROM = (*GROUPS, "socket", "line")  # a fraction takes its share of each
 
 
 def held_out_rows(table: ObservationTable, wanted: Sequence[str], seed: int) -> Mask | None:
@@ -54,17 +53,19 @@ def _group_rows(table: ObservationTable, group: str) -> Mask:
     column, equals, identifier = group.partition("=")
     if not equals:
         return _bare_group_rows(table, group)
-    if column not in COLUMNS:
-        raise InputError(f"--hold-out {group}: {column!r} is no group; use one of {', '.join(COLUMNS)}, or a fraction")
-    rows: Mask = getattr(table, column) == identifier
+    if column not in identifiers():
+        raise InputError(
+            f"--hold-out {group}: {column!r} is no group; use one of {', '.join(identifiers())}, or a fraction"
+        )
+    rows: Mask = table.column(column) == identifier
     if not identifier or not rows.any():
-        known = [name for name in np.unique(getattr(table, column)) if name]
+        known = [name for name in np.unique(table.column(column)) if name]
         raise InputError(f"--hold-out {group}: no row has that {column}; {_listed(column, known)}")
     return rows
 
 
 def _bare_group_rows(table: ObservationTable, identifier: str) -> Mask:
-    found = [column for column in GROUPS if identifier and np.any(getattr(table, column) == identifier)]
+    found = [column for column in GROUPS if identifier and np.any(table.column(column) == identifier)]
     if len(found) > 1:
         raise InputError(
             f"--hold-out {identifier} is a place and a shell; say place={identifier} or shell={identifier}"
@@ -74,7 +75,7 @@ def _bare_group_rows(table: ObservationTable, identifier: str) -> Mask:
             f"--hold-out {identifier}: a fraction lies between 0 and 1, as 0.2; a group is written shell=NAME"
         )
     if not found:
-        known = [f"{column}={name}" for column in GROUPS for name in np.unique(getattr(table, column)) if name]
+        known = [f"{column}={name}" for column in GROUPS for name in np.unique(table.column(column)) if name]
         raise InputError(f"--hold-out {identifier}: no place or shell has that name; {_listed('group', known)}")
     return np.asarray(getattr(table, found[0]) == identifier)
 
@@ -95,7 +96,7 @@ def _listed(what: str, known: Sequence[str]) -> str:
 def _random_rows(table: ObservationTable, fraction: float, seed: int) -> Mask:
     """Every row gets its place in a random order of its own group, as a share of the group; the lowest are taken."""
     rng = np.random.default_rng(seed)
-    keys = np.stack([table.kind.astype("U64"), *(getattr(table, c).astype("U64") for c in DRAWN_FROM)], axis=1)
+    keys = np.stack([table.kind.astype("U64"), *(table.column(c).astype("U64") for c in drawn_from())], axis=1)
     _, group = np.unique(keys, axis=0, return_inverse=True)
     share = np.empty(len(table))
     for index in range(int(group.max()) + 1):

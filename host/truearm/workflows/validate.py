@@ -20,6 +20,7 @@ from truearm.estimate.problem import Rigs
 from truearm.estimate.validation import Expected, expected, judge
 from truearm.files.result_file import Input
 from truearm.files.robot_file import RobotChoice
+from truearm.kinds.registry import regions as regions_of_kinds
 from truearm.model.chain import forward
 from truearm.report.page_text import counted
 from truearm.text import one_line
@@ -28,7 +29,6 @@ from truearm.workflows.calibration import Calibration, read_calibration
 from truearm.workflows.inputs import Sources, check_files, hashed_inputs, observed
 from truearm.workflows.session_parts import with_parts
 
-GROUPS = ("rig", "place", "shell", "line", "bar", "tracker", "plane")
 LEAST_ROWS = 5  # of a region: fewer say little
 AS_GOOD = 1.5  # times the error to be expected
 HELPS = 0.9  # of the error without it
@@ -126,10 +126,10 @@ def _regions(
     """Groups that the rows name, and four parts of the space where the end was."""
     square = np.where(due.unseen, np.nan, due.by_noise + due.by_parameters)
     regions = []
-    for column in GROUPS:
-        names = [str(name) for name in np.unique(getattr(table, column)) if name]
+    for column in regions_of_kinds():
+        names = [str(name) for name in np.unique(table.column(column)) if name]
         if len(names) > 1:
-            regions += [(f"{column}={name}", getattr(table, column) == name) for name in names]
+            regions += [(f"{column}={name}", table.column(column) == name) for name in names]
     regions += _parts(calibration, table)
     found = []
     for name, mine in regions:

@@ -2,26 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Hashable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from truearm.errors import ProblemError
 from truearm.kinds.linearised import Indices
-from truearm.model.chain import Chain
-from truearm.types import BallBar, ObservationTable, Plane, Point, Rig, Strings
+from truearm.types import Point
 
 XYZ = ("x", "y", "z")
-
-
-class Scope(NamedTuple):
-    """One rig, the table that holds its rows, and ``prefix``, which the names of its unknowns begin with."""
-
-    chain: Chain
-    rig: Rig
-    table: ObservationTable
-    prefix: str
 
 
 class Number(NamedTuple):
@@ -71,32 +61,6 @@ def enumerate_labels(labels: Sequence[Hashable]) -> tuple[list[Hashable], Indice
     return list(order), np.fromiter(map(order.__getitem__, labels), dtype=np.intp, count=len(labels))
 
 
-def look_up(
-    scope: Scope, rows: Indices, column: Strings, known: Mapping[str, Any], what: str
-) -> tuple[list[Hashable], Indices]:
-    """The distinct names of a column, checked against the rig, and which of them each row has.
-
-    An empty name means the only one there is. Raises ProblemError that names the first row of a name that the rig does
-    not have.
-    """
-    names, which = enumerate_labels(column[rows].tolist())
-    labels: list[Hashable] = []
-    for i, name in enumerate(names):
-        label = next(iter(known)) if name == "" and len(known) == 1 else str(name)
-        if label not in known:
-            source = scope.table.source[rows[int(np.argmax(which == i))]]
-            have = ", ".join(sorted(known)) or "none"
-            raise ProblemError(f"{source}: {what} {label!r} is not in the rig, which has {have}")
-        labels.append(label)
-    return labels, which
-
-
-def use(scope: Scope, rows: Indices, column: Strings, known: Mapping[str, Point | BallBar | Plane], what: str) -> Used:
-    """Look a column's names up in the rig (``look_up``), with the numbers that stand for them."""
-    labels, which = look_up(scope, rows, column, known, what)
-    return Used(labels, [_numbers(f"{scope.prefix}{what}.{label}", known[str(label)]) for label in labels], which)
-
-
 def point_numbers(name: str, point: Point) -> list[Number]:
     """Three coordinates of a point of the rig."""
     return [Number(f"{name}.{k}", "m", v, or_inf(point.sigma)) for k, v in zip(XYZ, point.xyz, strict=True)]
@@ -105,13 +69,3 @@ def point_numbers(name: str, point: Point) -> list[Number]:
 def or_inf(sigma: float | None) -> float:
     """A rig's sigma as a number: None, not known at all, is inf."""
     return np.inf if sigma is None else sigma
-
-
-def _numbers(name: str, thing: Point | BallBar | Plane) -> list[Number]:
-    if isinstance(thing, BallBar):
-        zero = Number(f"{name}.zero", "m", thing.zero, thing.zero_sigma)
-        return [zero, Number(f"{name}.gain", "1", thing.gain, thing.gain_sigma)]
-    if isinstance(thing, Plane):
-        tilts = [Number(f"{name}.tilt{k}", "rad", 0.0, or_inf(thing.tilt_sigma)) for k in (1, 2)]
-        return [Number(f"{name}.offset", "m", 0.0, or_inf(thing.offset_sigma)), *tilts]
-    return point_numbers(name, thing)

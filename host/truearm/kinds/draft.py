@@ -1,0 +1,104 @@
+"""What some rows of a kind use of the rig, before the numbers of the rig have their places in a parameter vector.
+
+A kind's ``draft`` names what its rows use; once a Layout has given every number a place, ``Draft.make`` makes the groups.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Mapping
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from truearm.errors import ProblemError
+from truearm.kinds.group import Group
+from truearm.kinds.linearised import Indices
+from truearm.kinds.quantities import Quantity
+from truearm.kinds.unknowns import Layout, Number, Used, enumerate_labels, point_numbers
+from truearm.model.chain import Chain, point_forward
+from truearm.types import Floats, ObservationTable, Point, Rig
+
+Thing = TypeVar("Thing")
+ORIGIN = {"": Point("", (0.0, 0.0, 0.0))}  # the target or ball of a rig that names none: the end frame's origin
+
+
+class Scope(NamedTuple):
+    """One rig, the table that holds its rows, and ``prefix``, which the names of its unknowns begin with."""
+
+    chain: Chain
+    rig: Rig
+    table: ObservationTable
+    prefix: str
+
+
+class Draft(NamedTuple):
+    """What some rows use, and how they become groups once all numbers have their places."""
+
+    used: tuple[Used, ...]
+    make: Callable[[Layout], list[Group]]
+
+
+def look_up(scope: Scope, rows: Indices, what: str, known: Mapping[str, Any]) -> tuple[list[Hashable], Indices]:
+    """The distinct names in the column ``what``, checked against the rig, and which of them each row has.
+
+    An empty name means the only one there is. Raises ProblemError that names the first row of a name that the rig does
+    not have.
+    """
+    names, which = enumerate_labels(scope.table.column(what)[rows].tolist())
+    labels: list[Hashable] = []
+    for i, name in enumerate(names):
+        label = next(iter(known)) if name == "" and len(known) == 1 else str(name)
+        if label not in known:
+            source = scope.table.source[rows[int(np.argmax(which == i))]]
+            have = ", ".join(sorted(known)) or "none"
+            raise ProblemError(f"{source}: {what} {label!r} is not in the rig, which has {have}")
+        labels.append(label)
+    return labels, which
+
+
+def use(
+    scope: Scope, rows: Indices, what: str, known: Mapping[str, Thing], numbers: Callable[[str, Thing], list[Number]]
+) -> Used:
+    """Look a column's names up in the rig (``look_up``); ``numbers`` of a name and a thing stand for the thing."""
+    labels, which = look_up(scope, rows, what, known)
+    return Used(labels, [numbers(f"{scope.prefix}{what}.{label}", known[str(label)]) for label in labels], which)
+
+
+def use_points(scope: Scope, rows: Indices, what: str, known: Mapping[str, Point]) -> Used:
+    """Points that a column names; the end frame's origin where the rig has none."""
+    return use(scope, rows, what, known or ORIGIN, point_numbers)
+
+
+def measured(scope: Scope, rows: Indices, quantity: Quantity) -> Floats:
+    """(n,) or (n, c) what the rows measured. Raises ProblemError for the first row that lacks it."""
+    values = scope.table.column(quantity.field, np.nan)[rows]
+    lacks = ~np.isfinite(values.reshape(len(rows), -1)).all(axis=1)
+    article = "" if len(quantity.columns) > 1 else "an " if quantity.words[0] in "aeiou" else "a "
+    refuse(scope, rows, lacks, f"a {scope.table.kind[rows[0]]} row needs {article}{quantity.words}")
+    return np.asarray(values)
+
+
+def sigmas(scope: Scope, rows: Indices, default: Floats, unit: str = "m") -> Floats:
+    """The rows' own σ (n, w), alike for all w residuals; the rig's ``default`` (n, w) where they have none.
+
+    ``unit``: the SI unit of both. Raises ProblemError for the first row whose σ is not a positive number.
+    """
+    own = scope.table.sigma[rows, None]
+    sigma = np.where(np.isnan(own), default, own)
+    bad = np.flatnonzero(~((sigma > 0.0) & np.isfinite(sigma)).all(axis=1))
+    if bad.size:
+        worst = sigma[bad[0]].min()  # NaN if any is
+        raise ProblemError(f"{scope.table.source[rows[bad[0]]]}: sigma must be positive, is {worst:g} {unit}")
+    return np.asarray(sigma)
+
+
+def refuse(scope: Scope, rows: Indices, bad: Any, text: str) -> None:
+    """Raise ProblemError with the first of the bad rows (n,)."""
+    if bad.any():
+        raise ProblemError(f"{scope.table.source[rows[int(np.argmax(bad))]]}: {text}")
+
+
+def nominal_points(scope: Scope, rows: Indices, points: Used) -> Floats:
+    """(n, 3) where the nominal robot has points of its end, in the base frame."""
+    p_end = np.array([[number.value for number in point] for point in points.numbers])[points.which]
+    return point_forward(scope.chain, scope.chain.params_nominal, scope.table.q[rows], p_end)

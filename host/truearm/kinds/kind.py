@@ -1,0 +1,64 @@
+"""What a kind of observation declares of itself. All that the other rooms know of it stands in its ``Kind``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from truearm.kinds.draft import Draft, Scope
+from truearm.kinds.group import Group
+from truearm.kinds.linearised import Indices
+from truearm.kinds.quantities import Quantity
+from truearm.schema import Entries
+from truearm.types import ObservationTable, Point, Rig
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """A kind of observation, registered by the name of its module (``registry.NAMES``).
+
+    ``needs`` and ``may`` are the columns of a table that a row must or can fill in: a text is a column of identifiers, a
+    Quantity one or more columns of numbers; all others it leaves empty. An identifier names an entry of the rig if the rig
+    has such a type of entry. ``grouped_by`` are the columns whose identifiers say which rows belong together in a picture,
+    ``regions`` those whose identifiers are places to judge by themselves; ``drawn_from`` those of which a random choice
+    of rows takes its share each.
+    """
+
+    group: type[Group]  # what its rows become
+    draft: Callable[[Scope, Indices], Draft]
+    needs: tuple[str | Quantity, ...]
+    may: tuple[str | Quantity, ...] = ()
+    entries: tuple[Entries[Any], ...] = ()  # its own and shared ones, of rig files
+    free_names: tuple[str, ...] = ()  # identifiers that a rig need not list: one without such entries takes any name
+    point: str = ""  # the column that names the point of the end which is measured; "" where none is
+    grouped_by: tuple[str, ...]
+    regions: tuple[str, ...] = ()
+    drawn_from: tuple[str, ...] = ()
+    name: str  # for a person: "ball-bar"
+    residual: Mapping[str, str]  # for a person, by SI unit: what the residual is
+    groups: str  # for a person: what ``grouped_by`` makes
+    check: Callable[[ObservationTable, Rig], None] | None = None  # raises TableError where rows and rig do not fit
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """The SI unit of each scalar residual of an observation."""
+        return self.group.COMPONENTS
+
+    @property
+    def identifiers(self) -> tuple[str, ...]:
+        """The columns of identifiers that are the kind's own."""
+        return tuple(column for column in (*self.needs, *self.may) if isinstance(column, str))
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """What is measured, in columns of numbers."""
+        return tuple(column for column in (*self.needs, *self.may) if isinstance(column, Quantity))
+
+    def points(self, rig: Rig) -> Mapping[str, Point]:
+        """The points of the robot's end that rows may name, by name; none where the kind measures no point."""
+        return next((rig.things(entry.field) for entry in self.entries if entry.name == self.point), {})
+
+    def signed(self, unit: str) -> bool:
+        """Whether the residual of a unit is one number with a sign, otherwise a norm."""
+        return self.components.count(unit) == 1

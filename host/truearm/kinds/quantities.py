@@ -1,0 +1,51 @@
+"""Quantities that tables of observations hold, each in one column of numbers or in several that are filled in together."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from truearm import units
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A measured quantity.
+
+    ``field`` is where an ObservationTable has it: one of its own fields, else of its ``more``. In the header of a file each of
+    ``columns`` has a unit at its end (``length_mm``).
+    """
+
+    field: str
+    columns: tuple[str, ...]
+    unit: str  # SI
+    largest: float = math.nan  # SI; beyond it the column was written in another unit. NaN: the unit's own
+    positive: bool = False
+
+    @property
+    def words(self) -> str:
+        """What a person calls it: "length", "x, y and z"."""
+        *others, last = self.columns
+        return f"{', '.join(others)} and {last}" if others else last
+
+    @property
+    def most(self) -> float:
+        """The largest size that is believed, in SI."""
+        return units.UNITS[self.unit].largest if math.isnan(self.largest) else self.largest
+
+    @property
+    def title(self) -> str:
+        """The columns as a person writes them: "length_mm or length_m", "x_mm, y_mm, z_mm (or _m)"."""
+        first, *others = sorted(units.suffixes(self.unit), key=lambda suffix: suffix == self.unit)
+        if len(self.columns) == 1:
+            return " or ".join(f"{self.columns[0]}_{suffix}" for suffix in (first, *others))
+        rest = " ".join(f"(or _{suffix})" for suffix in others)
+        return f"{', '.join(f'{column}_{first}' for column in self.columns)} {rest}".rstrip()
+
+
+LARGEST_NOISE = 0.1  # m: a decimetre of noise was written in another unit
+LENGTH = Quantity("value", ("length",), "m", positive=True)
+DISTANCE = Quantity("value", ("length",), "m")  # with a sign
+POINT = Quantity("xyz", ("x", "y", "z"), "m")
+SPREAD = Quantity("xyz_sigma", ("sx", "sy", "sz"), "m", LARGEST_NOISE, positive=True)
+TURN = Quantity("rotation", ("rx", "ry", "rz"), "rad", 2.0 * math.pi)  # a rotation vector's length need not pass π
