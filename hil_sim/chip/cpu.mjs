@@ -2,13 +2,14 @@
 // each. Here the common instructions are decoded by a table and work on local variables until the next event is due; peripherals see
 // the exact time, because the clock is put right before each access to them. What is rare (ROM calls, exceptions,
 // special registers) is left to rp2040js's own executeInstruction. Cycle counts are rp2040js's. It is one long function because its speed
-// comes from those local variables.
+// comes from those local variables; no closure may use them, or they would live in memory.
 //
 // Other than rp2040js, and as the architecture has it: shifts by 0 and by more than 32 leave the right carry, SBCS the right
 // overflow, STM writes its base back even if it is in the list. tests/chip/cpu.test.mjs holds both against each other.
 import { CYCLE_NS } from './clock.mjs';
 
 const FLASH_SIZE = 0x1000000;
+const RAM = 0x20000000;
 const RAM_SIZE = 0x42000;
 const SP = 13;
 const LR = 14;
@@ -38,83 +39,103 @@ export class Cpu {
     this.ram8 = chip.sram;
     this.ram16 = new Uint16Array(chip.sram.buffer);
     this.ram32 = new Int32Array(chip.sram.buffer);
+    this.startNs = this.untilNs = 0; // of run()
+    this.extra = 0; // cycles of accesses to peripherals beyond those that an instruction counts
+    this.left = 0; // run() goes on while its instructions' cycles are fewer
+  }
+
+  /** Set `left` to the cycles until the next event. */
+  #aim() {
+    const { core } = this;
+    this.left = Math.ceil((Math.min(this.untilNs, this.horizon()) - this.startNs) / CYCLE_NS) - this.extra;
+    if (core.interruptsUpdated || core.waiting) this.left = -1; // the caller must look
+  }
+
+  #setClock(cycles) {
+    this.clock.nanosCounter = this.startNs + (cycles + this.extra) * CYCLE_NS;
+  }
+
+  #load(address, size, cycles) {
+    const { chip } = this;
+    address >>>= 0;
+    if (size === 4 && address >= SIO && address < SIO_END) {
+      this.extra--;
+      this.left++;
+      return chip.sio.readUint32(address - SIO) | 0; // divider, spin locks, pins: nothing happens by itself
+    }
+    this.#setClock(cycles);
+    const value = size === 4 ? chip.readUint32(address) : size === 2 ? chip.readUint16(address) : chip.readUint8(address);
+    this.extra += accessCycles(address, false) - 1;
+    this.#aim();
+    return value | 0;
+  }
+
+  #store(address, value, size, cycles) {
+    const { chip } = this;
+    address >>>= 0;
+    this.#setClock(cycles);
+    if (size === 4 && address >= SIO && address < SIO_END) chip.sio.writeUint32(address - SIO, value >>> 0);
+    else if (size === 4) chip.writeUint32(address, value >>> 0);
+    else if (size === 2) chip.writeUint16(address, value & 0xffff);
+    else chip.writeUint8(address, value & 0xff);
+    this.extra += accessCycles(address, true) - 1;
+    this.#aim();
+  }
+
+  #load32(a, cycles) {
+    const at = (a - RAM) >>> 0;
+    if (at < RAM_SIZE && (a & 3) === 0) return this.ram32[at >>> 2];
+    if (a >>> 24 === 0x10 && (a & 3) === 0) return this.flash32[(a & 0xffffff) >>> 2];
+    return this.#load(a, 4, cycles);
+  }
+
+  #load16(a, cycles) {
+    const at = (a - RAM) >>> 0;
+    if (at < RAM_SIZE && (a & 1) === 0) return this.ram16[at >>> 1];
+    if (a >>> 24 === 0x10 && (a & 1) === 0) return this.flash16[(a & 0xffffff) >>> 1];
+    return this.#load(a, 2, cycles);
+  }
+
+  #load8(a, cycles) {
+    const at = (a - RAM) >>> 0;
+    if (at < RAM_SIZE) return this.ram8[at];
+    if (a >>> 24 === 0x10) return this.flash8[a & 0xffffff];
+    return this.#load(a, 1, cycles);
+  }
+
+  #store32(a, value, cycles) {
+    const at = (a - RAM) >>> 0;
+    if (at < RAM_SIZE && (a & 3) === 0) this.ram32[at >>> 2] = value;
+    else this.#store(a, value, 4, cycles);
+  }
+
+  #store16(a, value, cycles) {
+    const at = (a - RAM) >>> 0;
+    if (at < RAM_SIZE && (a & 1) === 0) this.ram16[at >>> 1] = value;
+    else this.#store(a, value, 2, cycles);
+  }
+
+  #store8(a, value, cycles) {
+    const at = (a - RAM) >>> 0;
+    if (at < RAM_SIZE) this.ram8[at] = value;
+    else this.#store(a, value, 1, cycles);
   }
 
   /** Execute until `untilNs`, the horizon, an interrupt or sleep; the clock ends at the first instruction's end at or after. */
   run(untilNs) {
-    const { chip, core, clock, registers: r, flash8, flash16, flash32, ram8, ram16, ram32 } = this;
-    const startNs = clock.nanosCounter;
-    let budget = Math.ceil((Math.min(untilNs, this.horizon()) - startNs) / CYCLE_NS);
-    let cycles = 0; // since startNs
+    const { core, clock, registers: r, flash16, ram16, ram32 } = this;
+    this.startNs = clock.nanosCounter;
+    this.untilNs = untilNs;
+    this.extra = 0;
+    this.#aim();
+    let cycles = 0; // since the start, without `extra`
     let pc = r[PC];
     let n = core.N ? -1 : 0; // its sign is the flag
     let z = core.Z ? 0 : 1; // zero is the flag
     let c = core.C ? 1 : 0;
     let v = core.V ? 1 : 0;
-    let again = true; // nothing has happened that the caller must look at
 
-    const export_ = () => {
-      r[PC] = pc;
-      core.N = n < 0;
-      core.Z = z === 0;
-      core.C = c === 1;
-      core.V = v === 1;
-    };
-    const afterOutside = () => {
-      budget = Math.ceil((Math.min(untilNs, this.horizon()) - startNs) / CYCLE_NS);
-      if (core.interruptsUpdated || core.waiting) again = false;
-    };
-    const load = (address, size) => {
-      address >>>= 0;
-      if (size === 4 && address >= SIO && address < SIO_END) {
-        cycles--;
-        return chip.sio.readUint32(address - SIO) | 0; // divider, spin locks, pins: nothing happens by itself
-      }
-      clock.nanosCounter = startNs + cycles * CYCLE_NS;
-      const value = size === 4 ? chip.readUint32(address) : size === 2 ? chip.readUint16(address) : chip.readUint8(address);
-      cycles += accessCycles(address, false) - 1;
-      afterOutside();
-      return value | 0;
-    };
-    const store = (address, value, size) => {
-      address >>>= 0;
-      clock.nanosCounter = startNs + cycles * CYCLE_NS;
-      if (size === 4 && address >= SIO && address < SIO_END) chip.sio.writeUint32(address - SIO, value >>> 0);
-      else if (size === 4) chip.writeUint32(address, value >>> 0);
-      else if (size === 2) chip.writeUint16(address, value & 0xffff);
-      else chip.writeUint8(address, value & 0xff);
-      cycles += accessCycles(address, true) - 1;
-      afterOutside();
-    };
-    const load32 = (a) => {
-      if (a >>> 20 === 0x200 && (a & 0xfffff) < RAM_SIZE && (a & 3) === 0) return ram32[(a & 0xfffff) >>> 2];
-      if (a >>> 24 === 0x10 && (a & 3) === 0) return flash32[(a & 0xffffff) >>> 2];
-      return load(a, 4);
-    };
-    const load16 = (a) => {
-      if (a >>> 20 === 0x200 && (a & 0xfffff) < RAM_SIZE && (a & 1) === 0) return ram16[(a & 0xfffff) >>> 1];
-      if (a >>> 24 === 0x10 && (a & 1) === 0) return flash16[(a & 0xffffff) >>> 1];
-      return load(a, 2);
-    };
-    const load8 = (a) => {
-      if (a >>> 20 === 0x200 && (a & 0xfffff) < RAM_SIZE) return ram8[a & 0xfffff];
-      if (a >>> 24 === 0x10) return flash8[a & 0xffffff];
-      return load(a, 1);
-    };
-    const store32 = (a, value) => {
-      if (a >>> 20 === 0x200 && (a & 0xfffff) < RAM_SIZE && (a & 3) === 0) ram32[(a & 0xfffff) >>> 2] = value;
-      else store(a, value, 4);
-    };
-    const store16 = (a, value) => {
-      if (a >>> 20 === 0x200 && (a & 0xfffff) < RAM_SIZE && (a & 1) === 0) ram16[(a & 0xfffff) >>> 1] = value;
-      else store(a, value, 2);
-    };
-    const store8 = (a, value) => {
-      if (a >>> 20 === 0x200 && (a & 0xfffff) < RAM_SIZE) ram8[a & 0xfffff] = value;
-      else store(a, value, 1);
-    };
-
-    while (again && cycles < budget) {
+    while (cycles < this.left) {
       let op;
       if (pc >>> 24 === 0x10) op = flash16[(pc & 0xffffff) >>> 1];
       else if (pc >>> 20 === 0x200) op = ram16[(pc & 0xfffff) >>> 1];
@@ -294,7 +315,7 @@ export class Cpu {
         }
         case 0b01001: // LDR literal
           cycles += 2;
-          r[(op >>> 8) & 7] = load32(((pc + 2) & ~3) + ((op & 255) << 2));
+          r[(op >>> 8) & 7] = this.#load32(((pc + 2) & ~3) + ((op & 255) << 2), cycles);
           break;
         case 0b01010: // STR, STRH, STRB, LDRSB by register
         case 0b01011: { // LDR, LDRH, LDRB, LDRSH by register
@@ -302,48 +323,56 @@ export class Cpu {
           const d = op & 7;
           cycles += 2;
           switch ((op >>> 9) & 7) {
-            case 0: store32(a, r[d]); break;
-            case 1: store16(a, r[d]); break;
-            case 2: store8(a, r[d]); break;
-            case 3: r[d] = (load8(a) << 24) >> 24; break;
-            case 4: r[d] = load32(a); break;
-            case 5: r[d] = load16(a); break;
-            case 6: r[d] = load8(a); break;
-            case 7: r[d] = (load16(a) << 16) >> 16; break;
+            case 0: this.#store32(a, r[d], cycles); break;
+            case 1: this.#store16(a, r[d], cycles); break;
+            case 2: this.#store8(a, r[d], cycles); break;
+            case 3: r[d] = (this.#load8(a, cycles) << 24) >> 24; break;
+            case 4: r[d] = this.#load32(a, cycles); break;
+            case 5: r[d] = this.#load16(a, cycles); break;
+            case 6: r[d] = this.#load8(a, cycles); break;
+            case 7: r[d] = (this.#load16(a, cycles) << 16) >> 16; break;
           }
           break;
         }
         case 0b01100: // STR
           cycles += 2;
-          store32((r[(op >>> 3) & 7] + ((op >>> 4) & 0x7c)) | 0, r[op & 7]);
+          this.#store32((r[(op >>> 3) & 7] + ((op >>> 4) & 0x7c)) | 0, r[op & 7], cycles);
           break;
         case 0b01101: // LDR
           cycles += 2;
-          r[op & 7] = load32((r[(op >>> 3) & 7] + ((op >>> 4) & 0x7c)) | 0);
+          {
+            const a = (r[(op >>> 3) & 7] + ((op >>> 4) & 0x7c)) | 0;
+            const i = (a - RAM) >>> 0;
+            r[op & 7] = i < RAM_SIZE && (a & 3) === 0 ? ram32[i >>> 2] : this.#load32(a, cycles);
+          }
           break;
         case 0b01110: // STRB
           cycles += 2;
-          store8((r[(op >>> 3) & 7] + ((op >>> 6) & 31)) | 0, r[op & 7]);
+          this.#store8((r[(op >>> 3) & 7] + ((op >>> 6) & 31)) | 0, r[op & 7], cycles);
           break;
         case 0b01111: // LDRB
           cycles += 2;
-          r[op & 7] = load8((r[(op >>> 3) & 7] + ((op >>> 6) & 31)) | 0);
+          r[op & 7] = this.#load8((r[(op >>> 3) & 7] + ((op >>> 6) & 31)) | 0, cycles);
           break;
         case 0b10000: // STRH
           cycles += 2;
-          store16((r[(op >>> 3) & 7] + ((op >>> 5) & 62)) | 0, r[op & 7]);
+          this.#store16((r[(op >>> 3) & 7] + ((op >>> 5) & 62)) | 0, r[op & 7], cycles);
           break;
         case 0b10001: // LDRH
           cycles += 2;
-          r[op & 7] = load16((r[(op >>> 3) & 7] + ((op >>> 5) & 62)) | 0);
+          r[op & 7] = this.#load16((r[(op >>> 3) & 7] + ((op >>> 5) & 62)) | 0, cycles);
           break;
         case 0b10010: // STR to the stack
           cycles += 2;
-          store32((r[SP] + ((op & 255) << 2)) | 0, r[(op >>> 8) & 7]);
+          this.#store32((r[SP] + ((op & 255) << 2)) | 0, r[(op >>> 8) & 7], cycles);
           break;
         case 0b10011: // LDR from the stack
           cycles += 2;
-          r[(op >>> 8) & 7] = load32((r[SP] + ((op & 255) << 2)) | 0);
+          {
+            const a = (r[SP] + ((op & 255) << 2)) | 0;
+            const i = (a - RAM) >>> 0;
+            r[(op >>> 8) & 7] = i < RAM_SIZE && (a & 3) === 0 ? ram32[i >>> 2] : this.#load32(a, cycles);
+          }
           break;
         case 0b10100: // ADR
           r[(op >>> 8) & 7] = (at & ~3) + 4 + ((op & 255) << 2);
@@ -362,11 +391,13 @@ export class Cpu {
             cycles += 1 + count - ((op >>> 8) & 1); // rp2040js does not count LR
             for (let i = 0; i < 8; i++) {
               if (op & (1 << i)) {
-                store32(a, r[i]);
+                const at = (a - RAM) >>> 0;
+                if (at < RAM_SIZE && (a & 3) === 0) ram32[at >>> 2] = r[i];
+                else this.#store32(a, r[i], cycles);
                 a += 4;
               }
             }
-            if (op & 0x100) store32(a, r[LR]);
+            if (op & 0x100) this.#store32(a, r[LR], cycles);
             r[SP] = bottom;
           } else if ((op & 0xff00) === 0xb000) { // ADD, SUB of the stack pointer
             const offset = (op & 0x7f) << 2;
@@ -387,13 +418,14 @@ export class Cpu {
             cycles++;
             for (let i = 0; i < 8; i++) {
               if (op & (1 << i)) {
-                r[i] = load32(a);
+                const at = (a - RAM) >>> 0;
+                r[i] = at < RAM_SIZE && (a & 3) === 0 ? ram32[at >>> 2] : this.#load32(a, cycles);
                 a += 4;
                 cycles++;
               }
             }
             if (op & 0x100) {
-              pc = load32(a) & ~1;
+              pc = this.#load32(a, cycles) & ~1;
               a += 4;
               cycles += 2;
             }
@@ -408,7 +440,7 @@ export class Cpu {
           cycles++;
           for (let i = 0; i < 8; i++) {
             if (op & (1 << i)) {
-              store32(a, r[i]);
+              this.#store32(a, r[i], cycles);
               a = (a + 4) | 0;
               cycles++;
             }
@@ -422,7 +454,7 @@ export class Cpu {
           cycles++;
           for (let i = 0; i < 8; i++) {
             if (op & (1 << i)) {
-              r[i] = load32(a);
+              r[i] = this.#load32(a, cycles);
               a = (a + 4) | 0;
               cycles++;
             }
@@ -483,19 +515,27 @@ export class Cpu {
       }
       if (rare) {
         pc = at;
-        export_();
-        clock.nanosCounter = startNs + cycles * CYCLE_NS;
+        r[PC] = pc;
+        core.N = n < 0;
+        core.Z = z === 0;
+        core.C = c === 1;
+        core.V = v === 1;
+        this.#setClock(cycles);
         cycles += core.executeInstruction();
         pc = r[PC];
         n = core.N ? -1 : 0;
         z = core.Z ? 0 : 1;
         c = core.C ? 1 : 0;
         v = core.V ? 1 : 0;
-        afterOutside();
+        this.#aim();
       }
     }
-    export_();
-    core.cycles += cycles;
-    clock.nanosCounter = startNs + cycles * CYCLE_NS;
+    r[PC] = pc;
+    core.N = n < 0;
+    core.Z = z === 0;
+    core.C = c === 1;
+    core.V = v === 1;
+    core.cycles += cycles + this.extra;
+    this.#setClock(cycles);
   }
 }

@@ -2,6 +2,11 @@
 import { BasePeripheral } from './emulator.mjs';
 
 const US = 1000; // ns
+const FUNCTION_PWM = 4;
+const LEVEL_LOW = 1; // of a pin's interrupt status, as the three below
+const LEVEL_HIGH = 2;
+const FALLEN = 4 | LEVEL_LOW;
+const RISEN = 8 | LEVEL_HIGH;
 const FAST_PWM_NS = 10_000;
 const RANDOMBIT = 0x1c;
 const SSI_DR0 = 0x60;
@@ -22,16 +27,19 @@ export function mendPins(chip, onChange) {
   for (const pin of chip.gpio) {
     const bit = 1 << pin.index;
     const setInput = pin.setInputValue.bind(pin);
-    const checkForUpdates = pin.checkForUpdates.bind(pin);
     let outside = null;
-    const update = () => {
-      const level = pin.outputEnable ? pin.outputValue : (outside ?? pin.pullupEnabled);
+    const show = (level) => {
       const seen = level && pin.inputEnable;
       if (seen === ((chip.inputs & bit) !== 0)) return;
       chip.inputs ^= bit;
-      setInput(level);
+      if (pin.irqEnableMask || pin.irqForceMask || pin.irqOverride || pin.functionSelect === FUNCTION_PWM) setInput(level);
+      else {
+        pin.rawInputValue = level;
+        pin.irqStatus = (pin.irqStatus | (seen ? RISEN : FALLEN)) & ~(seen ? LEVEL_LOW : LEVEL_HIGH);
+      }
       onChange(chip.inputs);
     };
+    const update = () => show(pin.outputEnable ? pin.outputValue : (outside ?? pin.pullupEnabled));
     Object.defineProperty(pin, 'inputValue', { get: () => (chip.inputs & bit) !== 0 });
     pin.refreshInput = update;
     pin.setInputValue = (level) => {
@@ -43,8 +51,15 @@ export function mendPins(chip, onChange) {
       update();
     };
     pin.checkForUpdates = () => {
-      checkForUpdates();
-      update();
+      const driven = pin.outputEnable;
+      const level = driven && pin.outputValue;
+      const value = driven ? Number(level) : pin.value;
+      const { lastValue } = pin;
+      if (value !== lastValue) {
+        pin.lastValue = value;
+        for (const listener of pin.listeners) listener(value, lastValue);
+      }
+      show(driven ? level : (outside ?? pin.pullupEnabled)); // a listener may have changed what comes from outside
     };
   }
 }

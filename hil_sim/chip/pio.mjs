@@ -142,13 +142,13 @@ export class Pio {
   }
 
   showOutputs() {
-    const changed = (this.pinValues ^ this.nextValues) | (this.pinDirections ^ this.nextDirections);
+    let changed = (this.pinValues ^ this.nextValues) | (this.pinDirections ^ this.nextDirections);
     this.outputAt = NEVER;
-    for (const m of this.sm) if ((this.moved >>> m.index) & 1) this.fifoChanged(m);
+    if (this.moved) for (const m of this.sm) if ((this.moved >>> m.index) & 1) this.fifoChanged(m);
     this.moved = 0;
     this.pinValues = this.nextValues;
     this.pinDirections = this.nextDirections;
-    for (let i = 0; i < this.mcu.gpio.length; i++) if ((changed >>> i) & 1) this.mcu.gpio[i].checkForUpdates();
+    for (; changed; changed &= changed - 1) this.mcu.gpio[31 - Math.clz32(changed & -changed)]?.checkForUpdates();
   }
 
   /** Pins of a mask, which a machine looks at, have new levels from now on; they show in `cycle`. */
