@@ -12,7 +12,7 @@ unexport PYTHONDONTWRITEBYTECODE
 DEVICE_FILES = $(shell find firmware protocol/truearm_wire hil_sim/truearm_sim/vm -path firmware/image -prune -o -name '*.py' -print 2>/dev/null | sort)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint device-check pytest collect soak bench micropython uf2 chip image-if-possible chip-if-possible venv test-lowest clean
+.PHONY: help demo test lint device-check pytest collect soak bench micropython wire uf2 chip image-if-possible chip-if-possible venv test-lowest clean
 
 help: ## this list
 	@sed -nE 's/^([a-z0-9-]+):.*## (.*)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-20s %s\n", $$1, $$2}'
@@ -59,6 +59,10 @@ build/bench-venv/installed: $(wildcard bench/peers/*.txt)
 
 micropython: .venv/python ## a MicroPython for the simulated box (found, else downloaded; nothing is installed)
 	@PYTHONPATH=hil_sim $(BIN)/python -m truearm_sim.micropython --get
+
+wire: .venv/installed ## layout and golden vectors of the wire, from protocol/frames.cddl
+	@$(BIN)/python protocol/make_layout.py
+	@$(BIN)/python protocol/make_vectors.py
 
 uf2: .venv/python ## one file to flash: build/uf2/truearm-VERSION.uf2 (on Debian and its relatives, with compilers installed)
 	@PYTHONPATH=hil_sim $(BIN)/python firmware/image/build.py

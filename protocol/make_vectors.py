@@ -8,6 +8,7 @@ vectors/*.bin            the bytes on the wire, delimiters included (corrupted: 
 """
 
 import json
+import re
 import struct
 import zlib
 from pathlib import Path
@@ -85,10 +86,16 @@ golden("data-mag-full", array(16, u32(5), 1, u64(52), u64(2**33), u32(983040), t
 golden("data-mag-one-sample", array(16, u32(6), 1, u64(104), u64(2**33), u32(200000), typed(78, flights(1, 0)), 0))
 golden("event-rising", array(17, u32(9), 1, u64(5_000_000_123), 1))
 golden("event-output-falling", array(17, u32(10), 2, u64(4_294_967_295), 0))
+GRAMMAR = (Path(__file__).parent / "frames.cddl").read_text(encoding="utf-8")
+GROUP = re.search(r"^heartbeat = [^?]*\? \(([^)]*)\)", GRAMMAR, re.MULTILINE)
+assert GROUP is not None
+APPENDED = GROUP[1].count(":")  # elements that minor versions appended
 BEAT = (70000, 0, 3, 26, 1, 900, 4500, 151000, 31250, 1, 1)
-golden("heartbeat", array(18, u32(10), u32(0xDEADBEEF), u64(10**9), *BEAT, 1, 2, 2**30 - 1))
+golden("heartbeat", array(18, u32(10), u32(0xDEADBEEF), u64(10**9), *BEAT, 1, 2, 2**30 - 1, *range(3, APPENDED)))
 golden("heartbeat-1.0", array(18, u32(10), u32(0xDEADBEEF), u64(10**9), *BEAT))
-golden("heartbeat-cold", array(18, u32(10), u32(1), u64(10**6), 1, 0, 0, 0, 0, 0, 0, 70000, -5250, 2, 0, 0, 0, 0))
+golden(
+    "heartbeat-cold", array(18, u32(10), u32(1), u64(10**6), 1, 0, 0, 0, 0, 0, 0, 70000, -5250, 2, 0, *[0] * APPENDED)
+)
 golden("ident-page", array(19, u32(0), 0, 0, 1, cbor2.dumps(IDENT_DOCUMENT[:200])))
 golden("ident-full-page", array(19, u32(1), 2**30 - 1, 31, 32, cbor2.dumps(bytes(range(200)))))
 golden("sync-request", array(32, 5))

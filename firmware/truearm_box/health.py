@@ -8,10 +8,11 @@ board's buffers and the ring bridge them. On a link that is never idle `make_roo
 import gc
 
 from truearm_wire.fast import add, copy, less
-from truearm_wire.messages import HEARTBEAT
+from truearm_wire.messages import HEARTBEAT, LAYOUT
 
 # between collections: one takes up to 27 kB (the longest ident), a heartbeat nothing; a new configuration makes its own room
 COMMANDS = 2
+ELEMENTS = len(LAYOUT[HEARTBEAT]) - 1  # that `send` puts behind seq, in the layout's order
 GONE_US = 2000000  # a link that takes nothing for so long has no host
 
 IDLE = 0  # what the LED shows
@@ -72,7 +73,7 @@ class Health:
 
     def send(self, link, running, overruns, dropped, bad_frames):
         heap_free = self._board.heap_free()
-        link.begin(HEARTBEAT, 16)
+        link.begin(HEARTBEAT, ELEMENTS)
         link.put_u32(self._board.boot_id)
         link.put_u64(self._now)
         link.put_int(link.sent)

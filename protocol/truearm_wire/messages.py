@@ -1,5 +1,6 @@
-"""The layout of every frame (SPEC §4 and §6): names of the elements after the type, and which are of fixed width."""
+"""Every frame by the layout of its elements (SPEC §4 and §6), which is generated from frames.cddl."""
 
+from . import layout
 from .cbor import U32, U64, CborError, Tag, decode, encode
 
 DATA = 16
@@ -44,49 +45,8 @@ BOOT_LOADER = 1
 PAGE_BYTES = 200
 PAGES_MAX = 32
 
-# "name:u32" and "name:u64" are of fixed width; all other integers are shortest
-LAYOUT = {
-    DATA: ("seq:u32", "stream", "n0:u64", "t0_us:u64", "timing:u32", "samples", "flags"),
-    EVENT: ("seq:u32", "line", "t_us:u64", "edge"),
-    HEARTBEAT: (
-        "seq:u32",
-        "boot_id:u32",
-        "t_us:u64",
-        "sent",
-        "dropped",
-        "short_writes",
-        "overruns",
-        "bad_frames",
-        "loop_max_us",
-        "gc_max_us",
-        "heap_free",
-        "temperature_mdegc",
-        "reset_cause",
-        "streaming",
-        "crc_errors",
-        "converter_resets",
-        "missing_stops",
-    ),
-    IDENT: ("seq:u32", "req_id", "page", "pages", "data"),
-    SYNC_REQUEST: ("id",),
-    SYNC_REPLY: ("seq:u32", "id", "t1_us:u64", "t2_us:u64"),
-    IDENTIFY: ("req_id",),
-    CONFIGURE: ("req_id", "stream", "rate"),
-    START: ("req_id",),
-    STOP: ("req_id",),
-    GET_CONFIG: ("req_id",),
-    PUT_CONFIG: ("req_id", "page", "pages", "data"),
-    SELF_TEST: ("req_id",),
-    TO_REPL: ("req_id",),
-    RESET: ("req_id", "mode"),
-    PULSE: ("req_id", "level"),
-    REPLY: ("seq:u32", "req_id", "page", "pages", "data"),
-    ERROR: ("seq:u32", "req_id", "code", "text"),
-}
-
-APPENDED = {
-    HEARTBEAT: 3
-}  # elements at the end of a layout that minor versions appended: an older box does not send them
+LAYOUT = layout.LAYOUT
+APPENDED = layout.APPENDED
 
 
 def names(frame_type):
@@ -104,22 +64,22 @@ def encode_payload(values):
 
     Raises CborError if the type is unknown or elements are missing.
     """
-    layout = LAYOUT.get(values[0])
-    if layout is None:
+    entries = LAYOUT.get(values[0])
+    if entries is None:
         raise CborError("frame type %d is unknown" % values[0])
     if len(values) <= needed(values[0]):
         raise CborError(
             "frame type %d has %d elements, %d are needed" % (values[0], len(values) - 1, needed(values[0]))
         )
     sized = [values[0]]
-    for entry, value in zip(layout, values[1:]):
+    for entry, value in zip(entries, values[1:]):
         if isinstance(value, int):
             if entry.endswith(":u32"):
                 value = U32(value)
             elif entry.endswith(":u64"):
                 value = U64(value)
         sized.append(value)
-    sized.extend(values[1 + len(layout) :])
+    sized.extend(values[1 + len(entries) :])
     return encode(sized)
 
 
@@ -132,14 +92,14 @@ def decode_payload(payload):
     values = decode(payload)
     if not isinstance(values, list) or not values or not isinstance(values[0], int) or values[0] < 0:
         raise CborError("a frame is an array that begins with its type")
-    layout = LAYOUT.get(values[0])
-    if layout is None:
+    entries = LAYOUT.get(values[0])
+    if entries is None:
         return values
     if len(values) <= needed(values[0]):
         raise CborError(
             "frame type %d has %d elements, %d are needed" % (values[0], len(values) - 1, needed(values[0]))
         )
-    for entry, value in zip(layout, values[1:]):
+    for entry, value in zip(entries, values[1:]):
         if not isinstance(value, _accepted(entry)):
             raise CborError("element %s of frame type %d has the wrong type" % (entry.split(":")[0], values[0]))
     return values

@@ -3,6 +3,7 @@
 import importlib.util
 import json
 import os
+import re
 import subprocess
 import sys
 import zlib
@@ -20,6 +21,19 @@ from truearm_wire import cbor, frame, messages
 ROOT = Path(__file__).parents[2]
 VECTORS = ROOT / "protocol" / "vectors"
 CHECK = Path(__file__).with_name("check_vectors.py")
+
+
+CONSTANTS = (
+    *("DATA", "EVENT", "HEARTBEAT", "IDENT", "SYNC_REQUEST", "SYNC_REPLY", "IDENTIFY", "CONFIGURE", "START", "STOP"),
+    *("GET_CONFIG", "PUT_CONFIG", "SELF_TEST", "TO_REPL", "RESET", "PULSE", "REPLY", "ERROR"),
+)
+
+
+def script(name: str):
+    spec = importlib.util.spec_from_file_location(name, ROOT / "protocol" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def run_check(command: list[str]) -> str:
@@ -49,10 +63,27 @@ def test_every_frame_type_has_a_vector():
     assert golden == set(messages.LAYOUT)
 
 
+def test_layout_is_that_of_the_grammar():
+    make_layout = script("make_layout")
+    grammar = (ROOT / "protocol" / "frames.cddl").read_text(encoding="utf-8")
+    assert (ROOT / "protocol" / "truearm_wire" / "layout.py").read_text(encoding="utf-8") == make_layout.layout(grammar)
+    constants = {v for k, v in vars(messages).items() if isinstance(v, int) and k in CONSTANTS}
+    assert constants == set(messages.LAYOUT)
+
+
+def test_the_specification_lists_the_elements_of_the_grammar():
+    spec = (ROOT / "protocol" / "SPEC.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (\d+) \| [a-z-]+ \| (seq u32[^|]*) \|$", spec, re.MULTILINE)
+    said = {int(kind): [part.split()[0] for part in text.split(", ")] for kind, text in rows}
+    assert set(said) == {kind for kind, entries in messages.LAYOUT.items() if entries[0] == "seq:u32"}
+    for kind, elements in said.items():
+        # the specification says of a document's page and of a text by their type, and explains edge in brackets
+        found = ["data" if name == "bytes" else name for name in elements]
+        assert [name for name in found if name not in ("0", "1")][: len(messages.names(kind))] == messages.names(kind)
+
+
 def test_vectors_are_those_of_their_generator(tmp_path, monkeypatch):
-    spec = importlib.util.spec_from_file_location("make_vectors", ROOT / "protocol" / "make_vectors.py")
-    generator = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(generator)
+    generator = script("make_vectors")
     monkeypatch.setattr(generator, "FOLDER", tmp_path)
     generator.main()
     fresh = {p.name: p.read_bytes() for p in tmp_path.iterdir()}

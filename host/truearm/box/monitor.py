@@ -16,6 +16,7 @@ import typer
 
 from truearm.box.conversation import conversation, ident_of, one_line_of
 from truearm.errors import InputError
+from truearm.session.heartbeats import COUNTERS
 from truearm.text import one_line
 from truearm.units import MS, NS, US
 
@@ -31,6 +32,7 @@ PROBE_S = 0.25
 SHOW_S = 0.5
 PLAIN_S = 1.0
 MAX_PROBES = 64  # under way
+TROUBLES = tuple(name for name in COUNTERS if name not in ("sent", "short_writes", "overruns"))
 
 
 @dataclass
@@ -202,13 +204,8 @@ def losses(watch: Watch, box: BoxControl) -> str:
     """What went wrong, 0 included."""
     beat = watch.heartbeat
     parts = [f"{box.lost_frames} frames on the link", f"{beat.get('overruns', 0)} samples in the box"]
-    words = (
-        ("crc_errors", "wrong CRCs of the converter"),
-        ("converter_resets", "converter resets"),
-        ("missing_stops", "missing stops"),
-        ("bad_frames", "bad frames received"),
-    )
-    parts += [f"{beat[key]} {text}" for key, text in words if beat.get(key)]
+    words = {"crc_errors": "wrong CRCs of the converter", "bad_frames": "bad frames received"}
+    parts += [f"{beat[key]} {words.get(key, key.replace('_', ' '))}" for key in TROUBLES if beat.get(key)]
     parts += [f"{watch.restarts} restarts"] * (watch.restarts > 0) + [f"{watch.edges} trigger edges"] * (
         watch.edges > 0
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from truearm.session.heartbeats import COUNTERS, EXTREMES
 from truearm.text import one_line
 from truearm.units import MM_S, NS, ONE, UM, URAD, US, Scale
 
@@ -23,15 +24,20 @@ LOSSES = (
     ("restarts", "restarts of the box"),
     ("sync_unanswered", "clock requests unanswered"),
 )
-BOX = (
-    ("dropped", "frames dropped by the box"),
-    ("short_writes", "short writes of the box"),
-    ("overruns", "overruns by the box's count"),
-    ("bad_frames", "bad frames received by the box"),
-    ("crc_errors", "damaged frames of the box's converter"),
-    ("converter_resets", "resets of the box's converter by itself"),
-    ("missing_stops", "magnetostrictive shots without a stop"),
-)
+BOX_WORDS = {  # of the box's counters; others are called by their names
+    "dropped": "frames dropped by the box",
+    "short_writes": "short writes of the box",
+    "overruns": "overruns by the box's count",
+    "bad_frames": "bad frames received by the box",
+    "crc_errors": "damaged frames of the box's converter",
+    "converter_resets": "resets of the box's converter by itself",
+    "missing_stops": "magnetostrictive shots without a stop",
+}
+EXTREME_WORDS = {
+    "loop_max_us": "longest loop {} µs",
+    "gc_max_us": "longest collection {} µs",
+    "heap_free_min": "least free heap {} bytes",
+}
 
 
 def lines(document: Mapping[str, Any]) -> Iterator[str]:
@@ -90,18 +96,18 @@ def _streams(streams: list[Mapping[str, Any]]) -> Iterator[str]:
 
 def _losses(losses: Mapping[str, Any]) -> Iterator[str]:
     yield f"frames: {losses['frames']} received, {losses['samples']} samples in {losses['blocks']} blocks"
-    counts = [(losses[key], text) for key, text in LOSSES] + [(losses["box"][key], text) for key, text in BOX]
+    box = losses["box"]
+    counts = [(losses[key], text) for key, text in LOSSES]
+    counts += [(box[key], BOX_WORDS.get(key, f"{key} by the box's count")) for key in COUNTERS if key != "sent"]
     wrong = [f"  {count:>6} {text}" for count, text in counts if count]
     wrong += [f"  the box was silent from {gap['from_s']:.1f} to {gap['to_s']:.1f} s" for gap in losses["silences"]]
     if losses["samples_missing"]:
         wrong.append(f"  {losses['samples_missing']:>6} samples missing by the nominal rate while it was silent")
     yield from wrong or ["  nothing lost, nothing doubled, no restart"]
-    box = losses["box"]
     if box["heartbeats"]:
-        yield (
-            f"  {box['heartbeats']} heartbeats: longest loop {box['loop_max_us']} µs, longest collection "
-            f"{box['gc_max_us']} µs, least free heap {box['heap_free_min']} bytes"
-        )
+        worst = ((key, box[key]) for _, key in EXTREMES.values() if box[key] is not None)
+        told = ", ".join(EXTREME_WORDS.get(key, key + " {}").format(value) for key, value in worst)
+        yield f"  {box['heartbeats']} heartbeats: {told}"
 
 
 def _console(document: Mapping[str, Any]) -> Iterator[str]:

@@ -6,33 +6,13 @@ sends are malformed too: an echo.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from truearm.session.heartbeats import NO_HEARTBEAT, Summary
 from truearm.types import Message
 
 SILENT_NS = 2_000_000_000  # a box that is well sends a heartbeat every second
 _GONE = (b'"link-lost"', b'"box-gone"')  # however short the silence was then
-
-
-@dataclass(frozen=True)
-class BoxCounters:
-    """The box's own counters, summed over what the session holds of each boot (see ``heartbeats``).
-
-    ``loop_max_us``, ``gc_max_us`` and ``heap_free_min`` are the worst of all heartbeats; None without a heartbeat.
-    """
-
-    heartbeats: int = 0
-    sent: int = 0
-    dropped: int = 0
-    short_writes: int = 0
-    overruns: int = 0
-    bad_frames: int = 0
-    crc_errors: int = 0  # of the converter's frames
-    converter_resets: int = 0
-    missing_stops: int = 0  # shots of the magnetostrictive sensor without a stop
-    loop_max_us: int | None = None
-    gc_max_us: int | None = None
-    heap_free_min: int | None = None
 
 
 @dataclass(frozen=True)
@@ -64,7 +44,7 @@ class Losses:
     starts: int = 0  # times that n0 began anew without a restart
     sync_requests: int = 0
     sync_unanswered: int = 0
-    box: BoxCounters = BoxCounters()
+    box: Summary = field(default_factory=lambda: NO_HEARTBEAT)  # the box's own counters, of its heartbeats
 
 
 class Silences:

@@ -108,7 +108,7 @@ class BoxReader:
 
     def losses(self) -> Losses:
         """The account so far."""
-        box = self._heartbeats.counters({s.index for s in self.segments if s.booted})
+        box = self._heartbeats.summary({s.index for s in self.segments if s.booted})
         order = self._order
         count = self._count + Counter(
             frames_duplicated=order.doubled, frames_late=order.late, frames_malformed=order.malformed
