@@ -30,7 +30,7 @@ MAX_ENTRIES = 10_000
 HUGE = 1e12  # no number of any unit is larger; an integer beyond it may have no float
 UNKNOWN = "unknown"
 NO_UNIT = ("",)
-NAME = re.compile(r"[\w-]{1,64}")
+NAME = re.compile(r"[\w-]{1,64}")  # no dots: names of parameters, socket.<place>.<socket>.x, are made of these
 
 T = TypeVar("T")
 
@@ -420,9 +420,13 @@ def check_known(table: Mapping[str, Any], known: Sequence[str]) -> None:
     """Raise SchemaError for a key that is not known: a misspelt one would silently take its default."""
     for key in table:
         if key not in known:
-            close = difflib.get_close_matches(key[:MAX_SHOWN], known, n=1)
-            hint = f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
-            raise SchemaError(f"unknown key {key[:MAX_SHOWN]!r}; {hint[:150]}")
+            raise SchemaError(f"unknown key {key[:MAX_SHOWN]!r}; {hint(key, known)}")
+
+
+def hint(name: str, known: Sequence[str]) -> str:
+    """Which of the known names was probably meant, else what they are."""
+    close = difflib.get_close_matches(name[:MAX_SHOWN], known, n=1)
+    return (f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}")[:150]
 
 
 @contextmanager

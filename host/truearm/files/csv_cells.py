@@ -15,6 +15,7 @@ import numpy as np
 
 from truearm.errors import TableError
 from truearm.files.observation_columns import Column, shown
+from truearm.schema import NAME
 from truearm.types import Floats
 from truearm.units import SUFFIXES
 
@@ -22,8 +23,6 @@ MAX_ROWS = 200_000  # 250 times the paper's grid of 800 poses
 MAX_COLUMNS = 200
 MAX_CELL = 200
 
-# No dots: the names of parameters, socket.<place>.<socket>.x, are made of identifiers.
-_ID = re.compile(r"[\w-]{1,64}")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
@@ -63,7 +62,7 @@ def identifiers(rows: list[Row], column: Column | None, name: str) -> np.ndarray
         return np.full(len(rows), "", dtype="U1")
     for row in rows:
         cell = row.cells[column.position]
-        if cell and not _ID.fullmatch(cell):
+        if cell and not NAME.fullmatch(cell):
             raise TableError(
                 f"{name} row {row.number} column {column.name}: {shown(cell)} is no identifier; "
                 "use up to 64 letters, digits, '-' and '_'"

@@ -17,6 +17,7 @@ import numpy as np
 
 from truearm.errors import PlanError
 from truearm.files.disk import read_text, write_atomic
+from truearm.schema import NAME
 from truearm.types import Plan, Rig
 from truearm.units import MM_S, UNITS
 
@@ -26,7 +27,6 @@ IDS = Plan.IDS
 MOTION = ("move", "line", "target", "speed_mm_s")  # all four or none
 FASTEST = 10.0  # m/s; a speed beyond was written in another unit
 
-_ID = re.compile(r"[\w-]{1,64}")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
@@ -107,7 +107,7 @@ def _check_names(cells: dict[str, str], pose: int, where: str) -> None:
         raise PlanError(f"{where} column move: {move[:40]!r} is none of {', '.join(Plan.MOVES)}")
     for name in (*IDS, "line", "target"):
         cell = cells.get(name, "")
-        if not _ID.fullmatch(cell) and (cell or _required(name, move)):
+        if not NAME.fullmatch(cell) and (cell or _required(name, move)):
             raise PlanError(f"{where} column {name}: {cell[:40]!r} is no identifier (letters, digits, '-', '_')")
     fitted = [name for name in ("bar", "chuck", "sphere") if cells[name]]
     if move == "line":

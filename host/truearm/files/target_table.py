@@ -22,12 +22,15 @@ from truearm.files.csv_cells import Row, identifiers, numbers, read_cells
 from truearm.files.disk import read_text
 from truearm.files.observation_columns import Column, shown
 from truearm.model.poses import pose_of
+from truearm.schema import IDENTIFIER, Key, Number, hint
 from truearm.types import Floats, Strings
 from truearm.units import DEG, MM, SUFFIXES, UNITS, key, number
 
 MAX_BYTES = 16 * 2**20
 MAX_TARGETS = 20_000
-_TITLE = re.compile(r"(r?[xyz]|q[1-9][0-9]?)_(mm|m|deg|rad)")
+NAME = Key("name", IDENTIFIER)
+XYZ = tuple(Key(name, Number("m")) for name in "xyz")
+TURN = tuple(Key(name, Number("rad")) for name in ("rx", "ry", "rz"))
 RESULTS = re.compile(r"(before|after)_(mm|deg)|told_.*|x_.*")  # columns of ours in a table that is corrected again
 
 
@@ -56,65 +59,52 @@ def parse_targets(text: str, name: str, joint_units: Sequence[str]) -> Targets:
         raise TargetError(f"{name}: has a header but no targets")
     if len(rows) > MAX_TARGETS:
         raise TargetError(f"{name}: has {len(rows)} targets, the most is {MAX_TARGETS}; split it")
-    columns = _columns(header, name)
-    xyz = _three(rows, columns, ("x", "y", "z"), name)
-    turn = _three(rows, columns, ("rx", "ry", "rz"), name)
+    joints = [Key(f"q{i}", Number(unit)) for i, unit in enumerate(joint_units, start=1)]
+    columns = _columns(header, name, joints)
+    xyz = _together(rows, columns, XYZ, name)
+    turn = _together(rows, columns, TURN, name)
     if xyz is None:
         raise TargetError(f"{name}: has no columns x_mm, y_mm, z_mm (or x_m, y_m, z_m)")
     return Targets(
         pose=pose_of(xyz, np.zeros_like(xyz) if turn is None else turn),
         oriented=turn is not None,
-        q_start=_joints(rows, columns, joint_units, name),
+        q_start=_together(rows, columns, joints, name),
         name=identifiers(rows, columns.get("name"), name),
         source=tuple(f"{name} row {row.number}" for row in rows),
     )
 
 
-def _columns(header: list[str], name: str) -> dict[str, Column]:
+def _columns(header: list[str], name: str, joints: Sequence[Key]) -> dict[str, Column]:
+    keys = {spelled: key for key in (NAME, *XYZ, *TURN, *joints) for spelled in key.spellings}
     columns: dict[str, Column] = {}
     for position, title in enumerate(header):
         where = f"{name} column {position + 1} ({shown(title)})"
-        match = _TITLE.fullmatch(title)
-        quantity = "name" if title == "name" else match[1] if match else ""
-        if not quantity:
+        quantity, _, unit = title.rpartition("_")
+        spellings = [spelled for spelled, key in keys.items() if key.name == quantity]
+        if title not in keys:
+            if spellings and unit in SUFFIXES:
+                raise TargetError(f"{where}: unit {unit} does not fit {quantity}; name it {' or '.join(spellings)}")
             if title == "note" or RESULTS.fullmatch(title):
                 continue
-            raise TargetError(
-                f"{where}: is no known column; use name, x_mm, y_mm, z_mm, rx_deg, ry_deg, rz_deg, q1_deg"
-            )
-        unit = match[2] if match else ""
-        if match and quantity[0] != "q" and SUFFIXES[unit].si != ("rad" if quantity[0] == "r" else "m"):
-            raise TargetError(f"{where}: unit {unit} does not fit {quantity}")
-        if quantity in columns:
-            raise TargetError(f"{where}: {quantity} is given twice; keep one")
-        columns[quantity] = Column(title, position, unit)
+            raise TargetError(f"{where}: is no known column; {hint(title, list(keys))}")
+        key = keys[title]
+        if key.name in columns:
+            raise TargetError(f"{where}: {key.name} is given twice; keep one")
+        columns[key.name] = Column(title, position, key.spellings[title])
     return columns
 
 
-def _three(rows: list[Row], columns: dict[str, Column], names: Sequence[str], name: str) -> Floats | None:
-    given = [quantity for quantity in names if quantity in columns]
-    if not given:
+def _together(rows: list[Row], columns: dict[str, Column], keys: Sequence[Key], name: str) -> Floats | None:
+    """Columns of numbers side by side (n, k), of which a table has all or none."""
+    missing = [key for key in keys if key.name not in columns]
+    if len(missing) == len(keys):
         return None
-    if len(given) < len(names):
-        raise TargetError(f"{name}: has {', '.join(given)} but not all of {', '.join(names)}")
-    return np.stack([_required(rows, columns[quantity], name) for quantity in names], axis=1)
-
-
-def _joints(rows: list[Row], columns: dict[str, Column], units: Sequence[str], name: str) -> Floats | None:
-    given = {quantity for quantity in columns if quantity[0] == "q"}
-    if not given:
-        return None
-    wanted = [f"q{i}" for i in range(1, len(units) + 1)]
-    if given != set(wanted):
-        raise TargetError(f"{name}: the robot has {len(units)} joints; give q1 to q{len(units)}, or none")
-    for quantity, unit in zip(wanted, units, strict=True):
-        if SUFFIXES[columns[quantity].unit].si != unit:
-            raise TargetError(f"{name} column {columns[quantity].name}: the robot's joint is measured in {unit}")
-    return np.stack([_required(rows, columns[quantity], name) for quantity in wanted], axis=1)
-
-
-def _required(rows: list[Row], column: Column, name: str) -> Floats:
-    return numbers(rows, column, name, UNITS[SUFFIXES[column.unit].si].largest, required=True)
+    if missing:
+        titles = ", ".join(next(iter(key.spellings)) for key in keys)
+        raise TargetError(f"{name}: has no column {missing[0].name}; give all of {titles}, or none of them")
+    largest = [UNITS[SUFFIXES[columns[key.name].unit].si].largest for key in keys]
+    both = zip(keys, largest, strict=True)
+    return np.stack([numbers(rows, columns[key.name], name, most, required=True) for key, most in both], axis=1)
 
 
 def format_corrected(
