@@ -1,16 +1,21 @@
 """Corrections of a robot that is known: order of convergence, exactness, refusals."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from correct_bench import good_poses, nominal_poses
 from puma_bench import CHAIN, DESIGN, TRUTH
 from scipy.spatial.transform import Rotation
 
-from truearm.correct.correction import METHODS, correct
+from truearm.correct.correction import Configuration, correct
 from truearm.correct.inverse import inverse, search, singular_value, turned, within
+from truearm.correct.methods import METHODS
 from truearm.correct.model_pair import Pair
+from truearm.model import joint_law
 from truearm.model.builtin import builtin_names
-from truearm.model.chain import forward
+from truearm.model.chain import Parameter, forward
+from truearm.model.joint_terms.term import Term
 from truearm.model.mountings import mountings
 from truearm.model.poses import apart, inverted, moved, pose_of, six_of
 from truearm.model.robot import builtin_robot
@@ -36,7 +41,9 @@ def rms(values):
 @pytest.mark.parametrize("share", [0.5, 0.25])
 def test_halving_the_errors_quarters_what_one_step_leaves(q, method, share):
     """(32) and (34) are right to first order: the residual is of second order, but for terms of the third (ratio 3.3–5)."""
-    whole, half = (correct(pair(s), nominal_poses(q), method, q_start=q) for s in (share, 0.5 * share))
+    whole, half = (
+        correct(pair(s), nominal_poses(q), method, configuration=Configuration(q)) for s in (share, 0.5 * share)
+    )
     assert not any(whole.problem + half.problem)
     for column in (0, 1):
         assert 3.3 <= rms(whole.after[:, column]) / rms(half.after[:, column]) <= 5.0
@@ -45,8 +52,8 @@ def test_halving_the_errors_quarters_what_one_step_leaves(q, method, share):
 
 @pytest.mark.parametrize("method", ["false-target", "joints"])
 def test_iterated_they_end_where_newton_does(q, method):
-    exact = correct(pair(), nominal_poses(q), "newton", q_start=q)
-    iterated = correct(pair(), nominal_poses(q), method, 30, q_start=q)
+    exact = correct(pair(), nominal_poses(q), "newton", configuration=Configuration(q))
+    iterated = correct(pair(), nominal_poses(q), method, 30, configuration=Configuration(q))
     assert not any(iterated.problem)
     # ROUNDING, 1e-9 m and rad, ends an iteration; the margin on singular values enlarges it at most twentyfold.
     np.testing.assert_allclose(iterated.q, exact.q, atol=2e-8)
@@ -54,7 +61,7 @@ def test_iterated_they_end_where_newton_does(q, method):
 
 
 def test_newton_reaches_the_target_to_a_nanometre(q):
-    done = correct(pair(), nominal_poses(q), "newton", q_start=q)
+    done = correct(pair(), nominal_poses(q), "newton", configuration=Configuration(q))
     assert not any(done.problem)
     assert rms(done.before[:, 0]) > 10e-3
     assert done.after[:, 0].max() <= 1e-9
@@ -66,18 +73,66 @@ def test_newton_reaches_the_target_to_a_nanometre(q):
 
 def test_offsets_are_exact_for_offsets_and_nothing_else(q):
     offset = np.array([0.02 * name.endswith("offset") for name in CHAIN.parameter_names])
-    done = correct(Pair(CHAIN, DESIGN, DESIGN + offset), nominal_poses(q), "offsets", q_start=q)
+    done = correct(Pair(CHAIN, DESIGN, DESIGN + offset), nominal_poses(q), "offsets", configuration=Configuration(q))
     assert done.before[:, 0].min() > 1e-3
     assert done.after[:, 0].max() <= 1e-12
-    lengths = correct(pair(names=".x"), nominal_poses(q), "offsets", q_start=q)
+    lengths = correct(pair(names=".x"), nominal_poses(q), "offsets", configuration=Configuration(q))
     np.testing.assert_allclose(lengths.after, lengths.before, atol=1e-12)
+
+
+class Wave(Term):
+    """a·sin(q_1 + q_i) of joint i: a term that depends on two joints."""
+
+    name = "wave"
+    unit = "rad"
+
+    def value(self, params, q):
+        return self._at(params, q, np.sin)
+
+    def by_joints(self, params, q):
+        slope, out = self._at(params, q, np.cos), np.zeros((len(q), *q.shape))
+        for i in range(len(q)):
+            out[i, 0] += slope[i]
+            out[i, i] += slope[i]
+        return out
+
+    def by_parameters(self, params, q):
+        return np.sin(q[0] + q[self.joints])
+
+    def _at(self, params, q, function):
+        out = np.zeros(q.shape)
+        out[self.joints] = params[self.parameters][:, None] * function(q[0] + q[self.joints])
+        return out
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_corrects_the_whole_joint_law_and_links_if_it_says_so(q, method, monkeypatch):
+    monkeypatch.setattr(joint_law, "TERMS", (*joint_law.TERMS, Wave))
+    waves = tuple(Parameter(f"joint{i}.wave", "rad", 0.0, "wave", i - 1) for i in (1, 2, 4))
+    chain = replace(CHAIN, name="wavy", parameters=(*CHAIN.parameters, *waves))
+    is_law = np.array([p.term != "geometry" for p in chain.parameters])
+    error = 2e-3 * np.random.default_rng(8).normal(size=is_law.size)
+    nominal, targets = chain.params_nominal, nominal_poses(q)
+    law, links = (
+        correct(Pair(chain, nominal, nominal + mine * error), targets, method, 20, configuration=Configuration(q))
+        for mine in (is_law, ~is_law)
+    )
+    assert not any(law.problem + links.problem)
+    assert law.before[:, 0].max() > 1e-3
+    assert law.after[:, 0].max() < 2e-9
+    if METHODS[method].links:
+        assert links.after[:, 0].max() < 2e-9
+    else:
+        np.testing.assert_allclose(links.after, links.before, atol=1e-12)
 
 
 def test_orientations_compose_as_rotation_vectors(q):
     """Of a robot that is only turned about its base by 0.2 rad, the mirror image of that turn about the same axis is exact;
     angles about fixed axes, subtracted, would be off by 0.2²/2."""
     base_turned = DESIGN + 0.2 * np.array([name == "link1.alpha" for name in CHAIN.parameter_names])
-    done = correct(Pair(CHAIN, DESIGN, base_turned), nominal_poses(q), "false-target", 1, q_start=q)
+    done = correct(
+        Pair(CHAIN, DESIGN, base_turned), nominal_poses(q), "false-target", 1, configuration=Configuration(q)
+    )
     fine = np.array([not problem for problem in done.problem])
     assert fine.sum() > 5
     np.testing.assert_allclose(done.after[fine, 1], 0.0, atol=1e-9)
@@ -85,8 +140,8 @@ def test_orientations_compose_as_rotation_vectors(q):
 
 def test_positions_alone_move_the_joints_least(q):
     targets = nominal_poses(q)
-    full = correct(pair(), targets, q_start=q)
-    position = correct(pair(), targets, oriented=False, q_start=q)
+    full = correct(pair(), targets, configuration=Configuration(q))
+    position = correct(pair(), targets, oriented=False, configuration=Configuration(q))
     assert not any(position.problem)
     assert position.after[:, 0].max() <= 1e-9
     assert np.isnan(position.after[:, 1]).all()
@@ -98,7 +153,7 @@ def test_positions_alone_move_the_joints_least(q):
 def test_a_singular_target_is_refused_and_never_a_wild_number(method):
     q = good_poses(5)
     q[:, 4] = np.radians([0.0, 0.01, 0.5, -1.0, 2.0])  # the wrist's axes nearly aligned
-    done = correct(pair(), nominal_poses(q), method, 20, q_start=q)
+    done = correct(pair(), nominal_poses(q), method, 20, configuration=Configuration(q))
     assert all("singular" in p or "converge" in p or "configuration" in p for p in done.problem)
     assert np.isfinite(done.q).all()
 
@@ -113,7 +168,7 @@ def test_unreachable_targets_are_refused():
     lower = np.array([joint.lower for joint in CHAIN.joints])
     at_limit = q[:1].copy()
     at_limit[0, 0] = lower[0] + 1e-6
-    done = correct(pair(), nominal_poses(at_limit), q_start=at_limit)
+    done = correct(pair(), nominal_poses(at_limit), configuration=Configuration(at_limit))
     assert within(CHAIN, done.q).all() or "limits" in done.problem[0]
 
 
@@ -205,10 +260,12 @@ def test_mountings_are_exactly_what_first_and_last_link_hold(q):
     mine = np.array([name.startswith(("link1.", "link7.")) for name in CHAIN.parameter_names])
     moved_fixtures[mine] += np.random.default_rng(0).normal(0.0, 0.01, mine.sum())
     other = Pair(CHAIN, DESIGN, moved_fixtures, mountings(CHAIN, DESIGN, moved_fixtures))
-    done = [correct(p, nominal_poses(q), q_start=q) for p in (target, other)]
+    done = [correct(p, nominal_poses(q), configuration=Configuration(q)) for p in (target, other)]
     np.testing.assert_allclose(done[0].q, done[1].q, atol=1e-9)
     np.testing.assert_allclose(done[0].before, done[1].before, atol=1e-12)
-    assert rms(done[0].before[:, 0]) < rms(correct(pair(), nominal_poses(q), q_start=q).before[:, 0])
+    assert rms(done[0].before[:, 0]) < rms(
+        correct(pair(), nominal_poses(q), configuration=Configuration(q)).before[:, 0]
+    )
 
 
 def test_poses_and_differences():

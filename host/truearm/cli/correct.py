@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -16,17 +15,9 @@ from truearm.cli.options import (
     frame_of,
     numbers_of,
 )
+from truearm.correct.methods import Method, methods_help, with_steps
 
 MOST_STEPS = 50
-
-
-class Method(StrEnum):
-    """Names of ``correct.correction.METHODS``, which --help must not import."""
-
-    newton = "newton"
-    false_target = "false-target"
-    joints = "joints"
-    offsets = "offsets"
 
 
 def correct(
@@ -41,12 +32,10 @@ def correct(
     tip: IdentifiedTipOption = None,
     method: Annotated[
         Method,
-        typer.Option(
-            help="newton: full inverse of the identified robot. false-target, joints, offsets: Renders 1991 (32), (34), (35)."
-        ),
-    ] = Method.newton,
+        typer.Option(help=methods_help()),
+    ] = Method.NEWTON,
     steps: Annotated[
-        int, typer.Option(min=1, max=MOST_STEPS, metavar="N", help="Apply false-target or joints so often.")
+        int, typer.Option(min=1, max=MOST_STEPS, metavar="N", help=f"Apply {' or '.join(with_steps())} so often.")
     ] = 1,
     own_frames: Annotated[
         bool,
@@ -88,7 +77,7 @@ def correct(
     from truearm.workflows.correct import CorrectFiles, CorrectOptions, correct_file
 
     options = CorrectOptions(
-        method=method.value,
+        method=method,
         steps=steps,
         own_frames=own_frames,
         margin=margin,

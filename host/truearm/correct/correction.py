@@ -9,7 +9,8 @@ nearer to a singularity than ``margin``, and one where an iteration makes the er
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +18,30 @@ from numpy.typing import NDArray
 from truearm.correct.false_target import false_target
 from truearm.correct.inverse import Inverse, inverse, search, singular_value, within
 from truearm.correct.joint_space import joint_space
+from truearm.correct.methods import Method
 from truearm.correct.model_pair import Pair, in_rig, reached, told
 from truearm.correct.offsets import offsets
 from truearm.model.poses import apart
 from truearm.types import Floats
 
-METHODS = ("newton", "false-target", "joints", "offsets")
 MARGIN = 0.05  # smallest singular value: an error of 20 mm then asks for at most 0.8 rad
 ROUNDING = 1e-9  # m, rad: below, an iteration only stirs the last digits
 MOST_TURN = 0.5  # rad, m: a correction that moves a joint by more leads to another configuration
+
+
+class Configuration(NamedTuple):
+    """Which of the arm's configurations the controller takes.
+
+    ``q_start``: (n, j) near the joints that it will take; without, they are searched for (``inverse.search``), near ``home`` (j,)
+    first and within ``quadrants`` (n, j).
+    """
+
+    q_start: Floats | None = None
+    home: Floats | None = None
+    quadrants: Floats | None = None
+
+
+SEARCHED = Configuration()
 
 
 class Correction(NamedTuple):
@@ -42,25 +58,22 @@ class Correction(NamedTuple):
 def correct(
     pair: Pair,
     targets: Floats,
-    method: str = "newton",
+    method: Method | str = Method.NEWTON,
     steps: int = 1,
     *,
     oriented: bool = True,
-    q_start: Floats | None = None,
-    home: Floats | None = None,
-    quadrants: Floats | None = None,
+    configuration: Configuration = SEARCHED,
     margin: float = MARGIN,
 ) -> Correction:
     """Correct targets (n, 4, 4), x_d.
 
-    method : one of METHODS. steps : how often (32) and (34) are applied. oriented : False where only positions matter.
-    q_start : (n, j) near the joints that the controller will take; without, the configuration is searched for
-    (``inverse.search``, with ``home`` and ``quadrants``).
+    steps : how often (32) and (34) are applied. oriented : False where only positions matter. margin : the smallest singular
+    value of targets that are not refused. Raises ValueError for an unknown method.
     """
-    told_nominal = _nominal(pair, targets, oriented, q_start, home, quadrants)
+    told_nominal = _nominal(pair, targets, oriented, configuration)
     q_nominal = told_nominal.q
     before = _error(pair, targets, q_nominal, oriented)
-    q, grew = _corrected(pair, targets, q_nominal, method, steps, oriented)
+    q, grew = _corrected(pair, targets, q_nominal, Method(method), steps, oriented)
     after = _error(pair, targets, q, oriented)
     singular: Floats = np.minimum(told_nominal.singular_value, singular_value(pair.chain, pair.identified, q, oriented))
     problem = [""] * len(q)
@@ -77,10 +90,9 @@ def correct(
     return Correction(q_nominal, q, told(pair, q), before, after, tuple(problem))
 
 
-def _nominal(
-    pair: Pair, targets: Floats, oriented: bool, q_start: Floats | None, home: Floats | None, quadrants: Floats | None
-) -> Inverse:
+def _nominal(pair: Pair, targets: Floats, oriented: bool, configuration: Configuration) -> Inverse:
     """f_n⁻¹(x_d)"""
+    q_start, home, quadrants = configuration
     if q_start is None:
         return search(pair.chain, pair.nominal, targets, oriented, home, quadrants)
     found = inverse(pair.chain, pair.nominal, targets, q_start, oriented)
@@ -88,15 +100,34 @@ def _nominal(
 
 
 def _corrected(
-    pair: Pair, targets: Floats, q_nominal: Floats, method: str, steps: int, oriented: bool
+    pair: Pair, targets: Floats, q_nominal: Floats, method: Method, steps: int, oriented: bool
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """q (n, j), and where no correction was found that makes the error smaller."""
-    if method == "offsets":
-        return offsets(pair, q_nominal), np.zeros(len(q_nominal), dtype=bool)
-    if method == "newton":
-        found = inverse(pair.chain, pair.identified, in_rig(pair, targets), q_nominal, oriented)
-        return found.q, ~found.reached
-    step = false_target if method == "false-target" else joint_space
+    match method:
+        case Method.OFFSETS:
+            q = offsets(pair, q_nominal)
+            lost: NDArray[np.bool_] = np.asarray(~np.isfinite(q).all(axis=-1))
+            return np.where(lost[:, None], q_nominal, q), lost
+        case Method.NEWTON:
+            found = inverse(pair.chain, pair.identified, in_rig(pair, targets), q_nominal, oriented)
+            return found.q, ~found.reached
+        case Method.FALSE_TARGET:
+            return _repeated(false_target, pair, targets, q_nominal, steps, oriented)
+        case Method.JOINTS:
+            return _repeated(joint_space, pair, targets, q_nominal, steps, oriented)
+        case _:
+            assert_never(method)
+
+
+def _repeated(
+    step: Callable[[Pair, Floats, Floats, bool], Floats],
+    pair: Pair,
+    targets: Floats,
+    q_nominal: Floats,
+    steps: int,
+    oriented: bool,
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """``_corrected`` by a method that is applied ``steps`` times, each from where the one before led to."""
     q, grew = q_nominal, np.zeros(len(q_nominal), dtype=bool)
     size: Floats = _size(_error(pair, targets, q, oriented))
     for _ in range(steps):

@@ -82,7 +82,7 @@ def chain_from_dh(
 
     Raises RobotError for numbers that are too few, too many or not finite, and for twists of joints that are not there.
     """
-    return _from_rows(dh_slots, name, joints, rows, twisted, base, tool, base_frame, end_frame)
+    return _from_rows(dh_slots, name, joints, rows, twisted, (base, tool), (base_frame, end_frame))
 
 
 def chain_from_modified_dh(
@@ -97,7 +97,7 @@ def chain_from_modified_dh(
     end_frame: str = "end",
 ) -> Chain:
     """The chain of Craig's ``rows`` (j, 4): θ, d, a, α, the latter two before the joint; else as ``chain_from_dh``."""
-    return _from_rows(modified_dh_slots, name, joints, rows, twisted, base, tool, base_frame, end_frame)
+    return _from_rows(modified_dh_slots, name, joints, rows, twisted, (base, tool), (base_frame, end_frame))
 
 
 def _screw(table: str, index: int, joint: Joint) -> tuple[Slot, Slot]:
@@ -117,11 +117,10 @@ def _from_rows(
     joints: Sequence[Joint],
     rows: Floats,
     twisted: Collection[int],
-    base: Sequence[float] | None,
-    tool: Sequence[float] | None,
-    base_frame: str,
-    end_frame: str,
+    mountings: tuple[Sequence[float] | None, Sequence[float] | None],
+    frames: tuple[str, str],
 ) -> Chain:
+    base, tool = mountings
     rows = np.asarray(rows, dtype=float)
     if rows.shape != (len(joints), 4):
         raise RobotError(f"robot {name}: {len(joints)} rows of θ, d, a, α are needed, got {rows.shape}")
@@ -135,7 +134,7 @@ def _from_rows(
         amounts |= {f"joint{i + 1}.{key}": value for key, value in zip(keys, row, strict=True)}
         amounts[f"joint{i + 1}.beta"] = 0.0
     fixed = {f"joint{i + 1}.d" for i in twisted}
-    return chain_from_slots(name, joints, slots, amounts, fixed, base_frame, end_frame)
+    return chain_from_slots(name, joints, slots, amounts, fixed, *frames)
 
 
 def _six(name: str, table: str, numbers: Sequence[float] | None) -> dict[str, float]:

@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from truearm.correct.correction import MARGIN, Correction, correct
+from truearm.correct.correction import MARGIN, Configuration, Correction, correct
+from truearm.correct.methods import Method
 from truearm.correct.model_pair import Pair
 from truearm.errors import InputError, ProgramError, TargetError
 from truearm.files.disk import check_writable, write_atomic
@@ -48,7 +49,7 @@ class CorrectOptions(NamedTuple):
     vector [rad]. ``home``: joints near those of the first target, in deg or mm by the joint.
     """
 
-    method: str = "newton"
+    method: Method | str = Method.NEWTON
     steps: int = 1
     own_frames: bool = False
     margin: float = MARGIN
@@ -73,7 +74,7 @@ class _Request:
 
     pair: Pair
     units: tuple[str, ...]
-    method: str
+    method: Method | str
     steps: int
     work: Floats  # (4, 4)
     tool: Floats  # (4, 4)
@@ -133,7 +134,7 @@ def corrected_poses(calibration: Calibration, poses: Floats, options: CorrectOpt
         request.work @ poses @ inverted(request.tool),
         request.method,
         request.steps,
-        home=request.home,
+        configuration=Configuration(home=request.home),
         margin=request.margin,
     )
     _refuse(done, [f"pose {i}" for i in range(len(poses))], TargetError)
@@ -164,8 +165,7 @@ def _correct_table(path: Path, out: Path, request: _Request) -> _Done:
         request.method,
         request.steps,
         oriented=targets.oriented,
-        q_start=targets.q_start,
-        home=request.home,
+        configuration=Configuration(targets.q_start, request.home),
         margin=request.margin,
     )
     _refuse(done, targets.source, TargetError)
@@ -183,8 +183,7 @@ def _correct_program(path: Path, out: Path, request: _Request) -> _Done:
         request.work @ poses_of(program) @ inverted(request.tool),
         request.method,
         request.steps,
-        home=request.home,
-        quadrants=quadrants,
+        configuration=Configuration(home=request.home, quadrants=quadrants),
         margin=request.margin,
     )
     _refuse(done, [f"{path} line {target.line}" for target in program.targets], ProgramError)
