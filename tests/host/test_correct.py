@@ -126,6 +126,16 @@ def test_every_method_corrects_the_whole_joint_law_and_links_if_it_says_so(q, me
         np.testing.assert_allclose(links.after, links.before, atol=1e-12)
 
 
+def test_in_the_robots_own_frames_offsets_leaves_the_mountings_alone(q):
+    """The first and the last offset are then part of the mountings, as ``mountings`` takes them: the robot itself is corrected exactly."""
+    offset = np.array([0.02 * name.endswith("offset") for name in CHAIN.parameter_names])
+    identified = DESIGN + offset
+    own = Pair(CHAIN, DESIGN, identified, mountings(CHAIN, DESIGN, identified))
+    done = correct(own, nominal_poses(q), "offsets", configuration=Configuration(q))
+    assert done.before[:, 0].min() > 1e-3
+    assert done.after[:, 0].max() <= 1e-12
+
+
 def test_orientations_compose_as_rotation_vectors(q):
     """Of a robot that is only turned about its base by 0.2 rad, the mirror image of that turn about the same axis is exact;
     angles about fixed axes, subtracted, would be off by 0.2²/2."""
