@@ -158,6 +158,19 @@ class Strict(HTMLParser):
         return [attrs for name, attrs in self.elements if name == tag]
 
 
+def with_rotation(estimate, angle):
+    """The estimate with residuals (n,) in rad beside its own; a tenth of what they were before."""
+    fitted = angle[estimate.fitted]
+    return replace(
+        estimate,
+        residual={**estimate.residual, "rad": angle},
+        residual_before={**estimate.residual_before, "rad": 10.0 * angle},
+        rms_before={**estimate.rms_before, "rad": 10.0 * Figures.of(fitted).rms},
+        rms_after={**estimate.rms_after, "rad": Figures.of(fitted).rms},
+        rms_history={**estimate.rms_history, "rad": (2e-3, Figures.of(fitted).rms)},
+    )
+
+
 def drawings(text):
     """The SVG elements, each through an XML parser."""
     return [ElementTree.fromstring(part) for part in re.findall(r"<svg.*?</svg>", text, re.S)]
@@ -177,10 +190,13 @@ def both(a, b):
     changed = ("fitted", "suspect", "distance", "weight")
     rows = {k: joined(getattr(a.estimate, k), getattr(b.estimate, k)) for k in changed}
     for k in ("residual", "residual_before"):
-        rows[k] = {"m": joined(getattr(a.estimate, k)["m"], getattr(b.estimate, k)["m"])}
-    angles = [np.full(len(page.table), np.nan) if page.angle is None else page.angle for page in (a, b)]
+        mine, others = getattr(a.estimate, k), getattr(b.estimate, k)
+        gap = {id(of): np.full(len(page.table), np.nan) for of, page in ((mine, a), (others, b))}
+        rows[k] = {
+            si: joined(mine.get(si, gap[id(mine)]), others.get(si, gap[id(others)])) for si in {**mine, **others}
+        }
     estimate, longitude = replace(a.estimate, **rows), joined(a.longitude, b.longitude)
-    return replace(a, table=table, estimate=estimate, longitude=longitude, angle=joined(*angles))
+    return replace(a, table=table, estimate=estimate, longitude=longitude)
 
 
 def cells_of(text, label):
@@ -198,6 +214,8 @@ def full_page():
             page = both(page, make_page(60, kind, seed=seed))
     n, e = len(page.table), page.estimate
     index = np.arange(n)
+    if "pose" in page.table.kind:
+        e = with_rotation(e, np.where(page.table.kind == "pose", 1e-4 * (1 + index % 7), np.nan))
     estimate = replace(
         e,
         suspect=index % 50 == 3,
@@ -215,7 +233,6 @@ def full_page():
         page,
         estimate=estimate,
         table=replace(page.table, rig=np.where(index % 2 == 0, "monday", "tuesday")),
-        angle=np.where(page.table.kind == "pose", 1e-4 * (1 + index % 7), np.nan),
         predicted=PredictedError(6.4e-5, 1.12e-4, "y.csv row 7", 20, True),
         prior="weak",
     )

@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-HELD_OUT_KEYS = {"rms_mm", "mean_mm", "max_mm", "n", "n_settled", "n_left_out"}
+HELD_OUT_KEYS = {"n", "n_settled", "n_left_out"}
+HELD_OUT_FIGURES = ("rms", "mean", "max", "n")
 
 
 SCALARS: dict[str, type | tuple[type, ...]] = {
@@ -22,8 +23,6 @@ SCALARS: dict[str, type | tuple[type, ...]] = {
     "n_free": int,
     "rank": int,
     "rank_gap": (float, type(None)),
-    "rms_before_mm": float,
-    "rms_after_mm": float,
     "chi2_reduced": (float, type(None)),
     "chi2_freedom": float,
     "relabelling_search": str,
@@ -39,16 +38,24 @@ PARAMETER = {
     "of": str,
 }
 LISTS = {
-    *("inputs", "observations", "free", "null_space", "rms_history_mm", "held_out_by", "parameters"),
+    *("inputs", "observations", "free", "null_space", "residual_units", "held_out_by", "parameters"),
     *("suggested_free", "additions", "relabellings", "chi2_band", "suspect", "hardly_seen"),
 }
 OBJECTS = {"robot", "held_out", "held_out_before", "covariance", "observability", "predicted_error"}
-KIND_RMS = {"rms_before_mm", "rms_after_mm", "rms_held_out_mm", "rms_rotation_deg"}
+RMS = ("rms_before", "rms_after")
 
 
 def check_schema(result: dict[str, Any]) -> None:
     """docs/result-format.md, as far as a machine can hold it."""
-    assert set(result) == {*SCALARS, *LISTS, *OBJECTS}
+    units = result["residual_units"]
+    assert units
+    assert set(units) <= {"mm", "deg"}
+
+    def each(*figures: str) -> set[str]:
+        return {f"{figure}_{unit}" for figure in figures for unit in units}
+
+    assert set(result) == {*SCALARS, *LISTS, *OBJECTS, *each(*RMS, "rms_history")}
+    assert all(isinstance(result[key], float | None) for key in each(*RMS))
     for key, kind in SCALARS.items():
         assert isinstance(result[key], kind), key
     for parameter in result["parameters"]:
@@ -68,8 +75,10 @@ def check_schema(result: dict[str, Any]) -> None:
     assert set(result["observability"]) == {"o1", "o2", "o3", "o4"}
     assert len(result["chi2_band"]) == 2
     for entry in result["observations"]:
-        assert set(entry) == {"rig", "kind", "fitted", "held_out", "chucks", "spheres", "places", *KIND_RMS}
+        assert set(entry) == {"rig", "kind", "fitted", "held_out", "chucks", "spheres", "places"} | each(
+            *RMS, "rms_held_out"
+        )
     predicted = result["predicted_error"]
     assert predicted is None or set(predicted) == {"rms_mm", "max_mm", "at", "n", "relative"}
     for key in ("held_out", "held_out_before"):
-        assert result[key] is None or set(result[key]) == HELD_OUT_KEYS
+        assert result[key] is None or set(result[key]) == HELD_OUT_KEYS | each(*HELD_OUT_FIGURES)

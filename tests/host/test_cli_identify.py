@@ -286,9 +286,13 @@ def test_kinds_and_rigs_are_told_apart(run: Run, tmp_path: Path) -> None:
     assert re.search(r"^  mon: ball-bar +\d+\.\d{4} +\d+\.\d{4} +90$", text, re.M)
     assert re.search(r"^  tue: tracked pose +\d+\.\d{4} +\d+\.\d{4} +60$", text, re.M)
     # 2e-4 rad about three axes is 0.0198 deg; 180 of these angles, 6 % of which the fit takes up: 5.3 % each σ, four of them
-    found = result["observations"][1]["rms_rotation_deg"]
+    assert result["residual_units"] == ["mm", "deg"]
+    assert result["observations"][0]["rms_after_deg"] is None
+    found = result["observations"][1]["rms_after_deg"]
     assert found == pytest.approx(math.degrees(2e-4 * math.sqrt(3)), rel=0.22)
-    assert f"Rotation of the tue: tracked pose rows: {found:.3g} deg RMS after." in text
+    assert re.search(r"^error \[deg\] +before +after +rows$", text, re.M)
+    assert re.search(rf"^  tue: tracked pose +\d+\.\d{{5}} +{found:.5f} +60$", text, re.M)
+    assert len(re.findall("mon: ball-bar", text)) == 1  # not among the angles
     page = (tmp_path / "r.html").read_text()
     assert "tracked pose, rotation" in page
-    assert "RMS rotation after [deg]" in page
+    assert "RMS after [deg]" in page

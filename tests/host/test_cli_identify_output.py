@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from command_line import Run, told
 from identify_bench import MUKCA, ROOT, SIGMA, identified
-from result_schema import KIND_RMS, LISTS, OBJECTS, PARAMETER, SCALARS, check_schema
+from result_schema import LISTS, OBJECTS, PARAMETER, RMS, SCALARS, check_schema
 
 from truearm.cli import main as cli
 from truearm.files.result_file import parse_result, read_result
@@ -62,11 +62,24 @@ def test_every_field_is_documented() -> None:
         "matrix",
         "units",
         *("source", "distance", "weight", "was", "fits", "rows", "o1", "o4"),
-        *KIND_RMS,
-        *("max_mm", "at", "relative"),
+        *(f"{figure}_mm" for figure in (*RMS, "rms_history", "rms_held_out", "mean", "max", "n")),
+        *("at", "relative"),
     }
     for field in {*SCALARS, *PARAMETER, *LISTS, *nested, *OBJECTS}:
         assert f"`{field}`" in text, field
+
+
+def test_a_result_of_version_1_is_read(run: Run, good: list[object]) -> None:
+    document = json.loads(run(*good, "--json").out)
+    now = parse_result(json.dumps(document), "r.json")
+    document["format_version"] = 1
+    del document["residual_units"]
+    for entry in document["observations"]:
+        entry["rms_rotation_deg"] = None
+    then = parse_result(json.dumps(document), "r.json")
+    assert then.parameter_names == now.parameter_names
+    np.testing.assert_array_equal(then.value, now.value)
+    np.testing.assert_array_equal(then.covariance, now.covariance)
 
 
 @pytest.mark.parametrize(
@@ -136,7 +149,7 @@ def test_the_page_tells_what_the_result_tells(run: Run, tmp_path: Path, noisy: t
     (entry,) = result["observations"]
     assert entry["rms_after_mm"] == pytest.approx(result["rms_after_mm"])
     assert entry["rms_held_out_mm"] == pytest.approx(result["held_out"]["rms_mm"])
-    assert entry["rms_rotation_deg"] is None
+    assert result["residual_units"] == ["mm"]
 
 
 def test_the_page_replaces_a_page_but_nothing_else(run: Run, good: list[object], tmp_path: Path) -> None:

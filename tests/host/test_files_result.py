@@ -111,16 +111,22 @@ def test_rows_are_named_by_their_source(estimate: Estimate) -> None:
 @given(estimates())
 def test_rows_are_counted_by_kind(estimate: Estimate) -> None:
     estimate = replace(
-        estimate, residual={"m": 1e-3 * np.array([3.0, -4.0, 7.0])}, residual_before={"m": np.array([1.0, np.nan, 2.0])}
+        estimate,
+        residual={"m": 1e-3 * np.array([3.0, -4.0, 7.0]), "rad": np.array([0.3, 0.4, np.nan])},
+        residual_before={"m": np.array([1.0, np.nan, 2.0]), "rad": np.array([1.0, 1.0, np.nan])},
+        rms_before={"m": 1.0, "rad": 1.0},
+        rms_after={"m": 1.0, "rad": 1.0},
     )
-    (counts,) = document_of(estimate, TABLE, ROBOT, [], angle=np.array([0.3, 0.4, 9.0]))["observations"]
+    (counts,) = document_of(estimate, TABLE, ROBOT, [])["observations"]
     found = {key: counts.pop(key) for key in list(counts) if key.startswith("rms_")}
     assert counts == {"rig": "", "kind": "seat", "fitted": 2, "held_out": 1, "chucks": 0, "spheres": 0, "places": 1}
     assert found == {
         "rms_before_mm": 1000.0,  # of the rows that have a residual
         "rms_after_mm": pytest.approx(math.sqrt(12.5)),
         "rms_held_out_mm": pytest.approx(7.0),
-        "rms_rotation_deg": pytest.approx(math.degrees(math.sqrt(0.125))),
+        "rms_before_deg": pytest.approx(math.degrees(1.0)),
+        "rms_after_deg": pytest.approx(math.degrees(math.sqrt(0.125))),
+        "rms_held_out_deg": None,
     }
 
 

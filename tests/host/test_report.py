@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from report_bench import Strict, both, cells_of, drawings, make_page, rms, titles
+from report_bench import Strict, both, cells_of, drawings, make_page, rms, titles, with_rotation
 from scipy import stats
 
 from truearm.report.calibration_page import doubts, looks_like_page, render, verdict
@@ -74,7 +74,7 @@ def test_every_kind_has_its_words_and_units(kind):
     assert verdict(make_page(240, kind)).startswith(f"The {name} error is ")
     assert ("Gaussian" in text, "Maxwell" in text) == (signed, not signed)
     assert f"By {group}" in titles(text)
-    head, row = cells_of(text, "residuals")
+    head, row = cells_of(text, "residuals mm")
     assert row[0] == name
     for title in head[1:]:
         assert re.search(r"\[mm\]$|^(fitted|held-out) rows$", title)
@@ -86,20 +86,41 @@ def test_every_kind_has_its_words_and_units(kind):
 def test_a_pose_has_a_position_and_a_rotation():
     rng = np.random.default_rng(7)
     angle = 2e-4 * stats.maxwell.rvs(size=2000, random_state=rng)
-    page = make_page(2000, "pose", angle=angle)
+    page = make_page(2000, "pose")
+    page = replace(page, estimate=with_rotation(page.estimate, angle))
     text = render(page)
     names = titles(text)
     assert "Residuals after calibration · tracked pose, position" in names
     assert "Residuals after calibration · tracked pose, rotation" in names
-    assert "Before and after · tracked pose, rotation" not in names  # nobody knows the rotation before
+    assert "Before and after · tracked pose, rotation" in names
+    assert {"Convergence · mm", "Convergence · deg"} <= set(names)
     assert "angle of the residual [deg]" in text
-    position, rotation = rows_by_kind(page.estimate, page.table, page.longitude, page.angle)
+    position, rotation = rows_by_kind(page.estimate, page.table, page.longitude)
     assert (position.unit, rotation.unit) == ("mm", "deg")
     # 1000 fitting rows of three coordinates: σ is known to 1/sqrt(6000) = 1.3 %; 4 of these
     assert law_of(rotation).sigma == pytest.approx(math.degrees(2e-4), rel=0.052)
-    head, row = cells_of(text, "residuals")
-    assert head[-1] == "RMS rotation after [deg]"
-    assert row[-1] == figures(math.degrees(rms(angle[page.estimate.fitted])))
+    head, row = cells_of(text, "residuals deg")
+    assert all(re.search(r"\[deg\]$|^(fitted|held-out) rows$", column) for column in head[1:])
+    assert row[head.index("RMS after [deg]")] == figures(math.degrees(rms(angle[page.estimate.fitted])))
+    assert verdict(page).count("10 times smaller") == verdict(page).count(" deg after") == 1
+
+
+def test_rows_in_radians_alone_are_shown_in_degrees():
+    page = make_page(300, "plane")
+    e = page.estimate
+    changed = {name: {"rad": 10.0 * getattr(e, name)["m"]} for name in ("residual", "residual_before")}
+    rms_of = {name: {"rad": 10.0 * getattr(e, name)["m"]} for name in ("rms_before", "rms_after")}
+    held_out = HeldOut({"rad": Figures.of(changed["residual"]["rad"][~e.fitted])}, 150)
+    history = {"rad": (1e-2, 1e-3)}
+    page = replace(page, estimate=replace(e, **changed, **rms_of, rms_history=history, held_out=held_out))
+    text = render(page)
+    assert " deg RMS before" in verdict(page)
+    assert "<span> deg</span>" in text
+    shown = re.sub(r"<table.*?</table>", "", text.partition("<h2>Parameters</h2>")[0], flags=re.S)
+    assert not re.search(r"\bmm\b", shown)
+    assert "residuals mm" not in text
+    (rows,) = rows_by_kind(page.estimate, page.table, page.longitude)
+    assert rows.name == "residual [deg]"
 
 
 def test_residuals_of_each_rig_and_kind():
@@ -107,7 +128,7 @@ def test_residuals_of_each_rig_and_kind():
     rig = np.where(np.arange(150) % 2 == 0, "monday", "tuesday")
     page = replace(page, table=replace(page.table, rig=rig))
     e = page.estimate
-    head, *rows = cells_of(render(page), "residuals")
+    head, *rows = cells_of(render(page), "residuals mm")
     assert head[1] == "rig"
     assert [row[:2] for row in rows] == [[k, r] for r in ("monday", "tuesday") for k in ("ball-bar", "line")]
     mine = (rig == "tuesday") & (page.table.kind == "line")

@@ -22,7 +22,6 @@ def test_names_from_files_stay_text():
     estimate = replace(
         e,
         parameter_names=names,
-        units=(HOSTILE, *e.units[1:]),
         status=HOSTILE,
         message=HOSTILE,
         solver=HOSTILE,
@@ -97,6 +96,7 @@ def test_few_fitting_rows_make_a_page(fitted):
 
 def test_rows_must_match():
     page = make_page(20)
-    for changes in ({"longitude": np.zeros(19)}, {"angle": np.zeros(19)}):
+    rotations = {**page.estimate.residual, "rad": np.zeros(19)}
+    for changes in ({"longitude": np.zeros(19)}, {"estimate": replace(page.estimate, residual=rotations)}):
         with pytest.raises(ValueError, match="must be \\(20,\\)"):
             replace(page, **changes)

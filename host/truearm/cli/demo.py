@@ -32,8 +32,7 @@ from truearm.workflows.demo_steps import (
 if TYPE_CHECKING:
     from truearm.model.robot import Robot
     from truearm.session.pipeline import SyncResult
-    from truearm.types import Estimate, Floats, ObservationTable, Rig
-    from truearm.workflows.calibration_report import Judged
+    from truearm.types import Estimate, Floats, ObservationTable, PredictedError, Rig
 
 MARK = ".truearm-demo"  # in a folder that the demo made and may write again
 RATE_HZ = 500.0  # the dwells stand still; a thousand takes ten seconds longer and finds the same
@@ -129,16 +128,17 @@ class Calibration:
     estimate: Estimate
     all_free: Estimate
     longitude: Floats  # (n,) rad, of the sphere about its chuck, identified robot
-    judged: Judged
+    predicted: PredictedError | None
 
 
 def calibrate(out: Path, table: ObservationTable) -> Calibration:
     """Fit the 46 cm shells, judge by the 61 cm ones; writes result.json."""
     from truearm.estimate.identify import identify
+    from truearm.estimate.prediction import predicted_point_error
     from truearm.files.result_file import RobotFrames, document_of, write_result
     from truearm.files.rig_file import read_rig
     from truearm.files.robot_file import RobotChoice, load_robot
-    from truearm.workflows.calibration_report import judge, longitudes
+    from truearm.workflows.calibration_report import longitudes
     from truearm.workflows.inputs import Sources, hashed_inputs
 
     robot, rig = load_robot("puma560"), read_rig(out / "rig.toml")
@@ -147,10 +147,10 @@ def calibrate(out: Path, table: ObservationTable) -> Calibration:
     all_free = identify(chain, rig, table, hold_out=held_out)
     frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, chain.joint_units)
     inputs = hashed_inputs(Sources((out / "session.mcap",), {"": out / "rig.toml"}), RobotChoice("puma560"))
-    judged = judge(chain, rig, table, estimate)
-    document = document_of(estimate, table, frames, inputs, [f"bar={VALIDATED}"], "none", *judged)
+    predicted = predicted_point_error(chain, rig, table, estimate)
+    document = document_of(estimate, table, frames, inputs, [f"bar={VALIDATED}"], "none", predicted)
     write_result(out / "result.json", document)
-    return Calibration(robot, rig, estimate, all_free, longitudes(chain, rig, table, estimate), judged)
+    return Calibration(robot, rig, estimate, all_free, longitudes(chain, rig, table, estimate), predicted)
 
 
 def write_page(out: Path, found: Calibration, result: SyncResult, truth: ClockTruth, steps: Steps) -> Path:
@@ -171,7 +171,7 @@ def write_page(out: Path, found: Calibration, result: SyncResult, truth: ClockTr
         steps=tuple(steps.done),
         command=f"truearm demo --out {out}",
         validation=found.estimate.held_out,
-        predicted=found.judged.predicted,
+        predicted=found.predicted,
     )
     path = out / "report.html"
     path.write_text(render(page), encoding="utf-8")

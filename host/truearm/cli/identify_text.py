@@ -17,7 +17,7 @@ from rich.table import Table
 
 from truearm.report.words import drawing, kind_name, proposal, time_offset
 from truearm.text import one_line
-from truearm.units import UNITS, number
+from truearm.units import SUFFIXES, UNITS, number, title
 
 Document = Mapping[str, Any]
 
@@ -41,7 +41,8 @@ def show_result(document: Document, out: Path | None) -> None:
     console.print(_parameter_table(document))
     for line in unseen(document):
         console.print(line)
-    console.print(_error_table(document))
+    for suffix in document["residual_units"]:
+        console.print(_error_table(document, suffix))
     notes = (timing, chi2_notes, suspects, held_out_notes, predicted, seen)
     for line in (line for words in notes for line in words(document)):
         console.print(line)
@@ -63,7 +64,7 @@ def relabelled(document: Document) -> list[str]:
     for entry in entries:
         change = f"named {_pairing(entry['was'])}, fit {_pairing(entry['fits'])}"
         rows.setdefault(change, []).extend(entry["rows"])
-    before, after = (_mm(entries[0][key]) for key in ("rms_before_mm", "rms_after_mm"))
+    before, after = (_cell(entries[0][key]) for key in ("rms_before_mm", "rms_after_mm"))
     return [
         *(f"Wrong label? {_rows(sources)}: {change}." for change, sources in rows.items()),
         f"As labelled the RMS error is {before} mm, put right {after} mm. What follows is as labelled.",
@@ -102,8 +103,8 @@ def how(document: Document) -> str:
 def _parameter_table(document: Document) -> Table:
     table = Table(box=None, pad_edge=False)
     table.add_column("parameter", overflow="fold")
-    for title in ("nominal", "value", "change", "sigma"):
-        table.add_column(title, justify="right", no_wrap=True)
+    for column in ("nominal", "value", "change", "sigma"):
+        table.add_column(column, justify="right", no_wrap=True)
     table.add_column("unit")
     for parameter in document["parameters"]:
         if parameter["free"]:
@@ -161,21 +162,27 @@ def direction_text(direction: Mapping[str, Any]) -> str:
     return " ".join(words).removeprefix("+ ") + more
 
 
-def _error_table(document: Document) -> Table:
+def _error_table(document: Document, suffix: str) -> Table:
+    """The errors in one unit, of which ``suffix`` ends the keys: of the fitted rows, of each kind, of the held-out rows."""
+    scale = SUFFIXES[suffix]
+    before, after = f"rms_before_{suffix}", f"rms_after_{suffix}"
+    decimals = UNITS[scale.si].decimals
     table = Table(box=None, pad_edge=False)
-    for title in ("error [mm]", "before", "after", "rows"):
-        table.add_column(title, justify="left" if title == "error [mm]" else "right")
-    entries = document["observations"]
-    fitted = sum(k["fitted"] for k in entries)
-    table.add_row("fitted, RMS", _mm(document["rms_before_mm"]), _mm(document["rms_after_mm"]), str(fitted))
-    for entry in (k for k in entries if k["fitted"] and len(entries) > 1):
-        cells = (_mm(entry["rms_before_mm"]), _mm(entry["rms_after_mm"]), str(entry["fitted"]))
+    table.add_column(title("error", scale.si))
+    for column in ("before", "after", "rows"):
+        table.add_column(column, justify="right")
+    entries = [entry for entry in document["observations"] if entry[after] is not None]
+    if entries:
+        rows = str(sum(entry["fitted"] for entry in entries))
+        table.add_row("fitted, RMS", _cell(document[before], decimals), _cell(document[after], decimals), rows)
+    for entry in entries if len(document["observations"]) > 1 else ():
+        cells = (_cell(entry[before], decimals), _cell(entry[after], decimals), str(entry["fitted"]))
         table.add_row(f"  {_of(entry)}", *cells)
-    if document["held_out"]:
-        for key, title in (("rms_mm", "RMS"), ("mean_mm", "mean"), ("max_mm", "largest")):
-            before, after = (document[name] or {} for name in ("held_out_before", "held_out"))
-            rows = str(document["held_out"]["n"])
-            table.add_row(f"held out, {title}", _mm(before.get(key)), _mm(after.get(key)), rows)
+    held_out, held_out_before = (document[name] or {} for name in ("held_out", "held_out_before"))
+    if held_out.get(f"n_{suffix}"):
+        for figure, words in (("rms", "RMS"), ("mean", "mean"), ("max", "largest")):
+            numbers = (_cell(of.get(f"{figure}_{suffix}"), decimals) for of in (held_out_before, held_out))
+            table.add_row(f"held out, {words}", *numbers, str(held_out[f"n_{suffix}"]))
     return table
 
 
@@ -185,22 +192,15 @@ def _of(entry: Mapping[str, Any]) -> str:
 
 
 def predicted(document: Document) -> list[str]:
-    """How far the tool may be off, and measured orientations."""
-    lines = [
-        f"Rotation of the {_of(entry)} rows: {entry['rms_rotation_deg']:.3g} deg RMS after."
-        for entry in document["observations"]
-        if entry["rms_rotation_deg"] is not None
-    ]
+    """How far the tool may be off."""
     error = document["predicted_error"]
     if error is None:
-        lines.append("How far the tool may be off is not determined: what is not seen, or hardly, would move it.")
-    else:
-        where = " (the base's own place apart)" if error["relative"] else ""
-        lines.append(
-            f"By these sigmas the tool errs by {_mm(error['rms_mm'])} mm RMS over {error['n']} poses{where}, at most "
-            f"{_mm(error['max_mm'])} mm, at {one_line(error['at'])}."
-        )
-    return lines
+        return ["How far the tool may be off is not determined: what is not seen, or hardly, would move it."]
+    where = " (the base's own place apart)" if error["relative"] else ""
+    return [
+        f"By these sigmas the tool errs by {_cell(error['rms_mm'])} mm RMS over {error['n']} poses{where}, at most "
+        f"{_cell(error['max_mm'])} mm, at {one_line(error['at'])}."
+    ]
 
 
 def seen(document: Document) -> list[str]:
@@ -257,8 +257,9 @@ def held_out_notes(document: Document) -> list[str]:
     return notes
 
 
-def _mm(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4f}"
+def _cell(value: float | None, decimals: int = UNITS["m"].decimals) -> str:
+    """A number that is in the unit of its column already."""
+    return "-" if value is None else f"{value:.{decimals}f}"
 
 
 def advice(document: Document, out: Path | None) -> list[str]:

@@ -1,7 +1,7 @@
 """result.json: what an identification found, for people, scripts and later commands (docs/result-format.md).
 
 Strict JSON (RFC 8259): a number that does not exist is ``null``, never NaN. Lengths of the summary are in mm,
-parameters in the unit they name. Written whole or not at all.
+angles in deg, parameters in the unit they name. Written whole or not at all.
 """
 
 from __future__ import annotations
@@ -19,10 +19,21 @@ from numpy.typing import NDArray
 from truearm import __version__
 from truearm.errors import InputError
 from truearm.files.disk import read_text, sha256, write_atomic
-from truearm.types import Estimate, Floats, HeldOut, Observability, ObservationTable, PredictedError, Relabelling
+from truearm.types import (
+    Estimate,
+    Figures,
+    Floats,
+    HeldOut,
+    Observability,
+    ObservationTable,
+    PredictedError,
+    Relabelling,
+    Residuals,
+)
+from truearm.units import UNITS, key, shown
 
 FORMAT = "truearm-result"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 MAX_BYTES = 64 * 2**20
 COUNTED = ("chuck", "sphere", "place")  # how many of these the fitted rows of a kind name
 
@@ -78,15 +89,15 @@ def document_of(
     inputs: Sequence[Input],
     held_out_by: Sequence[str] = (),
     prior: str = "none",
-    angle: Floats | None = None,
     predicted: PredictedError | None = None,
 ) -> dict[str, Any]:
     """The content of result.json for an estimate from ``table``.
 
-    ``held_out_by`` and ``prior`` are what the user asked to hold out, and the name of the robot's prior. ``angle`` (n,) [rad]
-    is the rotation's residual of the rows of kind pose (NaN of others), ``predicted`` how far the tool may be off.
+    ``held_out_by`` and ``prior`` are what the user asked to hold out, and the name of the robot's prior; ``predicted`` is
+    how far the tool may be off.
     """
     names = np.array(estimate.parameter_names)
+    units = residual_units(estimate)
     return {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
@@ -105,7 +116,7 @@ def document_of(
         "prior": prior,
         "iterations": estimate.iterations,
         "n_observations": estimate.n_observations,
-        "observations": _counts(estimate, table, np.full(len(table), np.nan) if angle is None else angle),
+        "observations": _counts(estimate, table, units),
         "n_free": int(estimate.free[: estimate.n_robot_parameters].sum()),
         "rank": estimate.rank,
         "rank_gap": _number(estimate.rank_gap),
@@ -117,16 +128,17 @@ def document_of(
         "additions": [_lists(addition._asdict()) for addition in estimate.additions],
         "relabellings": [_relabelling(r, table) for r in estimate.relabellings],
         "relabelling_search": estimate.relabelling_search,
-        "rms_before_mm": _mm(estimate.rms_before["m"]),
-        "rms_after_mm": _mm(estimate.rms_after["m"]),
-        "rms_history_mm": [_mm(rms) for rms in estimate.rms_history["m"]],
+        "residual_units": [UNITS[unit].scale.suffix for unit in units],
+        **_by_unit("rms_before", estimate.rms_before, units),
+        **_by_unit("rms_after", estimate.rms_after, units),
+        **{key("rms_history", si): [_shown(rms, si) for rms in estimate.rms_history.get(si, ())] for si in units},
         "chi2_reduced": _number(estimate.chi2_reduced),
         "chi2_band": _numbers(estimate.chi2_band),
         "chi2_freedom": _number(estimate.chi2_freedom),
         "suspect": _suspects(estimate, table),
         "held_out_by": list(held_out_by),
-        "held_out": _held_out(estimate.held_out),
-        "held_out_before": _held_out(estimate.held_out_before),
+        "held_out": _held_out(estimate.held_out, units),
+        "held_out_before": _held_out(estimate.held_out_before, units),
         "predicted_error": _predicted(predicted),
         "parameters": _parameters(estimate),
         "covariance": {
@@ -137,25 +149,33 @@ def document_of(
     }
 
 
-def _counts(estimate: Estimate, table: ObservationTable, angle: Floats) -> list[dict[str, Any]]:
+def residual_units(estimate: Estimate) -> list[str]:
+    """The SI units of the residuals, fitted or held out."""
+    held_out = estimate.held_out.figures if estimate.held_out else {}
+    return [si for si in UNITS if si in estimate.rms_before or si in held_out]
+
+
+def _by_unit(name: str, values: Mapping[str, float], units: Sequence[str]) -> dict[str, float | None]:
+    """A number of each unit, in the unit that a person sees, which ends its key; None where there is none."""
+    return {key(name, si): _shown(values.get(si, math.nan), si) for si in units}
+
+
+def _counts(estimate: Estimate, table: ObservationTable, units: Sequence[str]) -> list[dict[str, Any]]:
     entries = []
     for rig, kind in sorted(set(zip(table.rig.tolist(), table.kind.tolist(), strict=True))):
         mine = (table.rig == rig) & (table.kind == kind)
         fitted, held_out = mine & estimate.fitted, mine & ~estimate.fitted
         entry = {"rig": rig, "kind": kind, "fitted": int(fitted.sum()), "held_out": int(held_out.sum())}
         entry |= {f"{what}s": _distinct(table, what, fitted) for what in COUNTED}
-        entry["rms_before_mm"] = _mm(_rms(estimate.residual_before["m"][fitted]))
-        entry["rms_after_mm"] = _mm(_rms(estimate.residual["m"][fitted]))
-        entry["rms_held_out_mm"] = _mm(_rms(estimate.residual["m"][held_out]))
-        entry["rms_rotation_deg"] = _number(math.degrees(_rms(angle[fitted])))
+        entry |= _by_unit("rms_before", _rms(estimate.residual_before, fitted), units)
+        entry |= _by_unit("rms_after", _rms(estimate.residual, fitted), units)
+        entry |= _by_unit("rms_held_out", _rms(estimate.residual, held_out), units)
         entries.append(entry)
     return entries
 
 
-def _rms(values: Floats) -> float:
-    """Of the finite ones; NaN where there are none."""
-    finite = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(finite**2))) if finite.size else math.nan
+def _rms(residual: Residuals, rows: NDArray[np.bool_]) -> dict[str, float]:
+    return {si: figures.rms for si, figures in Figures.by_unit(residual, rows).items()}
 
 
 def _distinct(table: ObservationTable, what: str, rows: NDArray[np.bool_]) -> int:
@@ -191,8 +211,8 @@ def _relabelling(relabelling: Relabelling, table: ObservationTable) -> dict[str,
         "rows": [_source(table, row) for row in relabelling.rows],
         "was": list(relabelling.was),
         "fits": list(relabelling.fits),
-        "rms_before_mm": _mm(relabelling.rms_before),
-        "rms_after_mm": _mm(relabelling.rms_after),
+        "rms_before_mm": _shown(relabelling.rms_before, "m"),
+        "rms_after_mm": _shown(relabelling.rms_after, "m"),
     }
 
 
@@ -214,13 +234,15 @@ def _suspects(estimate: Estimate, table: ObservationTable) -> list[dict[str, Any
     ]
 
 
-def _held_out(held_out: HeldOut | None) -> dict[str, Any] | None:
+def _held_out(held_out: HeldOut | None, units: Sequence[str]) -> dict[str, Any] | None:
     if held_out is None:
         return None
+    figures = {si: held_out.figures.get(si, Figures.of(np.zeros(0))) for si in units}
     return {
-        "rms_mm": _mm(held_out.figures["m"].rms),
-        "mean_mm": _mm(held_out.figures["m"].mean),
-        "max_mm": _mm(held_out.figures["m"].max),
+        **_by_unit("rms", {si: of.rms for si, of in figures.items()}, units),
+        **_by_unit("mean", {si: of.mean for si, of in figures.items()}, units),
+        **_by_unit("max", {si: of.max for si, of in figures.items()}, units),
+        **{key("n", si): of.n for si, of in figures.items()},
         "n": held_out.n,
         "n_settled": held_out.n_settled,
         "n_left_out": held_out.n_left_out,
@@ -231,8 +253,8 @@ def _predicted(predicted: PredictedError | None) -> dict[str, Any] | None:
     if predicted is None:
         return None
     return {
-        "rms_mm": _mm(predicted.rms),
-        "max_mm": _mm(predicted.largest),
+        "rms_mm": _shown(predicted.rms, "m"),
+        "max_mm": _shown(predicted.largest, "m"),
         "at": Path(predicted.source).name,
         "n": predicted.n,
         "relative": predicted.relative,
@@ -247,8 +269,9 @@ def _numbers(values: Iterable[float]) -> list[float | None]:
     return [_number(value) for value in values]
 
 
-def _mm(metres: float) -> float | None:
-    return _number(1e3 * metres)
+def _shown(value: float, si: str) -> float | None:
+    """In the unit that a person sees."""
+    return _number(shown(value, si))
 
 
 def format_document(value: Any, indent: int = 0) -> str:

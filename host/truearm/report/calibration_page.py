@@ -8,13 +8,13 @@ and fits a phone. Names and notes may come from strangers' files; all text passe
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 
 from truearm.estimate.solvers import LOSSES
 from truearm.report.correlation import correlation
-from truearm.report.figures import Figure, convergence, figures_of
+from truearm.report.figures import Figure, convergences, figures_of
 from truearm.report.findings import (
     addition_list,
     chi2_words,
@@ -25,10 +25,11 @@ from truearm.report.findings import (
     suspect_table,
 )
 from truearm.report.page_tables import fact_list, parameter_table, step_table, visibility
-from truearm.report.page_text import counted, escape, figures, millimetres
+from truearm.report.page_text import counted, escape, figures, size
 from truearm.report.residual_rows import rows_by_kind, summaries
 from truearm.report.words import kind_name
 from truearm.types import Estimate, Floats, HeldOut, ObservationTable, PredictedError
+from truearm.units import symbol
 
 CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
 HELD_OUT_DOUBTFUL = 1.5  # held-out RMS over fitted RMS
@@ -48,8 +49,7 @@ class CalibrationPage:
     of the sphere about its chuck, NaN where a row has none. ``facts`` are labels and values about the recording,
     ``steps`` names and seconds, ``command`` what to type to make the page again. ``validation`` is the error on rows
     that were not fitted; None: the estimate's own ``held_out``. ``notes`` are sentences for the reader. ``prior`` is the name
-    of the robot's, ``angle`` (n,) [rad] the rotation's residual of the rows of kind pose, ``predicted`` how far the tool may
-    be off by the parameters' covariance.
+    of the robot's, ``predicted`` how far the tool may be off by the parameters' covariance.
 
     Raises ValueError where the rows of table, longitude and estimate differ in number.
     """
@@ -65,15 +65,14 @@ class CalibrationPage:
     validation: HeldOut | None = None
     notes: tuple[str, ...] = ()
     prior: str = "none"
-    angle: Floats | None = None  # (n,) rad, NaN where a row has none
     predicted: PredictedError | None = None
 
     def __post_init__(self) -> None:
         n = len(self.table)
-        angle = self.longitude if self.angle is None else self.angle
-        shapes = (self.longitude.shape, self.estimate.residual["m"].shape, self.estimate.fitted.shape, angle.shape)
+        residuals = (residual.shape for residual in self.estimate.residual.values())
+        shapes = (self.longitude.shape, self.estimate.fitted.shape, *residuals)
         if any(shape != (n,) for shape in shapes):
-            raise ValueError(f"longitude, residual, fitted and angle must be ({n},) as the table, are {shapes}")
+            raise ValueError(f"longitude, fitted and residual must be ({n},) as the table, are {shapes}")
 
     @property
     def judged(self) -> HeldOut | None:
@@ -116,18 +115,19 @@ def _section(title: str, content: str) -> str:
 def _verdict(page: CalibrationPage) -> str:
     e, judged = page.estimate, page.judged
     tiles = [
-        _tile("before", e.rms_before["m"], f"{counted(e.n_observations, 'observation')}, nominal parameters", "old"),
-        _tile("after", e.rms_after["m"], "the same observations, identified parameters", "fit"),
+        _tile("before", e.rms_before, f"{counted(e.n_observations, 'observation')}, nominal parameters", "old"),
+        _tile("after", e.rms_after, "the same observations, identified parameters", "fit"),
     ]
     if judged:
-        error = judged.figures["m"]
-        more = f"mean {millimetres(error.mean)}, largest {millimetres(error.max)} mm"
-        tiles.append(
-            _tile("validation", error.rms, f"{counted(judged.n, 'observation')} not used to fit; {more}", "val")
-        )
+        of_units = judged.figures.items()
+        more = "; ".join(f"mean {size(error.mean, si, '')}, largest {size(error.max, si)}" for si, error in of_units)
+        rms = {si: error.rms for si, error in of_units}
+        tiles.append(_tile("validation", rms, f"{counted(judged.n, 'observation')} not used to fit; {more}", "val"))
     if page.predicted:
-        more = f"by the parameters' σ, over {counted(page.predicted.n, 'pose')}; most {millimetres(page.predicted.largest)} mm"
-        tiles.append(_tile("of the tool, predicted", page.predicted.rms, more, "old"))
+        more = (
+            f"by the parameters' σ, over {counted(page.predicted.n, 'pose')}; most {size(page.predicted.largest, 'm')}"
+        )
+        tiles.append(_tile("of the tool, predicted", {"m": page.predicted.rms}, more, "old"))
     remarks = _list(doubts(page), "remarks doubts") + _list(page.notes, "remarks")
     line = f'<h2 class="verdict">{escape(verdict(page), 400)}</h2>'
     return f'<section>{line}<div class="tiles">{"".join(tiles)}</div>{remarks}</section>\n'
@@ -143,11 +143,17 @@ def verdict(page: CalibrationPage) -> str:
     e, judged = page.estimate, page.judged
     *several, last = (kind_name(str(kind)) for kind in sorted(set(page.table.kind)))
     kinds = f"{', '.join(several)} and {last}" if several else last
-    before, after = e.rms_before["m"], e.rms_after["m"]
+    return f"The {kinds} error is {'; '.join(_change(e, judged, si) for si in e.rms_before)}."
+
+
+def _change(e: Estimate, judged: HeldOut | None, si: str) -> str:
+    """What became of the error in one unit."""
+    before, after = e.rms_before[si], e.rms_after[si]
     factor = before / after if after > 0.0 else math.inf
     better = f"{figures(factor, 2)} times smaller" if factor >= 1.0 and math.isfinite(factor) else "changed"
-    line = f"The {kinds} error is {better}: {millimetres(before)} mm RMS before, {millimetres(after)} mm after"
-    return line + (f", {millimetres(judged.figures['m'].rms)} mm on observations not used to fit." if judged else ".")
+    line = f"{better}: {size(before, si)} RMS before, {size(after, si)} after"
+    held_out = judged.figures.get(si) if judged else None
+    return line + (f", {size(held_out.rms, si)} on observations not used to fit" if held_out else "")
 
 
 def doubts(page: CalibrationPage) -> list[str]:
@@ -163,8 +169,8 @@ def doubts(page: CalibrationPage) -> list[str]:
         found.append(f"The solver stopped early ({e.status}): {e.message}.")
     if judged is None:
         found.append("Nothing was held out: the error after is not an independent judgement.")
-    elif judged.figures["m"].rms > HELD_OUT_DOUBTFUL * e.rms_after["m"]:
-        ratio = figures(judged.figures["m"].rms / e.rms_after["m"], 2) if e.rms_after["m"] > 0.0 else "many"
+    elif (worst := _held_out_ratio(e, judged)) > HELD_OUT_DOUBTFUL:
+        ratio = figures(worst, 2) if math.isfinite(worst) else "many"
         found.append(
             f"The held-out error is {ratio} times the fitted one: too few observations for so many parameters, or "
             "errors that the parameters do not model."
@@ -177,18 +183,30 @@ def doubts(page: CalibrationPage) -> list[str]:
     return found
 
 
-def _tile(name: str, metres: float, note: str, css: str) -> str:
-    figure = f'<p class="figure">{millimetres(metres)}<span> mm</span></p>'
-    return f'<div class="tile {css}"><p class="name">RMS {name}</p>{figure}<p class="small">{escape(note)}</p></div>'
+def _held_out_ratio(e: Estimate, judged: HeldOut) -> float:
+    """Held-out over fitted RMS, of the unit in which it is worst."""
+    rms = [(error.rms, e.rms_after[si]) for si, error in judged.figures.items() if si in e.rms_after]
+    return max(
+        (held / fitted if fitted > 0.0 else math.inf if held > 0.0 else 0.0 for held, fitted in rms), default=0.0
+    )
+
+
+def _tile(name: str, rms: Mapping[str, float], note: str, css: str) -> str:
+    """A figure a unit, by SI unit."""
+    sizes = "".join(
+        f'<p class="figure">{size(value, si, "")}<span> {symbol(si)}</span></p>' for si, value in rms.items()
+    )
+    return f'<div class="tile {css}"><p class="name">RMS {name}</p>{sizes}<p class="small">{escape(note)}</p></div>'
 
 
 def _pictures(page: CalibrationPage) -> str:
     e, table = page.estimate, page.table
-    kinds = rows_by_kind(e, table, page.longitude, page.angle)
+    kinds = rows_by_kind(e, table, page.longitude)
     shown = [_figure(figure, rows.title if len(kinds) > 1 else "") for rows in kinds for figure in figures_of(rows)]
-    shown.append(_figure(convergence(e)))
+    several = len(e.rms_history) > 1
+    shown += [_figure(of, symbol(si) if several else "") for si, of in zip(e.rms_history, convergences(e), strict=True)]
     words = [chi2_words(e), predicted_words(page.predicted) if page.predicted else ""]
-    content = residual_table(summaries(e, table, page.angle)) + "".join(f"<p>{escape(w, 600)}</p>" for w in words if w)
+    content = residual_table(summaries(e, table)) + "".join(f"<p>{escape(w, 600)}</p>" for w in words if w)
     pictures = f'<div class="pictures">{"".join(shown)}</div>'
     return _section("Residuals", content + (suspect_table(e, table) if e.suspect.size else "") + pictures)
 

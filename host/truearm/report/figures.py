@@ -1,6 +1,6 @@
 """The pictures of a calibration: Fig. 3 and 4 of Goswami 1993, and what else tells a good fit from a bad one.
 
-Lengths are in mm and angles in deg here: this is the border.
+Numbers are as a person sees them here (units.py): this is the border.
 """
 
 from __future__ import annotations
@@ -17,12 +17,13 @@ from truearm.report.page_text import counted, figures, number
 from truearm.report.residual_rows import Rows, law_of, rms
 from truearm.report.words import KINDS
 from truearm.types import Estimate, Floats
+from truearm.units import shown, symbol, title
 
 MAX_TIPS = 3000  # points with a tooltip each (about 120 B); beyond, points are bare
 MAX_POINTS = 12000  # points drawn at all; beyond, the largest tenth and an even choice of the others
 MAX_GROUPS = 24
 LETTER = 8.8  # width of a label's letter, of a phone's large ones
-FINEST_BIN = 1e-6  # mm; noise-free residuals are rounding, or exactly zero
+FINEST_BIN = 1e-6  # as shown; noise-free residuals are rounding, or exactly zero
 LONGITUDE_BIN_DEG = 30.0
 FEWEST_IN_BIN = 5
 
@@ -41,8 +42,6 @@ def figures_of(rows: Rows) -> list[Figure]:
     makers: tuple[Callable[[Rows], Figure | None], ...] = (histogram, by_longitude, before_after, by_group, quantiles)
     if not rows.fitted.any():
         makers = (before_after, by_group)
-    if not np.isfinite(rows.before).all():
-        makers = tuple(make for make in makers if make is not before_after)
     return [figure for figure in (make(rows) for make in makers) if figure is not None]
 
 
@@ -63,7 +62,7 @@ def histogram(rows: Rows) -> Figure:
     if not plain:
         parts.append(svg.line(plot, _grid(edges), scale * law.density(_grid(edges)), "law line"))
     what = "Gaussian" if law.signed else "Maxwell law"
-    note = [f"mean {number(law.mean, 4)} mm"] if law.signed else []
+    note = [f"mean {number(law.mean, 4)} {rows.unit}"] if law.signed else []
     note += [f"σ {number(law.sigma, 4)} {rows.unit}", f"n {r.size}"]
     for k, text in enumerate(note):
         parts.append(svg.label(plot.width - plot.right - 6, plot.top + 17 + 18 * k, text, "end note"))
@@ -165,13 +164,15 @@ def before_after(rows: Rows) -> Figure:
     size = np.abs(np.concatenate([rows.before, rows.residual]))
     # A residual near zero by chance would stretch the axis by decades; the lowest rows are drawn at its end.
     reach = np.percentile(size, [2.0, 100.0])
-    plot = svg.Plot(svg.log_axis("|residual| [mm]", reach), svg.linear_axis("share of rows [%]", 0.0, 100.0, 20.0))
+    plot = svg.Plot(
+        svg.log_axis(title("|residual|", rows.si), reach), svg.linear_axis("share of rows [%]", 0.0, 100.0, 20.0)
+    )
     parts = [svg.axes(plot)]
     share = np.linspace(0.0, 100.0, 201)
     for css, _, values in lines:
         parts.append(svg.line(plot, np.percentile(np.abs(values), share), share, css + " line"))
     parts.append(svg.legend(plot, [(css + " line", name.replace(" rows", "")) for css, name, _ in lines]))
-    p95 = [f"{figures(float(np.percentile(np.abs(values), 95.0)))} mm ({name})" for _, name, values in lines]
+    p95 = [f"{figures(float(np.percentile(np.abs(values), 95.0)))} {rows.unit} ({name})" for _, name, values in lines]
     return _figure(plot, "Before and after", f"95 % of the rows lie below {', '.join(p95)}.", parts)
 
 
@@ -247,16 +248,21 @@ def quantiles(rows: Rows) -> Figure | None:
     return _figure(plot, "Quantiles" if not law.signed else "Normal probability", caption, parts)
 
 
-def convergence(estimate: Estimate) -> Figure:
-    """RMS after every iteration of the solver."""
-    history = 1e3 * np.array(estimate.rms_history["m"])
+def convergences(estimate: Estimate) -> list[Figure]:
+    """RMS after every iteration of the solver, a picture a unit."""
+    return [_convergence(estimate, si) for si in estimate.rms_history]
+
+
+def _convergence(estimate: Estimate, si: str) -> Figure:
+    history = shown(np.array(estimate.rms_history[si]), si)
     history = history[np.isfinite(history)]
     steps = np.arange(history.size)
     last = max(history.size - 1, 1)
     plot = svg.Plot(
-        svg.linear_axis("iteration", 0, last, max(svg.round_step(last / 10.0), 1.0)), svg.log_axis("RMS [mm]", history)
+        svg.linear_axis("iteration", 0, last, max(svg.round_step(last / 10.0), 1.0)),
+        svg.log_axis(title("RMS", si), history),
     )
-    tips = [f"iteration {k}: {figures(v, 4)} mm" for k, v in zip(steps, history, strict=True)]
+    tips = [f"iteration {k}: {figures(v, 4)} {symbol(si)}" for k, v in zip(steps, history, strict=True)]
     parts = [
         svg.axes(plot),
         svg.line(plot, steps, history, "fit line"),

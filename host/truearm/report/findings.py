@@ -9,10 +9,11 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from truearm.report.page_text import ABSENT, counted, escape, figures, millimetres, number
+from truearm.report.page_text import ABSENT, counted, escape, figures, number, size
 from truearm.report.residual_rows import Summary, row_name
 from truearm.report.words import KINDS, OBSERVABILITY, kind_name, proposal
-from truearm.types import Addition, Estimate, ObservationTable, PredictedError, Relabelling
+from truearm.types import Addition, Estimate, Figures, ObservationTable, PredictedError, Relabelling
+from truearm.units import shown, symbol, title
 
 MAX_ROWS = 40  # suspects and relabelled rows that are named
 MAX_NAMES = 12
@@ -29,27 +30,29 @@ def table_of(titles: Sequence[str], rows: Iterable[Sequence[str]], label: str, c
 
 
 def residual_table(found: Sequence[Summary]) -> str:
-    """RMS and largest residual of each kind, and of each rig where there are several, with what a residual is."""
-    several, turns = any(s.rig for s in found), any(math.isfinite(s.angle) for s in found)
-    titles = ["observations", *["rig"] * several, "fitted rows", "RMS before [mm]", "RMS after [mm]"]
-    titles += ["largest after [mm]", "held-out rows", "RMS held out [mm]", *["RMS rotation after [deg]"] * turns]
+    """A table a unit: RMS and largest residual of each kind, and of each rig where there are several; what a residual is."""
+    tables = [_residuals_in(si, [s for s in found if s.si == si]) for si in dict.fromkeys(s.si for s in found)]
+    kinds = [kind for kind in KINDS if any(s.kind == kind for s in found)]
+    words = " ".join(f"Residual of a {KINDS[kind].name} observation: {KINDS[kind].residual}." for kind in kinds)
+    return f"<p>{escape(words, 1200)}</p>" + "".join(tables)
+
+
+def _residuals_in(si: str, found: Sequence[Summary]) -> str:
+    several = any(s.rig for s in found)
+    titles = ["observations", *["rig"] * several, "fitted rows", title("RMS before", si), title("RMS after", si)]
+    titles += [title("largest after", si), "held-out rows", title("RMS held out", si)]
     rows = [
         [
             escape(kind_name(s.kind)),
             *[escape(s.rig) or ABSENT] * several,
             str(s.fitted),
-            millimetres(s.before),
-            millimetres(s.after),
-            millimetres(s.largest),
+            *(figures(shown(value, si)) for value in (s.before, s.after, s.largest)),
             str(s.held_out),
-            millimetres(s.validation),
-            *[figures(math.degrees(s.angle))] * turns,
+            figures(shown(s.validation, si)),
         ]
         for s in found
     ]
-    kinds = [kind for kind in KINDS if any(s.kind == kind for s in found)]
-    words = " ".join(f"Residual of a {KINDS[kind].name} observation: {KINDS[kind].residual}." for kind in kinds)
-    return f"<p>{escape(words, 1200)}</p>" + table_of(titles, rows, "residuals")
+    return table_of(titles, rows, f"residuals {symbol(si)}")
 
 
 def chi2_words(e: Estimate) -> str:
@@ -77,6 +80,7 @@ def suspect_table(e: Estimate, table: ObservationTable) -> str:
         return "<p>No fitted row disagrees with all others beyond chance (one clean row in a million would).</p>"
     rows = rows[np.argsort(-e.distance[rows], kind="stable")]
     left_out = int(np.sum(e.weight[rows] == 0.0))
+    units = Figures.by_unit(e.residual, rows)
     verb = "disagrees" if rows.size == 1 else "disagree"
     words = f"{counted(rows.size, 'row')} {verb} with all others more than one clean row in a million would"
     words += f"; {left_out} left out of the fit." if left_out else "; none is left out of the fit."
@@ -85,12 +89,13 @@ def suspect_table(e: Estimate, table: ObservationTable) -> str:
             escape(row_name(table.source[row])),
             escape(kind_name(str(table.kind[row]))),
             number(float(e.distance[row]), 1),
-            millimetres(float(e.residual["m"][row])),
+            *(figures(shown(float(e.residual[si][row]), si)) for si in units),
             figures(float(e.weight[row]), 2),
         ]
         for row in rows[:MAX_ROWS]
     ]
-    titles = ("row", "observation", "distance from the others [σ]", "residual [mm]", "weight in the fit [1]")
+    sizes = [title("residual", si) for si in units]
+    titles = ["row", "observation", "distance from the others [σ]", *sizes, "weight in the fit [1]"]
     more = f"<p>and {rows.size - MAX_ROWS} more (suspect in result.json)</p>" if rows.size > MAX_ROWS else ""
     return f"<p>{words}</p>" + table_of(titles, cells, "rows that disagree") + more
 
@@ -103,7 +108,7 @@ def relabelling_sentences(found: Sequence[Relabelling], table: ObservationTable)
         rows = first if len(entry.rows) == 1 else f"{len(entry.rows)} rows from {first} to {last}"
         sentences.append(
             f"Wrong label? {rows} name chuck {entry.was[0]}, sphere {entry.was[1]} and fit chuck {entry.fits[0]}, sphere "
-            f"{entry.fits[1]}: RMS {millimetres(entry.rms_before)} mm as labelled, {millimetres(entry.rms_after)} mm put "
+            f"{entry.fits[1]}: RMS {size(entry.rms_before, 'm')} as labelled, {size(entry.rms_after, 'm')} put "
             "right. All figures here are as labelled."
         )
     if len(found) > MAX_ROWS:
@@ -156,7 +161,7 @@ def predicted_words(predicted: PredictedError) -> str:
         else "in the base frame"
     )
     return (
-        f"By the covariance of the parameters the measured point of the tool errs by {millimetres(predicted.rms)} mm RMS "
-        f"over {counted(predicted.n, 'pose')}, {where}; most at {row_name(predicted.source)}, by {millimetres(predicted.largest)} mm. "
+        f"By the covariance of the parameters the measured point of the tool errs by {size(predicted.rms, 'm')} RMS "
+        f"over {counted(predicted.n, 'pose')}, {where}; most at {row_name(predicted.source)}, by {size(predicted.largest, 'm')}. "
         "That is what noise and priors leave if the model is right; errors that the parameters do not model come on top."
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import math
 
-from truearm.units import MM
+from truearm.units import shown, symbol
 
 ABSENT = "–"
 MINUS = "\u2212"
@@ -43,9 +43,9 @@ def figures(value: float, count: int = 3) -> str:
     return number(value, max(count - 1 - exponent, 0))
 
 
-def millimetres(metres: float, count: int = 3) -> str:
-    """A length as millimetres with ``count`` significant figures, without the unit."""
-    return figures(MM.of(metres), count)
+def size(value: float, si: str, unit: str | None = None) -> str:
+    """A value in SI with three significant figures, as a person sees it; ``unit`` in place of the symbol behind it."""
+    return f"{figures(shown(value, si))} {symbol(si) if unit is None else unit}".rstrip()
 
 
 def counted(count: int, one: str, many: str = "") -> str:

@@ -3,7 +3,7 @@
 A ball-bar's residual and a touched flat's have a sign; that of a line, a position or a seat is the norm of a 3-vector. If
 the errors are white and Gaussian with one σ, the first follow a Gaussian, the second a Maxwell distribution (σ times the
 root of a χ² of three degrees of freedom). ``Law`` is that distinction; histogram and quantile plot are drawn against it.
-A pose has two such norms, one of its position and one of its rotation, and so two sets of rows.
+Residuals of several units, a pose's position and its rotation, are several sets of rows.
 """
 
 from __future__ import annotations
@@ -15,21 +15,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from truearm.report.words import ANGLE, KINDS, kind_name
-from truearm.types import Estimate, Floats, ObservationTable
+from truearm.report.words import KINDS, PARTS, kind_name
+from truearm.types import Estimate, Figures, Floats, ObservationTable
+from truearm.units import DEG, shown, symbol, title
 
 
 class Rows(NamedTuple):
     """Observations of one kind, finite ones only."""
 
     kind: str
-    residual: Floats  # (n,) mm or deg, signed or norm
-    before: Floats  # (n,) likewise; NaN where it is not known
+    si: str  # unit of the residuals
+    residual: Floats  # (n,) as shown, signed or norm
+    before: Floats  # (n,) likewise
     longitude: Floats  # (n,) deg, NaN where there is none
     fitted: NDArray[np.bool_]  # (n,)
     group: NDArray[np.str_]  # (n,)
     source: NDArray[np.str_]  # (n,)
-    part: str = ""  # of a pose: "position" or "rotation"
+    part: str = ""  # where the kind has residuals of several units: which
 
     @property
     def signed(self) -> bool:
@@ -37,19 +39,19 @@ class Rows(NamedTuple):
 
     @property
     def unit(self) -> str:
-        return "deg" if self.part == ANGLE else "mm"
+        return symbol(self.si)
 
     @property
     def title(self) -> str:
-        """The kind, and of a pose which part."""
+        """The kind, and where it has several units which part."""
         return f"{kind_name(self.kind)}, {self.part}" if self.part else kind_name(self.kind)
 
     @property
     def name(self) -> str:
         """What the residual is, for an axis."""
         if self.signed:
-            return "residual [mm]"
-        return "angle of the residual [deg]" if self.part == ANGLE else "norm of the residual [mm]"
+            return title("residual", self.si)
+        return title("angle of the residual" if self.si == "rad" else "norm of the residual", self.si)
 
 
 class Law(NamedTuple):
@@ -71,40 +73,35 @@ class Law(NamedTuple):
 
 
 class Summary(NamedTuple):
-    """The residuals of one kind at one rig: how many rows, RMS and largest [m]; NaN where there are none."""
+    """The residuals of one kind and SI unit at one rig: how many rows, RMS and largest; NaN where there are none."""
 
     rig: str
     kind: str
+    si: str
     fitted: int
     held_out: int
-    before: float  # m, RMS of the fitting rows
+    before: float  # RMS of the fitting rows
     after: float
-    largest: float  # m, of the fitting rows after
-    validation: float  # m, RMS of the held-out rows after
-    angle: float  # rad, RMS of the fitting rows' rotation after
+    largest: float  # of the fitting rows after
+    validation: float  # RMS of the held-out rows after
 
 
-def rows_by_kind(
-    estimate: Estimate, table: ObservationTable, longitude: Floats, angle: Floats | None = None
-) -> list[Rows]:
-    """The observations of each kind in the border's units; rows without a finite residual are left out.
-
-    ``angle`` (n,) [rad] is the rotation's residual of the rows of kind pose.
-    """
-    finite = np.isfinite(estimate.residual["m"]) & np.isfinite(estimate.residual_before["m"])
+def rows_by_kind(estimate: Estimate, table: ObservationTable, longitude: Floats) -> list[Rows]:
+    """The observations of each kind and unit as they are shown; rows without a finite residual are left out."""
     group, source, found = _groups(table), np.array([row_name(s) for s in table.source], dtype=np.str_), []
-    for kind in np.unique(table.kind[finite]):
-        at = finite & (table.kind == kind)
-        residual, before = 1e3 * estimate.residual["m"][at], 1e3 * estimate.residual_before["m"][at]
-        wrapped = np.degrees(np.arctan2(np.sin(longitude[at]), np.cos(longitude[at])))
-        part = "position" if kind == "pose" else ""
-        rest = (estimate.fitted[at], group[at], source[at])
-        found.append(Rows(str(kind), residual, before, wrapped, *rest, part))
-        if angle is not None and kind == "pose" and np.isfinite(angle).any():
-            at &= np.isfinite(angle)
-            none = np.full(int(at.sum()), np.nan)
-            rest = (estimate.fitted[at], group[at], source[at])
-            found.append(Rows("pose", np.degrees(angle[at]), none, none, *rest, ANGLE))
+    wrapped = DEG.of(np.arctan2(np.sin(longitude), np.cos(longitude)))
+    for kind in np.unique(table.kind):
+        finite = {
+            si: (table.kind == kind) & np.isfinite(residual) & np.isfinite(estimate.residual_before[si])
+            for si, residual in estimate.residual.items()
+        }
+        units = [si for si, at in finite.items() if at.any()]
+        for si in units:
+            at = finite[si]
+            after, before = (shown(residual[si][at], si) for residual in (estimate.residual, estimate.residual_before))
+            part = PARTS.get(si, si) if len(units) > 1 else ""
+            rest = (wrapped[at], estimate.fitted[at], group[at], source[at], part)
+            found.append(Rows(str(kind), si, after, before, *rest))
     return found
 
 
@@ -133,32 +130,18 @@ def _groups(table: ObservationTable) -> NDArray[np.str_]:
     return np.array(names, dtype=np.str_)
 
 
-def summaries(estimate: Estimate, table: ObservationTable, angle: Floats | None = None) -> list[Summary]:
-    """A line for each rig and kind, in the order of their names."""
-    turn = np.full(len(table), np.nan) if angle is None else angle
+def summaries(estimate: Estimate, table: ObservationTable) -> list[Summary]:
+    """A line for each rig, kind and unit, in the order of their names."""
     found = []
     for rig, kind in sorted(set(zip(table.rig.tolist(), table.kind.tolist(), strict=True))):
         mine = (table.rig == rig) & (table.kind == kind)
         fit, val = mine & estimate.fitted, mine & ~estimate.fitted
-        after = estimate.residual["m"][fit & np.isfinite(estimate.residual["m"])]
-        found.append(
-            Summary(
-                rig,
-                kind,
-                int(fit.sum()),
-                int(val.sum()),
-                _finite_rms(estimate.residual_before["m"][fit]),
-                _finite_rms(after),
-                float(np.abs(after).max(initial=0.0)) if after.size else math.nan,
-                _finite_rms(estimate.residual["m"][val]),
-                _finite_rms(turn[fit]),
-            )
-        )
+        for si in Figures.by_unit(estimate.residual, mine):
+            before, after = Figures.of(estimate.residual_before[si][fit]), Figures.of(estimate.residual[si][fit])
+            validation = Figures.of(estimate.residual[si][val]).rms
+            counts = int(fit.sum()), int(val.sum())
+            found.append(Summary(rig, kind, si, *counts, before.rms, after.rms, after.max, validation))
     return found
-
-
-def _finite_rms(values: Floats) -> float:
-    return rms(values[np.isfinite(values)])
 
 
 def law_of(rows: Rows) -> Law:

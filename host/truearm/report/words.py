@@ -31,7 +31,7 @@ KINDS = {
     ),
     "plane": Kind("touched flat", "distance of the touching point from the flat, with its sign", "flat", True),
 }
-ANGLE = "rotation"  # the second residual of a pose
+PARTS = {"m": "position", "rad": "rotation"}  # of a kind that has residuals of both units
 
 # In steps of 1 mm, 5 mrad and 0.001 of a gain; estimate.identifiability defines the four.
 OBSERVABILITY = {

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from truearm.report import svg
-from truearm.report.figures import Figure, by_longitude, convergence, histogram
+from truearm.report.figures import Figure, by_longitude, convergences, histogram
 from truearm.report.page_text import figures, number
 from truearm.report.reproduce_page import Chapter, Claim, Table
 from truearm.report.residual_rows import rows_by_kind
@@ -179,7 +179,7 @@ def _residuals(made: Bench, estimate: Estimate, every: Estimate, few: Estimate) 
     pictures = (
         histogram(rows)._replace(title="Fig. 4: histogram of the final residuals"),
         *([third._replace(title="Fig. 3: residuals against longitude")] if (third := by_longitude(rows)) else []),
-        convergence(estimate),
+        *convergences(estimate),
     )
     text = (
         "Table II's optimised values are the truth, its design values the start. Lengths of the poses on the 46 cm shells get the "

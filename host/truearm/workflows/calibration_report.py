@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from truearm.estimate.prediction import predicted_point_error
 from truearm.estimate.problem import Rigs
 from truearm.files.disk import write_atomic
 from truearm.model.chain import Chain, point_forward
-from truearm.types import Estimate, Floats, ObservationTable, PredictedError, Rig
+from truearm.types import Estimate, Floats, ObservationTable, Rig
 
 if TYPE_CHECKING:
     from truearm.workflows.identify import Identification
@@ -21,19 +20,6 @@ UNPREDICTED = (
     "How far the tool may be off at a pose is not determined: changes of the parameters that these observations do not see, or hardly, "
     "would move it. The residuals say how well the observations are predicted."
 )
-
-
-class Judged(NamedTuple):
-    """What is computed from an estimate for its readers: orientations of pose rows, and the error of the tool."""
-
-    angle: Floats  # (n,) rad, NaN of rows of other kinds
-    predicted: PredictedError | None
-
-
-def judge(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Judged:
-    """What page and result.json say beyond the estimate itself."""
-    angle = estimate.residual.get("rad", np.full(len(table), np.nan))
-    return Judged(angle, predicted_point_error(chain, rig, table, estimate))
 
 
 def write_page(path: Path, found: Identification, command: str = "") -> None:
@@ -51,10 +37,9 @@ def write_page(path: Path, found: Identification, command: str = "") -> None:
         longitude=longitudes(found.chain, found.rig, table, estimate),
         command=command,
         prior=found.prior,
-        angle=found.judged.angle,
-        predicted=found.judged.predicted,
+        predicted=found.predicted,
         facts=_driven(table),
-        notes=(*_timing(estimate), *(() if found.judged.predicted else (UNPREDICTED,))),
+        notes=(*_timing(estimate), *(() if found.predicted else (UNPREDICTED,))),
     )
     write_atomic(path, render(page))
 

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 
     from truearm.model.robot import Robot
     from truearm.session.pipeline import SyncResult
-    from truearm.types import Estimate, Floats, ObservationTable, Plan, Rig
-    from truearm.workflows.calibration_report import Judged
+    from truearm.types import Estimate, Floats, ObservationTable, Plan, PredictedError, Rig
     from truearm_sim.world import World
 
 N_LINES = 4
@@ -85,7 +84,7 @@ class LineCalibration:
     estimate: Estimate
     other: Estimate  # row by row where lines are alone, the ball-bar's alone where both are there
     longitude: Floats
-    judged: Judged
+    predicted: PredictedError | None
     hold_out: tuple[str, ...]
 
     @property
@@ -99,11 +98,12 @@ def calibrate(kind: str, out: Path, table: ObservationTable) -> LineCalibration:
     import numpy as np
 
     from truearm.estimate.identify import identify
+    from truearm.estimate.prediction import predicted_point_error
     from truearm.estimate.prior import wide_prior
     from truearm.files.result_file import RobotFrames, document_of, write_result
     from truearm.files.rig_file import read_rig
     from truearm.files.robot_file import RobotChoice, load_robot
-    from truearm.workflows.calibration_report import judge, longitudes
+    from truearm.workflows.calibration_report import longitudes
     from truearm.workflows.inputs import Sources, hashed_inputs
 
     robot, rig = load_robot("puma560"), read_rig(out / "rig.toml")
@@ -119,14 +119,14 @@ def calibrate(kind: str, out: Path, table: ObservationTable) -> LineCalibration:
         estimate = identify(chain, rig, table, free=robot.free, hold_out=judges)
         other = identify(chain, rig, table, free=robot.free, hold_out=np.asarray(table.bar != FITTED))
     hold_out = (f"line={CHECK}", *[f"bar={VALIDATED}"] * (kind == "both"))
-    judged = judge(chain, rig, table, estimate)
+    predicted = predicted_point_error(chain, rig, table, estimate)
     found = LineCalibration(
-        kind, robot, rig, table, estimate, other, longitudes(chain, rig, table, estimate), judged, hold_out
+        kind, robot, rig, table, estimate, other, longitudes(chain, rig, table, estimate), predicted, hold_out
     )
     frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, chain.joint_units)
     inputs = hashed_inputs(Sources((out / "session.mcap",), {"": out / "rig.toml"}), RobotChoice("puma560"))
     write_result(
-        out / "result.json", document_of(estimate, table, frames, inputs, list(hold_out), found.prior, *judged)
+        out / "result.json", document_of(estimate, table, frames, inputs, list(hold_out), found.prior, predicted)
     )
     return found
 
@@ -146,8 +146,7 @@ def write_page(out: Path, found: LineCalibration, result: SyncResult, truth: Clo
         steps=tuple(steps.done),
         command=f"truearm demo --rig {found.kind} --out {out}",
         prior=found.prior,
-        angle=found.judged.angle,
-        predicted=found.judged.predicted,
+        predicted=found.predicted,
     )
     path = out / "report.html"
     path.write_text(render(page), encoding="utf-8")

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from truearm.errors import InputError
 from truearm.estimate.identify import identify as estimate_parameters
+from truearm.estimate.prediction import predicted_point_error
 from truearm.estimate.prior import free_without_gains, weak_prior, wide_prior
 from truearm.estimate.problem import Rigs
 from truearm.estimate.solvers import LOSSES, SOLVERS, with_loss
@@ -19,9 +20,9 @@ from truearm.files.result_file import Input, RobotFrames, document_of, looks_lik
 from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.model.chain import Chain
 from truearm.model.robot import Robot
-from truearm.types import Estimate, Floats, ObservationTable
+from truearm.types import Estimate, Floats, ObservationTable, PredictedError
 from truearm.workflows.calibration import Calibration, calibration_of
-from truearm.workflows.calibration_report import Judged, judge, write_page
+from truearm.workflows.calibration_report import write_page
 from truearm.workflows.inputs import Sources, check_files, hashed_inputs, observed
 from truearm.workflows.selection import free_parameters, held_out_rows
 from truearm.workflows.session_parts import with_parts
@@ -85,7 +86,7 @@ class Identification(Calibration):
     rig: Rigs
     table: ObservationTable
     estimate: Estimate
-    judged: Judged
+    predicted: PredictedError | None  # how far the tool may be off
 
     @property
     def prior(self) -> str:
@@ -203,8 +204,8 @@ def identified(
         max_iterations=options.max_iterations,
         progress=progress,
     )
-    judged = judge(chain, rig, table, estimate)
+    predicted = predicted_point_error(chain, rig, table, estimate)
     frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, chain.joint_units)
-    document = document_of(estimate, table, frames, inputs, selection.held_out_by, prior, *judged)
+    document = document_of(estimate, table, frames, inputs, selection.held_out_by, prior, predicted)
     of_robot = vars(calibration_of(stored_result(document), robot, chain.name, "the identification"))
-    return Identification(**of_robot, rig=rig, table=table, estimate=estimate, judged=judged)
+    return Identification(**of_robot, rig=rig, table=table, estimate=estimate, predicted=predicted)
