@@ -1,5 +1,6 @@
 """How the suite is run: how many workers, which files first, and what is skipped where no image can be built."""
 
+import gc
 import os
 import shutil
 import sys
@@ -18,6 +19,12 @@ def pytest_xdist_auto_num_workers(config):
 def pytest_collection_modifyitems(items):
     items.sort(key=folder_rank)
     skip_chip_level_without_apt(items)
+
+
+def pytest_collection_finish():
+    """Keep what is imported out of every later garbage collection: the firmware asks for one whenever it starts."""
+    gc.collect()
+    gc.freeze()
 
 
 def folder_rank(item):

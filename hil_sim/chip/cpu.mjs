@@ -5,7 +5,7 @@
 // comes from those local variables; no closure may use them, or they would live in memory.
 //
 // Other than rp2040js, and as the architecture has it: shifts by 0 and by more than 32 leave the right carry, SBCS the right
-// overflow, STM writes its base back even if it is in the list. tests/chip/cpu.test.mjs holds both against each other.
+// overflow, STM writes its base back even if it is in the list. tests/chip/cpu_check.mjs holds both against each other.
 import { CYCLE_NS } from './clock.mjs';
 
 const FLASH_SIZE = 0x1000000;
