@@ -20,6 +20,9 @@ Strings = NDArray[np.str_]
 Residuals = Mapping[str, Floats]  # by SI unit: (n,) of rows, signed or a norm; NaN where a row has none of that unit
 Matrix = tuple[tuple[float, ...], ...]  # rows of a small constant matrix; unlike an array it can be compared
 
+BAR_MOUNTED = ("bar", "chuck", "sphere")  # what is mounted while the ball-bar is read
+LINE_MOUNTED = ("line", "target")  # what is mounted while a line is driven
+
 
 class Message(NamedTuple):
     """One message of a session file (hop 3): topic, host arrival time [ns, monotonic], bytes as stored."""
@@ -262,7 +265,7 @@ class Plan:
     Raises PlanError where the shapes disagree.
     """
 
-    IDS: ClassVar[tuple[str, ...]] = ("shell", "bar", "chuck", "sphere")
+    IDS: ClassVar[tuple[str, ...]] = ("shell", *BAR_MOUNTED)
     MOVES: ClassVar[tuple[str, ...]] = ("dwell", "via", "line")
 
     q: Floats  # (n, j) rad

@@ -7,6 +7,7 @@ from typing import Any
 
 from truearm.session.heartbeats import COUNTERS, EXTREMES
 from truearm.text import one_line
+from truearm.types import BAR_MOUNTED
 from truearm.units import MM_S, NS, ONE, UM, URAD, US, Scale
 
 DWELLS = 24  # listed one by one
@@ -260,7 +261,7 @@ def _dwell_table(rows: list[Mapping[str, Any]]) -> Iterator[str]:
     if shown:
         yield f"  {'dwell':>6} {'t robot/s':>10} {'settling/s':>10} {'used/s':>7} {'pose':>5}  of"
     for row in shown[:DWELLS]:
-        fittings = " ".join(row[key] for key in ("bar", "chuck", "sphere") if key in row)
+        fittings = " ".join(row[key] for key in BAR_MOUNTED if key in row)
         became = f"{row['reason']}: {row['detail']}" if row["detail"] else row["reason"]
         pose = "-" if row["pose"] is None else row["pose"]
         yield (

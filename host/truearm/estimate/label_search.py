@@ -43,7 +43,7 @@ SEARCH_ITERATIONS = 10
 Pairing = tuple[str, str]  # chuck, sphere
 
 
-class Group(NamedTuple):
+class LabelGroup(NamedTuple):
     """Rows of the thinned table that were measured together."""
 
     rig: str
@@ -105,7 +105,7 @@ def _hypotheses(
     chain: Chain,
     rigs: Mapping[str, Rig],
     table: ObservationTable,
-    groups: list[Group],
+    groups: list[LabelGroup],
     fitted: Callable[[ObservationTable], tuple[float, Floats]],
 ) -> Iterator[list[Pairing]]:
     """Pairings for the groups: exchanges everywhere, then what witnesses without one and without two groups say."""
@@ -127,7 +127,7 @@ def _hypotheses(
 
 
 def _best_pairing(
-    chain: Chain, rigs: Mapping[str, Rig], rows: ObservationTable, group: Group, params: Floats
+    chain: Chain, rigs: Mapping[str, Rig], rows: ObservationTable, group: LabelGroup, params: Floats
 ) -> Pairing:
     """The pairing of a group's rig with the least median residual for a robot's params (p,)."""
     rig = rigs[group.rig]
@@ -141,7 +141,7 @@ def _misfit(chain: Chain, rigs: Mapping[str, Rig], rows: ObservationTable, param
     return float(np.median(np.abs(observe(problem, x, np.zeros(x.size, dtype=bool)).residual["m"])))
 
 
-def _relabelled(table: ObservationTable, groups: list[Group], pairings: list[Pairing]) -> ObservationTable:
+def _relabelled(table: ObservationTable, groups: list[LabelGroup], pairings: list[Pairing]) -> ObservationTable:
     chuck, sphere = table.chuck.astype(object), table.sphere.astype(object)
     for group, pair in zip(groups, pairings, strict=True):
         chuck[group.rows], sphere[group.rows] = pair
@@ -152,7 +152,7 @@ def _labelled(rows: ObservationTable, pair: Pairing) -> ObservationTable:
     return replace(rows, chuck=np.full(len(rows), pair[0]), sphere=np.full(len(rows), pair[1]))
 
 
-def _exchanged(group: Group, which: int, swap: Mapping[str, str]) -> Pairing:
+def _exchanged(group: LabelGroup, which: int, swap: Mapping[str, str]) -> Pairing:
     chuck, sphere = group.was
     return (swap.get(chuck, chuck), sphere) if which == 0 else (chuck, swap.get(sphere, sphere))
 
@@ -173,18 +173,20 @@ def _numbered(keys: list[tuple[str, ...]]) -> NDArray[np.intp]:
     return numbers
 
 
-def _groups(rigs: Mapping[str, Rig], table: ObservationTable) -> tuple[list[Group], NDArray[np.intp], NDArray[np.intp]]:
+def _groups(
+    rigs: Mapping[str, Rig], table: ObservationTable
+) -> tuple[list[LabelGroup], NDArray[np.intp], NDArray[np.intp]]:
     """The groups of a table, which rows the thinned table has of it, and the group of every row."""
     keys = _keys(table)
     numbers = _split(_numbered(keys))
-    groups: list[Group] = []
+    groups: list[LabelGroup] = []
     thin: list[int] = []
     for i in range(int(numbers.max()) + 1):
         rows = np.flatnonzero(numbers == i)
         some = rows[:: max(len(rows) // ROWS_A_GROUP, 1)][:ROWS_A_GROUP].tolist()
         rig, chuck, sphere, *_ = keys[rows[0]]
         was = _name(chuck, rigs[rig].chucks), _name(sphere, rigs[rig].spheres)
-        groups.append(Group(rig, was, np.arange(len(thin), len(thin) + len(some))))
+        groups.append(LabelGroup(rig, was, np.arange(len(thin), len(thin) + len(some))))
         thin += some
     return groups, np.array(thin, dtype=np.intp), numbers
 

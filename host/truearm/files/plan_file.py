@@ -18,7 +18,7 @@ import numpy as np
 from truearm.errors import PlanError
 from truearm.files.disk import read_text, write_atomic
 from truearm.schema import NAME
-from truearm.types import Plan, Rig
+from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Plan, Rig
 from truearm.units import MM_S, UNITS
 
 MAX_BYTES = 16 * 2**20
@@ -105,11 +105,11 @@ def _check_names(cells: dict[str, str], pose: int, where: str) -> None:
     move = cells.get("move") or "dwell"
     if move not in Plan.MOVES:
         raise PlanError(f"{where} column move: {move[:40]!r} is none of {', '.join(Plan.MOVES)}")
-    for name in (*IDS, "line", "target"):
+    for name in (*IDS, *LINE_MOUNTED):
         cell = cells.get(name, "")
         if not NAME.fullmatch(cell) and (cell or _required(name, move)):
             raise PlanError(f"{where} column {name}: {cell[:40]!r} is no identifier (letters, digits, '-', '_')")
-    fitted = [name for name in ("bar", "chuck", "sphere") if cells[name]]
+    fitted = [name for name in BAR_MOUNTED if cells[name]]
     if move == "line":
         if pose == 0:
             raise PlanError(f"{where}: a line is driven from the row before it, and there is none")
@@ -125,7 +125,7 @@ def _check_names(cells: dict[str, str], pose: int, where: str) -> None:
 
 
 def _required(name: str, move: str) -> bool:
-    return name in {"dwell": ("bar", "chuck", "sphere"), "via": (), "line": ("line",)}[move]
+    return name in {"dwell": BAR_MOUNTED, "via": (), "line": ("line",)}[move]
 
 
 def _speed(cell: str, where: str) -> None:

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from truearm.types import Floats
+from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Floats
 
-MOUNTABLE = ("bar", "chuck", "sphere", "shell", "line", "target")
-CHANGED = ("bar", "chuck", "sphere", "line", "target")  # by hand; a shell is a place of the robot
+MOUNTABLE = (*BAR_MOUNTED, "shell", *LINE_MOUNTED)
+CHANGED = (*BAR_MOUNTED, *LINE_MOUNTED)  # by hand; a shell is a place of the robot
 TOLERANCE = np.pi / 180.0  # rad or m, as sync.dwell has it
 
 
@@ -77,7 +77,7 @@ class Course:
 
     def mount(self, pairing: Mapping[str, str]) -> None:
         """It is said to be mounted from now on; a bar and a line exclude each other."""
-        other = ("line", "target") if "bar" in pairing else ("bar", "chuck", "sphere") if "line" in pairing else ()
+        other = LINE_MOUNTED if "bar" in pairing else BAR_MOUNTED if "line" in pairing else ()
         self.mounted = {k: v for k, v in self.mounted.items() if k not in other} | dict(pairing)
 
     def visit(self, q: Floats | None) -> int | None:

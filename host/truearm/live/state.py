@@ -17,6 +17,7 @@ from truearm.session.box_ident import find_channel
 from truearm.session.joint_line import parse_reading
 from truearm.session.lvdt import extension, railed
 from truearm.text import one_line
+from truearm.types import BAR_MOUNTED
 from truearm.units import MM, MM_S, NS, UM, US
 
 if TYPE_CHECKING:
@@ -170,7 +171,7 @@ class LiveState:
         self._label = f"dwell {course.taken}" + (f" (pose {pose})" if pose is not None else "")
         if pose is None and course.rows:
             self._label = "a stop beside the plan"
-        other = [key for key in ("bar", "chuck", "sphere") if row.get(key) and row[key] != course.mounted.get(key)]
+        other = [key for key in BAR_MOUNTED if row.get(key) and row[key] != course.mounted.get(key)]
         if other:
             planned = ", ".join(f"{key} {row[key]}" for key in other)
             self.said.append(f"warning: pose {pose} is planned with {planned}; mounted is {words_of(course.mounted)}")

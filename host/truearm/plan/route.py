@@ -15,7 +15,7 @@ from truearm.plan.roadmap import Roadmap, make_roadmap, passable
 from truearm.plan.shells import move_costs
 from truearm.plan.stops import Stop, plain
 from truearm.plan.visit_order import short_tour
-from truearm.types import Floats, Plan
+from truearm.types import BAR_MOUNTED, Floats, Plan
 
 NEAR = 12  # poses to which the way is looked at before the order is chosen
 
@@ -51,8 +51,7 @@ class Route(NamedTuple):
         mounts[self.pose[self.mount]] = True
         is_via = self.pose < 0
         names = {
-            name: np.where(is_via & mounts[to], "", getattr(self.plan, name)[to])
-            for name in ("bar", "chuck", "sphere", "shell")
+            name: np.where(is_via & mounts[to], "", getattr(self.plan, name)[to]) for name in (*BAR_MOUNTED, "shell")
         }
         return Plan(self.q, **names, move=np.where(is_via, "via", "dwell"))
 

@@ -29,6 +29,7 @@ from truearm import __version__
 from truearm.errors import InputError, LinkError, WriteError
 from truearm.record.links import Clock
 from truearm.session.mcap_records import CHANNELS, CRC, metadata_crc
+from truearm.types import BAR_MOUNTED
 
 CHUNK_NS = 800_000_000  # with the recorder's pace of 50 ms no message waits longer than 1 s
 _CHUNK_BYTES = 1 << 20
@@ -37,7 +38,7 @@ MAX_HELD_BYTES = 32 << 20  # in memory before ``keep``; a box that was just aske
 
 _CONSOLE_TOPICS = frozenset({"/box/console", "/robot/console"})
 _NUMBERS = {"type": "array", "items": {"type": "number"}}
-_TEXTS = {name: {"type": "string"} for name in ("bar", "chuck", "sphere", "shell")}
+_TEXTS = {name: {"type": "string"} for name in (*BAR_MOUNTED, "shell")}
 _PROPERTIES: dict[str, dict[str, Any]] = {
     "/sync": {name: {"type": ["integer", "null"]} for name in ("id", "t0_ns", "t1_us", "t2_us", "t3_ns")},
     "/robot/joints": {

@@ -26,12 +26,10 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from truearm.session.joint_line import MAX_JOINTS
-from truearm.types import Floats
+from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Floats
 from truearm.types import Plan as PlanFile
 
-REQUIRED = ("bar", "chuck", "sphere")  # what an observation of the ball-bar must name
-LINE = ("line", "target")  # what is mounted while a line is driven
-NAMED = (*REQUIRED, *LINE)
+NAMED = (*BAR_MOUNTED, *LINE_MOUNTED)
 FITTINGS = (*NAMED, "shell")
 MOVES = PlanFile.MOVES
 MAX_NAME = 64

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from truearm.errors import RigError
-from truearm.session.dwell_pairing import LINE, Marks, Plan, match_plan
+from truearm.session.dwell_pairing import Marks, Plan, match_plan
 from truearm.session.legs import Leg
 from truearm.session.line_passes import LONGEST_S, Pass
-from truearm.types import Rig
+from truearm.types import LINE_MOUNTED, Rig
 
 
 def passes_of(legs: Sequence[Leg], marks: Marks, rig: Rig, tolerance: float) -> list[Pass]:
@@ -38,7 +38,7 @@ def planned_lines(marks: Marks) -> tuple[Plan | None, list[int]]:
     if not rows:
         return None, rows
     ends = np.array([[*marks.rows[k - 1].q, *marks.rows[k].q] for k in rows])
-    return Plan(ends, tuple({key: marks.rows[k].mounted.get(key, "") for key in LINE} for k in rows)), rows
+    return Plan(ends, tuple({key: marks.rows[k].mounted.get(key, "") for key in LINE_MOUNTED} for k in rows)), rows
 
 
 def _matched(

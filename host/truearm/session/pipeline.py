@@ -19,7 +19,7 @@ from truearm.session.box_ident import Ident
 from truearm.session.device_clock import DeviceClock
 from truearm.session.device_clock_fit import ClockReport, fit_clock
 from truearm.session.dwell_measurement import LEARNT, Sensing, measured, usual_noise, without_noisy
-from truearm.session.dwell_pairing import REQUIRED, Marks, Plan, match_plan, nearest_pose
+from truearm.session.dwell_pairing import Marks, Plan, match_plan, nearest_pose
 from truearm.session.dwell_samples import gather
 from truearm.session.dwells import Dwell, DwellRules, find_dwells
 from truearm.session.joint_readings import JointReader, JointStream
@@ -33,7 +33,7 @@ from truearm.session.observation_rows import table_of
 from truearm.session.sample_blocks import Block, BoxReader, blocks_of
 from truearm.session.sample_streams import StreamReport
 from truearm.session.trigger_edges import Output, with_edges
-from truearm.types import Message, ObservationTable, Rig
+from truearm.types import BAR_MOUNTED, Message, ObservationTable, Rig
 
 Messages = Callable[[Collection[str] | None], Iterator[Message]]
 
@@ -247,7 +247,7 @@ def _away(dwell: Dwell, plan: Plan, rows: list[int], rules: DwellRules) -> str:
 
 def _mounted(dwell: Dwell, pose: int | None, mounted: dict[str, str], rig: Rig) -> Dwell:
     """The dwell with its fittings, or with the reason that it lacks some."""
-    if any(key not in mounted for key in REQUIRED):
+    if any(key not in mounted for key in BAR_MOUNTED):
         return replace(dwell, pose=pose, mounted=mounted, reason="no plan match")
     _check_rig(mounted, rig)
     return replace(dwell, pose=pose, mounted=mounted)

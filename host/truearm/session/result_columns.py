@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.session.dwell_pairing import LINE, REQUIRED
 from truearm.session.dwells import Dwell
 from truearm.session.line_passes import Pass
 from truearm.session.pipeline import Survey
 from truearm.session.session_columns import UNKNOWN, Columns
+from truearm.types import BAR_MOUNTED, LINE_MOUNTED
 
 
 def plan_columns(found: Survey, joint_units: Sequence[str] = ()) -> Columns | None:
@@ -29,7 +29,7 @@ def plan_columns(found: Survey, joint_units: Sequence[str] = ()) -> Columns | No
         "pose": np.arange(len(rows)),
         "move": np.array([row.move for row in rows], dtype=np.str_),
         **_joints(q, units),
-        **_mounted([row.mounted for row in rows], ("shell", *REQUIRED, *LINE)),
+        **_mounted([row.mounted for row in rows], ("shell", *BAR_MOUNTED, *LINE_MOUNTED)),
     }
 
 
@@ -45,7 +45,7 @@ def dwell_columns(found: Survey, dwells: Sequence[Dwell], joint_units: Sequence[
         "controller_start_s": _of(dwells, "start_s"),
         "controller_end_s": _of(dwells, "end_s"),
         "pose": _poses(dwells),
-        **_mounted([dwell.mounted for dwell in dwells], ("shell", *REQUIRED)),
+        **_mounted([dwell.mounted for dwell in dwells], ("shell", *BAR_MOUNTED)),
         "readings": _of(dwells, "n_readings", int),
         "samples": _of(dwells, "n_samples", int),
         "value_m": _of(dwells, "value"),
@@ -71,7 +71,7 @@ def pass_columns(passes: Sequence[Pass]) -> Columns:
         "controller_start_s": _of(legs, "start_s"),
         "controller_end_s": _of(legs, "end_s"),
         "pose": _poses(passes),
-        **_mounted([one.mounted for one in passes], LINE),
+        **_mounted([one.mounted for one in passes], LINE_MOUNTED),
         "direction": _of(passes, "direction", int),
         "speed_m_s": _of(passes, "speed"),
         "points": np.array([len(one.xyz) for one in passes], dtype=np.int64),
