@@ -85,7 +85,7 @@ def _typed(cells):
 def export(path, out, format="csv", *more):
     assert main(["export-session", str(path), "--out", str(out), "--format", format, *more]) == 0
     tables = {name.partition(".")[0]: columns_of(out / name) for name in os.listdir(out) if name != "session.json"}
-    return tables, json.loads((out / "session.json").read_text())
+    return tables, json.loads((out / "session.json").read_text(), parse_constant=pytest.fail)
 
 
 @pytest.mark.parametrize("format", FORMATS)

@@ -7,7 +7,7 @@ import math
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -64,6 +64,7 @@ def characterize(
     from truearm.files.disk import check_writable, write_atomic
     from truearm.files.noise_file import format_noise, looks_like_noise
     from truearm.files.robot_file import load_robot, robot_file
+    from truearm.files.strict_json import strict_json
     from truearm.session.session_file import open_session
     from truearm.text import one_line
     from truearm.workflows.characterize import Part, characterized
@@ -90,7 +91,7 @@ def characterize(
         said = list(remarks(found, one_line(session.name)))
         write_atomic(out, format_noise(noise, said, prismatic))
     if as_json:
-        sys.stdout.write(json.dumps(_without_nan(found), indent=1, allow_nan=False) + "\n")
+        sys.stdout.write(strict_json(found, indent=1) + "\n")
         return
     for line in lines(found, one_line(session.name)):
         typer.echo(line)
@@ -133,11 +134,3 @@ def _with_plan(session: Session, path: Path | None) -> Callable[[Collection[str]
         yield from (message for message in session.messages(topics) if message.topic != "/plan")
 
     return messages
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_nan(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_nan(item) for item in value]
-    return None if isinstance(value, float) and value - value != 0.0 else value

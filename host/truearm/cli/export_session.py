@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import tempfile
 from dataclasses import asdict
@@ -53,6 +52,7 @@ def export_session(
     """
     from truearm.files.column_writers import check_format
     from truearm.files.disk import sha256
+    from truearm.files.strict_json import strict_json
     from truearm.session.session_file import open_session
     from truearm.workflows.session_parts import say_parts
 
@@ -67,7 +67,7 @@ def export_session(
             whole.mkdir()
             document = _export(opened, whole, format, given, units)
             document["sha256"] = sha256(session)
-            (whole / SAID).write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+            (whole / SAID).write_text(strict_json(document, indent=2) + "\n", encoding="utf-8")
             if out.exists():
                 out.rmdir()
             os.replace(whole, out)

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from truearm.errors import InputError, SessionError
+from truearm.files.strict_json import without_nan
 from truearm.session.joint_line import parse_reading
 from truearm.text import one_line
 
@@ -99,7 +100,7 @@ def describe(session: Session) -> dict[str, Any]:
         "plan_poses": len(found.marks.dwells),
         **_measured(session, found, ident),
     }
-    return _without_nan(document)  # type: ignore[no-any-return]
+    return without_nan(document)  # type: ignore[no-any-return]
 
 
 def ident_of(session: Session) -> Ident | None:
@@ -260,11 +261,3 @@ def _dwell_rows(dwells: Collection[Dwell]) -> list[dict[str, Any]]:
 
 def _tally(words: list[str]) -> dict[str, int]:
     return {word: words.count(word) for word in sorted(set(words))}
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_nan(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_nan(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
