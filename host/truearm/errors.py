@@ -25,13 +25,30 @@ Data conditions (rank, convergence, gaps, losses) are fields of results, never e
 
 
 class TruearmError(Exception):
-    """Base of all errors of truearm; its text is one line that says what is wrong and what to do."""
+    """Base of all errors of truearm; its text is one line that says what is wrong and what to do.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> issubclass(truearm.InputError, truearm.TruearmError)
+    True
+    """
 
     exit_code = 1
 
 
 class InputError(TruearmError):
-    """What the user gave is wrong."""
+    """What the user gave is wrong.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> try:
+    ...     truearm.read_rig("missing.toml")
+    ... except truearm.InputError as error:
+    ...     print("missing.toml" in str(error))
+    True
+    """
 
     exit_code = 2
 

@@ -125,6 +125,12 @@ class Rig:
     of the joint readings, j×j, empty for none; where a joint came from either side and nobody knows which, half its ``backlash`` either way
     is part of it. ``backlash`` (j) [rad, m], empty for none: the links lie half of it behind their encoders, on the side that the joint came from;
     ``backlash_sigma`` (j): how well it is known.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> truearm.read_rig("rig.toml").bars["b"].zero
+    0.46
     """
 
     chucks: Mapping[str, Point] = field(default_factory=dict)
@@ -171,6 +177,13 @@ class ObservationTable:
     where a row has none. ``rig`` says which of several rigs a row belongs to, ``source`` where a row comes from, for
     messages ("poses.csv row 17"). ``more`` are the columns that only other kinds have, (n,) or (n, c), by the name that the kind
     declares. Columns that are not given are filled with NaN or "".
+
+    Examples
+    --------
+    >>> import truearm
+    >>> table = truearm.read_table("poses.csv", truearm.load_robot("puma560"))
+    >>> len(table.select(table.chuck == "c1"))
+    30
     """
 
     q: Floats  # (n, j) joint readings, rad or m
@@ -405,6 +418,15 @@ class Estimate:
     ``sigma`` is NaN where the observations see nothing of a parameter or it was not free. ``covariance`` is (p, p),
     zero rows where not free; ``identifiable`` is False where a parameter takes part in a null direction. ``distance``
     is standardised: χ of the row's number of residuals for a clean row, NaN where a row was held out.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> robot = truearm.load_robot("puma560")
+    >>> table, rig = truearm.read_table("poses.csv", robot), truearm.read_rig("rig.toml")
+    >>> estimate = truearm.identify(robot, table, rig).estimate
+    >>> estimate.status, estimate.sigma.shape == estimate.value.shape
+    ('converged', True)
     """
 
     status: str  # "converged" | "max_iterations" | "stalled"

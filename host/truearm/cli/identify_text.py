@@ -15,9 +15,10 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from truearm.report.parameter_cells import parameter_cells
 from truearm.report.words import drawing, kind_name, proposal, time_offset
 from truearm.text import one_line
-from truearm.units import SUFFIXES, UNITS, number, title
+from truearm.units import SUFFIXES, UNITS, title
 
 Document = Mapping[str, Any]
 
@@ -110,19 +111,6 @@ def _parameter_table(document: Document) -> Table:
         if parameter["free"]:
             table.add_row(*parameter_cells(parameter))
     return table
-
-
-def parameter_cells(parameter: Mapping[str, Any]) -> tuple[str, ...]:
-    """Name, nominal, value, change, sigma and unit of a parameter as text, in mm, deg or 1."""
-    unit = UNITS[parameter["unit"]]
-    nominal, value, sigma = (parameter[key] for key in ("nominal", "value", "sigma"))
-    if parameter["unit"] == "s" and sigma is None:
-        value = None  # a time offset that is not seen may be anything
-    change = value - nominal if None not in (nominal, value) else None
-    numbers = ["-" if v is None else number(v, unit.si) for v in (nominal, value)]
-    numbers.append("-" if change is None else f"{unit.scale.of(change):+.{unit.decimals}f}")
-    numbers.append("not seen" if sigma is None else f"{unit.scale.of(sigma):.2g}")
-    return (one_line(parameter["name"]), *numbers, unit.symbol)
 
 
 def unseen(document: Document) -> list[str]:

@@ -58,6 +58,13 @@ class Robot:
     ``source`` says where the numbers are from, "" where nobody said. ``branch`` and ``capsules`` are what plans need,
     None where the file has none. ``file`` is the file that it was read from (a URDF has the suffix .urdf or .xml), "" for
     a robot that comes with truearm.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> robot = truearm.load_robot("puma560")
+    >>> [joint.kind for joint in robot.chain.joints] == 6 * ["revolute"]
+    True
     """
 
     chain: Chain

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,11 +17,29 @@ from truearm.model.chain import Chain
 from truearm.model.mountings import NONE, Mountings, mountings
 from truearm.model.poses import six_of
 from truearm.model.robot import Robot
+from truearm.report.parameter_cells import parameter_cells
 from truearm.types import Floats
 from truearm.units import from_shown
 
 LARGEST_JOINT = 100.0  # rad, m
 DEFAULT = RobotChoice()
+
+
+class ParameterEstimate(NamedTuple):
+    """A parameter in its SI unit; ``sigma`` is None where it was held, or the observations do not see it."""
+
+    name: str
+    unit: str
+    nominal: float
+    value: float
+    sigma: float | None
+    free: bool
+    of: str  # "robot" | "rig"
+
+    @property
+    def seen(self) -> bool:
+        """Whether the observations determine it."""
+        return self.sigma is not None
 
 
 @dataclass(frozen=True)
@@ -30,6 +48,15 @@ class Calibration:
 
     ``nominal`` and ``identified`` are the robot's parameters (p,), ``covariance`` (p, p) is theirs, 0 for what was held.
     ``unseen`` (p, d) holds the directions that the observations did not see, the largest weight of each being 1.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> result = truearm.read_result("result.json")
+    >>> print(str(result).splitlines()[0])
+    puma560: converged, rank 36 of 36 free
+    >>> result.covariance.shape
+    (54, 54)
     """
 
     robot: Robot
@@ -38,6 +65,45 @@ class Calibration:
     identified: Floats
     covariance: Floats
     unseen: Floats
+
+    def __str__(self) -> str:
+        rows: list[tuple[str, ...]] = [("parameter", "nominal", "value", "change", "sigma", "unit")]
+        rows += [parameter_cells(one) for one in self.document["parameters"] if one["free"]]
+        wide = [max(len(row[k]) for row in rows) for k in range(6)]
+        table = [
+            " ".join([row[0].ljust(wide[0]), *(cell.rjust(w) for cell, w in zip(row[1:5], wide[1:5])), row[5]])
+            for row in rows
+        ]
+        head = (
+            f"{self.chain.name}: {self.stored.status}, rank {self.document['rank']} of {self.document['n_free']} free"
+        )
+        return "\n".join([head, *(line.rstrip() for line in table)])
+
+    @property
+    def parameters(self) -> Mapping[str, ParameterEstimate]:
+        """All parameters by name, the robot's first, then the rig's."""
+        stored = self.stored
+        columns = zip(
+            stored.parameter_names,
+            stored.units,
+            stored.nominal,
+            stored.value,
+            stored.sigma,
+            stored.free,
+            stored.of_robot,
+        )
+        return {
+            name: ParameterEstimate(
+                name,
+                unit,
+                float(nominal),
+                float(value),
+                float(sigma) if np.isfinite(sigma) else None,
+                bool(free),
+                "robot" if robot else "rig",
+            )
+            for name, unit, nominal, value, sigma, free, robot in columns
+        }
 
     @property
     def chain(self) -> Chain:

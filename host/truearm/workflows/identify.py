@@ -81,7 +81,17 @@ DEFAULTS = IdentifyOptions()
 
 @dataclass(frozen=True)
 class Identification(Calibration):
-    """A calibration with the observations that it was identified from and the whole estimate."""
+    """A calibration with the observations that it was identified from and the whole estimate.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> robot = truearm.load_robot("puma560")
+    >>> table, rig = truearm.read_table("poses.csv", robot), truearm.read_rig("rig.toml")
+    >>> result = truearm.identify(robot, table, rig)
+    >>> result.estimate.n_observations, result.prior
+    (90, 'none')
+    """
 
     rig: Rigs
     table: ObservationTable

@@ -65,8 +65,11 @@ def check_files(sources: Sources, robot: RobotChoice, outputs: Sequence[Output] 
         check_writable(path, inputs=[*sources.files, *robot.files], ours=ours)
 
 
-def observed(sources: Sources, joint_units: tuple[str, ...]) -> tuple[Rig | dict[str, Rig], ObservationTable]:
-    """The rig, or the rigs by name, and the observations, held against each other."""
+def observed(sources: Sources, joint_units: tuple[str, ...] | None) -> tuple[Rig | dict[str, Rig], ObservationTable]:
+    """The rig, or the rigs by name, and the observations, held against each other.
+
+    ``joint_units`` are the robot's; None does without that check.
+    """
     inputs = list(sources.inputs)
     noise = None if sources.noise is None else read_noise(sources.noise)
     given = {name: with_noise(read_rig(path), noise) for name, path in sources.rigs.items()}
@@ -102,7 +105,7 @@ def _check_names(table: ObservationTable, rigs: dict[str, Rig], files: Mapping[s
 
 
 def _read_input(
-    path: Path, joint_units: tuple[str, ...], assigned: Assigned | None, sources: Sources
+    path: Path, joint_units: tuple[str, ...] | None, assigned: Assigned | None, sources: Sources
 ) -> ObservationTable:
     if assigned is None:
         return read_table(path, joint_units)
@@ -111,7 +114,7 @@ def _read_input(
         sources.allow_damaged, is_part(path, list(sources.inputs)), sources.line_points, sources.say
     )
     table = observations_of_session(path, rig, options).table
-    if len(table) and table.q.shape[1] != len(joint_units):
+    if joint_units is not None and len(table) and table.q.shape[1] != len(joint_units):
         raise InputError(f"{path}: its robot has {table.q.shape[1]} joints, the robot given has {len(joint_units)}")
     return replace(table, rig=np.full(len(table), name))
 

@@ -88,6 +88,12 @@ class BallBarOptions:
     ``criterion`` is one of ``plan.choose.CRITERIA``, "I" for the error in the ``region`` (default: around the poses). ``bars``:
     only these. ``reserve`` [m] of the bar's travel is kept for what the model does not know (default 22 mm on the design, 3 mm
     on a result); ``spread`` [m] varies the bar's length about mid-travel. ``dwell`` [s]: rest at a pose.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> truearm.BallBarOptions(criterion="D").candidates
+    5000
     """
 
     criterion: str = "I"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,31 @@ from truearm.workflows.session_parts import with_parts
 LEAST_ROWS = 5  # of a region: fewer say little
 AS_GOOD = 1.5  # times the error to be expected
 HELPS = 0.9  # of the error without it
+
+
+@dataclass(frozen=True)
+class Validation:
+    """How a calibration does on other observations; ``document`` is what ``truearm validate --json`` prints.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> robot = truearm.load_robot("puma560")
+    >>> table, rig = truearm.read_table("friday.csv", robot), truearm.read_rig("rig.toml")
+    >>> found = truearm.validate(truearm.read_result("result.json"), table, rig)
+    >>> found.document["rows"]
+    45
+    """
+
+    document: Mapping[str, Any]
+
+    def __str__(self) -> str:
+        return "\n".join(validation_lines(self.document))
+
+    @property
+    def verdict(self) -> str:
+        """What the numbers mean, in words."""
+        return str(self.document["verdict"])
 
 
 def validate_files(result: Path, robot: RobotChoice, sources: Sources) -> dict[str, Any]:

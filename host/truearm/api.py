@@ -1,0 +1,732 @@
+"""The functions of ``import truearm``: the same work as the commands do, on data in memory.
+
+Every function checks its arguments and then calls what the command of its name calls. A wrong argument raises TypeError
+or InputError with one line that names it. Lengths are in metres, angles in radians, times in seconds.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ParamSpec, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from truearm.correct.correction import Correction
+from truearm.correct.error_map import ErrorMap
+from truearm.correct.methods import Method
+from truearm.errors import InputError, TruearmError
+from truearm.estimate.problem import Rigs
+from truearm.export.formats import FORMATS
+from truearm.files import observation_table, result_file, rig_file, robot_file
+from truearm.files.disk import write_atomic
+from truearm.model.builtin import builtin_names
+from truearm.model.robot import Robot
+from truearm.plan.ball_bar_plan import BallBarPlan
+from truearm.types import ObservationTable, Rig
+from truearm.units import shown
+from truearm.workflows import correct, export, plan
+from truearm.workflows import error_map as maps
+from truearm.workflows import identify as identification
+from truearm.workflows.calibration import Calibration, read_calibration
+from truearm.workflows.identify import Identification, IdentifyOptions, Progress
+from truearm.workflows.inputs import Sources, observed
+from truearm.workflows.plan import BallBarOptions, Budget
+from truearm.workflows.session_parts import session_parts
+from truearm.workflows.validate import Validation, validated
+
+PathLike = str | os.PathLike[str]
+HoldOut = str | float | Sequence[str] | NDArray[np.bool_]
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def _public(function: Callable[P, R]) -> Callable[P, R]:
+    """Name arguments in error messages as Python has them: the workflows name the options of the command line."""
+
+    @functools.wraps(function)
+    def called(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return function(*args, **kwargs)
+        except TruearmError as exc:
+            text = re.sub(r"--([a-z][a-z-]*)", lambda option: option[1].replace("-", "_"), str(exc))
+            exc.args = (text, *exc.args[1:])
+            raise
+
+    return called
+
+
+@_public
+def load_robot(robot: PathLike, base: str | None = None, tip: str | None = None) -> Robot:
+    """Load a robot: one that comes with truearm, a robot file or a URDF.
+
+    Parameters
+    ----------
+    robot : str or path
+        Name of a built-in robot (``builtin_robots``), or path of a robot file (.toml) or a URDF (.urdf).
+    base, tip : str, optional
+        Links of a URDF where the chain begins and ends. Default: its root and its only leaf.
+
+    Returns
+    -------
+    Robot
+        Kinematic chain, parameter sets, and which parameters are free by default.
+
+    Raises
+    ------
+    RobotError
+        If there is no such robot, or the file is wrong.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> robot = truearm.load_robot("puma560")
+    >>> print(robot)
+    puma560: 6 joints, chuck_fixture to sphere_fixture, 54 parameters, 36 free
+    """
+    return robot_file.load_robot(str(_path("robot", robot)), base, tip)
+
+
+def builtin_robots() -> tuple[str, ...]:
+    """Return the names of the robots that come with truearm.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> "puma560" in truearm.builtin_robots()
+    True
+    """
+    return builtin_names()
+
+
+@_public
+def read_table(path: PathLike, robot: Robot) -> ObservationTable:
+    """Read a table of observations (docs/table-format.md).
+
+    Parameters
+    ----------
+    path : str or path
+        CSV file with one row an observation.
+    robot : Robot
+        The robot that was measured; its joints must match the table's joint columns.
+
+    Returns
+    -------
+    ObservationTable
+        The rows, in SI units.
+
+    Raises
+    ------
+    TableError
+        With file, row and column of what is wrong.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> table = truearm.read_table("poses.csv", truearm.load_robot("puma560"))
+    >>> len(table), table.q.shape
+    (90, (90, 6))
+    """
+    return observation_table.read_table(_path("path", path), _robot(robot).chain.joint_units)
+
+
+@_public
+def write_table(path: PathLike, table: ObservationTable, robot: Robot) -> None:
+    """Write observations as a table that ``read_table`` reads. An existing file is replaced.
+
+    Parameters
+    ----------
+    path : str or path
+        CSV file to write.
+    table : ObservationTable
+        The rows.
+    robot : Robot
+        Says which joint columns are angles and which are lengths.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> robot = truearm.load_robot("puma560")
+    >>> table = truearm.read_table("poses.csv", robot)
+    >>> truearm.write_table("inner.csv", table.select(table.shell == "inner"), robot)
+    """
+    rows = _table("table", table, _robot(robot))
+    observation_table.write_table(_path("path", path), rows, robot.chain.joint_units)
+
+
+@_public
+def read_rig(path: PathLike) -> Rig:
+    """Read a rig file: chucks, spheres, bars, sockets and devices (docs/rig.md).
+
+    Parameters
+    ----------
+    path : str or path
+        Rig file (.toml).
+
+    Returns
+    -------
+    Rig
+        What stands around the robot, in metres and radians.
+
+    Raises
+    ------
+    RigError
+        With file and key of what is wrong.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> rig = truearm.read_rig("rig.toml")
+    >>> sorted(rig.chucks)
+    ['c0', 'c1', 'c2']
+    """
+    return rig_file.read_rig(_path("path", path))
+
+
+@dataclass(frozen=True)
+class SessionObservations:
+    """What a session gives: observations, the rig they were measured with, and what was lost of a damaged file.
+
+    ``rig`` is one rig, or rigs by name where the parts of the session were recorded with different ones.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> truearm.read_session("session.mcap").lost
+    ()
+    """
+
+    table: ObservationTable
+    rig: Rigs
+    lost: tuple[str, ...] = ()
+
+
+@_public
+def read_session(
+    path: PathLike,
+    *,
+    rig: PathLike | None = None,
+    noise: PathLike | None = None,
+    allow_damaged: bool = False,
+    line_points: int | None = None,
+) -> SessionObservations:
+    """Make observations of a recorded session: synchronise the clocks, find dwells and lines.
+
+    Parameters
+    ----------
+    path : str or path
+        Session file (.mcap); its further parts are read with it.
+    rig : str or path, optional
+        Rig file to use in place of the one that was recorded.
+    noise : str or path, optional
+        Noise file of ``truearm characterize``, in place of the rig's figures.
+    allow_damaged : bool
+        Use what is whole of a damaged file.
+    line_points : int, optional
+        Points of each pass along a line at most. Default: as many as the noise distinguishes.
+
+    Returns
+    -------
+    SessionObservations
+        ``table`` and ``rig`` go to ``identify``.
+
+    Raises
+    ------
+    SessionError
+        If the file is no session or is damaged.
+    RigError
+        If there is no rig.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> session = truearm.read_session("session.mcap")
+    >>> set(session.table.kind.tolist())
+    {'ball_bar'}
+    """
+    file = _path("path", path)
+    lost: list[str] = []
+    sources = Sources(
+        inputs=tuple(session_parts(file)),
+        rigs={} if rig is None else {"": _path("rig", rig)},
+        noise=None if noise is None else _path("noise", noise),
+        allow_damaged=allow_damaged,
+        line_points=line_points,
+        say=lost.append,
+    )
+    around, table = observed(sources, None)
+    return SessionObservations(table, around, tuple(lost))
+
+
+@_public
+def identify(
+    robot: Robot,
+    table: ObservationTable,
+    rig: Rigs | None = None,
+    *,
+    hold_out: HoldOut = (),
+    options: IdentifyOptions | None = None,
+    progress: Progress | None = None,
+) -> Identification:
+    """Identify a robot's parameters from observations.
+
+    Parameters
+    ----------
+    robot : Robot
+        The robot as described.
+    table : ObservationTable
+        The observations.
+    rig : Rig or mapping of str to Rig, optional
+        What the rows name, or rigs by the name in the table's column ``rig``. Default: an empty rig.
+    hold_out : str, float, sequence of str or array of bool
+        Rows to judge by and not to fit: groups such as ``"bar=bar61"``, a fraction such as 0.2, or a mask (n,).
+    options : IdentifyOptions, optional
+        Free parameters, prior, solver and loss.
+    progress : callable, optional
+        Is called with iteration and RMS residual after each step.
+
+    Returns
+    -------
+    Identification
+        A ``Calibration`` that also holds the whole ``estimate``, the table and the rig. Printing it lists the free
+        parameters with their standard deviations.
+
+    Raises
+    ------
+    InputError
+        If an argument does not fit the others.
+    ProblemError
+        If observations and robot make no problem that can be solved.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> robot = truearm.load_robot("puma560")
+    >>> table, rig = truearm.read_table("poses.csv", robot), truearm.read_rig("rig.toml")
+    >>> result = truearm.identify(robot, table, rig, hold_out="shell=outer")
+    >>> result.estimate.status, result.estimate.rank
+    ('converged', 36)
+    >>> length = result.parameters["link2.x"]
+    >>> length.unit, length.seen
+    ('m', True)
+    """
+    rows = _table("table", table, _robot(robot))
+    rigs = _rigs(rig, rows)
+    chosen = _checked("options", options, IdentifyOptions) or identification.DEFAULTS
+    identification.check_options(chosen)
+    mask = hold_out if isinstance(hold_out, np.ndarray) and hold_out.dtype == np.bool_ else None
+    if mask is not None and mask.shape != (len(rows),):
+        raise InputError(f"hold_out: must be one bool a row, {len(rows)} in all; its shape is {mask.shape}")
+    names = () if mask is not None else _hold_out(hold_out)
+    selection = identification.selected(robot, rows, names, chosen)
+    if mask is not None:
+        selection = replace(selection, held_out=mask, held_out_by=("a mask",))
+    return identification.identified(robot, rigs, rows, selection, chosen, progress=progress)
+
+
+@_public
+def validate(result: Calibration, table: ObservationTable, rig: Rigs | None = None) -> Validation:
+    """Judge a calibration by other observations than it was identified from.
+
+    Parameters
+    ----------
+    result : Calibration
+        What ``identify`` or ``read_result`` returned.
+    table : ObservationTable
+        Observations that were not used to fit.
+    rig : Rig or mapping of str to Rig, optional
+        As of ``identify``.
+
+    Returns
+    -------
+    Validation
+        Errors with and without the calibration, by region, and ``verdict`` in words. Printing it shows all.
+
+    Raises
+    ------
+    InputError
+        If an argument does not fit the others, or no row can judge.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> robot = truearm.load_robot("puma560")
+    >>> table, rig = truearm.read_table("poses.csv", robot), truearm.read_rig("rig.toml")
+    >>> result = truearm.identify(robot, table, rig)
+    >>> print(truearm.validate(result, truearm.read_table("friday.csv", robot), rig).verdict[:22])
+    The calibration holds:
+    """
+    calibration = _result(result)
+    rows = _table("table", table, calibration.robot)
+    return Validation(validated(calibration, _rigs(rig, rows), rows))
+
+
+@_public
+def read_result(
+    path: PathLike, robot: PathLike | None = None, base: str | None = None, tip: str | None = None
+) -> Calibration:
+    """Read a result.json (docs/result-format.md) and the robot that it is of.
+
+    Parameters
+    ----------
+    path : str or path
+        What ``write_result`` or ``truearm identify --out`` wrote.
+    robot : str or path, optional
+        The robot that was identified. Default: the built-in robot of that name.
+    base, tip : str, optional
+        Links of a URDF. Default: as identified.
+
+    Returns
+    -------
+    Calibration
+        The robot with its identified parameters and their covariance.
+
+    Raises
+    ------
+    InputError
+        If the file is no result, or is of another robot.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> truearm.read_result("result.json").parameters["link2.x"].unit
+    'm'
+    """
+    name = None if robot is None else str(_path("robot", robot))
+    return read_calibration(_path("path", path), robot_file.RobotChoice(name, base, tip))
+
+
+@_public
+def write_result(path: PathLike, result: Calibration) -> None:
+    """Write a calibration as result.json, whole or not at all. An existing file is replaced.
+
+    Parameters
+    ----------
+    path : str or path
+        File to write.
+    result : Calibration
+        What ``identify`` or ``read_result`` returned.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> truearm.write_result("copy.json", truearm.read_result("result.json"))
+    """
+    result_file.write_result(_path("path", path), _result(result).document)
+
+
+@_public
+def plan_ball_bar(
+    robot: Robot,
+    rig: Rig,
+    *,
+    poses: int | None = None,
+    minutes: float | None = None,
+    result: Calibration | None = None,
+    options: BallBarOptions | None = None,
+) -> BallBarPlan:
+    """Plan ball-bar poses before anything is measured.
+
+    Parameters
+    ----------
+    robot : Robot
+        A robot of six joints whose file has a branch.
+    rig : Rig
+        Chucks, spheres and bars.
+    poses, minutes : int, float
+        The budget: a number of poses, or an operator's minutes. Give one of them.
+    result : Calibration, optional
+        Plan with this model instead of the design.
+    options : BallBarOptions, optional
+        Criterion, region, reserve of travel, seed.
+
+    Returns
+    -------
+    BallBarPlan
+        ``route`` in the order of the visits (``route.visits`` is the plan), and ``forecast`` with the standard
+        deviation that each parameter will have.
+
+    Raises
+    ------
+    InputError
+        If there is no budget, or the bar's travel is too short.
+    PlanError
+        If the robot cannot be planned for.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> robot, rig = truearm.load_robot("puma560"), truearm.read_rig("bench.toml")
+    >>> options = truearm.BallBarOptions(candidates=60)
+    >>> planned = truearm.plan_ball_bar(robot, rig, poses=8, options=options)
+    >>> len(planned.route.plan)
+    8
+    """
+    if not isinstance(rig, Rig):
+        raise TypeError(f"rig must be a Rig (see read_rig), is {type(rig).__name__}")
+    if (poses is None) == (minutes is None):
+        raise InputError("poses, minutes: give one of them as the budget")
+    chosen = _checked("options", options, BallBarOptions) or BallBarOptions()
+    if result is not None:
+        chosen = replace(chosen, reserve=plan.RESULT_RESERVE if chosen.reserve is None else chosen.reserve)
+    known = plan.known_of(_robot(robot), rig, None if result is None else _result(result))
+    return plan.planned_ball_bar(known, Budget(poses, minutes), chosen)
+
+
+@_public
+def correct_poses(
+    result: Calibration,
+    poses: ArrayLike,
+    *,
+    method: str = "newton",
+    own_frames: bool = False,
+    home: Sequence[float] | None = None,
+) -> Correction:
+    """Correct poses, so that the true robot reaches them when the controller uses its nominal model.
+
+    Parameters
+    ----------
+    result : Calibration
+        What ``identify`` or ``read_result`` returned.
+    poses : array (n, 4, 4) or (4, 4)
+        Where the end frame shall be, in the base frame: rotation matrix and position [m].
+    method : str
+        "newton" (full inverse), "false-target", "joints" or "offsets" (Renders 1991).
+    own_frames : bool
+        The poses lie in the robot's own base and flange frames: do not correct how base and tool were mounted.
+    home : sequence of float, optional
+        Joints (j,) near those of the first pose [rad, m], which choose the configuration.
+
+    Returns
+    -------
+    Correction
+        ``told`` (n, 4, 4) is what to tell the controller, ``q`` (n, j) the joints that it shall go to, ``before`` and
+        ``after`` (n, 2) the error in m and rad.
+
+    Raises
+    ------
+    TargetError
+        If a pose is out of reach or near a singularity.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import truearm
+    >>> result = truearm.read_result("result.json")
+    >>> pose = np.array([[0, 0, 1, 0.5], [0, 1, 0, 0.1], [-1, 0, 0, 0.2], [0, 0, 0, 1]])
+    >>> corrected = truearm.correct_poses(result, pose)
+    >>> corrected.told.shape, bool(corrected.after[0, 0] < 1e-8)
+    ((1, 4, 4), True)
+    """
+    calibration = _result(result)
+    if method not in list(Method):
+        raise InputError(f"method: {method!r} is not one of {', '.join(Method)}")
+    try:
+        given = np.asarray(poses, dtype=float)
+    except (TypeError, ValueError) as exc:
+        raise TypeError(f"poses must be an array of numbers (n, 4, 4): {exc}") from exc
+    if given.shape[-2:] != (4, 4) or given.ndim not in (2, 3) or not np.isfinite(given).all():
+        raise InputError(f"poses: must be finite numbers of shape (n, 4, 4) or (4, 4), the shape is {given.shape}")
+    options = correct.CorrectOptions(method, own_frames=own_frames, home=_typed(calibration, home))
+    return correct.corrected_poses(calibration, given.reshape(-1, 4, 4), options)
+
+
+@_public
+def export_robot(
+    result: Calibration,
+    format: str,
+    path: PathLike | None = None,
+    *,
+    own_frames: bool = False,
+    adjust: Sequence[str] = (),
+    over: ArrayLike | None = None,
+) -> export.Exported:
+    """Write a calibrated robot for another program.
+
+    Parameters
+    ----------
+    result : Calibration
+        What ``identify`` or ``read_result`` returned.
+    format : str
+        "urdf", "ur", "dh", "dh-hayati", "mdh" or "sheth-uicker": the names of ``truearm export --format``.
+    path : str or path, optional
+        File to write, replaced if it exists. Default: only the text is returned.
+    own_frames : bool
+        Leave out how base and tool were mounted.
+    adjust : sequence of str
+        Patterns of the parameters that may change, such as ``"joint*.offset"``. Default: all.
+    over : array (n, j), optional
+        Joint vectors [rad, m] over which a refit shall be good. Default: anywhere within the limits.
+
+    Returns
+    -------
+    Exported
+        ``text`` of the file, ``mountings`` of base and tool, and ``fitted`` with the error [m] of what the format does
+        not hold.
+
+    Raises
+    ------
+    InputError
+        If the format does not exist or can hold nothing of what may change.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> written = truearm.export_robot(truearm.read_result("result.json"), "urdf", "calibrated.urdf")
+    >>> written.text.startswith("<?xml")
+    True
+    """
+    calibration = _result(result)
+    if format not in FORMATS:
+        raise InputError(f"format: {format!r} is not one of {', '.join(FORMATS)}")
+    poses = None if over is None else np.asarray(over, dtype=float)
+    if poses is not None and (poses.ndim != 2 or poses.shape[1] != len(calibration.chain.joints)):
+        raise InputError(
+            f"over: must be joint vectors (n, {len(calibration.chain.joints)}), the shape is {poses.shape}"
+        )
+    found = export.exported(calibration, export.ExportOptions(format, own_frames, _texts("adjust", adjust)), poses)
+    if path is not None:
+        write_atomic(_path("path", path), found.text)
+    return found
+
+
+@_public
+def error_map(
+    result: Calibration,
+    joints: tuple[int, int] = (2, 3),
+    *,
+    at: Sequence[float] | None = None,
+    elbow_up: bool = True,
+    cell: float = 0.025,
+    own_frames: bool = False,
+) -> ErrorMap:
+    """Map the error of the uncalibrated robot over a section of its workspace (Renders 1991, eq. 31).
+
+    Parameters
+    ----------
+    result : Calibration
+        What ``identify`` or ``read_result`` returned.
+    joints : pair of int
+        The two joints that span the section, from 1 on; their axes are parallel.
+    at : sequence of float, optional
+        Where the joints stand (j,) [rad, m]. Default: 0.
+    elbow_up : bool
+        Which of the arm's two configurations.
+    cell : float
+        Size of a cell [m].
+    own_frames : bool
+        Leave out how base and tool were mounted.
+
+    Returns
+    -------
+    ErrorMap
+        ``error`` and ``sigma`` [m] of each cell, NaN where the arm does not reach.
+
+    Raises
+    ------
+    InputError
+        If the robot does not have or cannot take these joints.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> found = truearm.error_map(truearm.read_result("result.json"), cell=0.1)
+    >>> found.error.shape == (found.v.size, found.u.size)
+    True
+    """
+    if not cell > 0.0:
+        raise InputError(f"cell: must be a size above 0 in metres, is {cell}")
+    section = maps.Section(joints, _typed(_result(result), at), elbow_up, cell, own_frames)
+    return maps.mapped(result, section)
+
+
+def _typed(result: Calibration, joints: Sequence[float] | None) -> tuple[float, ...] | None:
+    """Joint readings [rad, m] as the options of the command line have them, in deg and mm."""
+    if joints is None:
+        return None
+    units = result.joint_units if len(joints) == len(result.joint_units) else ("1",) * len(joints)
+    return tuple(shown(value, unit) for value, unit in zip(joints, units, strict=True))
+
+
+def _checked(name: str, value: R | None, kind: type[R]) -> R | None:
+    if value is not None and not isinstance(value, kind):
+        raise TypeError(f"{name} must be of type {kind.__name__}, is {type(value).__name__}")
+    return value
+
+
+def _path(name: str, value: PathLike) -> Path:
+    if not isinstance(value, str | os.PathLike):
+        raise TypeError(f"{name} must be a file name or a path, is {type(value).__name__}")
+    return Path(value)
+
+
+def _robot(value: Robot) -> Robot:
+    if not isinstance(value, Robot):
+        raise TypeError(f"robot must be a Robot (see load_robot), is {type(value).__name__}")
+    return value
+
+
+def _result(value: Calibration) -> Calibration:
+    if not isinstance(value, Calibration):
+        raise TypeError(f"result must come from identify or read_result, is {type(value).__name__}")
+    return value
+
+
+def _table(name: str, value: ObservationTable, robot: Robot) -> ObservationTable:
+    if not isinstance(value, ObservationTable):
+        raise TypeError(f"{name} must be an ObservationTable (see read_table), is {type(value).__name__}")
+    joints = len(robot.chain.joints)
+    if value.q.shape[1] != joints:
+        raise InputError(f"{name}: has {value.q.shape[1]} joints, robot {robot.chain.name} has {joints}")
+    if not len(value):
+        raise InputError(f"{name}: has no rows")
+    return value
+
+
+def _rigs(rig: Rigs | None, table: ObservationTable) -> Rigs:
+    """The rig, or the rigs by name, held against the rows that name them."""
+    if rig is None or isinstance(rig, Rig):
+        one = Rig() if rig is None else rig
+        observation_table.check_against_rig(table, one)
+        return one
+    if not isinstance(rig, Mapping) or not all(isinstance(one, Rig) for one in rig.values()):
+        raise TypeError(f"rig must be a Rig (see read_rig) or a mapping of names to rigs, is {type(rig).__name__}")
+    missing = sorted(set(table.rig.tolist()) - set(rig))
+    if missing:
+        raise InputError(
+            f"rig: has no rig {missing[0]!r}, which rows of the table name; it has {', '.join(sorted(rig))}"
+        )
+    for name, one in rig.items():
+        observation_table.check_against_rig(table.select(table.rig == name), one)
+    return rig
+
+
+def _hold_out(value: HoldOut) -> tuple[str, ...]:
+    if isinstance(value, str):
+        return (value,)
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return (str(value),)
+    return _texts("hold_out", value)
+
+
+def _texts(name: str, value: object) -> tuple[str, ...]:
+    if isinstance(value, str):
+        return (value,)
+    if not isinstance(value, Sequence) or not all(isinstance(text, str) for text in value):
+        raise TypeError(f"{name} must be a text or a sequence of texts, is {type(value).__name__}")
+    return tuple(value)

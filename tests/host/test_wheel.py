@@ -1,0 +1,149 @@
+"""The wheel in an environment of its own: what a scientist types first, and what a type checker says of it."""
+
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+
+import numpy as np
+import pytest
+from identify_bench import exact_lengths
+from sync_stream import RIG, session
+
+import truearm
+from truearm.files.rig_file import write_rig
+from truearm.record.links import HostClock
+from truearm.record.session_writer import SessionWriter
+
+ROOT = Path(__file__).parents[2]
+
+TEN_LINES = """\
+import truearm
+robot = truearm.load_robot("puma560")
+table, rig = truearm.read_table("poses.csv", robot), truearm.read_rig("rig.toml")
+result = truearm.identify(robot, table, rig, hold_out="shell=outer")
+print(result)
+print(truearm.validate(result, truearm.read_table("friday.csv", robot), rig))
+pose = [[0, 0, 1, 0.5], [0, 1, 0, 0.1], [-1, 0, 0, 0.2], [0, 0, 0, 1]]
+print(truearm.correct_poses(result, pose).told)
+truearm.export_robot(result, "urdf", "calibrated.urdf")
+print(truearm.__file__)
+"""
+THREE_LINES = """\
+import truearm
+session = truearm.read_session("session.mcap")
+print(len(session.table))
+"""
+# every public name, as a program would use it
+TYPED = """\
+from pathlib import Path
+
+import numpy as np
+
+import truearm
+from truearm import (
+    BallBarOptions,
+    Calibration,
+    Estimate,
+    Identification,
+    IdentifyOptions,
+    InputError,
+    ObservationTable,
+    Rig,
+    Robot,
+    SessionObservations,
+    TruearmError,
+    Validation,
+)
+
+names: tuple[str, ...] = truearm.builtin_robots()
+robot: Robot = truearm.load_robot(names[0])
+session: SessionObservations = truearm.read_session(Path("session.mcap"), line_points=20)
+table: ObservationTable = truearm.read_table("poses.csv", robot)
+rig: Rig = truearm.read_rig("rig.toml")
+options = IdentifyOptions(solver="map", freeze=("joint1.*",))
+found: Identification = truearm.identify(robot, table, rig, hold_out=["shell=outer"], options=options)
+estimate: Estimate = found.estimate
+sigma: float | None = found.parameters["link2.x"].sigma
+verdict: Validation = truearm.validate(found, session.table, session.rig)
+words: str = verdict.verdict
+truearm.write_result("result.json", found)
+result: Calibration = truearm.read_result("result.json")
+planned = truearm.plan_ball_bar(robot, rig, minutes=20.0, result=result, options=BallBarOptions(criterion="D"))
+minutes: float = planned.route.minutes
+told = truearm.correct_poses(result, np.eye(4), home=[0.0] * 6).told
+text: str = truearm.export_robot(result, "urdf", over=table.q).text
+cells: int = truearm.error_map(result, (2, 3), cell=0.05).error.size
+truearm.write_table("copy.csv", table, robot)
+try:
+    truearm.load_robot(truearm.__version__)
+except InputError as error:
+    problem: TruearmError = error
+"""
+
+
+def output(*command: object, folder: Path) -> str:
+    done = subprocess.run([*map(str, command)], cwd=folder, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def environment(tmp_path_factory):
+    """Python of a new environment with the wheel alone; the packages that it needs are those of the tests."""
+    folder = tmp_path_factory.mktemp("wheel")
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet"]
+    output(*pip, "wheel", "--no-deps", "--no-index", "--no-build-isolation", "-w", folder, ROOT, folder=folder)
+    (wheel,) = folder.glob("truearm-*.whl")
+    output(sys.executable, "-m", "venv", "--without-pip", folder / "venv", folder=folder)
+    python = folder / "venv" / "bin" / "python"
+    output(*pip, "--python", python, "install", "--no-deps", "--no-index", wheel, folder=folder)
+    (site,) = (folder / "venv" / "lib").glob("python*/site-packages")
+    (site / "dependencies.pth").write_text(sysconfig.get_paths()["purelib"] + "\n")  # its own .pth files stay unread
+    return python
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("data")
+    robot = truearm.load_robot("puma560")
+    table, rig = exact_lengths(135)
+    rows = np.arange(len(table))
+    truearm.write_table(folder / "poses.csv", table.select((rows < 80) | (rows >= 120)), robot)
+    truearm.write_table(folder / "friday.csv", table.select((rows >= 80) & (rows < 120)), robot)
+    write_rig(folder / "rig.toml", rig)
+    write_rig(folder / "session.toml", RIG)
+    with SessionWriter(folder / "session.mcap", HostClock()) as writer:
+        writer.attach("rig.toml", "application/toml", (folder / "session.toml").read_bytes())
+        for message in session(np.random.default_rng(2), dwells=5)[0]:
+            writer.add(message.topic, message.t_host_ns, message.data)
+    return folder
+
+
+def test_ten_lines_calibrate_a_robot(environment, folder):
+    said = output(environment, "-I", "-c", TEN_LINES, folder=folder)
+    assert "link2.x" in said
+    assert "The calibration holds" in said
+    assert Path(said.splitlines()[-1]).is_relative_to(environment.parents[1])
+    assert "<robot" in (folder / "calibrated.urdf").read_text()
+
+
+def test_three_lines_make_observations_of_a_session(environment, folder):
+    assert output(environment, "-I", "-c", THREE_LINES, folder=folder) == "5\n"
+
+
+def test_the_command_is_installed(environment, folder):
+    assert output(environment.parent / "truearm", "--version", folder=folder) == f"truearm {truearm.__version__}\n"
+
+
+def test_types_are_real(environment, folder):
+    assert all(f"truearm.{name}" in TYPED or f"    {name}," in TYPED for name in truearm.__all__)
+    (folder / "typed.py").write_text(TYPED)
+    mypy = [sys.executable, "-m", "mypy", "--strict", "--python-executable", environment]
+    cache = ["--cache-dir", ROOT / "build" / "mypy-wheel"]
+    assert "Success" in output(*mypy, *cache, "typed.py", folder=folder)
+    (folder / "wrong.py").write_text("import truearm\ntruearm.read_table('poses.csv', 'puma560')\n")
+    done = subprocess.run(
+        [*map(str, [*mypy, *cache, "wrong.py"])], cwd=folder, capture_output=True, text=True, check=False
+    )
+    assert 'incompatible type "str"; expected "Robot"' in done.stdout
