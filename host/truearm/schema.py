@@ -153,10 +153,11 @@ def sigma(si: str = "1", *, unknown: bool = False) -> Number:
 
 @dataclass(frozen=True)
 class List:
-    """A list of ``size`` values of one sort (None: 1 to ``most``), read as a tuple."""
+    """A list of ``size`` values of one sort (None: ``least`` to ``most``), read as a tuple."""
 
     item: Value
     size: int | None = None
+    least: int = 1
     most: int = MAX_SIZE
 
     @property
@@ -164,17 +165,18 @@ class List:
         return self.item.suffixes
 
     def parse(self, raw: Any, suffix: str = "") -> tuple[Any, ...]:
-        if not isinstance(raw, list) or not (
-            1 <= len(raw) <= self.most if self.size is None else len(raw) == self.size
-        ):
-            wanted = f"1 to {self.most} values" if self.size is None else f"{self.size} value{'s' * (self.size != 1)}"
+        least, most = (self.least, self.most) if self.size is None else (self.size, self.size)
+        if not isinstance(raw, list) or not least <= len(raw) <= most:
+            count = str(most) if least == most else f"{least} to {most}"
             has = str(len(raw)) if isinstance(raw, list) else quoted(raw)
-            raise SchemaError(f"needs a list of {wanted}, has {has}")
-        return tuple(self._item(i, value, suffix) for i, value in enumerate(raw, start=1))
-
-    def _item(self, number: int, raw: Any, suffix: str) -> Any:
-        with at(f"item {number}"):
-            return self.item.parse(raw, suffix)
+            raise SchemaError(f"needs a list of {count} value{'s' * (count != '1')}, has {has}")
+        values = []
+        for value in raw:
+            try:
+                values.append(self.item.parse(value, suffix))
+            except SchemaError as exc:
+                raise SchemaError(f"item {len(values) + 1}: {exc}") from None
+        return tuple(values)
 
     def format(self, value: Sequence[Any]) -> str:
         return f"[{', '.join(map(self.item.format, value))}]"
@@ -359,13 +361,15 @@ class Table(Generic[T]):
 
     ``make`` is called with the values of the keys that are there, by field, and may raise SchemaError where they do not
     go together; the default of a key is that of ``make``'s parameter. ``take`` is its inverse: an object's values by
-    field. A value that is not there, None (unless it may be unknown) or empty is not written.
+    field. A value that is not there, None (unless it may be unknown) or empty is not written. ``unknown_keys``: those that
+    are not declared are passed over, as of a later version.
     """
 
     keys: tuple[Key, ...]
     make: Callable[..., T]
     take: Callable[[T], Mapping[str, Any]] = vars
     entries: tuple[Entries[Any], ...] = ()
+    unknown_keys: bool = False
     suffixes: ClassVar[Sequence[str]] = NO_UNIT
 
     def parse(self, raw: Any, suffix: str = "") -> T:
@@ -375,7 +379,8 @@ class Table(Generic[T]):
         """The values of a table's keys, by field; those of optional keys only where they are there. Raises SchemaError."""
         table = as_table(raw)
         spellings = {spelled: key for key in self.keys for spelled in key.spellings}
-        check_known(table, [*spellings, *(entries.name for entries in self.entries)])
+        if not self.unknown_keys:
+            check_known(table, [*spellings, *(entries.name for entries in self.entries)])
         given: dict[str, str] = {}
         for spelled in (spelled for spelled in spellings if spelled in table):
             before = given.setdefault(spellings[spelled].called, spelled)

@@ -85,13 +85,13 @@ def test_a_result_of_version_1_is_read(run: Run, good: list[object]) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda d: d.pop("parameters"), "field 'parameters' is missing"),
+        (lambda d: d.pop("parameters"), "needs parameters"),
         (lambda d: d.update(format="other"), "is no result"),
         (lambda d: d.update(format_version=99), "format version 99"),
         (lambda d: d["parameters"][0].update(value="1"), "not a number"),
         (lambda d: d["parameters"][0].update(free=1), "not true or false"),
-        (lambda d: d["covariance"]["matrix"].pop(), "wrong type or shape"),
-        (lambda d: d.update(robot=[]), "wrong type or shape"),
+        (lambda d: d["covariance"]["matrix"].pop(), "covariance: matrix: needs"),
+        (lambda d: d.update(robot=[]), "robot: must be a table, is a list"),
     ],
 )
 def test_damaged_results_are_told(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,11 +20,13 @@ from numpy.typing import NDArray
 from truearm import __version__
 from truearm.errors import InputError
 from truearm.files.disk import read_text, sha256, write_atomic
+from truearm.schema import Choice, Flag, Key, List, ReadOnly, SchemaError, Table, Text, quoted, raising
 from truearm.types import (
     Estimate,
     Figures,
     Floats,
     HeldOut,
+    NullDirection,
     Observability,
     ObservationTable,
     PredictedError,
@@ -35,6 +38,8 @@ from truearm.units import UNITS, key, shown
 FORMAT = "truearm-result"
 FORMAT_VERSION = 2
 MAX_BYTES = 64 * 2**20
+MAX_PARAMETERS = 20_000
+MAX_TEXT = 500  # characters; a name of a parameter has at most 150
 COUNTED = ("chuck", "sphere", "place")  # how many of these the fitted rows of a kind name
 
 
@@ -79,6 +84,7 @@ class StoredResult:
     of_robot: NDArray[np.bool_]
     covariance_names: tuple[str, ...]
     covariance: Floats
+    null_space: tuple[NullDirection, ...]
     document: Mapping[str, Any]  # the whole file as parsed
 
 
@@ -311,12 +317,8 @@ def parse_result(text: str, name: str) -> StoredResult:
     version = document.get("format_version")
     if not isinstance(version, int) or not 1 <= version <= FORMAT_VERSION:
         raise InputError(f"{name}: has format version {str(version)[:20]}, this truearm reads up to {FORMAT_VERSION}")
-    try:
+    with raising(InputError, name):
         return stored_result(document)
-    except KeyError as exc:
-        raise InputError(f"{name}: field {exc} is missing") from exc
-    except (TypeError, ValueError, AttributeError) as exc:
-        raise InputError(f"{name}: a field has the wrong type or shape: {exc}") from exc
 
 
 def _json_object(text: str, name: str) -> dict[str, Any]:
@@ -335,46 +337,108 @@ def _refuse_constant(constant: str) -> float:
     raise ValueError(f"{constant} is not JSON")
 
 
+@dataclass(frozen=True)
+class _JsonNumber(ReadOnly):
+    """A finite number, or NaN for ``null`` where that may stand for it."""
+
+    null: bool = True
+
+    def parse(self, raw: Any, suffix: str = "") -> float:
+        if raw is None and self.null:
+            return math.nan
+        if isinstance(raw, bool) or not isinstance(raw, int | float):
+            raise SchemaError(f"{quoted(raw)} is not a number")
+        if not abs(raw) <= sys.float_info.max:  # JSON's 1e999, or an integer that has no float
+            raise SchemaError("not a finite number")
+        return float(raw)
+
+
+class _StoredParameter(NamedTuple):
+    name: str
+    unit: str
+    nominal: float
+    value: float
+    sigma: float
+    free: bool
+    of: str
+
+
+class _StoredCovariance(NamedTuple):
+    names: tuple[str, ...]
+    matrix: tuple[tuple[float, ...], ...]
+
+
+_TEXT = Text(MAX_TEXT)
+_NAMES = List(_TEXT, least=0, most=MAX_PARAMETERS)
+_NUMBERS = List(_JsonNumber(), least=0, most=MAX_PARAMETERS)
+_FRAMES = Table(
+    (
+        *(Key(name, _TEXT) for name in ("name", "base_frame", "end_frame")),
+        Key("joint_units", List(Choice(("rad", "m")))),
+    ),
+    RobotFrames,
+    unknown_keys=True,
+)
+_PARAMETER = Table(
+    (
+        Key("name", _TEXT),
+        Key("unit", _TEXT),
+        Key("nominal", _JsonNumber(null=False)),
+        Key("value", _JsonNumber()),
+        Key("sigma", _JsonNumber()),
+        Key("free", Flag()),
+        Key("of", Choice(("robot", "rig"))),
+    ),
+    _StoredParameter,
+    unknown_keys=True,
+)
+_COVARIANCE = Table(
+    (Key("names", _NAMES), Key("matrix", List(_NUMBERS, least=0, most=MAX_PARAMETERS))),
+    _StoredCovariance,
+    unknown_keys=True,
+)
+_WEIGHTS = List(_JsonNumber(null=False), least=0, most=MAX_PARAMETERS)
+_DIRECTION = Table((Key("names", _NAMES), Key("weights", _WEIGHTS)), NullDirection, unknown_keys=True)
+_RESULT: Table[dict[str, Any]] = Table(
+    (
+        Key("status", _TEXT),
+        Key("robot", _FRAMES),
+        Key("parameters", List(_PARAMETER, least=0, most=MAX_PARAMETERS)),
+        Key("covariance", _COVARIANCE),
+        Key("null_space", List(_DIRECTION, least=0, most=MAX_PARAMETERS)),
+    ),
+    dict,
+    unknown_keys=True,
+)
+
+
 def stored_result(document: Mapping[str, Any]) -> StoredResult:
-    """What later commands need of the content of a result.json. Raises KeyError, TypeError or ValueError for a wrong field."""
-    parameters, robot, covariance = document["parameters"], document["robot"], document["covariance"]
-    names = tuple(str(p["name"]) for p in parameters)
-    covariance_names = tuple(str(n) for n in covariance["names"])
-    size = len(covariance_names)
-    matrix = np.array([_floats(row) for row in covariance["matrix"]]).reshape(size, size)
-    if len(set(names)) != len(names) or not set(covariance_names) <= set(names):
-        raise ValueError("parameter names are not unique, or the covariance names others")
+    """What later commands need of the content of a result.json. Raises SchemaError for a wrong field."""
+    fields = _RESULT.parse(document)
+    parameters: tuple[_StoredParameter, ...] = fields["parameters"]
+    covariance: _StoredCovariance = fields["covariance"]
+    names, size = tuple(p.name for p in parameters), len(covariance.names)
+    if len(set(names)) != len(names):
+        raise SchemaError("parameters: their names are not unique")
+    if not set(covariance.names) <= set(names):
+        raise SchemaError("covariance: names parameters that are not there")
+    if len(covariance.matrix) != size or any(len(row) != size for row in covariance.matrix):
+        raise SchemaError(f"covariance: matrix: needs {size} rows of {size} numbers, one of each of its names")
+    for i, direction in enumerate(fields["null_space"], start=1):
+        if len(direction.names) != len(direction.weights):
+            raise SchemaError(f"null_space: item {i}: needs a weight for each of its names")
     return StoredResult(
-        status=str(document["status"]),
-        robot=RobotFrames(
-            str(robot["name"]), str(robot["base_frame"]), str(robot["end_frame"]), tuple(map(str, robot["joint_units"]))
-        ),
+        status=fields["status"],
+        robot=fields["robot"],
         parameter_names=names,
-        units=tuple(str(p["unit"]) for p in parameters),
-        nominal=_floats(p["nominal"] for p in parameters),
-        value=_floats(p["value"] for p in parameters),
-        sigma=_floats(p["sigma"] for p in parameters),
-        free=np.array([_flag(p["free"]) for p in parameters], dtype=bool),
-        of_robot=np.array([p["of"] == "robot" for p in parameters], dtype=bool),
-        covariance_names=covariance_names,
-        covariance=matrix,
+        units=tuple(p.unit for p in parameters),
+        nominal=np.array([p.nominal for p in parameters]),
+        value=np.array([p.value for p in parameters]),
+        sigma=np.array([p.sigma for p in parameters]),
+        free=np.array([p.free for p in parameters], dtype=bool),
+        of_robot=np.array([p.of == "robot" for p in parameters], dtype=bool),
+        covariance_names=covariance.names,
+        covariance=np.array(covariance.matrix).reshape(size, size),
+        null_space=fields["null_space"],
         document=document,
     )
-
-
-def _floats(values: Iterable[Any]) -> Floats:
-    return np.array([_float(value) for value in values], dtype=float)
-
-
-def _float(value: object) -> float:
-    if value is None:
-        return math.nan
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"{str(value)[:40]!r} is not a number")
-    return float(value)
-
-
-def _flag(value: object) -> bool:
-    if not isinstance(value, bool):
-        raise TypeError(f"{str(value)[:40]!r} is not true or false")
-    return value

@@ -154,7 +154,7 @@ def calibration_of(stored: StoredResult, robot: Robot, called: str, result: str)
         )
     if not np.isfinite(identified).all() or not np.abs(identified).max() < 1e4:
         raise InputError(f"{result}: a parameter's value is missing or absurd; identify again")
-    return Calibration(robot, stored, nominal, identified, _covariance(stored, names), _unseen(result, stored, names))
+    return Calibration(robot, stored, nominal, identified, _covariance(stored, names), _unseen(stored, names))
 
 
 def check_names(*paths: Path | None) -> None:
@@ -207,18 +207,12 @@ def _covariance(stored: StoredResult, names: tuple[str, ...]) -> Floats:
     return covariance
 
 
-def _unseen(result: str, stored: StoredResult, names: tuple[str, ...]) -> Floats:
-    """(p, d) the robot's part of the null space. Raises InputError."""
+def _unseen(stored: StoredResult, names: tuple[str, ...]) -> Floats:
+    """(p, d) the robot's part of the null space."""
     at = {name: i for i, name in enumerate(names)}
-    try:
-        directions = list(stored.document["null_space"])
-        unseen = np.zeros((len(names), len(directions)))
-        for k, direction in enumerate(directions):
-            for name, weight in zip(direction["names"], direction["weights"], strict=True):
-                if name in at:
-                    unseen[at[name], k] = float(weight)
-    except (TypeError, ValueError, KeyError, OverflowError) as exc:
-        raise InputError(f"{result}: its null_space has the wrong form: {exc}") from exc
-    if not np.isfinite(unseen).all():
-        raise InputError(f"{result}: its null_space has weights that are no numbers")
+    unseen = np.zeros((len(names), len(stored.null_space)))
+    for k, direction in enumerate(stored.null_space):
+        for name, weight in zip(direction.names, direction.weights, strict=True):
+            if name in at:
+                unseen[at[name], k] = weight
     return unseen
