@@ -1,16 +1,19 @@
 """``truearm validate``: verdicts on robots that are known to hold, to have changed, and to be others."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import correct_bench
+import device_bench
 import numpy as np
 import pytest
 from puma_bench import CHAIN, DESIGN, PAIRS, RIG, SIGMA, TRUTH, lengths, table
 
 from truearm.files.observation_table import write_table
 from truearm.files.rig_file import write_rig
+from truearm.types import Device, Rig
 
 MUKCA = Path(__file__).parents[1] / "data" / "mukca"
 UNITS = ("rad",) * 6
@@ -73,6 +76,48 @@ def test_another_robot_is_not_helped(folder, run):
     found = judged(run, folder, measured(folder / "other.csv", DESIGN))
     assert found["rms_after_mm"] > found["rms_before_mm"]
     assert "does not help" in found["verdict"]
+
+
+def test_orientations_are_judged_in_degrees(folder, tmp_path, run):
+    """Poses of a tracker: 0.1 mm and 1e-3 rad of noise a coordinate, more of it in the second half's angles."""
+    rng = np.random.default_rng(3)
+    poses = device_bench.tracked("pose", 80, np.array([1.5, 0.2, 0.5, 0.1, 0.2, 0.3]), rng)
+    sigma = np.where(np.arange(80) < 40, 1e-3, 1e-2)[:, None]
+    noisy = replace(
+        poses,
+        xyz=poses.xyz + 1e-4 * rng.normal(size=(80, 3)),
+        rotation=poses.rotation + sigma * rng.normal(size=(80, 3)),
+        shell=np.where(np.arange(80) < 40, "one", "two"),
+    )
+    sensor = ((1e-8, 0.0, 0.0), (0.0, 1e-8, 0.0), (0.0, 0.0, 1e-8))
+    rig = Rig(targets=device_bench.TARGETS, trackers={"t": Device("t", sensor, rotation_sigma=1e-3)})
+    write_rig(tmp_path / "rig.toml", rig)
+
+    def found(rows):
+        write_table(tmp_path / "poses.csv", noisy.select(rows), UNITS)
+        given = ("validate", folder / "result.json", tmp_path / "poses.csv", "--rig", tmp_path / "rig.toml")
+        said = run(*given)
+        assert said[0] == 0, said
+        return json.loads(run(*given, "--json")[1]), said[1]
+
+    document, text = found(slice(40))
+    assert document["residual_units"] == ["mm", "deg"]
+    assert (document["n_mm"], document["n_deg"]) == (40, 40)
+    due = document["expected"]
+    # three angles of 1e-3 rad; 40 rows of three, some of which place the tracker: σ of the RMS is 6 %, three of these
+    assert due["by_noise_deg"] == pytest.approx(np.degrees(1e-3 * np.sqrt(3.0)), rel=0.06)
+    assert document["rms_after_deg"] == pytest.approx(due["rms_deg"], rel=0.2)
+    assert document["rms_before_deg"] > 5.0 * document["rms_after_deg"]
+    assert re.search(r"explain such an error \(0\.\d{3} mm and 0\.\d{4} deg\)", document["verdict"])
+    header, errors = (re.findall(pattern, text, re.M) for pattern in (r"^error \[(\w+)\]", r"^all, RMS.* +40$"))
+    assert header == ["mm", "deg"]
+    assert len(errors) == 2
+    assert errors[1].split()[2:4] == [f"{document[f'rms_{name}_deg']:.5f}" for name in ("before", "after")]
+    document, text = found(slice(80))  # angles that are too noisy are no error of position
+    assert re.search(r"leaves \d\.\d times the error .* explain \(0\.\d{4} deg\)", document["verdict"])
+    regions = {region["region"]: region for region in document["regions"]}
+    assert regions["shell=two"]["rms_after_deg"] > 5.0 * regions["shell=one"]["rms_after_deg"]
+    assert regions["shell=two"]["rms_after_mm"] < 1.3 * regions["shell=one"]["rms_after_mm"]
 
 
 def test_rows_that_it_was_fitted_to_prove_little(tmp_path, run):

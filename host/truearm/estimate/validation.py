@@ -52,6 +52,10 @@ class Expected(NamedTuple):
     by_parameters: Floats  # (n,) by the parameters' covariance
     unseen: NDArray[np.bool_]  # (n,) rows that a direction moves of which the identification saw nothing
 
+    def scaled(self, factor: float) -> Expected:
+        """With mean squares that are ``factor`` times as large."""
+        return Expected(factor * self.by_noise, factor * self.by_parameters, self.unseen)
+
 
 def judge(chain: Chain, rig: Rigs, table: ObservationTable, params: Floats) -> Judgement:
     """Judge the robot with parameters (p,) by a table. Raises ProblemError as ``build_problem``."""

@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +24,13 @@ from truearm.kinds.registry import regions as regions_of_kinds
 from truearm.model.chain import forward
 from truearm.report.page_text import counted
 from truearm.text import one_line
-from truearm.types import Floats, ObservationTable
+from truearm.types import Figures, Floats, ObservationTable
+from truearm.units import MM, SUFFIXES, UNITS, Scale, key, shown, title
 from truearm.workflows.calibration import Calibration, read_calibration
 from truearm.workflows.inputs import Sources, check_files, hashed_inputs, observed
 from truearm.workflows.session_parts import with_parts
+
+Mask = NDArray[np.bool_]
 
 LEAST_ROWS = 5  # of a region: fewer say little
 AS_GOOD = 1.5  # times the error to be expected
@@ -76,8 +79,13 @@ def validated(
     judging = before.judging & after.judging
     if not judging.any():
         raise InputError("no row can judge: each fits unknowns of the rig whatever it says; measure more there")
-    errors = before.error["m"], after.error["m"]
-    due = _scaled(expected(after, calibration.covariance, calibration.unseen)["m"], calibration.stored.document)
+    due = expected(after, calibration.covariance, calibration.unseen)
+    chi2 = _chi2_beyond(calibration.stored.document)
+    errors = {
+        si: Errors(before.error[si], error, due[si].scaled(chi2), judging & np.isfinite(error))
+        for si, error in after.error.items()
+        if np.isfinite(error[judging]).any()
+    }
     inputs_then = calibration.stored.document.get("inputs")
     seen = {
         str(entry.get("sha256"))
@@ -90,66 +98,82 @@ def validated(
         "left_out": int((~judging).sum()),
         "settled": after.n_settled,
         "identified_from": [entry.name for entry in hashes if entry.sha256 in seen],
-        "reference_mm": _reference(calibration.stored.document),
-        **_errors(errors, judging),
-        "unseen": int((judging & due.unseen).sum()),
-        "expected": _expected(due, after.error["m"], judging & ~due.unseen),
-        "regions": _regions(calibration, table, errors, due, judging),
+        "residual_units": [UNITS[si].scale.suffix for si in errors],
+        **{key("reference", si): _reference(calibration.stored.document, si) for si in errors},
+        **_figures(errors, judging),
+        "unseen": int((judging & np.any([of.due.unseen for of in errors.values()], axis=0)).sum()),
+        "expected": _expected(errors),
+        "regions": _regions(calibration, table, errors, judging),
     }
     return document | {"verdict": verdict(document)}
 
 
-def _errors(errors: tuple[Floats, Floats], rows: NDArray[np.bool_]) -> dict[str, float]:
-    out: dict[str, float] = {}
-    for name, error in zip(("before", "after"), errors, strict=True):
-        mine = 1e3 * error[rows]
-        out |= {
-            f"rms_{name}_mm": float(np.sqrt(np.mean(mine**2))),
-            f"mean_{name}_mm": float(mine.mean()),
-            f"max_{name}_mm": float(mine.max()),
-        }
+class Errors(NamedTuple):
+    """Errors of n rows in one SI unit, without and with the calibration; ``rows`` that have such an error and judge."""
+
+    before: Floats
+    after: Floats
+    due: Expected
+    rows: Mask
+
+
+def _figures(errors: Mapping[str, Errors], rows: Mask) -> dict[str, float | None]:
+    """Figures of some rows in each unit; None where none of them has such an error."""
+    out: dict[str, float | None] = {}
+    for si, of in errors.items():
+        mine = rows & of.rows
+        for name, error in (("before", of.before), ("after", of.after)):
+            found = Figures.of(error[mine])
+            out |= {key(f"{what}_{name}", si): _shown(getattr(found, what), si) for what in ("rms", "mean", "max")}
+        out[key("n", si)] = int(mine.sum())
     return out
 
 
-def _scaled(due: Expected, document: Mapping[str, Any]) -> Expected:
-    """With more noise where the identification's own residuals had more than was declared, beyond chance."""
+def _shown(value: float, si: str) -> float | None:
+    return None if math.isnan(value) else float(shown(value, si))
+
+
+def _root_mean(square: Floats, si: str) -> float | None:
+    """As shown; None of no rows, and where one of them has no such square."""
+    return _shown(float(np.sqrt(np.mean(square))), si) if square.size else None
+
+
+def _chi2_beyond(document: Mapping[str, Any]) -> float:
+    """By how much the noise was larger than declared in the identification's own residuals; 1 within chance."""
     chi2, band = document.get("chi2_reduced"), document.get("chi2_band")
     if not (isinstance(chi2, int | float) and isinstance(band, list) and len(band) == 2):
-        return due
+        return 1.0
     beyond = isinstance(band[1], int | float) and chi2 > band[1]
-    scale = float(chi2) if beyond else 1.0
-    return Expected(scale * due.by_noise, scale * due.by_parameters, due.unseen)
+    return float(chi2) if beyond else 1.0
 
 
-def _expected(due: Expected, error: Floats, rows: NDArray[np.bool_]) -> dict[str, float] | None:
+def _expected(errors: Mapping[str, Errors]) -> dict[str, float | None] | None:
     """What the rows should say if the robot is as identified, and what they say; None where there are none."""
-    if not rows.any():
-        return None
-    squares = {
-        "rms_mm": due.by_noise + due.by_parameters,
-        "by_noise_mm": due.by_noise,
-        "by_parameters_mm": due.by_parameters,
-        "rms_after_mm": error**2,
-    }
-    return {name: 1e3 * float(np.sqrt(np.mean(square[rows]))) for name, square in squares.items()}
+    out: dict[str, float | None] = {}
+    for si, of in errors.items():
+        rows = of.rows & ~of.due.unseen
+        squares = {
+            "rms": of.due.by_noise + of.due.by_parameters,
+            "by_noise": of.due.by_noise,
+            "by_parameters": of.due.by_parameters,
+            "rms_after": of.after**2,
+        }
+        out |= {key(name, si): _root_mean(square[rows], si) for name, square in squares.items()}
+    return None if all(value is None for value in out.values()) else out
 
 
-def _reference(document: Mapping[str, Any]) -> float | None:
-    """RMS that the calibration had on rows that it was not fitted to, or else on those that it was [mm]."""
+def _reference(document: Mapping[str, Any], si: str) -> float | None:
+    """RMS that the calibration had on rows that it was not fitted to, or else on those that it was, as shown."""
     held_out = document.get("held_out")
-    value = held_out.get("rms_mm") if isinstance(held_out, dict) else document.get("rms_after_mm")
+    value = held_out.get(key("rms", si)) if isinstance(held_out, dict) else document.get(key("rms_after", si))
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 
 def _regions(
-    calibration: Calibration,
-    table: ObservationTable,
-    errors: tuple[Floats, Floats],
-    due: Expected,
-    judging: NDArray[np.bool_],
+    calibration: Calibration, table: ObservationTable, errors: Mapping[str, Errors], judging: Mask
 ) -> list[dict[str, Any]]:
     """Groups that the rows name, and four parts of the space where the end was."""
-    square = np.where(due.unseen, np.nan, due.by_noise + due.by_parameters)
+    squares = {si: np.where(of.due.unseen, np.nan, of.due.by_noise + of.due.by_parameters) for si, of in errors.items()}
     regions = []
     for column in regions_of_kinds():
         names = [str(name) for name in np.unique(table.column(column)) if name]
@@ -160,18 +184,17 @@ def _regions(
     for name, mine in regions:
         rows = mine & judging
         if rows.sum() >= LEAST_ROWS:
-            rms = 1e3 * float(np.sqrt(np.mean(square[rows])))
-            told = None if math.isnan(rms) else rms
-            found.append({"region": name, "rows": int(rows.sum()), **_errors(errors, rows), "rms_expected_mm": told})
+            due = {key("rms_expected", si): _root_mean(squares[si][rows & of.rows], si) for si, of in errors.items()}
+            found.append({"region": name, "rows": int(rows.sum()), **_figures(errors, rows), **due})
     return found
 
 
-def _parts(calibration: Calibration, table: ObservationTable) -> list[tuple[str, NDArray[np.bool_]]]:
+def _parts(calibration: Calibration, table: ObservationTable) -> list[tuple[str, Mask]]:
     """Near and far, low and high: halves by the distance of the end from the base frame's z axis, and by its height."""
     p = forward(calibration.chain, calibration.identified, table.q)[:, :3, 3]
     reach = np.hypot(p[:, 0], p[:, 1])
     far, high = reach > np.median(reach), p[:, 2] > np.median(p[:, 2])
-    split = f"{1e3 * np.median(reach):.0f} mm out", f"{1e3 * np.median(p[:, 2]):.0f} mm up"
+    split = f"{MM.text(np.median(reach), '.0f')} out", f"{MM.text(np.median(p[:, 2]), '.0f')} up"
     return [
         (
             f"{'beyond' if is_far else 'within'} {split[0]}, {'above' if is_high else 'below'} {split[1]}",
@@ -184,47 +207,72 @@ def _parts(calibration: Calibration, table: ObservationTable) -> list[tuple[str,
 
 def verdict(document: Mapping[str, Any]) -> str:
     """What the numbers mean, in words."""
-    before, after, due = (document[key] for key in ("rms_before_mm", "rms_after_mm", "expected"))
-    if after >= HELPS * before:
+    units = [SUFFIXES[suffix] for suffix in document["residual_units"]]
+    helped = [u.suffix for u in units if document[f"rms_after_{u.suffix}"] < HELPS * document[f"rms_before_{u.suffix}"]]
+    told = [_Told.of(document["expected"], unit) for unit in units if _Told.known(document["expected"], unit)]
+    if not helped:
         words = "The calibration does not help here: identify again, from measurements of this place and tool."
-    elif due is None:
+    elif not told:
         words = "The calibration helps, but how far it holds cannot be told here."
-    elif due["rms_after_mm"] > AS_GOOD * due["rms_mm"]:
+    elif (worst := max(told, key=lambda of: of.excess)).excess > AS_GOOD:
         words = (
-            f"The calibration helps, but leaves {due['rms_after_mm'] / due['rms_mm']:.1f} times the error that noise and its own "
-            f"uncertainty explain ({due['rms_mm']:.3f} mm): the arm, its tool or its load has changed, or it errs in ways that "
+            f"The calibration helps, but leaves {worst.excess:.1f} times the error that noise and its own "
+            f"uncertainty explain ({worst.text(worst.rms)}): the arm, its tool or its load has changed, or it errs in ways that "
             "the parameters do not hold."
         )
-    elif due["by_parameters_mm"] > due["by_noise_mm"]:
+    elif unsure := [of for of in told if of.by_parameters > of.by_noise]:
         words = (
             "The calibration holds, as far as it says anything here: its own uncertainty leaves "
-            f"{due['by_parameters_mm']:.3f} mm. To know this place better, identify from it too."
+            f"{unsure[0].text(unsure[0].by_parameters)}. To know this place better, identify from it too."
         )
     else:
-        words = f"The calibration holds: noise and its own uncertainty explain such an error ({due['rms_mm']:.3f} mm)."
+        explained = " and ".join(of.text(of.rms) for of in told)
+        words = f"The calibration holds: noise and its own uncertainty explain such an error ({explained})."
     if document["unseen"]:
         words += (
             f" {counted(document['unseen'], 'row hangs', 'rows hang')} on combinations of parameters that it did not see when it "
             "was identified, as how base or tool stand: identify from these rows too."
         )
-    worse = [region["region"] for region in document["regions"] if region["rms_after_mm"] >= region["rms_before_mm"]]
-    if worse and after < HELPS * before:
+    worse = [region["region"] for region in document["regions"] if any(_is_worse(region, unit) for unit in helped)]
+    if worse:
         words += f" Worse than without it: {'; '.join(worse)}."
     if document["identified_from"]:
         words += " But these rows are among those that it was identified from, so they prove little."
     return words
 
 
+class _Told(NamedTuple):
+    """What is expected of the rows in one unit, as shown."""
+
+    unit: Scale
+    rms: float
+    by_noise: float
+    by_parameters: float
+    excess: float  # what is left with the calibration over what is expected
+
+    @classmethod
+    def of(cls, due: Mapping[str, Any], unit: Scale) -> _Told:
+        rms, by_noise, by_parameters, after = (
+            due[f"{name}_{unit.suffix}"] for name in ("rms", "by_noise", "by_parameters", "rms_after")
+        )
+        return cls(unit, rms, by_noise, by_parameters, after / rms if rms > 0.0 else math.inf)
+
+    @staticmethod
+    def known(due: Mapping[str, Any] | None, unit: Scale) -> bool:
+        return due is not None and due[f"rms_{unit.suffix}"] is not None
+
+    def text(self, value: float) -> str:
+        return f"{value:.{UNITS[self.unit.si].decimals - 1}f} {self.unit.symbol}"
+
+
+def _is_worse(region: Mapping[str, Any], unit: str) -> bool:
+    before, after = region[f"rms_before_{unit}"], region[f"rms_after_{unit}"]
+    return before is not None and bool(after >= before)
+
+
 def validation_lines(document: Mapping[str, Any]) -> list[str]:
-    """The document as a person reads it."""
-    due = document["expected"] if not document["unseen"] else None
-    width = max([len(region["region"]) for region in document["regions"]] + [len("all, largest")])
-    lines = [f"{'error [mm]':<{width}}{'without':>12}{'with':>12}{'expected':>12}{'rows':>8}"]
-    for key, title in (("rms", "all, RMS"), ("mean", "all, mean"), ("max", "all, largest")):
-        told = due["rms_mm"] if due and key == "rms" else None
-        lines.append(_line(title, width, document, key, told))
-    for region in document["regions"]:
-        lines.append(_line(one_line(region["region"]), width, region, "rms", region["rms_expected_mm"]))
+    """The document as a person reads it: a table a unit, and what it means."""
+    lines = [line for suffix in document["residual_units"] for line in _error_lines(document, SUFFIXES[suffix])]
     lines.append("Expected is, with the calibration, what declared noise and its own uncertainty explain.")
     if document["settled"]:
         lines.append(f"{document['settled']} unknowns of the rig were settled on these rows, without and with alike.")
@@ -233,7 +281,23 @@ def validation_lines(document: Mapping[str, Any]) -> list[str]:
     return [*lines, one_line(document["verdict"])]
 
 
-def _line(title: str, width: int, numbers: Mapping[str, Any], key: str, told: float | None) -> str:
-    before, after = numbers[f"{key}_before_mm"], numbers[f"{key}_after_mm"]
-    last = "-" if told is None else f"{told:.4f}"
-    return f"{title:<{width}}{before:>12.4f}{after:>12.4f}{last:>12}{numbers['rows']:>8}"
+def _error_lines(document: Mapping[str, Any], unit: Scale) -> list[str]:
+    due = document["expected"] if not document["unseen"] else None
+    width = max([len(region["region"]) for region in document["regions"]] + [len("all, largest")])
+    lines = [f"{title('error', unit.si):<{width}}{'without':>12}{'with':>12}{'expected':>12}{'rows':>8}"]
+    for figure, words in (("rms", "all, RMS"), ("mean", "all, mean"), ("max", "all, largest")):
+        told = due[f"rms_{unit.suffix}"] if due and figure == "rms" else None
+        lines.append(_line(words, width, document, figure, unit, told))
+    for region in document["regions"]:
+        if region[f"n_{unit.suffix}"]:
+            told = region[f"rms_expected_{unit.suffix}"]
+            lines.append(_line(one_line(region["region"]), width, region, "rms", unit, told))
+    return lines
+
+
+def _line(words: str, width: int, numbers: Mapping[str, Any], figure: str, unit: Scale, told: float | None) -> str:
+    decimals = UNITS[unit.si].decimals
+    before, after = (numbers[f"{figure}_{name}_{unit.suffix}"] for name in ("before", "after"))
+    last = "-" if told is None else f"{told:.{decimals}f}"
+    rows = numbers[f"n_{unit.suffix}"]
+    return f"{words:<{width}}{before:>12.{decimals}f}{after:>12.{decimals}f}{last:>12}{rows:>8}"
