@@ -3,7 +3,7 @@
     θ_i = Σ terms ,    as it stands  θ_i = offset_i + gain_i·q_i
 
 Everything that needs a joint's true angle asks here: its value, its derivatives by the readings and by the parameters, and
-its inverse. TERMS is the registry; a term is a file in ``model/joint_terms`` and a line there. A chain has a term's
+its inverse. TERM_FILES is the registry: a term is a file in ``model/joint_terms`` and a line there. A chain has a term's
 parameters where its builder made them: from a key in a robot file's [jointN], say.
 
 A law's parameter moves everything beyond its joint about that joint's axis, so its derivative of any observation is that
@@ -17,6 +17,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
+from importlib import import_module
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -31,10 +32,11 @@ if TYPE_CHECKING:
     from truearm.model.chain import Chain
 
 # In the order in which a joint has their parameters. Offset and gain come first: they are what every controller knows.
-TERMS: tuple[type[Term], ...] = (
-    Offset,
-    Gain,
+TERM_FILES = (
+    "offset",
+    "gain",
 )
+TERMS: tuple[type[Term], ...] = tuple(import_module(f"truearm.model.joint_terms.{file}").TERM for file in TERM_FILES)
 MAX_STEPS = 30  # of Newton's method, each squaring its error; what does not end by then does not end
 LARGEST_STEP = 0.5  # rad, m
 STEP_END = 1e-13  # of the readings, rad, m
@@ -78,13 +80,10 @@ class JointLaw:
     """The terms that a chain has parameters of; offset and gain always."""
 
     def __init__(self, chain: Chain) -> None:
-        indices = {
-            term: np.array([i for i, p in enumerate(chain.parameters) if p.term == term.name], dtype=np.intp)
-            for term in TERMS
-        }
+        used = {parameter.term for parameter in chain.parameters}
         self.n_parameters = len(chain.parameters)
-        self.offset, self.gain = Offset(chain, indices[Offset]), Gain(chain, indices[Gain])
-        further = (term(chain, at) for term, at in indices.items() if term not in (Offset, Gain) and at.size)
+        self.offset, self.gain = Offset.of_chain(chain), Gain.of_chain(chain)
+        further = (term.of_chain(chain) for term in TERMS if term not in (Offset, Gain) and term.name in used)
         self.terms: tuple[Term, ...] = (self.offset, self.gain, *further)
         self.affine = all(term.affine for term in self.terms)
         # parameters of ∂θ/∂parameter = 1, and of one that varies: (parameter, joint) and by joint

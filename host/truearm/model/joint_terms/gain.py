@@ -43,3 +43,6 @@ class Gain(Term):
 
     def by_parameters(self, params: Floats, q: Floats) -> Floats:
         return q if self.of_every_joint else q[self.joints]
+
+
+TERM = Gain

@@ -42,3 +42,6 @@ class Offset(Term):
 
     def by_parameters(self, params: Floats, q: Floats) -> Floats:
         return np.ones((len(self.parameters), 1))
+
+
+TERM = Offset

@@ -1,9 +1,12 @@
-"""What a term of the joint law has to say of itself; ``model.joint_law`` adds the terms up and has their registry."""
+"""What a term of the joint law has to say of itself; ``model.joint_law`` adds the terms up and has their registry.
+
+A term's file names its class as ``TERM``.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +39,12 @@ class Term(ABC):
         self.parameters = parameters
         self.joints = np.array([chain.parameters[i].joint for i in parameters], dtype=np.intp)  # (m,)
         self.of_every_joint = np.array_equal(self.joints, np.arange(len(chain.joints)))  # one parameter each, in order
+
+    @classmethod
+    def of_chain(cls, chain: Chain) -> Self:
+        """Return the term with all its parameters of a chain."""
+        mine = [i for i, parameter in enumerate(chain.parameters) if parameter.term == cls.name]
+        return cls(chain, np.array(mine, dtype=np.intp))
 
     @classmethod
     def unit_of(cls, joint_kind: str) -> str:
