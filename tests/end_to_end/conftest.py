@@ -1,14 +1,17 @@
 """Sessions from the simulated lab: the firmware in a real MicroPython, the recorder in virtual time."""
 
+import io
 import subprocess
 import sys
 from collections.abc import Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from truearm.cli.main import main
 from truearm.files.rig_file import format_rig
 from truearm.record import ports
 from truearm.record.recorder import RecordSummary, record
@@ -34,10 +37,18 @@ class Recorded:
     sent: list[bytes]  # every piece that the link delivered to the recorder
 
 
-def truearm(*arguments: object, timeout_s: float = 120) -> subprocess.CompletedProcess[str]:
-    """Run the command line in a process of its own."""
+def truearm_process(*arguments: object, timeout_s: float = 120) -> subprocess.CompletedProcess[str]:
+    """Run the command line in a process of its own, for what must be one: real time, signals, the whole demo."""
     command = [sys.executable, "-m", "truearm", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=timeout_s)
+
+
+def truearm(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run the command line in this process, which has imported everything already."""
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        code = main([str(a) for a in arguments])
+    return subprocess.CompletedProcess(arguments, code, out.getvalue(), err.getvalue())
 
 
 def interpreter():

@@ -5,7 +5,7 @@ import math
 import re
 
 import pytest
-from tests.end_to_end.conftest import truearm
+from tests.end_to_end.conftest import truearm, truearm_process
 
 from truearm.cli.main import main
 from truearm_sim import micropython
@@ -14,7 +14,7 @@ from truearm_sim import micropython
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory):
     out = tmp_path_factory.mktemp("demo")
-    done = truearm("demo", "--out", out, timeout_s=600)
+    done = truearm_process("demo", "--out", out, timeout_s=600)
     assert done.returncode == 0, done.stderr
     return out, done.stdout, json.loads((out / "result.json").read_text())
 

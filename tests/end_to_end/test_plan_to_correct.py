@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.end_to_end.conftest import truearm
+from tests.end_to_end.conftest import truearm, truearm_process
 from tests.end_to_end.test_real_time import Simulator
 from tests.host import plan_bench as bench
 from tests.host.correct_bench import visited
@@ -95,7 +95,7 @@ class RealTime(Walk):
     more = ()  # a session brings its rig
 
     def typed(self, *arguments):
-        done = truearm(*arguments, timeout_s=300)
+        done = truearm_process(*arguments, timeout_s=300)
         assert done.returncode == 0, done.stderr
         return done.stdout
 
@@ -105,7 +105,7 @@ class RealTime(Walk):
         try:
             given = dict(zip(simulator.record[1::2], simulator.record[2::2], strict=True))
             given |= {"--plan": plan, "--rig": "rig.toml", "--out": out}
-            done = truearm("record", *(word for pair in given.items() for word in pair), timeout_s=1500)
+            done = truearm_process("record", *(word for pair in given.items() for word in pair), timeout_s=1500)
         finally:
             simulator.stop()
         assert done.returncode == 0, done.stderr

@@ -8,7 +8,7 @@ import time
 
 import pytest
 from mcap.reader import make_reader
-from tests.end_to_end.conftest import truearm
+from tests.end_to_end.conftest import truearm, truearm_process
 
 from truearm.workflows.session_observations import observations_of_session
 from truearm_sim.clocks import draw_clocks
@@ -48,7 +48,7 @@ def test_recorded_over_a_real_port(simulator, tmp_path):
     """Eleven seconds: the box's samples, the robot's lines, clocks, and at least one dwell with the right length."""
     assert "MicroPython" in simulator.head
     session = tmp_path / "session.mcap"
-    done = truearm(*simulator.record, "--duration", 12, timeout_s=60)
+    done = truearm_process(*simulator.record, "--duration", 12, timeout_s=60)
     assert done.returncode == 0, done.stderr
     report = truearm("inspect", session)
     assert report.returncode == 0, report.stderr

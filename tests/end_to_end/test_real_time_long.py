@@ -4,7 +4,7 @@ import subprocess
 import sys
 
 import pytest
-from tests.end_to_end.conftest import truearm
+from tests.end_to_end.conftest import truearm_process
 from tests.end_to_end.test_real_time import Simulator
 
 from truearm.session.sample_blocks import BoxReader
@@ -30,7 +30,7 @@ def test_everything_is_there_or_counted(tmp_path, rate, seconds, poses):
     """Every sample that the box took, by its own count, is in the file or in the account of losses."""
     simulator = Simulator(tmp_path, "--pty", "--poses", str(poses))
     try:
-        done = truearm(*simulator.record, "--rate", rate, "--duration", seconds, timeout_s=seconds + 60)
+        done = truearm_process(*simulator.record, "--rate", rate, "--duration", seconds, timeout_s=seconds + 60)
     finally:
         simulator.stop()
     assert done.returncode == 0, done.stderr

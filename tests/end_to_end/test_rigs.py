@@ -1,5 +1,6 @@
 """Sessions of one robot with rigs of their own, recorded by the simulated lab and identified together."""
 
+import functools
 import json
 from dataclasses import replace
 
@@ -31,6 +32,7 @@ def days(tmp_path_factory):
     return folder
 
 
+@functools.cache
 def identified(folder, *more):
     command = ("identify", folder / "monday.mcap", folder / "tuesday.mcap", "--robot", "puma560", "--json", *more)
     done = truearm(*command)

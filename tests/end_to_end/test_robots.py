@@ -3,7 +3,7 @@
 import json
 
 import numpy as np
-from tests.end_to_end.conftest import truearm
+from tests.end_to_end.conftest import truearm, truearm_process
 from tests.end_to_end.test_real_time import Simulator
 
 from truearm.cli.main import main
@@ -16,7 +16,7 @@ def test_rtde_from_the_simulator_to_the_dwell(tmp_path):
     simulator = Simulator(tmp_path, "--robot", "rtde", "--poses", "9")
     try:
         assert any(word.startswith("rtde://127.0.0.1:") for word in simulator.record)
-        done = truearm(*simulator.record, "--duration", 4, timeout_s=60)
+        done = truearm_process(*simulator.record, "--duration", 4, timeout_s=60)
     finally:
         simulator.stop()
     assert done.returncode == 0, done.stderr

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from scipy import stats
-from tests.end_to_end.conftest import truearm
+from tests.end_to_end.conftest import truearm_process
 from tests.end_to_end.test_real_time import Simulator
 
 from truearm.cli.main import main
@@ -83,7 +83,7 @@ def test_a_worn_arm_from_a_plan_to_a_calibration_that_knows_its_noise(tmp_path, 
 @pytest.mark.soak
 def test_the_same_in_real_time_with_every_command_a_process(tmp_path):
     def said(*arguments):
-        done = truearm(*arguments, timeout_s=1200)
+        done = truearm_process(*arguments, timeout_s=1200)
         assert done.returncode == 0, done.stderr
         return done.stdout
 
