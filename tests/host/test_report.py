@@ -103,6 +103,7 @@ def test_a_pose_has_a_position_and_a_rotation():
     assert all(re.search(r"\[deg\]$|^(fitted|held-out) rows$", column) for column in head[1:])
     assert row[head.index("RMS after [deg]")] == figures(math.degrees(rms(angle[page.estimate.fitted])))
     assert verdict(page).count("10 times smaller") == verdict(page).count(" deg after") == 1
+    assert verdict(page).count("The tracked pose error is ") == 2
 
 
 def test_rows_in_radians_alone_are_shown_in_degrees():

@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 
+import numpy as np
+
 from truearm.estimate.solvers import LOSSES
 from truearm.report.correlation import correlation
 from truearm.report.figures import Figure, convergences, figures_of
@@ -139,11 +141,18 @@ def _list(sentences: Sequence[str], css: str) -> str:
 
 
 def verdict(page: CalibrationPage) -> str:
-    """The result in one line of plain text."""
-    e, judged = page.estimate, page.judged
-    *several, last = (kind_name(str(kind)) for kind in sorted(set(page.table.kind)))
-    kinds = f"{', '.join(several)} and {last}" if several else last
-    return f"The {kinds} error is {'; '.join(_change(e, judged, si) for si in e.rms_before)}."
+    """The result in one line of plain text, a sentence for each unit of the residuals."""
+    return " ".join(
+        f"The {_kinds(page, si)} error is {_change(page.estimate, page.judged, si)}." for si in page.estimate.rms_before
+    )
+
+
+def _kinds(page: CalibrationPage, si: str) -> str:
+    """The kinds of observation that have residuals in a unit."""
+    *several, last = (
+        kind_name(str(kind)) for kind in np.unique(page.table.kind[~np.isnan(page.estimate.residual[si])])
+    )
+    return f"{', '.join(several)} and {last}" if several else last
 
 
 def _change(e: Estimate, judged: HeldOut | None, si: str) -> str:
