@@ -22,7 +22,7 @@ ROOMS = {
     "session": set(),
     "files": {"kinds", "model"},
     "record": {"files", "session"},
-    "report": {"estimate"},  # the registry of solvers and losses, which says what they do
+    "report": {"estimate", "kinds"},  # the registries, which say what solvers, losses and kinds are
     "box": {"files", "record", "report", "session"},
     "live": {"box", "record", "session"},
     "reproduce": {"estimate", "kinds", "model", "report"},
@@ -32,7 +32,7 @@ ROOMS = {
     },
     "cli": {
         *("workflows", "box", "live", "record", "session", "files", "report", "reproduce"),
-        *("plan", "correct", "export", "estimate", "model"),
+        *("plan", "correct", "export", "estimate", "kinds", "model"),
     },
     "api": {"workflows", "files", "plan", "correct", "export", "estimate", "model"},
     "__main__": {"cli"},

@@ -10,8 +10,8 @@ from xml.etree import ElementTree
 import numpy as np
 from scipy import stats
 
+from truearm.kinds.registry import NAMES, kinds
 from truearm.report.calibration_page import CalibrationPage
-from truearm.report.words import KINDS
 from truearm.types import (
     Addition,
     Estimate,
@@ -60,7 +60,7 @@ def make_page(n=1600, kind="ball_bar", seed=0, **changes):
     covariance[np.ix_(free, free)] = 1e-8 * np.linalg.inv(root.T @ root)
     nominal = np.round(rng.uniform(-1, 1, 54), 3)
     change = np.where(free, 1e-3 * rng.standard_normal(54), 0.0)
-    signed = kind in ("ball_bar", "plane")
+    signed = kinds()[kind].signed("m")
     residual = SIGMA * (rng.standard_normal(n) if signed else stats.maxwell.rvs(size=n, random_state=rng))
     before = 100.0 * residual
     fitted = np.arange(n) < (n + 1) // 2
@@ -209,7 +209,7 @@ def cells_of(text, label):
 def full_page():
     """A page with everything that a page may have: all kinds, two rigs, suspects, wrong labels, proposals."""
     page = make_page(300)
-    for seed, kind in enumerate(KINDS):
+    for seed, kind in enumerate(NAMES):
         if kind != "ball_bar":
             page = both(page, make_page(60, kind, seed=seed))
     n, e = len(page.table), page.estimate

@@ -10,11 +10,12 @@ import pytest
 from report_bench import Strict, both, cells_of, drawings, make_page, rms, titles, with_rotation
 from scipy import stats
 
+from truearm.kinds.plane import PlaneRows
+from truearm.kinds.registry import NAMES, kinds
 from truearm.report.calibration_page import doubts, looks_like_page, render, verdict
 from truearm.report.findings import chi2_words
 from truearm.report.page_text import figures, number
 from truearm.report.residual_rows import law_of, rows_by_kind, summaries
-from truearm.report.words import KINDS
 from truearm.types import (
     Addition,
     Figures,
@@ -66,14 +67,16 @@ def test_kinds_have_pictures_of_their_own():
     assert "The ball-bar, line and ball-in-socket error" in verdict(both(page, make_page(20, "line")))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", NAMES)
 def test_every_kind_has_its_words_and_units(kind):
     text = render(make_page(240, kind))
-    name, residual, group, signed = KINDS[kind]
-    assert f"Residual of a {name} observation: {html.escape(residual)}." in text
+    of = kinds()[kind]
+    name, signed = of.name, of.signed("m")
+    assert f"Residual of a {name} observation: " in text
+    assert all(html.escape(residual) in text for residual in of.residual.values())
     assert verdict(make_page(240, kind)).startswith(f"The {name} error is ")
     assert ("Gaussian" in text, "Maxwell" in text) == (signed, not signed)
-    assert f"By {group}" in titles(text)
+    assert f"By {of.groups}" in titles(text)
     head, row = cells_of(text, "residuals mm")
     assert row[0] == name
     for title in head[1:]:
@@ -106,7 +109,8 @@ def test_a_pose_has_a_position_and_a_rotation():
     assert verdict(page).count("The tracked pose error is ") == 2
 
 
-def test_rows_in_radians_alone_are_shown_in_degrees():
+def test_rows_in_radians_alone_are_shown_in_degrees(monkeypatch):
+    monkeypatch.setattr(PlaneRows, "COMPONENTS", ("rad",))
     page = make_page(300, "plane")
     e = page.estimate
     changed = {name: {"rad": 10.0 * getattr(e, name)["m"]} for name in ("residual", "residual_before")}

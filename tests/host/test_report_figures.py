@@ -65,8 +65,10 @@ def test_direction_words(names, weights, words):
 @pytest.mark.parametrize(
     ("law", "reference"),
     [
-        (Law(True, 0.3, 1.7), stats.norm(0.3, 1.7)),
-        (Law(False, 0.0, 1.7), stats.maxwell(scale=1.7)),
+        (Law(1, 0.3, 1.7), stats.norm(0.3, 1.7)),
+        (Law(3, 0.0, 1.7), stats.maxwell(scale=1.7)),
+        (Law(2, 0.0, 1.7), stats.rayleigh(scale=1.7)),
+        (Law(6, 0.0, 1.7), stats.chi(6, scale=1.7)),
     ],
 )
 def test_law_against_scipy(law, reference):

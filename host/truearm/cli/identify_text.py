@@ -15,6 +15,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from truearm.kinds.registry import kinds
 from truearm.report.parameter_cells import parameter_cells
 from truearm.report.words import drawing, kind_name, proposal, time_offset
 from truearm.text import one_line
@@ -26,7 +27,6 @@ MAX_DIRECTIONS = 6
 MAX_TERMS = 4
 SMALLEST_WEIGHT = 0.005  # below it "0.00" would be shown
 MAX_ROWS = 6
-RESIDUALS = {"ball_bar": 1, "seat": 3, "line": 3, "position": 3, "pose": 6, "plane": 1}  # of an observation
 CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
 
 
@@ -268,7 +268,7 @@ def advice(document: Document, out: Path | None) -> list[str]:
             + " The sigmas above are too small by as much."
             * (not read_off)
         )
-    spare = sum(RESIDUALS[k["kind"]] * k["fitted"] for k in document["observations"]) - document["rank"]
+    spare = sum(len(kinds()[k["kind"]].components) * k["fitted"] for k in document["observations"]) - document["rank"]
     if spare < document["rank"]:
         lines.append(
             f"Only {max(spare, 0)} residuals more than the {document['rank']} combinations that they determine: the error "

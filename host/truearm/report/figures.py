@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.kinds.registry import kinds
 from truearm.report import svg
 from truearm.report.page_text import counted, figures, number
 from truearm.report.residual_rows import Rows, law_of, rms
-from truearm.report.words import KINDS
 from truearm.types import Estimate, Floats
 from truearm.units import shown, symbol, title
 
@@ -61,8 +61,8 @@ def histogram(rows: Rows) -> Figure:
     parts = [svg.axes(plot), svg.bars(plot, edges, count, "fit bar", tips)]
     if not plain:
         parts.append(svg.line(plot, _grid(edges), scale * law.density(_grid(edges)), "law line"))
-    what = "Gaussian" if law.signed else "Maxwell law"
-    note = [f"mean {number(law.mean, 4)} {rows.unit}"] if law.signed else []
+    what = law.name
+    note = [f"mean {number(law.mean, 4)} {rows.unit}"] if law.width == 1 else []
     note += [f"σ {number(law.sigma, 4)} {rows.unit}", f"n {r.size}"]
     for k, text in enumerate(note):
         parts.append(svg.label(plot.width - plot.right - 6, plot.top + 17 + 18 * k, text, "end note"))
@@ -196,10 +196,10 @@ def by_group(rows: Rows) -> Figure | None:
         for i, (css, name, inside) in enumerate(sets):
             offset = 0.0 if len(sets) == 1 else (0.21, -0.21)[i]
             parts.append(_box(plot, k + offset, inside, css, f"{names[g]}, {name}", rows.unit))
-    place = KINDS[rows.kind].group if rows.kind in KINDS else "place"
+    place = kinds()[rows.kind].groups
     sizes = [rms(rows.residual[inverse == g]) for g in worst]
     # Variance of an RMS: σ²/(2·degrees of freedom).
-    spread = 100.0 / math.sqrt(2.0 * (1 if rows.signed else 3) * float(np.median(np.bincount(inverse))))
+    spread = 100.0 / math.sqrt(2.0 * rows.width * float(np.median(np.bincount(inverse))))
     caption = "Box: quartiles and median; whisker: 5 % to 95 %; beyond it, points. Largest RMS over all rows: "
     caption += f"{names[worst[0]]}, {figures(sizes[0])} {rows.unit}; smallest: {names[worst[-1]]}, {figures(sizes[-1])} {rows.unit}. "
     caption += f"By chance alone these vary by {figures(spread, 2)} % (one σ)."
@@ -231,7 +231,7 @@ def quantiles(rows: Rows) -> Figure | None:
     if r.size < 10 or law.sigma < svg.SMALLEST:
         return None
     expected = law.quantile((np.arange(r.size) + 0.5) / r.size)
-    what = "Gaussian" if law.signed else "Maxwell law"
+    what = law.name
     both = np.concatenate([r, expected])
     low, high = _reach(both)
     plot = svg.Plot(
@@ -241,11 +241,11 @@ def quantiles(rows: Rows) -> Figure | None:
     parts = [svg.axes(plot), svg.line(plot, [low, high], [low, high], "law")]
     parts.append(svg.dots(plot, expected[at], r[at], "fit"))
     parts.append(svg.legend(plot, [("fit", "fitting rows"), ("law line", what)]))
-    beyond = int(np.sum(np.abs(r - law.mean) > 3.0 * law.sigma)) if law.signed else None
+    beyond = int(np.sum(np.abs(r - law.mean) > 3.0 * law.sigma)) if law.width == 1 else None
     caption = "On the line, the errors follow the law; ends that bend away are rows too far out."
     if beyond is not None:
         caption += f" Beyond 3σ: {counted(beyond, 'row')}; a Gaussian would put {figures(0.0027 * r.size, 2)} there."
-    return _figure(plot, "Quantiles" if not law.signed else "Normal probability", caption, parts)
+    return _figure(plot, "Quantiles" if law.width > 1 else "Normal probability", caption, parts)
 
 
 def convergences(estimate: Estimate) -> list[Figure]:

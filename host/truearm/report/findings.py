@@ -9,9 +9,10 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from truearm.kinds.registry import NAMES
 from truearm.report.page_text import ABSENT, counted, escape, figures, number, size
 from truearm.report.residual_rows import Summary, row_name
-from truearm.report.words import KINDS, OBSERVABILITY, kind_name, proposal
+from truearm.report.words import OBSERVABILITY, kind_name, proposal, residual_words
 from truearm.types import Addition, Estimate, Figures, ObservationTable, PredictedError, Relabelling
 from truearm.units import shown, symbol, title
 
@@ -32,8 +33,7 @@ def table_of(titles: Sequence[str], rows: Iterable[Sequence[str]], label: str, c
 def residual_table(found: Sequence[Summary]) -> str:
     """A table a unit: RMS and largest residual of each kind, and of each rig where there are several; what a residual is."""
     tables = [_residuals_in(si, [s for s in found if s.si == si]) for si in dict.fromkeys(s.si for s in found)]
-    kinds = [kind for kind in KINDS if any(s.kind == kind for s in found)]
-    words = " ".join(f"Residual of a {KINDS[kind].name} observation: {KINDS[kind].residual}." for kind in kinds)
+    words = " ".join(residual_words(kind) for kind in NAMES if any(s.kind == kind for s in found))
     return f"<p>{escape(words, 1200)}</p>" + "".join(tables)
 
 

@@ -1,8 +1,8 @@
 """Rows of an estimate by kind, in the border's units, and the law that their residuals would follow.
 
-A ball-bar's residual and a touched flat's have a sign; that of a line, a position or a seat is the norm of a 3-vector. If
-the errors are white and Gaussian with one σ, the first follow a Gaussian, the second a Maxwell distribution (σ times the
-root of a χ² of three degrees of freedom). ``Law`` is that distinction; histogram and quantile plot are drawn against it.
+A residual of one component has a sign, as a ball-bar's; one of several is their norm, as a line's. If the errors are white
+and Gaussian with one σ, the first follow a Gaussian, the second σ times the root of a χ² with a degree of freedom a component
+(of three: a Maxwell distribution). ``Law`` is that distinction; histogram and quantile plot are drawn against it.
 Residuals of several units, a pose's position and its rotation, are several sets of rows.
 """
 
@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from truearm.report.words import KINDS, PARTS, kind_name
+from truearm.kinds.registry import kinds
+from truearm.report.words import PARTS, kind_name
 from truearm.types import Estimate, Figures, Floats, ObservationTable
 from truearm.units import DEG, shown, symbol, title
 
@@ -34,8 +35,13 @@ class Rows(NamedTuple):
     part: str = ""  # where the kind has residuals of several units: which
 
     @property
+    def width(self) -> int:
+        """How many components the residual has: 1 for one number with a sign, else it is their norm."""
+        return kinds()[self.kind].components.count(self.si)
+
+    @property
     def signed(self) -> bool:
-        return self.kind in KINDS and KINDS[self.kind].signed
+        return self.width == 1
 
     @property
     def unit(self) -> str:
@@ -55,21 +61,28 @@ class Rows(NamedTuple):
 
 
 class Law(NamedTuple):
-    """The distribution that residuals of a kind would follow: Gaussian, or Maxwell with ``mean`` 0."""
+    """The distribution that residuals would follow: Gaussian for ``width`` 1, else the norm's, with ``mean`` 0."""
 
-    signed: bool
+    width: int  # components
     mean: float
     sigma: float
 
+    @property
+    def name(self) -> str:
+        """What statisticians call it."""
+        return {1: "Gaussian", 2: "Rayleigh law", 3: "Maxwell law"}.get(self.width, f"χ law of {self.width} components")
+
     def density(self, x: Floats) -> Floats:
         z = (x - self.mean) / self.sigma
-        gauss = np.exp(-0.5 * z**2) / (math.sqrt(2.0 * math.pi) * self.sigma)
-        return gauss if self.signed else np.where(z > 0.0, 2.0 * z**2 * gauss, 0.0)
+        if self.width == 1:
+            return np.asarray(np.exp(-0.5 * z**2) / (math.sqrt(2.0 * math.pi) * self.sigma))
+        whole = 2.0 ** (self.width / 2.0 - 1.0) * math.gamma(self.width / 2.0) * self.sigma
+        return np.where(z > 0.0, np.maximum(z, 0.0) ** (self.width - 1) * np.exp(-0.5 * z**2) / whole, 0.0)
 
     def quantile(self, share: Floats) -> Floats:
-        if self.signed:
+        if self.width == 1:
             return np.asarray(self.mean + self.sigma * special.ndtri(share))
-        return np.asarray(self.sigma * np.sqrt(2.0 * special.gammaincinv(1.5, share)))
+        return np.asarray(self.sigma * np.sqrt(2.0 * special.gammaincinv(self.width / 2.0, share)))
 
 
 class Summary(NamedTuple):
@@ -112,22 +125,14 @@ def row_name(source: str) -> str:
 
 def _groups(table: ObservationTable) -> NDArray[np.str_]:
     """What each row belongs to, by its kind; the rig in front where there are several."""
-    names = []
-    several = np.unique(table.rig).size > 1
-    for i, kind in enumerate(table.kind.tolist()):
-        match kind:
-            case "ball_bar":
-                name = f"{table.chuck[i]} · {table.sphere[i]}"
-            case "line":
-                name = str(table.line[i])
-            case "plane":
-                name = str(table.plane[i])
-            case "position" | "pose":
-                name = " · ".join(filter(None, (str(table.tracker[i]), str(table.target[i]))))
-            case _:
-                name = str(table.place[i])
-        names.append(f"{table.rig[i]}: {name}" if several and table.rig[i] else name)
-    return np.array(names, dtype=np.str_)
+    names = np.full(len(table), "", dtype=object)
+    for key in np.unique(table.kind):
+        rows = np.flatnonzero(table.kind == key)
+        columns = (table.column(column)[rows].tolist() for column in kinds()[str(key)].grouped_by)
+        names[rows] = [" · ".join(filter(None, identifiers)) for identifiers in zip(*columns, strict=True)]
+    if np.unique(table.rig).size > 1:
+        names = np.array([f"{rig}: {name}" if rig else name for rig, name in zip(table.rig, names, strict=True)])
+    return names.astype(np.str_)
 
 
 def summaries(estimate: Estimate, table: ObservationTable) -> list[Summary]:
@@ -148,8 +153,8 @@ def law_of(rows: Rows) -> Law:
     """The law fitted to the residuals of the fitting rows."""
     r = rows.residual[rows.fitted]
     if rows.signed:
-        return Law(True, float(r.mean()), float(r.std(ddof=1)) if r.size > 1 else 0.0)
-    return Law(False, 0.0, float(np.sqrt(np.mean(r**2) / 3.0)))
+        return Law(1, float(r.mean()), float(r.std(ddof=1)) if r.size > 1 else 0.0)
+    return Law(rows.width, 0.0, float(np.sqrt(np.mean(r**2) / rows.width)))
 
 
 def rms(values: Floats) -> float:

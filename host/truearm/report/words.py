@@ -3,34 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
+from truearm.kinds.registry import NAMES, kinds
 from truearm.units import MM, MRAD, MS, ONE, UNITS
 
-
-class Kind(NamedTuple):
-    """A kind of observation in words: its name, what its residual is, and what its groups are."""
-
-    name: str
-    residual: str
-    group: str
-    signed: bool  # the residual is one number with a sign, else the norm of a 3-vector
-
-
-KINDS = {
-    "ball_bar": Kind("ball-bar", "measured less predicted length of the bar", "pairing of chuck and sphere", True),
-    "seat": Kind("ball-in-socket", "distance of the ball's predicted centre from its socket", "place", False),
-    "line": Kind("line", "distance of the measured from the predicted point, along and across the line", "line", False),
-    "position": Kind("tracked point", "distance of the measured from the predicted point", "tracker and target", False),
-    "pose": Kind(
-        "tracked pose",
-        "position: distance of the measured from the predicted point; rotation: angle between the measured and the "
-        "predicted orientation",
-        "tracker and target",
-        False,
-    ),
-    "plane": Kind("touched flat", "distance of the touching point from the flat, with its sign", "flat", True),
-}
 PARTS = {"m": "position", "rad": "rotation"}  # of a kind that has residuals of both units
 
 # In steps of 1 mm, 5 mrad and 0.001 of a gain; estimate.identifiability defines the four.
@@ -64,7 +40,14 @@ def drawing() -> str:
 
 def kind_name(kind: str) -> str:
     """The name of a kind; a kind of a later version is its own name."""
-    return KINDS[kind].name if kind in KINDS else kind
+    return kinds()[kind].name if kind in NAMES else kind
+
+
+def residual_words(kind: str) -> str:
+    """What the residual of a kind is, a sentence that says it for each unit."""
+    of = kinds()[kind]
+    parts = [f"{PARTS.get(si, si)}: {text}" if len(of.residual) > 1 else text for si, text in of.residual.items()]
+    return f"Residual of a {of.name} observation: {'; '.join(parts)}."
 
 
 def proposal(kind: str, names: Sequence[str]) -> str:
