@@ -22,6 +22,7 @@ from truearm.files.disk import read_text, write_atomic
 from truearm.files.observation_columns import Column, joint_columns, rate_columns, read_header, shown, sigma_column
 from truearm.kinds import registry
 from truearm.kinds.quantities import LARGEST_NOISE, Quantity
+from truearm.text import with_article
 from truearm.types import Floats, ObservationTable, Rig
 from truearm.units import SUFFIXES, UNITS, suffixes
 
@@ -88,7 +89,7 @@ def _sigmas(rows: list[Row], kind: np.ndarray, columns: Mapping[str, Column], na
         wrong = np.flatnonzero(~mine & ~np.isnan(given))
         if wrong.size and column:
             raise TableError(
-                f"{name} row {rows[wrong[0]].number} column {column.name}: the residual of a {kind[wrong[0]]} row is not "
+                f"{name} row {rows[wrong[0]].number} column {column.name}: the residual of {with_article(kind[wrong[0]])} row is not "
                 f"in {column.unit}; leave that cell empty"
             )
         sigma[mine] = given[mine]
@@ -109,7 +110,7 @@ def _check_kinds(
     rows: list[Row], kind: np.ndarray, names: Mapping[str, np.ndarray], measured: Mapping[str, Floats], name: str
 ) -> None:
     """Each row has the cells its kind needs and leaves empty those that would say something else."""
-    titles = {column: f"a {column}" for column in names} | {q.field: q.title for q in registry.quantities()}
+    titles = {column: with_article(column) for column in names} | {q.field: q.title for q in registry.quantities()}
     filled = {column: _filled(cells) for column, cells in {**names, **measured}.items()}
     needs = {key: [_field(column) for column in of.needs] for key, of in registry.kinds().items()}
     known = {key: {*map(_field, (*of.needs, *of.may)), *registry.ANYWHERE} for key, of in registry.kinds().items()}
@@ -118,10 +119,12 @@ def _check_kinds(
         where = f"{name} row {row.number}"
         for column in needs[kind[i]]:
             if not filled[column][i]:
-                raise TableError(f"{where}: a {kind[i]} row needs {titles[column]}, which is empty or missing")
+                raise TableError(
+                    f"{where}: {with_article(kind[i])} row needs {titles[column]}, which is empty or missing"
+                )
         for column in leaves[kind[i]]:
             if filled[column][i]:
-                raise TableError(f"{where}: a {kind[i]} row has no {titles[column]}; leave that cell empty")
+                raise TableError(f"{where}: {with_article(kind[i])} row has no {titles[column]}; leave that cell empty")
 
 
 def _field(column: str | Quantity) -> str:

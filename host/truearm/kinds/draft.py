@@ -16,6 +16,7 @@ from truearm.kinds.linearised import Indices
 from truearm.kinds.quantities import Quantity
 from truearm.kinds.unknowns import Layout, Number, Used, enumerate_labels, point_numbers
 from truearm.model.chain import Chain, point_forward
+from truearm.text import with_article
 from truearm.types import Floats, ObservationTable, Point, Rig
 
 Thing = TypeVar("Thing")
@@ -73,8 +74,8 @@ def measured(scope: Scope, rows: Indices, quantity: Quantity) -> Floats:
     """(n,) or (n, c) what the rows measured. Raises ProblemError for the first row that lacks it."""
     values = scope.table.column(quantity.field, np.nan)[rows]
     lacks = ~np.isfinite(values.reshape(len(rows), -1)).all(axis=1)
-    article = "" if len(quantity.columns) > 1 else "an " if quantity.words[0] in "aeiou" else "a "
-    refuse(scope, rows, lacks, f"a {scope.table.kind[rows[0]]} row needs {article}{quantity.words}")
+    what = quantity.words if len(quantity.columns) > 1 else with_article(quantity.words)
+    refuse(scope, rows, lacks, f"{with_article(str(scope.table.kind[rows[0]]))} row needs {what}")
     return np.asarray(values)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from truearm.kinds.registry import NAMES, kinds
+from truearm.text import with_article
 from truearm.units import MM, MRAD, MS, ONE, UNITS
 
 PARTS = {"m": "position", "rad": "rotation"}  # of a kind that has residuals of both units
@@ -47,7 +48,7 @@ def residual_words(kind: str) -> str:
     """What the residual of a kind is, a sentence that says it for each unit."""
     of = kinds()[kind]
     parts = [f"{PARTS.get(si, si)}: {text}" if len(of.residual) > 1 else text for si, text in of.residual.items()]
-    return f"Residual of a {of.name} observation: {'; '.join(parts)}."
+    return f"Residual of {with_article(of.name)} observation: {'; '.join(parts)}."
 
 
 def proposal(kind: str, names: Sequence[str]) -> str:
