@@ -2,9 +2,13 @@
 
 import ast
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
+
+import truearm
+from truearm_wire.version import MARK, VERSION
 
 ROOT = Path(__file__).parents[1]
 HOST = ROOT / "host" / "truearm"
@@ -89,7 +93,8 @@ def test_host(path):
         (guarded,) = (n for n in ast.parse(path.read_text()).body if isinstance(n, ast.If))
         assert ast.unparse(guarded.test) == "TYPE_CHECKING"
         found = {n.module for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.ImportFrom)}
-        assert {n.module for n in guarded.body if isinstance(n, ast.ImportFrom)} | {"typing", "__future__"} == found
+        always = {"typing", "__future__", "truearm_wire.version"}
+        assert {n.module for n in guarded.body if isinstance(n, ast.ImportFrom)} | always == found
         return
     assert room in ROOMS, f"{room} is a new room: say in ROOMS whom it may import"
     for name in imports(path):
@@ -101,6 +106,20 @@ def test_host(path):
         assert top not in DEVICE_MODULES
         if room in PURE:
             assert top not in IO_MODULES, f"{room} does no input or output, yet imports {name}"
+
+
+def test_one_version_of_package_firmware_and_image():
+    """It stands in truearm_wire/version.py; what shows an image's name shows that one."""
+    built = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    assert built["project"]["dynamic"] == ["version"]
+    assert built["tool"]["hatch"]["version"]["path"] == "protocol/truearm_wire/version.py"
+    assert truearm.__version__ == VERSION == MARK.removeprefix("truearm_box ")
+    assert "truearm_wire.version.VERSION" in imports(ROOT / "firmware" / "truearm_box" / "ident.py")
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *python_files(HOST)]
+    named = {
+        name for page in pages for name in re.findall(r"truearm-(\d[\w.]*)\.uf2", page.read_text(encoding="utf-8"))
+    }
+    assert named == {VERSION}
 
 
 def test_only_simulate_demo_and_reproduce_know_the_simulator():

@@ -126,10 +126,10 @@ def _has_newlib() -> bool:
 
 
 def firmware_version() -> str:
-    text = (ROOT / "firmware" / "truearm_box" / "__init__.py").read_text()
-    found = re.search(r'^MARK = "truearm_box ([\w.-]+)"', text, re.M)
+    file = ROOT / "protocol" / "truearm_wire" / "version.py"
+    found = re.search(r'^MARK = "truearm_box ([\w.-]+)"', file.read_text(), re.M)
     if not found:
-        raise ImageError("firmware/truearm_box/__init__.py has no MARK")
+        raise ImageError(f"{file} has no MARK")
     return found[1]
 
 

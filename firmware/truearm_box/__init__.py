@@ -11,8 +11,4 @@ storage   configuration and last traceback on flash
 ident     what the box says of itself
 selftest  what the board measured, judged
 health    counters, heartbeat, LED, garbage collection at a chosen moment
-VERSION   of the firmware
 """
-
-MARK = "truearm_box 0.3.0"  # in one piece, so that it can be read in an image (host/truearm/box/uf2.py)
-VERSION = MARK[12:]

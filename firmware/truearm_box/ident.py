@@ -2,8 +2,8 @@
 
 from truearm_wire import PROTOCOL
 from truearm_wire.messages import STREAM_ADC, STREAM_MAG
+from truearm_wire.version import VERSION
 
-from . import VERSION
 from .config import group_delay_ns
 
 FAULT_MAX = 400  # characters

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from tests.end_to_end.box_server import MAG_PERIOD_NS, Stage, box, served
 
+from truearm import __version__
 from truearm.box.conversation import conversation
 from truearm.record import ports
 from truearm_sim.box import BoxSetup
@@ -28,7 +29,7 @@ def device(request):
 def test_info_and_self_test_in_words(device, capsys):
     assert box("info", "--device", device) == 0
     said = capsys.readouterr().out
-    assert "firmware  0.3.0 on vm" in said
+    assert f"firmware  {__version__} on vm" in said
     assert "stream adc: 1017.25 samples a second, osr 4096, group delay 0.737 ms" in said
     assert "calibrated to m by 2 coefficients (sim-lvdt 2026-01-01)" in said
     assert box("test", "--device", device) == 0
@@ -152,11 +153,13 @@ def test_boxes_are_listed_by_their_usb_identity(monkeypatch, capsys):
         monkeypatch.setattr(ports.list_ports, "comports", lambda: found)
         assert box("list") == 0
         (line,) = capsys.readouterr().out.splitlines()  # a stranger's serial port is not even opened
-        assert re.fullmatch(rf"{device} \(2e8a:0005 Board in FS mode\): truearm box \w+, firmware 0.3.0 on vm", line)
+        assert re.fullmatch(
+            rf"{device} \(2e8a:0005 Board in FS mode\): truearm box \w+, firmware {re.escape(__version__)} on vm", line
+        )
         assert box("list", "--json", "--device", "/dev/gone") == 0
         rows = json.loads(capsys.readouterr().out)["ports"]
         assert [row["device"] for row in rows] == [device, "/dev/gone"]
-        assert rows[0]["box"]["firmware"] == "0.3.0"
+        assert rows[0]["box"]["firmware"] == __version__
         assert rows[1]["box"] is None
         assert "is not there" in rows[1]["answer"]
 

@@ -9,6 +9,7 @@ import pytest
 from tests.end_to_end.box_server import BootDrive, box, by_the_labs_clock, served
 from tests.host.test_uf2 import image
 
+from truearm import __version__
 from truearm.box.boot_drive import find_drives
 from truearm_sim.chip import STORE, ChipBox, make_flash, read_flash
 
@@ -25,15 +26,15 @@ def test_a_running_box_is_flashed(tmp_path, no_ports, capsys):
         assert shown.written == image()
     assert "for the RP2040, 1 KiB in 4 blocks: the box's firmware" in said
     assert "it enters its boot loader" in said
-    assert said.splitlines()[-1].startswith("it answers: truearm box e6614103e7452b2f, firmware 0.3.0")
+    assert said.splitlines()[-1].startswith("it answers: truearm box e6614103e7452b2f, firmware " + __version__)
 
 
 @pytest.mark.parametrize(
     ("version", "says"),
     [
-        ("0.3.0", "firmware 0.3.0 on vm, as the image has; it enters"),
-        ("0.10.0", "firmware 0.3.0 on vm, the image has the newer 0.10.0; it enters"),
-        ("0.1.9", "firmware 0.3.0 on vm, the image has the older 0.1.9; it enters"),
+        (__version__, f"firmware {__version__} on vm, as the image has; it enters"),
+        ("0.10.0", f"firmware {__version__} on vm, the image has the newer 0.10.0; it enters"),
+        ("0.1.9", f"firmware {__version__} on vm, the image has the older 0.1.9; it enters"),
     ],
 )
 def test_the_images_firmware_is_compared_with_the_boxs(tmp_path, no_ports, capsys, version, says):
@@ -45,7 +46,7 @@ def test_the_images_firmware_is_compared_with_the_boxs(tmp_path, no_ports, capsy
     assert f"4 blocks: the box's firmware {version}\n" in said
     assert says in said
     # The box that comes up is the simulated one, whatever was written.
-    assert (f"warning: the image has {version}; files" in said) == (version != "0.3.0")
+    assert (f"warning: the image has {version}; files" in said) == (version != __version__)
 
 
 def test_a_drive_that_is_there_is_written_to(tmp_path, no_ports, capsys):
@@ -195,7 +196,7 @@ def test_the_real_mpremote_and_a_real_micropython(tmp_path):
     with served(pty=True, power_on=ChipBox, clock=clock) as (device, _, shown):
         before = json.loads(typed("info", "--device", device, "--json", tries=5))  # it boots
         said = typed("flash", "--stock", "--device", device, "--timeout", "60")
-        assert said.splitlines()[-1].endswith("firmware 0.3.0 on rp2040")
+        assert said.splitlines()[-1].endswith(f"firmware {__version__} on rp2040")
         after = json.loads(typed("info", "--device", device, "--json"))
         assert after["boot_id"] != before["boot_id"]
         files = read_flash(shown.flash / STORE)

@@ -25,7 +25,7 @@ _MAGIC = (0x0A324655, 0x9E5D5157)
 _MAGIC_END = struct.pack("<I", 0x0AB16F30)
 _NOT_MAIN_FLASH, _FAMILY_PRESENT = 0x1, 0x2000
 _MARK = b"truearm_box"  # the package's name stands in every image that has the firmware frozen in
-_VERSION = re.compile(rb"truearm_box (\d{1,4}\.\d{1,4}\.\d{1,4})\b")  # MARK of firmware/truearm_box/__init__.py
+_VERSION = re.compile(rb"truearm_box (\d{1,4}\.\d{1,4}\.\d{1,4})\b")  # MARK of truearm_wire/version.py
 
 
 @dataclass(frozen=True)

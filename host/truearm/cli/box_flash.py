@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import truearm
+from truearm import __version__
 from truearm.box.conversation import DEVICE_HELP, conversation, ident_of, one_line_of
 from truearm.errors import InputError, LinkError
 
@@ -45,8 +46,8 @@ def flash(
 
     \b
     Examples:
-      truearm box flash build/uf2/truearm-0.3.0.uf2
-      truearm box flash build/uf2/truearm-0.3.0.uf2 --device /dev/ttyACM0
+      truearm box flash build/uf2/truearm-0.4.0.uf2
+      truearm box flash build/uf2/truearm-0.4.0.uf2 --device /dev/ttyACM0
       truearm box flash --stock --device /dev/ttyACM0
     """
     from truearm.record.ports import usb_ports
@@ -59,7 +60,9 @@ def flash(
         _copy_files(device, stop)
     else:
         if image is None:
-            raise InputError("give the image to flash, such as build/uf2/truearm-0.3.0.uf2 (make uf2), or --stock")
+            raise InputError(
+                f"give the image to flash, such as build/uf2/truearm-{__version__}.uf2 (make uf2), or --stock"
+            )
         version = _write_image(image, device, drive, timeout, stop)
     if no_check:
         return
