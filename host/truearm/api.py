@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from truearm.correct.correction import Correction
 from truearm.correct.error_map import ErrorMap
 from truearm.correct.methods import Method
-from truearm.errors import InputError, TruearmError
+from truearm.errors import InputError, SessionError, TruearmError
 from truearm.estimate.problem import Rigs
 from truearm.export.formats import FORMATS
 from truearm.files import observation_table, result_file, rig_file, robot_file
@@ -37,11 +37,13 @@ from truearm.workflows.calibration import Calibration, read_calibration
 from truearm.workflows.identify import Identification, IdentifyOptions, Progress
 from truearm.workflows.inputs import Sources, observed
 from truearm.workflows.plan import BallBarOptions, Budget
+from truearm.workflows.session_observations import is_session
 from truearm.workflows.session_parts import session_parts
 from truearm.workflows.validate import Validation, validated
 
 PathLike = str | os.PathLike[str]
 HoldOut = str | float | Sequence[str] | NDArray[np.bool_]
+RIGID = 1e-6  # how far a rotation matrix of few digits may be from orthonormal
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -255,6 +257,8 @@ def read_session(
     {'ball_bar'}
     """
     file = _path("path", path)
+    if not is_session(file):
+        raise SessionError(f"{file}: is no session (.mcap); read_table reads tables")
     lost: list[str] = []
     sources = Sources(
         inputs=tuple(session_parts(file)),
@@ -542,8 +546,10 @@ def correct_poses(
         raise TypeError(f"poses must be an array of numbers (n, 4, 4): {exc}") from exc
     if given.shape[-2:] != (4, 4) or given.ndim not in (2, 3) or not np.isfinite(given).all():
         raise InputError(f"poses: must be finite numbers of shape (n, 4, 4) or (4, 4), the shape is {given.shape}")
+    given = given.reshape(-1, 4, 4)
+    _check_rigid("poses", given)
     options = correct.CorrectOptions(method, own_frames=own_frames, home=_typed(calibration, home))
-    return correct.corrected_poses(calibration, given.reshape(-1, 4, 4), options)
+    return correct.corrected_poses(calibration, given, options)
 
 
 @_public
@@ -667,6 +673,17 @@ def _checked(name: str, value: R | None, kind: type[R]) -> R | None:
     if value is not None and not isinstance(value, kind):
         raise TypeError(f"{name} must be of type {kind.__name__}, is {type(value).__name__}")
     return value
+
+
+def _check_rigid(name: str, poses: NDArray[np.float64]) -> None:
+    """Raise InputError unless all of (n, 4, 4) are rotations with a translation."""
+    turn = poses[:, :3, :3]
+    off = np.abs(turn @ turn.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
+    bad = (off > RIGID) | (np.linalg.det(turn) < 0.0) | (poses[:, 3] != [0.0, 0.0, 0.0, 1.0]).any(axis=1)
+    if bad.any():
+        raise InputError(
+            f"{name}: number {int(np.argmax(bad))} is no rotation with a translation and a last row 0, 0, 0, 1"
+        )
 
 
 def _path(name: str, value: PathLike) -> Path:

@@ -199,6 +199,27 @@ WRONG = {
     "result's file": (lambda f, r, t, g, c: truearm.read_result(f / "rig.toml"), InputError, "rig.toml"),
     "budget": (lambda f, r, t, g, c: truearm.plan_ball_bar(r, g), InputError, "poses, minutes: give one"),
     "poses": (lambda f, r, t, g, c: truearm.correct_poses(c, [1.0, 2.0]), InputError, "poses: must be"),
+    "poses that are no poses": (
+        lambda f, r, t, g, c: truearm.correct_poses(c, [np.eye(4), 2.0 * np.eye(4)]),
+        InputError,
+        "poses: number 1 is no rotation",
+    ),
+    "a mirrored pose": (
+        lambda f, r, t, g, c: truearm.correct_poses(c, np.diag([1.0, 1.0, -1.0, 1.0])),
+        InputError,
+        "poses: number 0 is no rotation",
+    ),
+    "pattern as text": (
+        lambda f, r, t, g, c: truearm.identify(r, t, g, options=truearm.IdentifyOptions(free="joint*.offset")),
+        InputError,
+        "free: must be a tuple of patterns",
+    ),
+    "no iteration": (
+        lambda f, r, t, g, c: truearm.identify(r, t, g, options=truearm.IdentifyOptions(max_iterations=0)),
+        InputError,
+        "max_iterations: must be 1 or more, is 0",
+    ),
+    "table as session": (lambda f, r, t, g, c: truearm.read_session(f / "poses.csv"), InputError, "is no session"),
     "poses' type": (lambda f, r, t, g, c: truearm.correct_poses(c, "home"), TypeError, "poses must be"),
     "far pose": (
         lambda f, r, t, g, c: truearm.correct_poses(c, np.eye(4) + 9.0 * np.eye(4, k=3) * [0, 0, 0, 1]),

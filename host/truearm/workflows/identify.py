@@ -150,12 +150,18 @@ def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: Ident
 
 
 def check_options(options: IdentifyOptions) -> None:
-    """Raise InputError for a choice that does not exist, and for one that the solver would silently ignore."""
+    """Raise InputError for a choice that does not exist, and for one that would silently be ignored or misread."""
     solver, loss, prior = options.solver, options.loss, options.prior
     known = {"solver": tuple(SOLVERS), "loss": tuple(LOSSES), "prior": (NO_PRIOR, *PRIORS)}
     for what, given in (("solver", solver), ("loss", loss), ("prior", prior)):
         if given is not None and given not in known[what]:
             raise InputError(f"--{what} {given!r} is not known; use {', '.join(known[what])}")
+    for option in ("free", "also_free", "freeze"):
+        patterns = getattr(options, option)
+        if isinstance(patterns, str):  # which would be read letter by letter
+            raise InputError(f"{option}: must be a tuple of patterns, is the text {patterns!r}")
+    if options.max_iterations < 1:
+        raise InputError(f"max_iterations: must be 1 or more, is {options.max_iterations}")
     if loss != "linear" and not SOLVERS[solver].has_loss:
         raise InputError(
             f"--loss {loss} goes with the solvers {' and '.join(with_loss())}; {solver} has no robust loss"
