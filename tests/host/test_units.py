@@ -1,6 +1,8 @@
 """units.py: every entry is consistent, conversions are exact inverses, texts carry their symbol."""
 
+import ast
 import math
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -79,3 +81,59 @@ def test_lengths_are_found_by_suffix_and_by_symbol():
     assert units.length("um") is units.length("µm") is units.UM
     assert units.length("mm") is units.MM
     assert units.length("deg") is units.length("") is units.length("V") is None
+
+
+# --- nobody else keeps units
+
+HOST = Path(units.__file__).parent
+OF_TEN = {1e3, 1e-3, 1e6, 1e-6}
+TO_DEGREES = {"degrees", "rad2deg"}
+# files in which such a factor is no unit that a person sees
+PHYSICAL = {
+    "session/clock_lines.py": "µs of the box's timer as ns of the host's, in arrays of clock exchanges",
+    "session/device_clock.py": "a bound on a clock's drift",
+    "session/device_clock_fit.py": "µs and ns as in clock_lines",
+    "session/sample_streams.py": "µs and ns as in clock_lines",
+    "session/trigger_edges.py": "s as whole µs of the box's timer",
+    "correct/inverse.py": "a penalty that makes one solution worse than another",
+    "correct/error_map.py": "a share of a cell's width",
+    "report/figures.py": "a share of the largest residual",
+    "box/gauge_polynomial.py": "a share of the readings' span",
+    "box/description.py": "µ before a unit that a stranger's box names",
+}
+
+
+def names_of_units() -> set[str]:
+    return {name for s in units.SUFFIXES.values() for name in (s.suffix, s.symbol, s.si)} - {"", "1"}
+
+
+def own_units(tree: ast.AST) -> list[str]:
+    """Where a module converts units by itself: tables of factors, degrees, powers of ten that numbers are multiplied by."""
+    found = []
+    for node in ast.walk(tree):
+        match node:
+            case ast.Dict(keys=keys, values=values) if len(keys) > 1:
+                named = {key.value for key in keys if isinstance(key, ast.Constant)}
+                numbers = any(isinstance(v, ast.Constant) and isinstance(v.value, float) for v in values)
+                if numbers and len(named) == len(keys) and named <= names_of_units():
+                    found.append(f"line {node.lineno}: a table of units")
+            case ast.Call(func=ast.Attribute(attr=name)) if name in TO_DEGREES:
+                found.append(f"line {node.lineno}: {name}()")
+            case ast.BinOp(op=ast.Mult() | ast.Div(), left=left, right=right):
+                constants = [side.value for side in (left, right) if isinstance(side, ast.Constant)]
+                if any(type(value) is float and value in OF_TEN for value in constants):
+                    found.append(f"line {node.lineno}: a factor {constants}")
+    return found
+
+
+@pytest.mark.parametrize("path", sorted(HOST.rglob("*.py")), ids=lambda path: str(path.relative_to(HOST)))
+def test_units_are_converted_here_alone(path):
+    name = path.relative_to(HOST).as_posix()
+    found = own_units(ast.parse(path.read_text(encoding="utf-8")))
+    assert name == "units.py" or bool(found) == (name in PHYSICAL), found
+
+
+def test_the_check_finds_what_it_looks_for():
+    source = 'A = {"m": 1.0, "mm": 1e-3}\nb = f"{1e3 * x:.3f} mm"\nc = math.degrees(x)\nd = x / 1e6\n'
+    assert {line.split(":")[0] for line in own_units(ast.parse(source))} == {"line 1", "line 2", "line 3", "line 4"}
+    assert not own_units(ast.parse('A = {"m": "position", "rad": "rotation"}\nb = np.deg2rad(2.0)\nc = 2.0 * x\n'))

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from truearm.cli.options import SeedOption
+from truearm.units import MM
 from truearm.workflows.demo_steps import (
     FITTED,
     VALIDATED,
@@ -182,7 +183,7 @@ def say_result(found: Calibration, result: SyncResult, truth: ClockTruth, steps:
     """The demo's last words."""
     estimate = found.estimate
     n_free, n_fitted = int(estimate.free.sum()), int(estimate.fitted.sum())
-    expected = 1e3 * found.rig.bars[FITTED].sigma * (1.0 - estimate.rank / n_fitted) ** 0.5
+    expected = MM.of(found.rig.bars[FITTED].sigma * (1.0 - estimate.rank / n_fitted) ** 0.5)
     say = typer.echo
     say_samples(result, steps, f"{len(result.table)} dwells used")
     say_clock(truth)
@@ -192,14 +193,14 @@ def say_result(found: Calibration, result: SyncResult, truth: ClockTruth, steps:
     )
     say(f" in {estimate.iterations} iterations")
     say(
-        f"46 cm shells    {1e3 * estimate.rms_before['m']:.3f} mm RMS before, {1e3 * estimate.rms_after['m']:.4f} mm after",
+        f"46 cm shells    {MM.text(estimate.rms_before['m'], '.3f')} RMS before, {MM.text(estimate.rms_after['m'], '.4f')} after",
         nl=False,
     )
     say(f" ({n_fitted} dwells; noise alone would leave {expected:.4f})")
     before, after = estimate.held_out_before, estimate.held_out
     if before is not None and after is not None:
         say(
-            f"61 cm shells    {1e3 * before.figures['m'].rms:.3f} mm RMS before, {1e3 * after.figures['m'].rms:.4f} mm after",
+            f"61 cm shells    {MM.text(before.figures['m'].rms, '.3f')} RMS before, {MM.text(after.figures['m'].rms, '.4f')} after",
             nl=False,
         )
         say(f" ({after.n} dwells that were not fitted)")

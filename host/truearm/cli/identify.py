@@ -12,6 +12,7 @@ import typer
 
 from truearm.cli.options import ROBOT_HELP, choices, one_of, rigs_of, warn
 from truearm.estimate.solvers import LOSSES, SOLVERS, with_loss
+from truearm.report.words import tolerances
 
 
 class Prior(StrEnum):
@@ -84,7 +85,7 @@ def identify(
     prior: Annotated[
         Prior | None,
         typer.Option(
-            help="Nominal to 1 mm, 5 mrad (weak) or 10 mm, 52 mrad (wide). Default: weak for a URDF, else wide for "
+            help=f"Nominal to {', '.join(tolerances('weak')[:2])} (weak) or {', '.join(tolerances('wide')[:2])} (wide). Default: weak for a URDF, else wide for "
             "--solver map, none for the others; ls has none."
         ),
     ] = None,

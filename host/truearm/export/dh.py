@@ -19,6 +19,7 @@ from truearm.errors import RobotError
 from truearm.export.link_frames import LinkFrames
 from truearm.model.poses import inverted
 from truearm.types import Floats
+from truearm.units import DEG
 
 PARALLEL = 1e-9  # sine of the angle below which axes are parallel
 NEARLY = math.sin(math.radians(1.0))  # a millimetre is then 57 mm of d
@@ -122,7 +123,7 @@ def _row(i: int, frame: Floats, axis: Floats, way: Floats, hayati: bool) -> tupl
     if near and not hayati:
         d = float(z @ (foot - frame[:3, 3]))
         raise RobotError(
-            f"the axes of joints {i + 1} and {i + 2} are {math.degrees(math.asin(sine)):.4f}° from parallel: d would be "
+            f"the axes of joints {i + 1} and {i + 2} are {DEG.of(math.asin(sine)):.4f}° from parallel: d would be "
             f"{d:.3f} m and mean nothing; write dh-hayati, or another format"
         )
     if near:

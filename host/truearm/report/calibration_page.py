@@ -29,7 +29,7 @@ from truearm.report.findings import (
 from truearm.report.page_tables import fact_list, parameter_table, step_table, visibility
 from truearm.report.page_text import counted, escape, figures, size
 from truearm.report.residual_rows import rows_by_kind, summaries
-from truearm.report.words import kind_name
+from truearm.report.words import kind_name, tolerances
 from truearm.types import Estimate, Floats, HeldOut, ObservationTable, PredictedError
 from truearm.units import symbol
 
@@ -37,8 +37,7 @@ CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
 HELD_OUT_DOUBTFUL = 1.5  # held-out RMS over fitted RMS
 PRIORS = {
     "none": "none",
-    "weak": "weak: nominal to 1 mm, 5 mrad, 0.001 of a gain",
-    "wide": "wide: nominal to 10 mm, 52 mrad, 0.01 of a gain",
+    **{prior: f"{prior}: nominal to {', '.join(tolerances(prior))}" for prior in ("weak", "wide")},
 }
 POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 

@@ -12,7 +12,7 @@ import numpy as np
 from truearm.kinds.registry import NAMES
 from truearm.report.page_text import ABSENT, counted, escape, figures, number, size
 from truearm.report.residual_rows import Summary, row_name
-from truearm.report.words import OBSERVABILITY, kind_name, proposal, residual_words
+from truearm.report.words import OBSERVABILITY, kind_name, proposal, residual_words, tolerances
 from truearm.types import Addition, Estimate, Figures, ObservationTable, PredictedError, Relabelling
 from truearm.units import shown, symbol, title
 
@@ -123,9 +123,10 @@ def observability_table(e: Estimate) -> str:
     names = [name for name, is_in in zip(e.parameter_names, e.suggested_free, strict=False) if is_in]
     values = e.observability._asdict()
     rows = [(key.upper(), figures(values[key]), unit, escape(words)) for key, (words, unit) in OBSERVABILITY.items()]
+    length, angle, gain = tolerances("weak")
     text = (
-        f"How well the observations alone see {counted(len(names), 'parameter')} that they tell apart. A step is 1 mm, "
-        "5 mrad or 0.001 of a gain; larger is better, and figures of one robot compare one set of poses with another."
+        f"How well the observations alone see {counted(len(names), 'parameter')} that they tell apart. A step is {length}, "
+        f"{angle} or {gain}; larger is better, and figures of one robot compare one set of poses with another."
     )
     table = table_of(("index", "value", "unit", "what it says"), rows, "observability", "plain words")
     return f"<p>{escape(text, 600)}</p>{table}" + _suggested(e, names)

@@ -10,7 +10,7 @@ from truearm.units import MM, MRAD, MS, ONE, UNITS
 
 PARTS = {"m": "position", "rad": "rotation"}  # of a kind that has residuals of both units
 
-# In steps of 1 mm, 5 mrad and 0.001 of a gain; estimate.identifiability defines the four.
+# In steps of ``tolerances("weak")``; estimate.identifiability defines the four.
 OBSERVABILITY = {
     "o1": ("the average parameter: σ per residual that one step of it makes, geometric mean", "σ"),
     "o2": ("the weakest combination of parameters over the strongest; 1 would be equally well", "1"),
@@ -35,8 +35,13 @@ def time_offset(name: str, value_s: float | None, sigma_s: float | None) -> str:
 
 def drawing() -> str:
     """What a maker's drawing says of a parameter: the steps in which a parameter counts as hardly seen."""
-    sigma = {si: unit.weak_sigma for si, unit in UNITS.items()}
-    return f"{MM.text(sigma['m'])}, {MRAD.text(sigma['rad'])}, {ONE.text(sigma['1'])} of a gain; {MS.text(sigma['s'])}"
+    return f"{', '.join(tolerances('weak'))}; {MS.text(UNITS['s'].weak_sigma)}"
+
+
+def tolerances(prior: str) -> tuple[str, str, str]:
+    """The standard deviations of a length, an angle and a gain by the prior "weak" or "wide"."""
+    length, angle, gain = (getattr(UNITS[si], f"{prior}_sigma") for si in ("m", "rad", "1"))
+    return MM.text(length), MRAD.text(angle), f"{ONE.text(gain)} of a gain"
 
 
 def kind_name(kind: str) -> str:

@@ -16,7 +16,7 @@ from truearm.report.residual_rows import rows_by_kind
 from truearm.reproduce import goswami
 from truearm.reproduce.goswami import NOISE, Bench, Errors
 from truearm.types import Estimate, Floats
-from truearm.units import UNITS
+from truearm.units import MM, UNITS
 
 TITLE = "Ball-bar calibration of a PUMA 560"
 SOURCE = (
@@ -122,17 +122,17 @@ def _ranks(made: Bench) -> Chapter:
 
 def _residuals(made: Bench, estimate: Estimate, every: Estimate, few: Estimate) -> Chapter:
     n, free = estimate.n_observations, int(made.robot.free.sum())
-    expected = 1e3 * NOISE * float(np.sqrt(1.0 - free / n))
+    expected = MM.of(NOISE * float(np.sqrt(1.0 - free / n)))
     (rows,) = rows_by_kind(estimate, made.table, goswami.longitudes(made))
-    deviation = 3.0 * 1e3 * NOISE / float(np.sqrt(2.0 * (n - free)))
-    r = 1e3 * estimate.residual["m"][estimate.fitted]
+    deviation = MM.of(3.0 * NOISE / float(np.sqrt(2.0 * (n - free))))
+    r = MM.of(estimate.residual["m"][estimate.fitted])
     claims = (
-        Claim("RMS residual before, 46 cm", "mm", None, 1e3 * estimate.rms_before["m"]),
+        Claim("RMS residual before, 46 cm", "mm", None, MM.of(estimate.rms_before["m"])),
         Claim(
             "RMS residual after, 46 cm",
             "mm",
             RESIDUAL,
-            1e3 * estimate.rms_after["m"],
+            MM.of(estimate.rms_after["m"]),
             expected,
             RESIDUAL - expected + deviation,
             "The noise put in is the paper's residual, 0.084 mm; 36 parameters fitted to "
@@ -144,7 +144,7 @@ def _residuals(made: Bench, estimate: Estimate, every: Estimate, few: Estimate) 
             0.0,
             float(r.mean()),
             0.0,
-            3.0 * 1e3 * NOISE / float(np.sqrt(n)),
+            MM.of(3.0 * NOISE / float(np.sqrt(n))),
             "Fig. 4: 0.0 mm. Tolerance: three standard errors.",
         ),
         Claim(
@@ -160,7 +160,7 @@ def _residuals(made: Bench, estimate: Estimate, every: Estimate, few: Estimate) 
             "36 poses: RMS residual after",
             "mm",
             0.0,
-            1e3 * few.rms_after["m"],
+            MM.of(few.rms_after["m"]),
             0.0,
             0.1 * RESIDUAL,
             "“If we had measured only 36 poses we could obtain a residual error of zero, no matter how poor the result "
@@ -171,7 +171,7 @@ def _residuals(made: Bench, estimate: Estimate, every: Estimate, few: Estimate) 
             "54 parameters free instead of 36: largest difference of a residual",
             "mm",
             None,
-            1e3 * float(np.abs(every.residual["m"] - estimate.residual["m"]).max()),
+            MM.of(float(np.abs(every.residual["m"] - estimate.residual["m"]).max())),
             0.0,
             why=f"The 18 held parameters change no prediction. Rank with all 54 free: {every.rank}.",
         ),
@@ -225,9 +225,9 @@ def _monte_carlo(made: Bench, runs: list[Errors]) -> Chapter:
 
 
 def _validation(made: Bench, runs: list[Errors], gears: list[tuple[float, float, float]]) -> Chapter:
-    near, far, _ = (1e3 * np.array(part) for part in zip(*gears, strict=True))
+    near, far, _ = (MM.of(np.array(part)) for part in zip(*gears, strict=True))
     explains = f"An amplitude of {float(np.interp(VALIDATION, far, GEARS)) * 1e4:.1f}·10⁻⁴ rad would give 0.110 mm. "
-    theory = 1e3 * goswami.validation_of_noise(made)
+    theory = MM.of(goswami.validation_of_noise(made))
     # The paper prints three figures of one experiment; its own RMS of 800 residuals has a standard error of 2.5 %.
     tolerance = 3.0 * VALIDATION / float(np.sqrt(2.0 * 800))
     claims = (
@@ -235,7 +235,7 @@ def _validation(made: Bench, runs: list[Errors], gears: list[tuple[float, float,
             "RMS on the 61 cm shells, noise alone",
             "mm",
             VALIDATION,
-            1e3 * float(np.sqrt(np.mean([r.far**2 for r in runs]))),
+            MM.of(float(np.sqrt(np.mean([r.far**2 for r in runs])))),
             theory,
             tolerance,
             "White noise of 0.084 mm cannot give the paper's 0.110 mm: 800 poses leave the parameters too little "
@@ -351,7 +351,7 @@ def _stewart(made: Bench, estimate: Estimate) -> Chapter:
             "position error of the identified robot on the 46 cm shells",
             "mm",
             CARTESIAN,
-            1e3 * goswami.cartesian_error(made, estimate),
+            MM.of(goswami.cartesian_error(made, estimate)),
             None,
             None,
             "RMS from the parameters' covariance. The paper's estimate is that of one pose measured six times; here "
@@ -371,7 +371,7 @@ def _figure(plot: svg.Plot, title: str, caption: str, parts: list[str]) -> Figur
 
 
 def _held(estimate: Estimate) -> float:
-    return 1e3 * estimate.held_out.figures["m"].rms if estimate.held_out else float("nan")
+    return float(MM.of(estimate.held_out.figures["m"].rms)) if estimate.held_out else float("nan")
 
 
 def _some(count: int, what: str) -> str:

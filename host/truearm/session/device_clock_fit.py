@@ -51,6 +51,7 @@ import numpy as np
 from truearm.session.box_messages import Exchange
 from truearm.session.clock_lines import TICK_US, consistent, fit_line
 from truearm.session.device_clock import Ceiling, DeviceClock, Ints, Window, blended
+from truearm.units import PPM
 
 WINDOW_US = 60_000_000
 SHORTEST_WINDOW_US = 4_000_000
@@ -151,7 +152,7 @@ def _report(clock: DeviceClock, every: Ints, sane: Ints) -> ClockReport:
     middle = int(sane[0, 1] + sane[-1, 1]) // 2
     host, _ = clock.to_host_ns(np.array([middle]))
     _, bound = clock.to_host_ns(sane[:, 1])
-    rates = 1e6 * np.array([window.rate for window in windows])
+    rates = PPM.of(np.array([window.rate for window in windows]))
     rtt = _round_trips(sane)
     left_out = {t1 for window in windows for t1 in window.rejected_us}  # windows overlap
     return ClockReport(

@@ -14,6 +14,7 @@ import numpy as np
 
 from truearm.session.box_messages import Exchange
 from truearm.session.device_clock_fit import WINDOW_US, fit_clock
+from truearm.units import PPM
 
 MOST_EXCHANGES = 480  # at 4 Hz a window has 240; somebody who probes faster gets a shorter one
 LEAST_EXCHANGES = 3
@@ -61,7 +62,7 @@ class OnlineClock:
         return OnlineEstimate(
             device_us=newest_us,
             offset_ns=int(host[0]) - 1000 * newest_us,
-            rate_ppm=1e6 * clock.windows[-1].rate,
+            rate_ppm=PPM.of(clock.windows[-1].rate),
             bound_ns=float(bound[0]),
             half_asymmetry_ns=report.half_asymmetry_ns,
             rtt_min_ns=report.rtt_min_ns,

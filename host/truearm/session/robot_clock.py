@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from truearm.session.device_clock import slack_ns
 from truearm.session.hull import line_under, lower_hull
 from truearm.types import Floats
+from truearm.units import PPM
 
 Ints = NDArray[np.int64]
 
@@ -199,8 +200,8 @@ def _report(segment: int, arrivals: Arrivals, lines: Floats, bound_ns: float) ->
         segment=segment,
         readings=arrivals.readings,
         t_robot_s=(arrivals.first_s, arrivals.last_s),
-        rate_ppm=float(1e6 * np.mean(rate)),
-        rate_range_ppm=float(1e6 * np.ptp(rate)),
+        rate_ppm=float(PPM.of(np.mean(rate))),
+        rate_range_ppm=float(PPM.of(np.ptp(rate))),
         spread_ns=spread,
         jitter_ns=float(np.median(_mean_heights(arrivals, lines))),
         windows=len(lines),

@@ -19,7 +19,7 @@ from truearm.model.poses import six_of
 from truearm.model.robot import Robot
 from truearm.report.parameter_cells import parameter_cells
 from truearm.types import Floats
-from truearm.units import from_shown
+from truearm.units import DEG, MM, from_shown
 
 LARGEST_JOINT = 100.0  # rad, m
 DEFAULT = RobotChoice()
@@ -171,8 +171,9 @@ def chosen_mountings(calibration: Calibration, own_frames: bool) -> Mountings:
 def six_text(pose: Floats) -> str:
     """A pose in mm and deg."""
     x, y, z, alpha, beta, gamma = six_of(pose)
-    turns = ", ".join(f"{np.rad2deg(v):.4f}" for v in (alpha, beta, gamma))
-    return f"x, y, z {1e3 * x:.3f}, {1e3 * y:.3f}, {1e3 * z:.3f} mm; Rz, Ry, Rx {turns} deg"
+    place = ", ".join(f"{MM.of(v):.3f}" for v in (x, y, z))
+    turns = ", ".join(f"{DEG.of(v):.4f}" for v in (alpha, beta, gamma))
+    return f"x, y, z {place} mm; Rz, Ry, Rx {turns} deg"
 
 
 def mounting_lines(chain: Chain, nominal: Floats, identified: Floats) -> list[str]:

@@ -22,6 +22,7 @@ from truearm.model.chain import point_jacobians
 from truearm.model.poses import inverted, pose_of
 from truearm.text import one_line
 from truearm.types import Floats
+from truearm.units import DEG, MM
 from truearm.workflows.calibration import (
     Calibration,
     check_names,
@@ -238,8 +239,8 @@ def _residuals(found: _Done, what: str) -> str:
     """One row a target; no angles where only positions matter."""
     lines = [f"{what},before_mm,after_mm,before_deg,after_deg"]
     for place, before, after in zip(found.places, found.correction.before, found.correction.after, strict=True):
-        lengths = [f"{1e3 * error[0]:.6f}" for error in (before, after)]
-        angles = [f"{math.degrees(error[1]):.6f}" if math.isfinite(error[1]) else "" for error in (before, after)]
+        lengths = [f"{MM.of(error[0]):.6f}" for error in (before, after)]
+        angles = [f"{DEG.of(error[1]):.6f}" if math.isfinite(error[1]) else "" for error in (before, after)]
         lines.append(",".join([place, *lengths, *angles]))
     return "\n".join([*lines, ""])
 

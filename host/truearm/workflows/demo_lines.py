@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from truearm.units import MM, MS, NS
 from truearm.workflows.demo_steps import FITTED, VALIDATED, ClockTruth, Steps, recording_facts, say_clock, say_samples
 
 if TYPE_CHECKING:
@@ -158,8 +159,8 @@ def delay_words(estimate: Estimate) -> str:
     from truearm_sim.lab import FROM_ROBOT
 
     k = estimate.parameter_names.index("time_offset")
-    truth = 1e3 * ROBOT_DELAY_S + 1e-6 * FROM_ROBOT.least
-    return f"{1e3 * estimate.value[k]:.2f} ± {1e3 * estimate.sigma[k]:.2f} ms found, {truth:.2f} ms true"
+    truth = ROBOT_DELAY_S + NS.to_si(FROM_ROBOT.least)
+    return f"{MS.of(estimate.value[k]):.2f} ± {MS.text(estimate.sigma[k], '.2f')} found, {MS.text(truth, '.2f')} true"
 
 
 def say_result(found: LineCalibration, result: SyncResult, truth: ClockTruth, steps: Steps, page: Path) -> None:
@@ -173,29 +174,31 @@ def say_result(found: LineCalibration, result: SyncResult, truth: ClockTruth, st
     say(f"robot's delay   {delay_words(estimate)}")
     say(f"parameters      {int(estimate.free.sum())} free with the rig's, rank {estimate.rank}, {estimate.status}")
     is_line, fitted = table.kind == "line", estimate.fitted
-    sensors = 1e3 * float(np.linalg.norm(found.rig.line_sigma))
+    sensors = MM.of(float(np.linalg.norm(found.rig.line_sigma)))
     if found.kind == "both":
         _say_group("46 cm shells", found, ~is_line & fitted, "")
         _say_group("61 cm shells", found, ~is_line & ~fitted, ", not fitted")
     _say_group(f"{N_LINES} lines", found, is_line & fitted, f"; the sensors alone would leave {sensors:.4f}")
     _say_group("validation line", found, is_line & ~fitted, ", not fitted")
     if found.kind == "line":
-        steps_of = " → ".join(f"{1e3 * rms:.3f}" for rms in estimate.rms_history["m"][:4])
+        steps_of = " → ".join(f"{MM.of(rms):.3f}" for rms in estimate.rms_history["m"][:4])
         say(f"by iteration    {steps_of} mm RMS on the {N_LINES} lines")
         robot = slice(estimate.n_robot_parameters)
         seen = estimate.sigma[robot] > 0.0
         apart = np.abs(other.value[robot] - estimate.value[robot])[seen] / estimate.sigma[robot][seen]
         say(f"row by row      the recursive solver ends within {apart.max():.1g} σ of this")
     else:
-        alone = 1e3 * _rms(other.residual["m"][is_line & ~fitted])
-        say(f"ball-bar alone  would leave {alone:.4f} mm on the validation line")
+        alone = _rms(other.residual["m"][is_line & ~fitted])
+        say(f"ball-bar alone  would leave {MM.text(alone, '.4f')} on the validation line")
     say(f"\nreport          {page}")
 
 
 def _say_group(label: str, found: LineCalibration, rows: NDArray[np.bool_], note: str) -> None:
-    before, after = (1e3 * _rms(r["m"][rows]) for r in (found.estimate.residual_before, found.estimate.residual))
+    before, after = (_rms(r["m"][rows]) for r in (found.estimate.residual_before, found.estimate.residual))
     n = int(rows.sum())
-    typer.echo(f"{label:<16}{before:.3f} mm RMS before, {after:.4f} mm after ({n} observations{note})")
+    typer.echo(
+        f"{label:<16}{MM.text(before, '.3f')} RMS before, {MM.text(after, '.4f')} after ({n} observations{note})"
+    )
 
 
 def _rms(residual: Floats) -> float:

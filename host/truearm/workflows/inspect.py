@@ -11,6 +11,7 @@ from truearm.errors import InputError, SessionError
 from truearm.files.strict_json import without_nan
 from truearm.session.joint_line import parse_reading
 from truearm.text import one_line
+from truearm.units import PPM
 
 if TYPE_CHECKING:
     from truearm.session.box_ident import Ident
@@ -130,7 +131,7 @@ def _topic(topic: Topic) -> dict[str, Any]:
 def _stream(stream: Any, found: Survey) -> dict[str, Any]:
     """Rates by the box's own stamps; and by the host's clock, where the exchanges tell how the two relate."""
     ppm = found.clock_reports[-1].rate_ppm if found.clock_reports else math.nan
-    by_host = 1e9 / (stream.measured_ns * (1.0 + 1e-6 * ppm))
+    by_host = 1e9 / (stream.measured_ns * (1.0 + PPM.to_si(ppm)))
     return {
         **asdict(stream),
         "rate_nominal_hz": 1e9 / stream.period_ns if stream.period_ns else None,
