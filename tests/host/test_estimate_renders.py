@@ -155,7 +155,7 @@ def root_of(chain, bow=2e-3, n_lines=10):
         q = q + 0.2 * rng.normal(size=q.shape)
         p = point_forward(chain, chain.params_nominal, q, np.zeros(3))
         tables.append(rows(f"l{i}", q, p + bow * rng.normal(size=p.shape)))
-    t = type(tables[0])(**{k: np.concatenate([getattr(one, k) for one in tables]) for k in vars(tables[0])})
+    t = type(tables[0]).joined(tables)
     problem = build_problem(chain, Rig(), t)
     return observe(problem, problem.start, np.ones(len(problem.names), bool)).root, problem
 
