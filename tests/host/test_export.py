@@ -259,6 +259,18 @@ def test_every_format_says_what_it_holds(name):
     assert bool(found.missing) == ("gain" not in form.holds)
 
 
+def test_the_docs_list_every_format():
+    page = (Path(__file__).parents[2] / "docs" / "robot-format.md").read_text()
+    for name, form in FORMATS.items():
+        mountings = "yes" if form.mountings else "no"
+        assert f"| `{name}` | `{form.suffix}` | {', '.join(form.holds)} | {mountings} |" in page
+
+
+def test_without_poses_nothing_is_said():
+    with pytest.raises(RobotError, match="no poses"):
+        fit_to("urdf", CHAIN, DESIGN, TRUTH, np.ones(DESIGN.size, dtype=bool), np.zeros((0, 6)))
+
+
 class Wave(Term):
     """a·sin(q) of a joint."""
 

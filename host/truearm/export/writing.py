@@ -83,9 +83,11 @@ def fit_to(
 ) -> Fitted:
     """Fit what the format called ``name`` holds and is ``adjustable`` (p,) to the identified robot over poses q (n, j).
 
-    Parameters that are not adjustable stay nominal. Raises RobotError where no value of the others makes the file better
-    than the nominal robot.
+    Parameters that are not adjustable stay nominal. Raises RobotError without poses, and where no value of the others makes
+    the file better than the nominal robot.
     """
+    if not len(q):
+        raise RobotError("there are no poses to compare the file with")
     form = FORMATS[name]
     has_place = held(chain, form)
     neutral = {term.name: term.neutral for term in joint_law.TERMS}

@@ -107,7 +107,8 @@ def unseen(chain: Chain, a6: float, frozen: Iterable[str], rng: np.random.Genera
     params = errors_added(chain, {"joint6.a": a6})
     q = rng.uniform([j.lower for j in chain.joints], [j.upper for j in chain.joints], (100, len(chain.joints)))
     jac = point_jacobians(chain, params, q, np.zeros(3))[1].reshape(-1, len(names))
-    rows = [i for i, n in enumerate(names) if n.startswith("joint") and not n.endswith("gain") and n not in frozen]
+    gains = {chain.parameter_names[i] for i in chain.law.gain.parameters}
+    rows = [i for i, n in enumerate(names) if n.startswith("joint") and n not in frozen | gains]
     device = [i for i, n in enumerate(names) if n.startswith("base.")]
     return len(rows) - (_rank(jac[:, rows + device]) - _rank(jac[:, device]))
 
