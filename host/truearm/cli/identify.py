@@ -60,8 +60,8 @@ def identify(
         list[str] | None,
         typer.Option(
             metavar="GROUP|FRACTION",
-            help="Rows to judge by and not to fit: bar=bar61, shell=s1, place=front, line=left, likewise chuck, sphere, socket, "
-            "target, tracker, plane or rig (repeatable), or a fraction such as 0.2.",
+            help="Rows to judge by and not to fit: bar=bar61, shell=s1, place=front or any other name in a column of "
+            "names (repeatable), or a fraction such as 0.2.",
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="Draws the rows of a held-out fraction.")] = 0,

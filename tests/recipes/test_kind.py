@@ -1,0 +1,132 @@
+"""A new kind of observation, an inclinometer, in one new file and one line of the registry."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from tests.recipes.recipes import Copy
+from truearm.model.chain import forward
+from truearm.model.robot import builtin_robot
+
+SIGMA_RAD, SIGMA_M = 1e-4, 2e-5
+ZERO = {"i1": 0.01, "i2": -0.005}
+AXES = {"i1": (1.0, 0.0, 0.0), "i2": (-1.0, 0.0, 0.0)}
+RIG = """
+[[inclinometer]]
+name = "i1"
+sigma_rad = 1e-4
+zero_sigma_deg = "unknown"
+
+[[inclinometer]]
+name = "i2"
+sigma_rad = 1e-4
+axis = [-1, 0, 0]
+zero_sigma_deg = "unknown"
+
+[[tracker]]
+name = "t"
+sigma_mm = [0.02, 0.02, 0.02]
+xyz_mm = [0, 0, 0]
+position_sigma_mm = 0
+turn_sigma_deg = 0
+"""
+COMMAND = ("--robot", "puma560", "--rig", "rig.toml")
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory):
+    """The package with the kind, points of a tracker and readings of two inclinometers on a PUMA 560."""
+    copy = Copy(tmp_path_factory.mktemp("kind"))
+    assert copy.apply("A kind of observation") == [
+        "host/truearm/kinds/inclinometer.py",
+        "host/truearm/kinds/registry.py",
+    ]
+    robot, rng = builtin_robot("puma560"), np.random.default_rng(4)
+    q = rng.uniform(-2.0, 2.0, (500, 6))
+    pose = forward(robot.chain, robot.parameter_sets["optimised"], q)
+    name = np.array(list(AXES))[np.arange(len(q)) % 2]
+    angle = np.arcsin(np.einsum("nk,nk->n", pose[:, 2, :3], np.array([AXES[n] for n in name])))
+    angle += np.array([ZERO[n] for n in name]) + SIGMA_RAD * rng.normal(size=len(q))
+    point = pose[:, :3, 3] + SIGMA_M * rng.normal(size=(len(q), 3))
+    lines = [
+        "kind,inclinometer,tracker,inclination_deg,x_m,y_m,z_m,sigma_deg," + ",".join(f"q{i}_rad" for i in range(1, 7))
+    ]
+    for i, joints in enumerate(q.tolist()):
+        if i < 300:
+            cells = ["position", "", "t", "", *map(repr, point[i].tolist()), ""]
+        elif abs(angle[i]) < 1.3:
+            cells = ["inclinometer", name[i], "", repr(math.degrees(angle[i])), "", "", "", "0.006" if i % 3 else ""]
+        else:
+            continue
+        lines.append(",".join([*cells, *map(repr, joints)]))
+    (copy.folder / "poses.csv").write_text("\n".join(lines) + "\n")
+    (copy.folder / "rig.toml").write_text(RIG)
+    return copy
+
+
+def test_it_is_identified_judged_and_reported(copy):
+    outputs = ("--out", "result.json", "--report", "page.html", "--save-table", "saved.csv")
+    said = copy.run("identify", "poses.csv", *COMMAND, "--hold-out", "inclinometer=i2", *outputs)
+    assert "error [mm]" in said
+    assert "error [deg]" in said
+    assert "inclinometer" in said.partition("error [deg]")[2]
+    result = json.loads((copy.folder / "result.json").read_text())
+    inclined, tracked = sorted(result["observations"], key=lambda entry: entry["kind"])
+    assert (inclined["kind"], tracked["kind"]) == ("inclinometer", "position")
+    # Some 90 readings: the RMS is known to 1/sqrt(180) = 7.5 %; 4 of these
+    assert inclined["rms_after_deg"] == pytest.approx(math.degrees(SIGMA_RAD), rel=0.3)
+    assert inclined["rms_held_out_deg"] == pytest.approx(math.degrees(SIGMA_RAD), rel=0.3)
+    assert (inclined["rms_after_mm"], tracked["rms_after_deg"]) == (None, None)
+    assert result["rms_after_deg"] == inclined["rms_after_deg"]
+    assert result["held_out"]["rms_deg"] == inclined["rms_held_out_deg"]
+    assert result["held_out"]["rms_mm"] is None
+    (zero,) = (p for p in result["parameters"] if p["name"] == "inclinometer.i1.zero")
+    assert zero["unit"] == "rad"
+    assert abs(zero["value"] - ZERO["i1"]) < 5 * zero["sigma"] < 1e-3
+    page = (copy.folder / "page.html").read_text()
+    assert "Residual of an inclinometer observation: measured less predicted inclination." in page
+    assert "By inclinometer" in page
+
+
+def test_a_saved_table_gives_the_same_result(copy):
+    copy.run("identify", "poses.csv", *COMMAND, "--save-table", "again.csv", "--out", "first.json")
+    assert {"inclination_rad", "sigma_rad"} <= set(
+        (copy.folder / "again.csv").read_text().partition("\n")[0].split(",")
+    )
+    copy.run("identify", "again.csv", *COMMAND, "--out", "second.json")
+    first, second = (json.loads((copy.folder / name).read_text()) for name in ("first.json", "second.json"))
+    assert first["parameters"] == second["parameters"]
+    assert first["chi2_reduced"] == second["chi2_reduced"]
+
+
+def test_it_judges_a_calibration(copy):
+    copy.run("identify", "poses.csv", *COMMAND, "--hold-out", "inclinometer=i2", "--out", "judged.json")
+    said = copy.run("validate", "judged.json", "poses.csv", "--rig", "rig.toml")
+    assert "error [deg]" in said
+    assert "inclinometer=i1" in said
+
+
+WRONG = {
+    "no reading": ("inclinometer,i1,\n", RIG, "row 2: an inclinometer row needs inclination_deg or inclination_rad"),
+    "unknown": ("inclinometer,i7,3\n", RIG, "column inclinometer: 'i7' is not in the rig (it has i1, i2)"),
+    "too large": ("inclinometer,i1,91\n", RIG, "column inclination_deg: '91' is too large"),
+    "misspelt key": (
+        "inclinometer,i1,3\n",
+        RIG.replace("axis", "axes"),
+        "[[inclinometer]] 2: unknown key 'axes'; did you mean axis?",
+    ),
+}
+
+
+@pytest.mark.parametrize(("row", "rig", "message"), WRONG.values(), ids=WRONG)
+def test_wrong_input_is_one_line(copy, row, rig, message):
+    joints = ",".join(f"q{i}_rad" for i in range(1, 7))
+    (copy.folder / "wrong.csv").write_text(
+        f"kind,inclinometer,inclination_deg,{joints}\n{row.strip()},{','.join('0' * 6)}\n"
+    )
+    (copy.folder / "wrong.toml").write_text(rig)
+    said = copy.run("identify", "wrong.csv", "--robot", "puma560", "--rig", "wrong.toml", code=2)
+    assert message in said
+    assert said.count("\n") == 1
