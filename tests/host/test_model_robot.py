@@ -7,7 +7,6 @@ from truearm.errors import RobotError
 from truearm.model.builtin import builtin_names, builtin_text, names_with_branch
 from truearm.model.chain import Joint, forward
 from truearm.model.robot import builtin_robot, parse_robot
-from truearm.model.sheth_uicker import chain_from_sheth_uicker
 
 TINY = """
 name = "tiny"
@@ -126,14 +125,6 @@ def test_unknown_robot_and_oversized_file():
         parse_robot("a = " + "[" * 100_000)
     with pytest.raises(RobotError, match="65 joints"):
         parse_robot(TINY + "\n".join(f"[joint{i}]" for i in range(2, 66)))
-
-
-def test_sheth_uicker_checks_its_numbers():
-    joints = (Joint("j", "revolute", -1.0, 1.0),)
-    with pytest.raises(RobotError, match="14 parameters"):
-        chain_from_sheth_uicker("r", joints, np.zeros(13))
-    with pytest.raises(RobotError, match=r"joint1\.gain is not finite"):
-        chain_from_sheth_uicker("r", joints, np.where(np.arange(14) == 7, np.nan, 0.0))
 
 
 DH = """

@@ -11,7 +11,6 @@ import typer
 from truearm.errors import InputError
 from truearm.record.robots.sources import sources_help
 
-USUAL_HZ = 1000.0
 _PATIENCE_S = 600.0
 
 

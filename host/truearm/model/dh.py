@@ -29,15 +29,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 
-import numpy as np
-
-from truearm.errors import RobotError
-from truearm.model.chain import Chain, Joint
-from truearm.model.slots import SIX, Slot, chain_from_slots, law_name, six_slots
-from truearm.types import Floats
+from truearm.model.chain import Joint
+from truearm.model.slots import Slot, six_slots
 
 Layout = Callable[[Sequence[Joint], Collection[int], bool, bool], tuple[Slot, ...]]
-NO_MOUNTING = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def dh_slots(
@@ -64,42 +59,6 @@ def modified_dh_slots(
     return _mounted(rows, base, tool)
 
 
-def chain_from_dh(
-    name: str,
-    joints: Sequence[Joint],
-    rows: Floats,
-    *,
-    twisted: Collection[int] = (),
-    base: Sequence[float] | None = NO_MOUNTING,
-    tool: Sequence[float] | None = NO_MOUNTING,
-    base_frame: str = "base",
-    end_frame: str = "end",
-) -> Chain:
-    """The chain of distal ``rows`` (j, 4): θ, d, a, α [rad, m, m, rad] of each joint at zero reading; gains are 1.
-
-    twisted : indices of joints with a β, 0 at first; the d of a revolute one becomes a constant.
-    base, tool : (6,) x, y, z, alpha, beta, gamma [m, rad] of the mountings, None for a chain without.
-
-    Raises RobotError for numbers that are too few, too many or not finite, and for twists of joints that are not there.
-    """
-    return _from_rows(dh_slots, name, joints, rows, twisted, (base, tool), (base_frame, end_frame))
-
-
-def chain_from_modified_dh(
-    name: str,
-    joints: Sequence[Joint],
-    rows: Floats,
-    *,
-    twisted: Collection[int] = (),
-    base: Sequence[float] | None = NO_MOUNTING,
-    tool: Sequence[float] | None = NO_MOUNTING,
-    base_frame: str = "base",
-    end_frame: str = "end",
-) -> Chain:
-    """The chain of Craig's ``rows`` (j, 4): θ, d, a, α, the latter two before the joint; else as ``chain_from_dh``."""
-    return _from_rows(modified_dh_slots, name, joints, rows, twisted, (base, tool), (base_frame, end_frame))
-
-
 def _screw(table: str, index: int, joint: Joint) -> tuple[Slot, Slot]:
     """Rz(θ)·Tz(d), the one or the other moved by the joint."""
     if joint.kind == "prismatic":
@@ -109,37 +68,3 @@ def _screw(table: str, index: int, joint: Joint) -> tuple[Slot, Slot]:
 
 def _mounted(rows: list[Slot], base: bool, tool: bool) -> tuple[Slot, ...]:
     return (*(six_slots("base") if base else ()), *rows, *(six_slots("tool") if tool else ()))
-
-
-def _from_rows(
-    layout: Layout,
-    name: str,
-    joints: Sequence[Joint],
-    rows: Floats,
-    twisted: Collection[int],
-    mountings: tuple[Sequence[float] | None, Sequence[float] | None],
-    frames: tuple[str, str],
-) -> Chain:
-    base, tool = mountings
-    rows = np.asarray(rows, dtype=float)
-    if rows.shape != (len(joints), 4):
-        raise RobotError(f"robot {name}: {len(joints)} rows of θ, d, a, α are needed, got {rows.shape}")
-    if not set(twisted) <= set(range(len(joints))):
-        raise RobotError(f"robot {name}: twisted joints must be indices below {len(joints)}, are {sorted(twisted)}")
-    slots = layout(joints, twisted, base is not None, tool is not None)
-    amounts = {law_name(slot, "gain"): 1.0 for slot in slots if slot.joint is not None}
-    amounts |= _six(name, "base", base) | _six(name, "tool", tool)
-    for i, (row, joint) in enumerate(zip(rows.tolist(), joints, strict=True)):
-        keys = ("theta", "offset", "a", "alpha") if joint.kind == "prismatic" else ("offset", "d", "a", "alpha")
-        amounts |= {f"joint{i + 1}.{key}": value for key, value in zip(keys, row, strict=True)}
-        amounts[f"joint{i + 1}.beta"] = 0.0
-    fixed = {f"joint{i + 1}.d" for i in twisted}
-    return chain_from_slots(name, joints, slots, amounts, fixed, *frames)
-
-
-def _six(name: str, table: str, numbers: Sequence[float] | None) -> dict[str, float]:
-    if numbers is None:
-        return {}
-    if len(numbers) != len(SIX):
-        raise RobotError(f"robot {name}: {table} needs six numbers x, y, z, alpha, beta, gamma, got {len(numbers)}")
-    return {f"{table}.{key}": float(value) for (key, _), value in zip(SIX, numbers, strict=True)}

@@ -9,12 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
-from truearm.errors import RobotError
-from truearm.model.chain import Chain, Joint
-from truearm.model.slots import Slot, chain_from_slots, law_name, six_slots
-from truearm.types import Floats
+from truearm.model.chain import Joint
+from truearm.model.slots import Slot, six_slots
 
 
 def sheth_uicker_slots(joints: Sequence[Joint]) -> tuple[Slot, ...]:
@@ -24,19 +20,3 @@ def sheth_uicker_slots(joints: Sequence[Joint]) -> tuple[Slot, ...]:
         motion = "tz" if joint.kind == "prismatic" else "rz"
         out += [Slot(f"joint{i + 1}.offset", motion, i), *six_slots(f"link{i + 2}")]
     return tuple(out)
-
-
-def chain_from_sheth_uicker(
-    name: str, joints: Sequence[Joint], nominal: Floats, base_frame: str = "base", end_frame: str = "end"
-) -> Chain:
-    """The chain of the joints with ``nominal`` (8j + 6,) [m, rad, 1] in the paper's order, a gain after each offset.
-
-    Raises RobotError if nominal has another length or is not finite.
-    """
-    slots = sheth_uicker_slots(joints)
-    names = [n for s in slots for n in ((s.name,) if s.joint is None else (s.name, law_name(s, "gain")))]
-    nominal = np.asarray(nominal, dtype=float)
-    if nominal.shape != (len(names),):
-        raise RobotError(f"robot {name}: {len(names)} parameters are needed, got {nominal.shape}")
-    amounts = dict(zip(names, nominal.tolist(), strict=True))
-    return chain_from_slots(name, joints, slots, amounts, (), base_frame, end_frame)

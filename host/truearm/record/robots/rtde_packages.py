@@ -23,7 +23,6 @@ from dataclasses import dataclass
 
 VERSION, CONTROLLER, OUTPUTS, START, PAUSE, DATA, TEXT = b"VvOSPUM"
 BROKEN = 256  # no type: what stands where a package should begin
-MAX_NAMES_BYTES = 2048
 NOT_FOUND = "NOT_FOUND"
 LEVELS = ("exception", "error", "warning", "info")
 
