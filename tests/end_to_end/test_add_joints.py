@@ -9,13 +9,14 @@ import pytest
 from tests.end_to_end.conftest import record_session
 from tests.host.ros_bags import joint_state, write_bag
 
-from truearm.cli.add_joints import _joint_names
 from truearm.cli.main import main
 from truearm.errors import InputError
+from truearm.files.robot_file import RobotChoice
 from truearm.record.robots.add_readings import Anchors
 from truearm.record.robots.sources import FileOptions, readings_of_file
 from truearm.record.session_writer import SessionWriter
 from truearm.session.session_file import open_session
+from truearm.workflows.add_joints import joint_names
 from truearm.workflows.session_observations import observations_of_session
 
 NAMES = [f"joint{i}" for i in range(6)]
@@ -179,7 +180,7 @@ def test_the_order_of_the_joints_from_a_robot(tmp_path):
     arm = [f"panda_joint{i}" for i in range(1, 8)]
     names = ["finger", *reversed(arm)]
     bag = write_bag(tmp_path / "bag", "mcap", [(10**18, joint_state(10**18, names, range(8)))])
-    joints = _joint_names(None, PANDA, None, "ball_link")
+    joints = joint_names(None, RobotChoice(PANDA, None, "ball_link"))
     assert joints == arm
     (reading,) = readings_of_file(bag, FileOptions("/joint_states", joints))
     assert json.loads(reading.line)["q"] == [7.0, 6.0, 5.0, 4.0, 3.0, 2.0, 1.0]
@@ -195,7 +196,7 @@ def test_the_order_of_the_joints_from_a_robot(tmp_path):
 )
 def test_names_that_are_none(joints, robot, says):
     with pytest.raises(InputError, match=says):
-        _joint_names(joints, robot, None, "ball_link")
+        joint_names(joints, RobotChoice(robot, None, "ball_link"))
 
 
 def test_a_table_has_its_order(tmp_path):

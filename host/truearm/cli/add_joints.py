@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from truearm.errors import InputError
-from truearm.record.robots.sources import FileOptions, files_help, readings_of_file
+from truearm.cli.options import say_parts
+from truearm.record.robots.sources import FileOptions, files_help
+from truearm.text import one_line
 
 
 def add_joints(
@@ -49,46 +48,21 @@ def add_joints(
     Example:
       truearm add-joints session.mcap joints.csv --zero 3.2 --out with_joints.mcap
     """
-    from truearm.files.disk import check_writable, sha256
-    from truearm.record.robots.add_readings import add_readings
-    from truearm.session.session_file import open_session
-    from truearm.text import one_line
-    from truearm.workflows.session_parts import say_parts
+    from truearm.files.robot_file import RobotChoice
+    from truearm.workflows.add_joints import AddJoints, add_joints_file, joint_names
 
-    check_writable(out, inputs=[session, source])
-    if out.exists() and not force:
-        raise InputError(f"{out}: exists; choose another name or give --force")
-    if zero is not None and not abs(zero) < 1e9:
-        raise InputError(f"--zero {zero:g} is no time; give seconds")
-    opened = open_session(session, allow_damaged)
-    readings = readings_of_file(source, FileOptions(topic, _joint_names(joints, robot, base, tip), allow_damaged))
-    said = {
-        "source": source.name,
-        "session": session.name,
-        "session_sha256": sha256(session),
-        "time": "utc" if zero is None else f"0 at {zero!r} s of the session",
-    }
-    if opened.damage or opened.truncated:
-        said["damaged"] = "what was not whole of the session is left out"
-    with tempfile.TemporaryDirectory(prefix=".truearm-", dir=out.parent) as folder:
-        partial = Path(folder) / "session.mcap"
-        count = add_readings(opened, readings, partial, zero, said, replace)
-        os.replace(partial, out)
+    count = add_joints_file(
+        AddJoints(
+            session=session,
+            source=source,
+            out=out,
+            options=FileOptions(topic, joint_names(joints, RobotChoice(robot, base, tip)), allow_damaged),
+            zero=zero,
+            replace=replace,
+        ),
+        force,
+    )
     typer.echo(
         f"{out}: {count} joint readings added; their times are {'UTC' if zero is None else 'from --zero'}, not arrivals"
     )
     say_parts(session, f"add the joints to each by itself, and name the files one by one beside {one_line(out.name)}")
-
-
-def _joint_names(joints: str | None, robot: str | None, base: str | None, tip: str | None) -> list[str]:
-    """The joints' names from the base on; [] if nobody said. Raises InputError."""
-    if joints is not None and robot is not None:
-        raise InputError("--joints and --robot both name the joints; give one")
-    if robot is not None:
-        from truearm.files.robot_file import load_robot
-
-        return [joint.name for joint in load_robot(robot, base, tip).chain.joints]
-    names = [] if joints is None else [name.strip() for name in joints.split(",")]
-    if "" in names or len(set(names)) < len(names):
-        raise InputError(f"--joints {joints!r} is no list of different names: a,b,c")
-    return names

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from truearm.box.conversation import Device, Stop, conversation
-from truearm.errors import ConfigError, InputError
+from truearm.errors import ConfigError
 
 config = typer.Typer(
     help="What a box is told: rates, channels, calibrations, its magnetostrictive sensor.",
@@ -38,12 +38,10 @@ def get(
     Example: truearm box config get --device /dev/ttyACM0 --out box.toml
     """
     from truearm.box.configuration import format_config
-    from truearm.files.disk import check_writable, write_atomic
+    from truearm.files.disk import check_new, write_atomic
 
     if out is not None:
-        check_writable(out)
-        if out.exists() and not force:
-            raise InputError(f"{out}: exists; choose another name or give --force")
+        check_new(out, force)
     with conversation(device, stop=stop) as box:
         text = format_config(box.config())
     if out is None:

@@ -12,6 +12,7 @@ import typer
 
 from truearm.errors import InputError
 from truearm.model.builtin import builtin_names
+from truearm.text import one_line
 from truearm.units import DEG, MM
 
 ROBOT_HELP = f"Built-in robot ({', '.join(builtin_names())}), robot file (.toml) or URDF (.urdf)."
@@ -42,6 +43,15 @@ def warn(text: str) -> None:
 def planning(text: str) -> None:
     """Print a step of a plan on standard error."""
     typer.echo(f"planning: {text}", err=True)
+
+
+def say_parts(path: Path, what: str) -> None:
+    """Print on standard error which further parts of a session a command leaves out: ``what`` to do with them. Raises SessionError."""
+    from truearm.workflows.session_parts import session_parts
+
+    parts = [one_line(part.name) for part in session_parts(path)[1:]]
+    if parts:
+        typer.echo(f"{one_line(path.name)} goes on in {', '.join(parts)}: {what}", err=True)
 
 
 def silent(_: str) -> None:

@@ -8,10 +8,11 @@ from typing import Annotated
 
 import typer
 
-from truearm.errors import InputError
+from truearm.errors import InputError, LinkError
 from truearm.record.robots.sources import sources_help
 
 _PATIENCE_S = 600.0
+INTERRUPTED = 130
 
 
 def record(
@@ -76,6 +77,7 @@ def record(
       truearm record --robot tcp://127.0.0.1:7008 --rig rig.toml --plan plan.csv --out session.mcap
       truearm record --resume session.mcap
     """
+    from truearm.cli.record_text import lines
     from truearm.workflows.record import Request, nearest_osr, record_request
 
     osr = None if rate is None else nearest_osr(rate)
@@ -83,6 +85,17 @@ def record(
         raise InputError(f"--duration {duration:g} is no time; give seconds above 0")
     if not 0 <= patience < math.inf:
         raise InputError(f"--patience {patience:g} is no time; give seconds, 0 to end at once")
-    record_request(
+    recorded = record_request(
         Request(device, out, resume, robot, plan, rig, mounted, osr, duration, patience, plain, unchecked, force)
     )
+    for line in lines(recorded):
+        typer.echo(line)
+    if recorded.trouble:
+        typer.echo(recorded.trouble, err=True)
+    if recorded.summary.reason == "interrupted":
+        if not recorded.kept:
+            typer.echo("interrupted before the box had started; nothing was recorded", err=True)
+        raise typer.Exit(INTERRUPTED)
+    if recorded.missing:
+        where = f"what came is in {recorded.out}" if recorded.kept else "nothing was recorded"
+        raise LinkError(f"{recorded.missing}; {where}")

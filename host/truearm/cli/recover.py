@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from truearm.errors import InputError, SessionError, WriteError
+from truearm.cli.options import say_parts
 from truearm.text import one_line
 
 if TYPE_CHECKING:
     from truearm.record.recover import Recovered
-    from truearm.session.session_file import Session
 
 SHOWN = 10  # damaged places that are listed
 
@@ -37,40 +34,17 @@ def recover(
     Example:
       truearm recover session.mcap --out mended.mcap
     """
-    from truearm.files.disk import check_writable, sha256
-    from truearm.record.recover import is_whole
-    from truearm.session.session_file import open_session
-    from truearm.workflows.session_parts import say_parts
+    from truearm.workflows.recover import recover_file
 
-    opened = open_session(session, allow_damaged=True)
-    out = out or session.with_name(f"{session.stem}-recovered.mcap")
-    if is_whole(opened):
+    out = out or session.parent / f"{session.stem}-recovered.mcap"
+    found = recover_file(session, out, force)
+    if found is None:
         typer.echo(f"{one_line(str(session))}: is whole; there is nothing to recover, and nothing was written")
         return
-    check_writable(out, inputs=[session])
-    if out.exists() and not force:
-        raise InputError(f"{out}: exists; choose another name or give --force")
-    found = _write(session, opened, out, {"source": session.name, "sha256": sha256(session)})
     for line in lines(found):
         typer.echo(line)
     typer.echo(f"{one_line(str(out))}: written, a complete session")
     say_parts(session, f"name them beside {one_line(out.name)}, they are not found by its name")
-
-
-def _write(path: Path, opened: Session, out: Path, said: dict[str, str]) -> Recovered:
-    """Write beside ``out`` and rename: whoever finds it finds it whole."""
-    from truearm.record.recover import recover as recover_session
-
-    try:
-        with tempfile.TemporaryDirectory(prefix=".truearm-", dir=out.parent) as folder:
-            partial = Path(folder) / "session.mcap"
-            found = recover_session(opened, partial, said)
-            if not found.topics and not opened.metadata:
-                raise SessionError(f"{path}: holds nothing that could be saved")
-            os.replace(partial, out)
-    except (OSError, WriteError) as exc:
-        raise WriteError(f"{out}: cannot be written: {exc.strerror}; {path} is as it was", exc.strerror or "") from exc
-    return found
 
 
 def lines(found: Recovered) -> list[str]:

@@ -110,6 +110,13 @@ def check_writable(path: Path, *, inputs: Iterable[Path] = (), ours: Callable[[b
         raise InputError(f"{path}: cannot be written: {exc.strerror}") from exc
 
 
+def check_new(path: Path, force: bool, *, inputs: Iterable[Path] = ()) -> None:
+    """As ``check_writable``; a file that exists is replaced only with ``force``. Raises InputError."""
+    check_writable(path, inputs=inputs)
+    if path.exists() and not force:
+        raise InputError(f"{path}: exists; choose another name or give --force")
+
+
 def _check_writable(path: Path, inputs: Iterable[Path], ours: Callable[[bytes], bool] | None) -> None:
     if path.is_dir():
         raise InputError(f"{path}: is a directory; give the name of a file to write")

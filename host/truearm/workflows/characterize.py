@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from truearm.errors import InputError, SessionError
+from truearm.errors import InputError, RigError, SessionError
 from truearm.estimate.repeatability import (
     MISFIT,
     Interval,
@@ -21,16 +23,36 @@ from truearm.estimate.repeatability import (
     rounding_variance,
     sigma_interval,
 )
-from truearm.files.noise_file import NoiseFile
+from truearm.files.disk import check_writable, write_atomic
+from truearm.files.noise_file import NoiseFile, format_noise, looks_like_noise
+from truearm.files.plan_file import read_plan
+from truearm.files.rig_file import read_rig
+from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.model.chain import Chain, along, trace_point
 from truearm.session.box_ident import Ident
 from truearm.session.dwells import Dwell
 from truearm.session.pipeline import Messages, SyncResult, observations
+from truearm.session.session_file import Session, open_session
 from truearm.session.visits import Visits, joined, visits
 from truearm.text import one_line
-from truearm.types import Floats, Rig
+from truearm.types import Floats, Message, Rig
+from truearm.workflows.inspect import ident_of
+from truearm.workflows.session_observations import attached_rig
+from truearm.workflows.session_parts import session_parts
 
 LEAST_VISITS = 6
+
+
+@dataclass(frozen=True)
+class CharacterizeFiles:
+    """What ``truearm characterize`` reads and writes; ``rig`` and ``plan`` stand in for those that the session holds."""
+
+    session: Path
+    robot: RobotChoice
+    rig: Path | None = None
+    plan: Path | None = None
+    out: Path | None = None
+    allow_damaged: bool = False
 
 
 class Part(NamedTuple):
@@ -39,6 +61,61 @@ class Part(NamedTuple):
     messages: Messages
     name: str
     ident: Ident | None = None
+
+
+def characterize_files(
+    files: CharacterizeFiles,
+    bands: Sequence[float],
+    remarks: Callable[[Mapping[str, Any]], Iterable[str]] = lambda _: (),
+) -> dict[str, Any]:
+    """Read a session in all its parts, and write the noise file with these remarks at its head; returns what was found.
+
+    ``bands`` [m]: to settle in. Raises InputError, RigError, SessionError.
+    """
+    paths = session_parts(files.session)
+    if files.out is not None:
+        read = [*paths, *filter(None, [files.rig, files.plan]), *files.robot.files]
+        check_writable(files.out, inputs=read, ours=looks_like_noise)
+    chain = load_robot(files.robot.robot or "", files.robot.base, files.robot.tip).chain
+    opened = {path: open_session(path, files.allow_damaged) for path in paths}
+    rig = _rig(opened, files.rig)
+    parts = [Part(_with_plan(one, files.plan), path.name, ident_of(one)) for path, one in opened.items()]
+    found, noise = characterized(parts, chain, rig, bands)
+    if files.out is not None:
+        write_atomic(files.out, format_noise(noise, list(remarks(found)), "m" in chain.joint_units))
+    return found
+
+
+def _rig(opened: Mapping[Path, Session], given: Path | None) -> Rig:
+    """The rig that was given, else the one that all parts were recorded with."""
+    if given is not None:
+        return read_rig(given)
+    first: Rig | None = None
+    for path, session in opened.items():
+        found = attached_rig(session, path)
+        if found is None:
+            raise RigError(f"{path}: was recorded without a rig; give one with --rig")
+        first = first or found
+        if found != first:
+            raise RigError(f"{path}: was recorded with another rig than {next(iter(opened))}; give one with --rig")
+    assert first is not None
+    return first
+
+
+def _with_plan(session: Session, path: Path | None) -> Callable[[Collection[str] | None], Iterator[Message]]:
+    """What the session holds, a plan file's rows in place of its own plan."""
+    from truearm.workflows.record import plan_rows  # brings the live view along
+
+    if path is None:
+        return lambda topics: session.messages(topics)
+    rows = [Message("/plan", 0, json.dumps(row).encode()) for row in plan_rows(read_plan(path))]
+
+    def messages(topics: Collection[str] | None) -> Iterator[Message]:
+        if topics is None:
+            yield from rows
+        yield from (message for message in session.messages(topics) if message.topic != "/plan")
+
+    return messages
 
 
 def characterized(

@@ -8,10 +8,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import typer
-
 from truearm.box.readiness import Purpose
-from truearm.errors import InputError, LinkError, TruearmError
+from truearm.errors import InputError, TruearmError
 from truearm.interrupt import asked_to_stop
 from truearm.live.choose_box import choose_box
 from truearm.live.mounted import check_mounted, parse_mounted
@@ -31,7 +29,6 @@ if TYPE_CHECKING:
 MODULATOR_HZ = 125e6 / 15 / 2
 OSRS = tuple(1 << k for k in range(7, 15))  # 128 … 16384
 USUAL_OSR = 4096
-_INTERRUPTED = 130
 # Python lets a busy thread run for 5 ms before another gets its turn; the thread that stamps arrivals cannot wait so long.
 _SWITCH_INTERVAL_S = 2e-4
 
@@ -70,27 +67,23 @@ class Work:
     before: Earlier | None = None
 
 
-def record_request(request: Request) -> None:
-    """Record. Raises InputError, LinkError; typer.Exit with 130 after Ctrl-C."""
+@dataclass(frozen=True)
+class Recorded:
+    """A recording that ended: whether a file was kept, and what the live view complained of."""
+
+    out: Path
+    summary: RecordSummary
+    kept: bool
+    trouble: str
+    missing: str  # why it is not what was asked for, "" if it is
+
+
+def record_request(request: Request) -> Recorded:
+    """Record until it ends. Raises InputError, LinkError."""
     work = _work(request)
     device = choose_box(request.device)
     summary, kept, view = _record(device, work, request)
-    out = work.out
-    where = f"what came is in {out}" if kept else "nothing was recorded"
-    if kept:
-        why = f" ({summary.text})" if summary.reason == "robot closed" else ""
-        typer.echo(f"{out}: {_totals(summary)}; ended: {summary.reason}{why}")
-        for fault in summary.faults:
-            typer.echo(f"{out}: {fault}")
-    if view.trouble:
-        typer.echo(view.trouble, err=True)
-    if summary.reason == "interrupted":
-        if not kept:
-            typer.echo("interrupted before the box had started; nothing was recorded", err=True)
-        raise typer.Exit(_INTERRUPTED)
-    missing = what_is_missing(summary, work.robot is not None)
-    if missing:
-        raise LinkError(f"{missing}; {where}")
+    return Recorded(work.out, summary, kept, view.trouble, what_is_missing(summary, work.robot is not None))
 
 
 def what_is_missing(summary: RecordSummary, with_robot: bool) -> str:
@@ -166,16 +159,15 @@ def nearest_osr(rate: float) -> int:
 
 def _work(request: Request) -> Work:
     """What is to be recorded. Raises InputError for options and files that are wrong or do not fit each other."""
-    from truearm.files.disk import check_writable
+    from truearm.files.disk import check_new
 
     if (request.out is None) == (request.resume is None):
         raise InputError("give --out FILE for a new session, or --resume FILE to go on with one")
     before = None if request.resume is None else earlier(request.resume)
     out = request.out if before is None else before.out
     assert out is not None
-    check_writable(out, inputs=[path for path in (request.rig, request.plan) if path is not None])
-    if out.exists() and (before is not None or not request.force):
-        raise InputError(f"{out}: exists; choose another name or give --force")
+    read = [path for path in (request.rig, request.plan) if path is not None]
+    check_new(out, request.force and before is None, inputs=read)
     work = _with_files(Work(out, request.robot, request.osr or USUAL_OSR), request)
     if before is not None:
         work = _going_on(work, request, before)
@@ -247,21 +239,3 @@ def _plan_row(plan: Plan, pose: int) -> dict[str, Any]:
     if plan.lines[pose]:
         row |= {"line": str(plan.line[pose]), "target": str(plan.target[pose]), "speed_m_s": float(plan.speed[pose])}
     return row | {"q": plan.q[pose].tolist()}
-
-
-def _totals(summary: RecordSummary) -> str:
-    counters = summary.counters
-    parts = [f"{summary.duration_s:.1f} s", f"{counters.samples} samples", f"{counters.lost_frames} frames lost"]
-    if counters.robot_lines or counters.robot_console_bytes:
-        parts.append(f"{counters.robot_lines} robot lines")
-    if counters.robot_other_joints:
-        parts.append(f"{counters.robot_other_joints} malformed (another number of joints than the first)")
-    if counters.restarts:
-        parts.append(f"{counters.restarts} box restarts")
-    if counters.link_losses:
-        parts.append(f"link lost {counters.link_losses} times")
-    if counters.robot_losses:
-        parts.append(f"robot lost {counters.robot_losses} times")
-    if counters.held_up:
-        parts.append(f"the reader had to wait {counters.held_up} times")
-    return ", ".join(parts)

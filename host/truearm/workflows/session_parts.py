@@ -12,8 +12,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import typer
-
 from truearm.errors import InputError, SessionError
 from truearm.files.disk import same_file
 from truearm.session.joint_line import are_joints
@@ -64,15 +62,6 @@ def _goes_on(part: Session, first: Session) -> bool:
 
 def _begun(first: Session) -> str:
     return first.metadata.get("session", {}).get("utc_ns", "")
-
-
-def say_parts(path: Path, what: str) -> None:
-    """Tell of the further parts that a command leaves out: ``what`` becomes of them. Raises SessionError."""
-    from truearm.text import one_line
-
-    parts = [one_line(part.name) for part in session_parts(path)[1:]]
-    if parts:
-        typer.echo(f"{one_line(path.name)} goes on in {', '.join(parts)}: {what}", err=True)
 
 
 def first_stem(path: Path) -> str:

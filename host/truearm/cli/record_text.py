@@ -1,0 +1,34 @@
+"""What ``truearm record`` prints when a recording has ended."""
+
+from __future__ import annotations
+
+from truearm.record.status import RecordSummary
+from truearm.workflows.record import Recorded
+
+
+def lines(recorded: Recorded) -> list[str]:
+    """What is in the file, why the recording ended, and what went wrong; nothing where no file was kept."""
+    summary, out = recorded.summary, recorded.out
+    if not recorded.kept:
+        return []
+    why = f" ({summary.text})" if summary.reason == "robot closed" else ""
+    said = [f"{out}: {_totals(summary)}; ended: {summary.reason}{why}"]
+    return [*said, *(f"{out}: {fault}" for fault in summary.faults)]
+
+
+def _totals(summary: RecordSummary) -> str:
+    counters = summary.counters
+    parts = [f"{summary.duration_s:.1f} s", f"{counters.samples} samples", f"{counters.lost_frames} frames lost"]
+    if counters.robot_lines or counters.robot_console_bytes:
+        parts.append(f"{counters.robot_lines} robot lines")
+    if counters.robot_other_joints:
+        parts.append(f"{counters.robot_other_joints} malformed (another number of joints than the first)")
+    if counters.restarts:
+        parts.append(f"{counters.restarts} box restarts")
+    if counters.link_losses:
+        parts.append(f"link lost {counters.link_losses} times")
+    if counters.robot_losses:
+        parts.append(f"robot lost {counters.robot_losses} times")
+    if counters.held_up:
+        parts.append(f"the reader had to wait {counters.held_up} times")
+    return ", ".join(parts)

@@ -1,0 +1,66 @@
+"""The work of ``truearm add-joints``: joint readings that were recorded elsewhere, into a copy of a session."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from truearm.errors import InputError
+from truearm.files.disk import check_new, sha256
+from truearm.files.robot_file import RobotChoice, load_robot
+from truearm.record.robots.add_readings import add_readings
+from truearm.record.robots.sources import FileOptions, readings_of_file
+from truearm.session.session_file import open_session
+
+
+@dataclass(frozen=True)
+class AddJoints:
+    """What to add to a session, and how.
+
+    ``zero`` [s] says when the controller's time was 0, after the session's begin; None: its time is UTC. ``replace``: leave out the
+    readings that the session has.
+    """
+
+    session: Path
+    source: Path
+    out: Path
+    options: FileOptions
+    zero: float | None = None
+    replace: bool = False
+
+
+def add_joints_file(wanted: AddJoints, force: bool = False) -> int:
+    """Write the session with the readings, whole or not at all; returns how many there are. Raises InputError, SessionError."""
+    check_new(wanted.out, force, inputs=[wanted.session, wanted.source])
+    zero = wanted.zero
+    if zero is not None and not abs(zero) < 1e9:
+        raise InputError(f"--zero {zero:g} is no time; give seconds")
+    opened = open_session(wanted.session, wanted.options.allow_damaged)
+    readings = readings_of_file(wanted.source, wanted.options)
+    said = {
+        "source": wanted.source.name,
+        "session": wanted.session.name,
+        "session_sha256": sha256(wanted.session),
+        "time": "utc" if zero is None else f"0 at {zero!r} s of the session",
+    }
+    if opened.damage or opened.truncated:
+        said["damaged"] = "what was not whole of the session is left out"
+    with tempfile.TemporaryDirectory(prefix=".truearm-", dir=wanted.out.parent) as folder:
+        partial = Path(folder) / "session.mcap"
+        count = add_readings(opened, readings, partial, zero, said, wanted.replace)
+        os.replace(partial, wanted.out)
+    return count
+
+
+def joint_names(joints: str | None, robot: RobotChoice) -> list[str]:
+    """The joints' names from the base on; [] if nobody said. Raises InputError."""
+    if joints is not None and robot.robot is not None:
+        raise InputError("--joints and --robot both name the joints; give one")
+    if robot.robot is not None:
+        return [joint.name for joint in load_robot(robot.robot, robot.base, robot.tip).chain.joints]
+    names = [] if joints is None else [name.strip() for name in joints.split(",")]
+    if "" in names or len(set(names)) < len(names):
+        raise InputError(f"--joints {joints!r} is no list of different names: a,b,c")
+    return names

@@ -1,0 +1,141 @@
+"""The work of ``truearm export-session``: a session as tables for other programs, all of them or none."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from truearm.errors import InputError, WriteError
+from truearm.files.column_writers import Columns, Table, check_format
+from truearm.files.disk import sha256
+from truearm.files.observation_table import table_columns
+from truearm.files.rig_file import read_rig
+from truearm.files.robot_file import load_robot
+from truearm.files.strict_json import strict_json
+from truearm.session.pipeline import Survey, observations, survey
+from truearm.session.result_columns import dwell_columns, pass_columns, plan_columns
+from truearm.session.session_columns import tabulate
+from truearm.session.session_file import Session, open_session
+from truearm.text import one_line
+from truearm.types import Rig
+from truearm.workflows.inspect import ident_of
+from truearm.workflows.session_observations import attached_rig, messages_of
+
+SAID = "session.json"
+
+
+@dataclass(frozen=True)
+class ExportSession:
+    """What to export: ``out`` is a new or empty folder, ``rig`` stands in for the recorded one, ``robot`` says which joints slide."""
+
+    session: Path
+    out: Path
+    format: str = "csv"
+    rig: Path | None = None
+    robot: str | None = None
+    allow_damaged: bool = False
+
+
+def export_session_files(wanted: ExportSession) -> dict[str, int]:
+    """Write all tables, or none; returns the rows of each by its name. Raises InputError, SessionError, WriteError."""
+    check_format(wanted.format)
+    units = () if wanted.robot is None else load_robot(wanted.robot).chain.joint_units
+    given = None if wanted.rig is None else read_rig(wanted.rig)
+    out = wanted.out
+    _check_folder(out)
+    opened = open_session(wanted.session, wanted.allow_damaged)
+    try:
+        with tempfile.TemporaryDirectory(prefix=".truearm-", dir=out.parent) as folder:
+            whole = Path(folder) / "tables"
+            whole.mkdir()
+            document = _export(opened, whole, wanted.format, given, units)
+            document["sha256"] = sha256(wanted.session)
+            (whole / SAID).write_text(strict_json(document, indent=2) + "\n", encoding="utf-8")
+            if out.exists():
+                out.rmdir()
+            os.replace(whole, out)
+    except OSError as exc:
+        raise WriteError(f"{out}: cannot be written: {exc.strerror or exc}; nothing was exported") from exc
+    return {name: table["rows"] for name, table in document["tables"].items()}
+
+
+def _check_folder(out: Path) -> None:
+    try:
+        if out.exists() and (not out.is_dir() or any(out.iterdir())):
+            raise InputError(f"{out}: exists and is no empty folder; choose another name")
+        if not out.parent.is_dir():
+            raise InputError(f"{out}: the folder {out.parent} does not exist; create it first")
+    except OSError as exc:
+        raise InputError(f"{out}: cannot be used as a folder: {exc.strerror}") from exc
+
+
+def _export(session: Session, folder: Path, format: str, rig: Rig | None, units: Sequence[str]) -> dict[str, Any]:
+    """Write all tables; returns what session.json says."""
+    ident, messages = ident_of(session), messages_of(session)
+    found = survey(messages, ident)
+    tables = _Tables(folder, format)
+    for name, batch in tabulate(messages, found, ident, units):
+        tables.write(name, batch)
+    plan = plan_columns(found, units)
+    if plan is not None:
+        tables.write("plan", plan)
+    not_paired = ""
+    try:
+        for name, columns in _observations(session, found, rig, units):
+            tables.write(name, columns)
+    except InputError as exc:  # the rest is of use without it
+        not_paired = one_line(str(exc))
+    return {
+        "session": session.path.name,
+        "truncated": session.truncated,
+        "damage": [asdict(damage) for damage in session.damage],
+        "metadata": {key: entries for key, entries in session.metadata.items() if key != "channels"},
+        "losses": asdict(found.losses),
+        "clock": [asdict(report) for report in found.clock_reports],
+        "robot_clock": [asdict(report) for report in found.joints.reports],
+        "readings_malformed": found.joints.malformed,
+        "readings_lost": found.joints.lost,
+        "not_paired": not_paired,
+        "tables": tables.close(),
+    }
+
+
+def _observations(
+    session: Session, found: Survey, rig: Rig | None, units: Sequence[str]
+) -> Iterator[tuple[str, Columns]]:
+    """Dwells, passes along lines, and observations where there is a rig to pair them with."""
+    rig = rig or attached_rig(session, session.path)
+    if rig is None:
+        yield "dwells", dwell_columns(found, found.dwells, units)
+        raise InputError("was recorded without a rig; give one with --rig to have observations")
+    result = observations(messages_of(session), rig, ident_of(session), name=session.path.name, found=found)
+    yield "dwells", dwell_columns(found, result.dwells, units)
+    if result.passes:
+        yield "passes", pass_columns(result.passes)
+    yield "observations", table_columns(result.table, units or ("rad",) * result.table.q.shape[1])
+
+
+class _Tables:
+    """The tables of an export by name."""
+
+    def __init__(self, folder: Path, format: str) -> None:
+        self._folder, self._format = folder, format
+        self._tables: dict[str, tuple[Table, list[str]]] = {}
+
+    def write(self, name: str, columns: Columns) -> None:
+        from truearm.files.column_writers import FORMATS
+
+        name = f"{name}.{self._format}"
+        if name not in self._tables:
+            self._tables[name] = FORMATS[self._format](self._folder / name, columns), list(columns)
+        self._tables[name][0].write(columns)
+
+    def close(self) -> dict[str, Any]:
+        """Complete all; rows and titles of each."""
+        for table, _ in self._tables.values():
+            table.close()
+        return {name: {"rows": table.rows, "columns": titles} for name, (table, titles) in self._tables.items()}
