@@ -1,6 +1,8 @@
 """Schemas: what is written comes back bit for bit; whatever else a file holds is refused in one line that names the key."""
 
 import math
+import subprocess
+import sys
 import tomllib
 from dataclasses import dataclass
 from typing import Any
@@ -243,3 +245,10 @@ def test_any_document_is_read_or_refused_in_one_line(document: dict[str, Any]) -
     text = refusal(document)
     assert text.isprintable()
     assert len(text) < 250
+
+
+def test_declarations_cost_no_numerics() -> None:
+    """What ``--help`` lists may declare its keys: importing the schema imports neither numpy nor scipy."""
+    code = "import sys, truearm.schema; print(*{'numpy', 'scipy'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == ""

@@ -23,7 +23,7 @@ MAX_ROWS = 200_000  # 250 times the paper's grid of 800 poses
 MAX_COLUMNS = 200
 MAX_CELL = 200
 
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 class Row(NamedTuple):
@@ -112,6 +112,6 @@ def number(cell: str, where: str) -> float:
     if cell.lower().lstrip("+-") in ("nan", "inf", "infinity"):
         raise TableError(f"{where}: {cell} is not a finite number; leave out rows without a reading")
     # float() would take "1_000" and digits of other scripts; a table with them was not written as numbers.
-    if len(cell) > MAX_CELL or not _NUMBER.fullmatch(cell):
+    if len(cell) > MAX_CELL or not NUMBER.fullmatch(cell):
         raise TableError(f"{where}: {shown(cell)} is not a number")
     return float(cell)

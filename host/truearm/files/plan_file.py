@@ -10,12 +10,12 @@ from __future__ import annotations
 import csv
 import io
 import math
-import re
 from pathlib import Path
 
 import numpy as np
 
 from truearm.errors import PlanError
+from truearm.files.csv_cells import NUMBER
 from truearm.files.disk import read_text, write_atomic
 from truearm.schema import NAME
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Plan, Rig
@@ -26,8 +26,6 @@ MAX_JOINTS = 64
 IDS = Plan.IDS
 MOTION = ("move", "line", "target", "speed_mm_s")  # all four or none
 FASTEST = 10.0  # m/s; a speed beyond was written in another unit
-
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 def concatenate(*plans: Plan) -> Plan:
@@ -129,14 +127,14 @@ def _required(name: str, move: str) -> bool:
 
 
 def _speed(cell: str, where: str) -> None:
-    if not _NUMBER.fullmatch(cell[:60]) or not 0.0 < float(cell[:60]) <= MM_S.of(FASTEST):
+    if not NUMBER.fullmatch(cell[:60]) or not 0.0 < float(cell[:60]) <= MM_S.of(FASTEST):
         raise PlanError(
             f"{where} column speed_mm_s: {cell[:40]!r} is no speed in mm/s above 0, {MM_S.of(FASTEST):g} at most"
         )
 
 
 def _angle(cell: str, where: str) -> float:
-    if len(cell) > 60 or not _NUMBER.fullmatch(cell):
+    if len(cell) > 60 or not NUMBER.fullmatch(cell):
         raise PlanError(f"{where}: {cell[:40]!r} is not a number")
     if abs(float(cell)) > UNITS["rad"].largest:
         raise PlanError(f"{where}: {cell} rad is more than ten turns; are the joints in degrees?")
