@@ -1,0 +1,64 @@
+"""A kind of observation whose residual is an angle: the inclination of the end's z axis from the base's, in rad."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from truearm.kinds.draft import Draft, measured, sigmas
+from truearm.kinds.group import Group
+from truearm.kinds.kind import Kind
+from truearm.kinds.linearised import Linearised, no_columns
+from truearm.kinds.quantities import Quantity
+from truearm.model.chain import about, forward, trace_point
+
+ANGLE = Quantity("incline", ("incline",), "rad")
+
+
+@dataclass(frozen=True, kw_only=True)
+class InclineRows(Group):
+    """n inclinations."""
+
+    COMPONENTS = ("rad",)
+
+    q: np.ndarray  # (n, j)
+    angle: np.ndarray  # (n,) measured, rad
+
+    def evaluate(self, chain, x):
+        """Residuals (n,) and their derivatives at x (P,): a turn about the normal of both axes tilts the end's."""
+        params = x[: len(chain.parameters)]
+        axis = forward(chain, params, self.q)[:, :3, 2]
+        normal = np.cross([0.0, 0.0, 1.0], axis)
+        size = np.linalg.norm(normal, axis=1)
+        trace = trace_point(chain, params, self.q, np.zeros((len(self.q), 3)))
+        tilt = about(trace, (normal / size[:, None])[None])
+        return Linearised(
+            self.angle - np.arctan2(size, axis[:, 2]),
+            tilt.wrenches,
+            tilt.twists,
+            no_columns(tilt.wrenches, x.size - len(params)),
+            tilt.jac_joints,
+        )
+
+
+def draft(scope, rows):
+    """Nothing of the rig is used."""
+    angle = measured(scope, rows, ANGLE)
+    variance = sigmas(scope, rows, np.full((len(rows), 1), np.nan), "rad") ** 2
+
+    def make(layout):
+        return [
+            InclineRows(row=rows, sensor_cov=variance, q=scope.table.q[rows], angle=angle, constants=layout.constants)
+        ]
+
+    return Draft((), make)
+
+
+KIND = Kind(
+    group=InclineRows,
+    draft=draft,
+    needs=(ANGLE,),
+    grouped_by=("place",),
+    name="inclination",
+    residual={"rad": "measured less predicted inclination of the end's z axis"},
+    groups="place",
+)
