@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from enum import StrEnum
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -377,10 +378,22 @@ class Observability(NamedTuple):
     o4: float
 
 
+class AdditionKind(StrEnum):
+    """What may be measured in addition."""
+
+    POSES = "poses"  # others, with what is mounted
+    PAIRING = "pairing"  # a chuck and a sphere of the rig that were not measured together
+    CHUCK = "chuck"  # one more
+    SPHERE = "sphere"
+    BALL_BAR = "ball_bar"  # with three chucks and three spheres
+    LINE = "line"  # one more of the line device
+    PLACE = "place"  # one more to seat the ball at
+
+
 class Addition(NamedTuple):
     """Something more to measure, and what of the robot would be seen then."""
 
-    kind: str  # "poses" | "pairing" | "chuck" | "sphere" | "ball_bar" (three of each) | "line" | "place"
+    kind: AdditionKind
     names: tuple[str, ...]  # the pairing's chuck and sphere; empty for what is new
     rank: int  # of the robot's free parameters, with it
     parameters: tuple[str, ...]  # those that could be told apart in addition

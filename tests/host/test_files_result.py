@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from truearm.errors import InputError
 from truearm.files.observation_table import parse_table
 from truearm.files.result_file import RobotFrames, document_of, format_document, input_of, parse_result, write_result
-from truearm.types import Addition, Estimate, Figures, HeldOut, NullDirection, Observability, Relabelling
+from truearm.types import Addition, AdditionKind, Estimate, Figures, HeldOut, NullDirection, Observability, Relabelling
 
 ROBOT = RobotFrames("arm", "base", "tip", ("rad",))
 TABLE = parse_table("kind,q1_rad,place,socket\nseat,0,a,0\nseat,1,a,0\nseat,2,b,0\n", "t.csv")
@@ -69,7 +69,7 @@ def estimates(draw: st.DrawFn) -> Estimate:
         suspect=np.array([*draw(st.tuples(st.booleans(), st.booleans())), False]),
         observability=draw(st.none() | st.builds(Observability, numbers, numbers, numbers, numbers)),
         suggested_free=np.zeros(0, dtype=bool),
-        additions=(Addition("pairing", ("c0", "s1"), 2, ("link0.x",)),),
+        additions=(Addition(AdditionKind.PAIRING, ("c0", "s1"), 2, ("link0.x",)),),
         relabellings=(Relabelling((0, 2), ("c0", "s0"), ("c1", "s0"), draw(numbers), draw(numbers)),),
     )
 

@@ -19,6 +19,7 @@ from truearm.kinds.registry import kinds
 from truearm.report.parameter_cells import parameter_cells
 from truearm.report.words import drawing, kind_name, proposal, time_offset
 from truearm.text import one_line
+from truearm.types import AdditionKind
 from truearm.units import SUFFIXES, UNITS, title
 
 Document = Mapping[str, Any]
@@ -312,7 +313,7 @@ def _counted(things: Sized, name: str) -> str:
 
 
 def _proposal(addition: Mapping[str, Any]) -> str:
-    return proposal(addition["kind"], [one_line(name) for name in addition["names"]])
+    return proposal(AdditionKind(addition["kind"]), [one_line(name) for name in addition["names"]])
 
 
 def _few(addition: Mapping[str, Any]) -> str:

@@ -20,7 +20,7 @@ from truearm.estimate.identifiability import suggested_free, told_apart
 from truearm.estimate.information import fold, observe, with_prior
 from truearm.estimate.problem import Rigs, build_problem, settled
 from truearm.model.chain import Chain, point_forward, point_jacobians
-from truearm.types import Addition, BallBar, Device, Floats, ObservationTable, Point, Rig
+from truearm.types import Addition, AdditionKind, BallBar, Device, Floats, ObservationTable, Point, Rig
 
 NEW = "(new)"  # brackets cannot stand in a rig's names
 TRIES = 40  # rows of each kind that a proposal is tried with; a new line or place has up to 6 unknowns of its own
@@ -88,30 +88,30 @@ def _with(
 
 def _proposals(
     here: Chain, rig: Rig, table: ObservationTable
-) -> Iterator[tuple[str, tuple[str, ...], Rig, ObservationTable]]:
+) -> Iterator[tuple[AdditionKind, tuple[str, ...], Rig, ObservationTable]]:
     """Kind, names, the rig with what is new, and rows as the proposal would give them at the estimate."""
     rng = np.random.default_rng(0)
     bars = table.select(table.kind == "ball_bar")
     if len(bars):
         yield from _with_bars(here, rig, bars, rng)
     else:
-        yield "ball_bar", (), *_first_bar(here, rig, rng)
+        yield AdditionKind.BALL_BAR, (), *_first_bar(here, rig, rng)
     ball = next(iter(rig.targets.values()), Point("", (0.0, 0.0, 0.0)))
     q = _about_one_point(here, table.q[len(table) // 2], np.array(ball.xyz), rng, reach=0.1)
     if len(q):
         p_base = point_forward(here, here.params_nominal, q, np.array(ball.xyz))
         cov = tuple(tuple(LINE_SIGMA**2 * (i == k) for k in range(3)) for i in range(3))
         lines = {**rig.lines, NEW: Device(NEW, cov)} if rig.lines else rig.lines
-        yield "line", (), replace(rig, lines=lines), _rows(q, "line", xyz=p_base, line=NEW, target=ball.name)
+        yield AdditionKind.LINE, (), replace(rig, lines=lines), _rows(q, "line", xyz=p_base, line=NEW, target=ball.name)
     ball = next(iter(rig.spheres.values()), Point("", (0.0, 0.0, 0.0)))
     q = _about_one_point(here, table.q[len(table) // 2], np.array(ball.xyz), rng, reach=0.0)
     if len(q):
-        yield "place", (), rig, _rows(q, "seat", sphere=ball.name, place=NEW)
+        yield AdditionKind.PLACE, (), rig, _rows(q, "seat", sphere=ball.name, place=NEW)
 
 
 def _with_bars(
     here: Chain, rig: Rig, bars: ObservationTable, rng: np.random.Generator
-) -> Iterator[tuple[str, tuple[str, ...], Rig, ObservationTable]]:
+) -> Iterator[tuple[AdditionKind, tuple[str, ...], Rig, ObservationTable]]:
     bar = str(bars.bar[0])
     used = list(dict.fromkeys(zip(bars.chuck.tolist(), bars.sphere.tolist(), strict=True)))
     chucks, spheres = list(dict.fromkeys(c for c, _ in used)), list(dict.fromkeys(s for _, s in used))
@@ -124,17 +124,17 @@ def _with_bars(
         length = np.ones(len(which))  # any: the derivatives do not depend on what was read
         return _rows(np.tile(q, (len(pairs), 1)), "ball_bar", value=length, bar=bar, chuck=chuck, sphere=sphere)
 
-    yield "poses", (), rig, rows(anywhere, used)
+    yield AdditionKind.POSES, (), rig, rows(anywhere, used)
     for chuck in rig.chucks:
         for sphere in rig.spheres:
             if (chuck, sphere) not in used:
-                yield "pairing", (chuck, sphere), rig, rows(few, [(chuck, sphere)])
+                yield AdditionKind.PAIRING, (chuck, sphere), rig, rows(few, [(chuck, sphere)])
     new_chuck = _another([p.xyz for p in rig.chucks.values()])
     new_sphere = _another([p.xyz for p in rig.spheres.values()])
     more_chucks = replace(rig, chucks={**rig.chucks, NEW: new_chuck})
     more_spheres = replace(rig, spheres={**rig.spheres, NEW: new_sphere})
-    yield "chuck", (), more_chucks, rows(few, [(NEW, s) for s in spheres])
-    yield "sphere", (), more_spheres, rows(few, [(c, NEW) for c in chucks])
+    yield AdditionKind.CHUCK, (), more_chucks, rows(few, [(NEW, s) for s in spheres])
+    yield AdditionKind.SPHERE, (), more_spheres, rows(few, [(c, NEW) for c in chucks])
 
 
 def _first_bar(here: Chain, rig: Rig, rng: np.random.Generator) -> tuple[Rig, ObservationTable]:

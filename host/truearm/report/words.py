@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import assert_never
 
 from truearm.kinds.registry import NAMES, kinds
 from truearm.text import with_article
+from truearm.types import AdditionKind
 from truearm.units import MM, MRAD, MS, ONE, UNITS
 
 PARTS = {"m": "position", "rad": "rotation"}  # of a kind that has residuals of both units
@@ -56,18 +58,20 @@ def residual_words(kind: str) -> str:
     return f"Residual of {with_article(of.name)} observation: {'; '.join(parts)}."
 
 
-def proposal(kind: str, names: Sequence[str]) -> str:
+def proposal(kind: AdditionKind, names: Sequence[str]) -> str:
     """What more to measure, as a command to a person; ``names`` are those of a pairing."""
     match kind:
-        case "pairing":
+        case AdditionKind.PAIRING:
             return f"measure with chuck {names[0]}, sphere {names[1]} too"
-        case "poses":
+        case AdditionKind.POSES:
             return "measure with what is mounted in poses that differ more"
-        case "chuck" | "sphere":
+        case AdditionKind.CHUCK | AdditionKind.SPHERE:
             return f"measure with one more {kind}, not in line with the others,"
-        case "ball_bar":
+        case AdditionKind.BALL_BAR:
             return "measure with a ball-bar, three chucks and three spheres,"
-        case "line":
+        case AdditionKind.LINE:
             return "measure a new line with the line device"
-        case _:
+        case AdditionKind.PLACE:
             return "seat the ball at a new place"
+        case _:
+            assert_never(kind)
