@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 from truearm.errors import ConfigError
 from truearm.schema import NO_UNIT, Entries, Key, SchemaError, Table, Text, at, quoted, raising
@@ -25,22 +25,8 @@ _LOWEST_EXPONENT = -60
 _MANTISSA_END = 2**63
 
 
-class WireValue(Protocol):
-    """A ``schema.Value`` that is read as what the wire holds."""
-
-    suffixes: ClassVar[Sequence[str]]
-
-    def parse(self, raw: Any, suffix: str = "") -> Any: ...
-
-    def format(self, value: Any) -> str:
-        """The wire's value as TOML; one that cannot be read, of a later version, as text."""
-
-    def check(self, wire: Any) -> Any:
-        """The wire's value, if the box takes it. Raises SchemaError."""
-
-
 @dataclass(frozen=True)
-class Whole:
+class Steps:
     """A whole number of units of 10^-``decimals`` on the wire, a decimal number in a file.
 
     ``options`` are all that it can be. ``ranges`` (least, most) are in units of the wire, and so is the step.
@@ -105,7 +91,7 @@ class Exact:
 class WireList:
     """A list of ``least`` to ``most`` values of one sort."""
 
-    item: WireValue
+    item: Steps | Exact
     least: int
     most: int
     suffixes: ClassVar[Sequence[str]] = NO_UNIT
@@ -145,6 +131,9 @@ class Words(Text):
         return wire
 
 
+WireValue = Steps | Exact | WireList | Words
+
+
 @dataclass(frozen=True)
 class ConfigKey(Key):
     """A key in a file, where any may be left out: the box keeps what it has. ``field`` is its name on the wire.
@@ -159,63 +148,57 @@ class ConfigKey(Key):
     comment: str = ""
 
 
+def _key(name: str, value: WireValue, comment: str = "", **more: Any) -> ConfigKey:
+    return ConfigKey(name, value, comment=comment, **more)
+
+
 def _microseconds(name: str, *ranges: tuple[int, int], step: int = 1, comment: str = "") -> ConfigKey:
-    return ConfigKey(f"{name}_us", Whole(ranges, decimals=3, step=step), field=f"{name}_ns", comment=comment)
+    return _key(f"{name}_us", Steps(ranges, decimals=3, step=step), comment, field=f"{name}_ns")
 
 
-_TWO_TIMES = WireList(Whole(((0, 1_000_000),)), 2, 2)
-_TRIGGER = WireList(Whole(((0, 0), (10, 16_000))), 2, 2)
+_DEBOUNCE = WireList(Steps(((0, 1_000_000),)), 2, 2)
+_TRIGGER = WireList(Steps(((0, 0), (10, 16_000))), 2, 2)
 _POLY = WireList(Exact(), 1, MAX_COEFFICIENTS)
-CALIBRATION: Table[dict[str, Any]] = Table(
+_MILLIDEGREES = Steps(((-(2**31), 2**31),), decimals=3)
+CALIBRATION = Table[dict[str, Any]](
     (
-        ConfigKey("unit", Words()),
-        ConfigKey("poly", _POLY, comment="value = poly[0] + poly[1] x + poly[2] x² …, x = counts · scale / gain"),
-        ConfigKey("serial", Words()),
-        ConfigKey("date", Words()),
-        ConfigKey("sigma", Exact(), judged=False, comment="standard deviation of what was left, in unit"),
-        ConfigKey(
-            "temperature_degc",
-            Whole(((-(2**31), 2**31),), decimals=3),
-            field="temperature_mdegc",
-            judged=False,
-            comment="of the box meanwhile",
-        ),
+        _key("unit", Words()),
+        _key("poly", _POLY, "value = poly[0] + poly[1] x + poly[2] x² …, x = counts · scale / gain"),
+        _key("serial", Words()),
+        _key("date", Words()),
+        _key("sigma", Exact(), "standard deviation of what was left, in unit", judged=False),
+        _key("temperature_degc", _MILLIDEGREES, "of the box meanwhile", judged=False, field="temperature_mdegc"),
     ),
     dict,
 )
-CHANNEL: Table[dict[str, Any]] = Table(
+CHANNEL = Table[dict[str, Any]](
     (
-        ConfigKey("name", Words()),
-        ConfigKey("unit", Words()),
-        ConfigKey("scale", Exact(), comment="of a count, at gain 1"),
-        ConfigKey("gain", Whole(options=GAINS), needed=False),
+        _key("name", Words()),
+        _key("unit", Words()),
+        _key("scale", Exact(), "of a count, at gain 1"),
+        _key("gain", Steps(options=GAINS), needed=False),
         Key("calibration", CALIBRATION, optional=True),
     ),
     dict,
 )
-MAGNETOSTRICTIVE: Table[dict[str, Any]] = Table(
+MAGNETOSTRICTIVE = Table[dict[str, Any]](
     (
         _microseconds("period", (0, 0), (100_000, 1_000_000_000), step=8, comment="0: off"),
         _microseconds("blanking", (5000, 21_000), step=8),
         _microseconds("timeout", (5008, 999_990_000), step=8),
-        ConfigKey("us_per_inch", Exact(5, 20, 9), comment="on the sensor's label"),
+        _key("us_per_inch", Exact(5, 20, 9), "on the sensor's label"),
         _microseconds("delay", (-100_000, 100_000), comment="of its electronics"),
-        ConfigKey("serial", Words()),
-        ConfigKey("date", Words()),
+        _key("serial", Words()),
+        _key("date", Words()),
     ),
     dict,
 )
-CONFIG: Table[dict[str, Any]] = Table(
+CONFIG = Table[dict[str, Any]](
     (
-        ConfigKey("osr", Whole(options=OSRS)),
-        ConfigKey("debounce_us", _TWO_TIMES, comment="of trigger inputs 0 and 1; 0: off"),
-        ConfigKey(
-            "trigger_ms",
-            _TRIGGER,
-            needed=False,
-            comment="between edges of the trigger output, shortest and longest; [0, 0]: none",
-        ),
-        ConfigKey("watchdog_ms", Whole(((0, 0), (100, 8000))), comment="0: off"),
+        _key("osr", Steps(options=OSRS)),
+        _key("debounce_us", _DEBOUNCE, "of trigger inputs 0 and 1; 0: off"),
+        _key("trigger_ms", _TRIGGER, "between edges of the output, shortest and longest; [0, 0]: none", needed=False),
+        _key("watchdog_ms", Steps(((0, 0), (100, 8000))), "0: off"),
         Key("magnetostrictive", MAGNETOSTRICTIVE, optional=True),
     ),
     dict,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from truearm import __version__
 from truearm.errors import InputError
 from truearm.files.disk import read_text, sha256, write_atomic
-from truearm.schema import Choice, Flag, Key, List, ReadOnly, SchemaError, Table, Text, quoted, raising
+from truearm.schema import Choice, Flag, Key, List, ReadOnly, SchemaError, Table, Text, Value, quoted, raising
 from truearm.types import (
     Estimate,
     Figures,
@@ -368,47 +368,37 @@ class _StoredCovariance(NamedTuple):
     matrix: tuple[tuple[float, ...], ...]
 
 
-_TEXT = Text(MAX_TEXT)
-_NAMES = List(_TEXT, least=0, most=MAX_PARAMETERS)
-_NUMBERS = List(_JsonNumber(), least=0, most=MAX_PARAMETERS)
-_FRAMES = Table(
+def _later(keys: tuple[Key, ...], make: Callable[..., Any]) -> Table[Any]:
+    """A table to which a later version may have added keys."""
+    return Table(keys, make, unknown_keys=True)
+
+
+def _many(item: Value) -> List:
+    return List(item, least=0, most=MAX_PARAMETERS)
+
+
+def _text(name: str) -> Key:
+    return Key(name, Text(MAX_TEXT))
+
+
+_NUMBER, _KNOWN = _JsonNumber(), _JsonNumber(null=False)
+_NAMES = Key("names", _many(Text(MAX_TEXT)))
+_UNITS = Key("joint_units", List(Choice(("rad", "m"))))
+_FRAMES = _later((_text("name"), _text("base_frame"), _text("end_frame"), _UNITS), RobotFrames)
+_NUMBERS = (Key("nominal", _KNOWN), Key("value", _NUMBER), Key("sigma", _NUMBER))
+_OF = Key("of", Choice(("robot", "rig")))
+_PARAMETER = _later((_text("name"), _text("unit"), *_NUMBERS, Key("free", Flag()), _OF), _StoredParameter)
+_COVARIANCE = _later((_NAMES, Key("matrix", _many(_many(_NUMBER)))), _StoredCovariance)
+_DIRECTION = _later((_NAMES, Key("weights", _many(_KNOWN))), NullDirection)
+_RESULT = _later(
     (
-        *(Key(name, _TEXT) for name in ("name", "base_frame", "end_frame")),
-        Key("joint_units", List(Choice(("rad", "m")))),
-    ),
-    RobotFrames,
-    unknown_keys=True,
-)
-_PARAMETER = Table(
-    (
-        Key("name", _TEXT),
-        Key("unit", _TEXT),
-        Key("nominal", _JsonNumber(null=False)),
-        Key("value", _JsonNumber()),
-        Key("sigma", _JsonNumber()),
-        Key("free", Flag()),
-        Key("of", Choice(("robot", "rig"))),
-    ),
-    _StoredParameter,
-    unknown_keys=True,
-)
-_COVARIANCE = Table(
-    (Key("names", _NAMES), Key("matrix", List(_NUMBERS, least=0, most=MAX_PARAMETERS))),
-    _StoredCovariance,
-    unknown_keys=True,
-)
-_WEIGHTS = List(_JsonNumber(null=False), least=0, most=MAX_PARAMETERS)
-_DIRECTION = Table((Key("names", _NAMES), Key("weights", _WEIGHTS)), NullDirection, unknown_keys=True)
-_RESULT: Table[dict[str, Any]] = Table(
-    (
-        Key("status", _TEXT),
+        _text("status"),
         Key("robot", _FRAMES),
-        Key("parameters", List(_PARAMETER, least=0, most=MAX_PARAMETERS)),
+        Key("parameters", _many(_PARAMETER)),
         Key("covariance", _COVARIANCE),
-        Key("null_space", List(_DIRECTION, least=0, most=MAX_PARAMETERS)),
+        Key("null_space", _many(_DIRECTION)),
     ),
     dict,
-    unknown_keys=True,
 )
 
 
