@@ -7,6 +7,8 @@ import sys
 
 import pytest
 
+# The matrices are small: threads inside the linear algebra cost several times what they bring. Before numpy is imported.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 # Folders whose files take long, a minute some. They come first, so that no worker is left alone with one of them.
 LONG = ("recipes", "end_to_end", "chip", "firmware")
 
