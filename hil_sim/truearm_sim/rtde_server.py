@@ -15,7 +15,7 @@ import numpy as np
 from truearm.record.robots import rtde_packages as rtde
 from truearm_sim.robot import States
 
-from .serve import Port
+from .ports import Port
 
 CONTROLLER = (5, 15, 0, 0)  # as an e-Series says it
 

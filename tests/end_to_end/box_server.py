@@ -11,8 +11,9 @@ import numpy as np
 from tests.end_to_end.conftest import interpreter
 
 from truearm.cli.main import main
+from truearm_sim.ports import Port, Terminal
 from truearm_sim.sensors import SOUND, VOLTS_PER_COUNT
-from truearm_sim.serve import Port, Terminal, serve
+from truearm_sim.serve import serve
 from truearm_sim.simbox import SimulatedBox
 from truearm_sim.world import World, standard_plan
 

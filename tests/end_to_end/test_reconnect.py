@@ -22,7 +22,8 @@ from truearm.workflows.record import plan_rows
 from truearm.workflows.session_observations import observations_of_session
 from truearm.workflows.session_parts import SETUP, session_parts, with_parts
 from truearm_sim.lab import Lab
-from truearm_sim.serve import Port, Terminal, serve
+from truearm_sim.ports import Port, Terminal
+from truearm_sim.serve import serve
 from truearm_sim.simbox import SimulatedBox
 from truearm_sim.world import World, standard_plan
 

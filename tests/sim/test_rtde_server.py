@@ -20,8 +20,8 @@ from hypothesis import strategies as st
 from truearm.record.links import HostClock
 from truearm.record.robots import rtde_packages as rtde
 from truearm.record.robots.rtde import PORT, RtdeLink
+from truearm_sim.ports import Port
 from truearm_sim.rtde_server import RtdeServer, type_of
-from truearm_sim.serve import Port
 from truearm_sim.world import World, standard_plan
 
 WORLD = World(1, standard_plan(9, 1), robot_rate=500.0)

@@ -4,7 +4,8 @@ import socket
 import threading
 from types import SimpleNamespace
 
-from truearm_sim.serve import Port, serve
+from truearm_sim.ports import Port
+from truearm_sim.serve import serve
 
 END_NS = 200_000_000
 

@@ -93,8 +93,9 @@ def simulate(
     from truearm.files.plan_file import write_plan
     from truearm.files.rig_file import write_rig
     from truearm_sim.arm import WORN
+    from truearm_sim.ports import Port, Terminal
     from truearm_sim.rtde_server import RtdeServer
-    from truearm_sim.serve import Port, Terminal, serve
+    from truearm_sim.serve import serve
     from truearm_sim.simbox import SimulatedBox
     from truearm_sim.world import World
 
