@@ -8,7 +8,8 @@ from tests.host import plan_bench as bench
 
 from truearm.errors import PlanError
 from truearm.model.chain import point_forward
-from truearm.plan.choose import CRITERIA, as_blocks, choose, condensed, value
+from truearm.plan.choose import as_blocks, choose, condensed, value
+from truearm.plan.criteria import CRITERIA
 from truearm.plan.forecast import Aim, bar_table, candidate_rows, region_root
 from truearm.plan.measurement_limits import Pairing
 from truearm.plan.region import around, poses_in

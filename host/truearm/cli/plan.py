@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from truearm.cli.options import ROBOT_HELP, check_finite, planning, silent
+from truearm.cli.options import ROBOT_HELP, check_finite, choices, one_of, planning, silent
 from truearm.model.builtin import names_with_branch
+from truearm.plan.criteria import CRITERIA
+from truearm.plan.route_program import dialects_help
 from truearm.units import MM, MM_S
 
 app = typer.Typer(
@@ -19,15 +20,6 @@ app = typer.Typer(
     rich_markup_mode=None,
     no_args_is_help=False,
 )
-
-
-class Criterion(StrEnum):
-    """Names of ``plan.choose.CRITERIA``."""
-
-    D = "D"
-    A = "A"
-    E = "E"
-    I = "I"  # noqa: E741
 
 
 RobotOption = Annotated[str, typer.Option(metavar="ROBOT", help=ROBOT_HELP)]
@@ -48,8 +40,12 @@ MinutesOption = Annotated[
     ),
 ]
 CriterionOption = Annotated[
-    Criterion,
-    typer.Option(help="I: the error in the region. D: all parameters at once. A: their mean. E: the worst of them."),
+    str,
+    typer.Option(
+        metavar=choices(CRITERIA),
+        callback=one_of(CRITERIA),
+        help=". ".join(f"{name}: {what}" for name, what in CRITERIA.items()) + ".",
+    ),
 ]
 RegionOption = Annotated[
     str | None,
@@ -77,9 +73,7 @@ SeedOption = Annotated[int, typer.Option(min=0, metavar="N", help="Of everything
 OutOption = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the plan that record follows (CSV).")]
 ProgramOption = Annotated[
     list[Path] | None,
-    typer.Option(
-        metavar="FILE", help="Write the program: .script (URScript), .mod (RAPID), .csv (all stops) (repeatable)."
-    ),
+    typer.Option(metavar="FILE", help=f"Write the program: {dialects_help()} (repeatable)."),
 ]
 InputOption = Annotated[
     int | None,
@@ -105,7 +99,7 @@ def ballbar(
     tip: TipOption = None,
     poses: Annotated[int | None, typer.Option(min=1, metavar="N", help="Budget in poses.")] = None,
     minutes: MinutesOption = None,
-    criterion: CriterionOption = Criterion.I,
+    criterion: CriterionOption = "I",
     region: RegionOption = None,
     bar: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this bar (repeatable).")] = None,
     candidates: Annotated[int, typer.Option(min=9, max=100_000, metavar="N", help="Poses to choose from.")] = 5000,
@@ -150,7 +144,7 @@ def ballbar(
         signals=Signals(output_line, input_line),
     )
     options = BallBarOptions(
-        criterion=criterion.value,
+        criterion=criterion,
         region=None if region is None else parse_region(region),
         candidates=candidates,
         bars=tuple(bar or ()),
@@ -184,7 +178,7 @@ def line(
     target: Annotated[
         str | None, typer.Option(metavar="NAME", help="The rig's target that is measured; default: its only one.")
     ] = None,
-    criterion: CriterionOption = Criterion.I,
+    criterion: CriterionOption = "I",
     region: RegionOption = None,
     candidates: Annotated[int, typer.Option(min=1, max=5000, metavar="N", help="Lines to choose from.")] = 120,
     result: ResultOption = None,
@@ -232,7 +226,7 @@ def line(
         shape=Shape(MM.to_si(length_mm), MM.to_si(transverse_mm), MM_S.to_si(speed_mm_s), points),
         passes=passes,
         target=target,
-        criterion=criterion.value,
+        criterion=criterion,
         region=None if region is None else parse_region(region),
         candidates=candidates,
         seed=seed,

@@ -26,9 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import PlanError
+from truearm.plan.criteria import CRITERIA
 from truearm.types import Floats
 
-CRITERIA = ("D", "A", "E", "I")
 GAIN = 1e-9  # of the criterion, relative: a swap that brings less is rounding
 
 

@@ -14,7 +14,7 @@ from truearm.units import DEG, MM, MM_S
 TOOL = "toTruearm"
 
 
-def rapid(stops: Sequence[Stop], task: Task) -> str:
+def text(stops: Sequence[Stop], task: Task) -> str:
     """A module; joints in degrees."""
     lines_too = any(stop.move == "line" for stop in stops)
     tool = TOOL if lines_too else "tool0"

@@ -14,7 +14,7 @@ from truearm.plan.stops import SETTLE, SLOW, TIMEOUT, Stop, Task, identifier
 ACCELERATION = 0.5  # m/s² at a line's ends
 
 
-def urscript(stops: Sequence[Stop], task: Task) -> str:
+def text(stops: Sequence[Stop], task: Task) -> str:
     """A function; joints in rad, lines by standard digital numbers."""
     lines = [f"def {identifier(task.name)}():", *_switched(task, False)[:1]]
     if any(task.tool):

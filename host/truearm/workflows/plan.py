@@ -26,7 +26,7 @@ from truearm.plan.forecast import Forecast, Known, with_rig_values
 from truearm.plan.line_plan import LinePlan, LinesWanted, plan_lines
 from truearm.plan.measurement_limits import Limits, Pairing
 from truearm.plan.region import Region
-from truearm.plan.route_program import check_suffix, program
+from truearm.plan.route_program import DIALECTS, check_suffix, program
 from truearm.plan.stops import Signals, Stop, Task
 from truearm.types import Floats, Rig
 from truearm.units import MM
@@ -39,12 +39,7 @@ from truearm.workflows.session_parts import with_parts
 DESIGN_RESERVE = 22e-3  # m of travel for what the model does not know
 RESULT_RESERVE = 3e-3  # m
 APPROACH_CANDIDATES = 400
-# how what is written here begins, by its suffix; a rig begins with the first key of format_rig()
-WRITTEN = {
-    ".script": (b"def truearm_",),
-    ".mod": (b"MODULE truearm_",),
-    "": (b"pose,", b"seat_sigma_m = "),
-}
+PLAN_OR_RIG = (b"pose,", b"seat_sigma_m = ")  # how they begin; a rig with the first key of format_rig()
 NO_SIGNALS = Signals()
 LEFT = 2e-3  # m of travel that the ways between poses need at least
 
@@ -287,7 +282,7 @@ def _written(files: PlanFiles) -> list[str]:
 def _check(files: PlanFiles) -> None:
     """No output over an input or another output, no suffix that is none. Raises InputError."""
     outputs = files.outputs
-    marks = {path: WRITTEN.get(path.suffix.lower(), WRITTEN[""]) for path in outputs}
+    marks = {path: _begins_with(path) for path in outputs}
     if Path("-") in outputs:
         raise InputError("-: is no file name; --json prints the forecast to standard output")
     for path in files.programs:
@@ -296,6 +291,12 @@ def _check(files: PlanFiles) -> None:
     inputs = [path for path in read if path is not None and path.exists()]
     for i, path in enumerate(outputs):
         check_writable(path, inputs=[*inputs, *outputs[:i]], ours=partial(_begins, marks[path]))
+
+
+def _begins_with(path: Path) -> tuple[bytes, ...]:
+    """How a file that is written here begins, by its suffix; a program's stops as CSV begin as a plan does."""
+    dialect = DIALECTS.get(path.suffix.lower())
+    return PLAN_OR_RIG if dialect is None or dialect.begins in PLAN_OR_RIG else (dialect.begins,)
 
 
 def _begins(marks: tuple[bytes, ...], head: bytes) -> bool:
