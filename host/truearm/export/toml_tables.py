@@ -19,9 +19,10 @@ from truearm.export.writing import RobotToWrite
 from truearm.model.chain import Joint
 from truearm.model.poses import six_of
 from truearm.types import Floats
+from truearm.units import UNITS
 
 SIX = ("x_m", "y_m", "z_m", "alpha_rad", "beta_rad", "gamma_rad")
-NO_LIMIT = 20.0 * math.pi  # rad: ten turns either way, for a joint without limits
+NO_LIMIT = UNITS["rad"].largest  # for a joint without limits
 
 
 def write_sheth_uicker(what: RobotToWrite) -> str:

@@ -25,11 +25,11 @@ from truearm.errors import RobotError
 from truearm.model.chain import Chain, Element, Joint, Parameter
 from truearm.model.joint_terms.gain import Gain
 from truearm.model.joint_terms.offset import Offset
+from truearm.units import UNITS
 
 MAX_TEXT = 8_000_000  # characters; a large humanoid has some 200,000
 MAX_JOINTS = 10_000
 MAX_PATH = 64
-MAX_LENGTH_M = 100.0  # larger than any arm; a file in mm is caught by it
 MAX_ANGLE_RAD = 1e4
 ORIGIN = (("x", "tx"), ("y", "ty"), ("z", "tz"), ("yaw", "rz"), ("pitch", "ry"), ("roll", "rx"))
 MOVING = ("revolute", "continuous", "prismatic")
@@ -171,7 +171,7 @@ def _build(name: str, path: list[_UrdfJoint], base: str, tip: str) -> Chain:
 
 def _origin(joint: _UrdfJoint) -> tuple[float, ...]:
     node = joint.xml.find("origin")
-    xyz = _triple(joint, "origin xyz", "0 0 0" if node is None else node.get("xyz", "0 0 0"), MAX_LENGTH_M)
+    xyz = _triple(joint, "origin xyz", "0 0 0" if node is None else node.get("xyz", "0 0 0"), UNITS["m"].largest)
     roll, pitch, yaw = _triple(
         joint, "origin rpy", "0 0 0" if node is None else node.get("rpy", "0 0 0"), MAX_ANGLE_RAD
     )
@@ -213,7 +213,7 @@ def _limits(joint: _UrdfJoint) -> Joint:
     node = joint.xml.find("limit")
     if node is None:
         raise RobotError(f"URDF joint {joint.name} is {joint.kind} and needs a <limit>; without limits use continuous")
-    bound = MAX_LENGTH_M if kind == "prismatic" else MAX_ANGLE_RAD
+    bound = UNITS["m"].largest if kind == "prismatic" else MAX_ANGLE_RAD
     lower, upper = (_numbers(joint, f"limit {k}", node.get(k, "0"), 1, bound)[0] for k in ("lower", "upper"))
     if lower > upper:
         raise RobotError(f"URDF joint {joint.name}: its lower limit {lower:g} is above its upper limit {upper:g}")
