@@ -154,7 +154,7 @@ def test_files_onto_a_stock_micropython(fake_mpremote, no_ports, capsys):
     ],
 )
 def test_boards_that_cannot_serve(fake, code, says, fake_mpremote, monkeypatch, capsys):
-    monkeypatch.setattr("truearm.cli.box_flash._to_prompt", lambda device, stop: None)
+    monkeypatch.setattr("truearm.box.flash._to_prompt", lambda device, stop: None)
     log = fake_mpremote(**fake)
     assert box("flash", "--stock", "--device", "/dev/ttyACM9") == code
     assert says in capsys.readouterr().err

@@ -1,12 +1,10 @@
-"""What the subcommands of ``truearm box`` share: the option that names a box, and a conversation with it."""
+"""A conversation with a box, which what talks to one shares."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from truearm.errors import RefusedError
 
@@ -14,11 +12,6 @@ if TYPE_CHECKING:
     from truearm.box.control import BoxControl
     from truearm.session.box_ident import Ident
 
-DEVICE_HELP = "The box: /dev/ttyACM0, COM3 or socket://127.0.0.1:7007."
-Device = Annotated[str, typer.Option(metavar="DEVICE", help=DEVICE_HELP)]
-Stop = Annotated[
-    bool, typer.Option("--stop", help="Stop the box first if it streams, as a recorder that was killed leaves it.")
-]
 RETRIES = 10  # half a second each
 STREAMING = 4  # the error's code, protocol/SPEC.md §4
 

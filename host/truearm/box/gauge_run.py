@@ -6,11 +6,11 @@ import csv
 import io
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-import typer
 
 from truearm.box.configuration import change_lines, checked_config
 from truearm.box.conversation import conversation, ident_of
@@ -35,48 +35,72 @@ STILL_MOVES = 5.0  # standard deviations of a drift
 FEWEST = 16  # samples of which a mean and its error can be told
 
 
-def gauge_channel(
-    channel: str,
-    device: str,
-    references: Path | None,
-    unit: str,
-    seconds: float,
-    order: int | None,
-    serial: str | None,
-    out: Path | None,
-    yes: bool,
-    stop: bool,
-) -> None:
-    """What ``truearm box gauge`` does with its options."""
+class Operator(Protocol):
+    """Who sets the references: hears what is measured, and answers."""
+
+    def say(self, text: str) -> None:
+        """Show a line."""
+
+    def ask(self, prompt: str) -> str | None:
+        """What the operator types, None at the end of the input."""
+
+
+@dataclass(frozen=True)
+class GaugeOptions:
+    """How to calibrate a channel.
+
+    ``references``: a file of them, None to ask for each in ``unit``. ``seconds``: samples at each place. ``order`` of the polynomial,
+    None for the one with the least left-out error. ``serial``: of the sensor, None as before. ``page``: to write, None for a name by the
+    channel. ``agreed``: store the calibration without asking.
+    """
+
+    channel: str
+    references: Path | None = None
+    unit: str = "mm"
+    seconds: float = 2.0
+    order: int | None = None
+    serial: str | None = None
+    page: Path | None = None
+    agreed: bool = False
+
+
+def gauge_channel(device: str, options: GaugeOptions, operator: Operator, stop: bool = False) -> None:
+    """Sample a channel at references, fit its calibration, write the page and store it in the box if the operator agrees.
+
+    Raises InputError, TableError, LinkError.
+    """
     from truearm.files.disk import check_writable
     from truearm.report.gauge_page import MARK
 
+    unit, channel, say = options.unit, options.channel, operator.say
     if unit not in UNITS:
         raise InputError(f"--unit {unit[:20]!r} is not one of {', '.join(UNITS)}")
-    listed = None if references is None else read_references(references)
-    page = out or Path("gauge-" + "".join(c if c.isalnum() or c in "-_" else "_" for c in channel[:40]) + ".html")
-    inputs = [] if references is None else [references]
+    listed = None if options.references is None else read_references(options.references)
+    page = options.page or Path(
+        "gauge-" + "".join(c if c.isalnum() or c in "-_" else "_" for c in channel[:40]) + ".html"
+    )
+    inputs = [] if options.references is None else [options.references]
     check_writable(page, inputs=inputs, ours=lambda head: MARK.encode() in head)
     with conversation(device, stop=stop) as box:
         stream, index = _find(ident_of(box), channel)
         config = checked_config(box)
-        places = _gather(box, stream, index, seconds, listed, UNITS[unit], unit)
-        result, tried = calibrate(places, order, stream.name == MAG)
+        places = _gather(box, (stream, index), options, listed, operator)
+        result, tried = calibrate(places, options.order, stream.name == MAG)
         for line in words(places, result, tried, stream.channels[index]):
-            typer.echo(line)
-        new = with_calibration(config, stream, index, places, result, serial)
+            say(line)
+        new = with_calibration(config, stream, index, places, result, options.serial)
         write_page(page, channel, stream.channels[index], places, result, tried, new)
-        typer.echo(f"{page}: residuals and orders")
+        say(f"{page}: residuals and orders")
         changes = change_lines(config, new)
         for line in changes:
-            typer.echo(line)
+            say(line)
         if not changes:
-            typer.echo("the box has this calibration already")
-        elif yes or _agreed():
+            say("the box has this calibration already")
+        elif options.agreed or _agreed(operator):
             box.put_config(new)
-            typer.echo(f"{device}: stored and in force")
+            say(f"{device}: stored and in force")
         else:
-            typer.echo(f"{device}: unchanged")
+            say(f"{device}: unchanged")
 
 
 def read_references(path: Path) -> list[float]:
@@ -130,25 +154,30 @@ def _find(ident: Ident, name: str) -> tuple[Stream, int]:
 
 
 def _gather(
-    box: BoxControl, stream: Stream, index: int, seconds: float, listed: list[float] | None, scale: float, unit: str
+    box: BoxControl,
+    found: tuple[Stream, int],
+    options: GaugeOptions,
+    listed: list[float] | None,
+    operator: Operator,
 ) -> list[Place]:
     """Ask for references and sample at each, until they end."""
     places: list[Place] = []
-    for reference in _listed(listed) if listed is not None else _typed(places, scale, unit):
-        counts = sample(box, stream, seconds)
+    stream, index = found
+    for reference in _typed(places, options.unit, operator) if listed is None else _listed(listed, operator):
+        counts = sample(box, stream, options.seconds)
         problem = trouble(counts[:, index], stream)
         if problem:
-            typer.echo(f"  not taken: {problem}")
+            operator.say(f"  not taken: {problem}")
             continue
         place = _place(reference, counts[:, index], stream, stream.channels[index], box)
         places.append(place)
-        typer.echo(f"  {_placewords(len(places), place, stream.channels[index])}")
+        operator.say(f"  {_placewords(len(places), place, stream.channels[index])}")
     return places
 
 
-def _listed(references: Sequence[float]) -> Iterator[float]:
+def _listed(references: Sequence[float], operator: Operator) -> Iterator[float]:
     for number, reference in enumerate(references, 1):
-        line = _ask(
+        line = operator.ask(
             f"{number} of {len(references)}: set {MM.text(reference, '.4f')}, then Enter (s: skip, q: enough): "
         )
         if line is None or line == "q":
@@ -157,33 +186,23 @@ def _listed(references: Sequence[float]) -> Iterator[float]:
             yield reference
 
 
-def _typed(places: list[Place], scale: float, unit: str) -> Iterator[float]:
+def _typed(places: list[Place], unit: str, operator: Operator) -> Iterator[float]:
     while len(places) < MAX_REFERENCES:
-        line = _ask(f"reference [{unit}] (empty: done, undo): ")
+        line = operator.ask(f"reference [{unit}] (empty: done, undo): ")
         if not line:
             return
         if line == "undo":
-            typer.echo(f"  {'dropped place ' + str(len(places)) if places else 'there is none'}")
+            operator.say(f"  {'dropped place ' + str(len(places)) if places else 'there is none'}")
             del places[-1:]
             continue
         try:
-            yield parse_reference(line, scale)
+            yield parse_reference(line, UNITS[unit])
         except InputError as exc:
-            typer.echo(f"  {exc}; type a number of {unit}")
+            operator.say(f"  {exc}; type a number of {unit}")
 
 
-def _ask(prompt: str) -> str | None:
-    """A line of standard input, None at its end."""
-    typer.echo(prompt, nl=False)
-    try:
-        return input().strip()
-    except EOFError:
-        typer.echo()
-        return None
-
-
-def _agreed() -> bool:
-    return (_ask("store it in the box? [y/N] ") or "").lower() in ("y", "yes")
+def _agreed(operator: Operator) -> bool:
+    return (operator.ask("store it in the box? [y/N] ") or "").lower() in ("y", "yes")
 
 
 def sample(box: BoxControl, stream: Stream, seconds: float) -> NDArray[np.int32]:

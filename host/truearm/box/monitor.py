@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-import sys
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import typer
 
 from truearm.box.conversation import conversation, ident_of, one_line_of
 from truearm.errors import InputError
+from truearm.interrupt import asked_to_stop
 from truearm.session.heartbeats import COUNTERS
 from truearm.text import one_line
 from truearm.units import MS, NS, US
@@ -29,8 +28,7 @@ if TYPE_CHECKING:
 
 WINDOW_S = 1.0  # of samples that a shown value is the mean of
 PROBE_S = 0.25
-SHOW_S = 0.5
-PLAIN_S = 1.0
+Rows = list[tuple[str, str]]  # what, and its value
 MAX_PROBES = 64  # under way
 TROUBLES = tuple(name for name in COUNTERS if name not in ("sent", "short_writes", "overruns"))
 
@@ -98,28 +96,33 @@ class Watch:
             self.clock.add(t0_ns, sent.fields["t1_us"], sent.fields["t2_us"], sent.t_host_ns)
 
 
-def monitor_box(device: str, duration: float | None, plain: bool) -> None:
-    """What ``truearm box monitor`` does with its options."""
-    from truearm.interrupt import asked_to_stop
+def monitor_box(device: str, duration: float | None, every_s: float, show: Callable[[Rows], None]) -> Iterator[str]:
+    """Watch a box until ``duration`` [s] or an interrupt; ``show`` gets what it measures every so often.
 
+    Yields a line when the box has answered, and one when all is over. Raises InputError, LinkError.
+    """
     if duration is not None and not 0 < duration < math.inf:
         raise InputError(f"--duration {duration:g} is no time; give seconds above 0")
     with conversation(device, stop=True) as box, asked_to_stop() as interrupted:
-        typer.echo(one_line_of(ident_of(box)))
-        watch = _watch(box, duration, interrupted, plain or not sys.stdout.isatty())
-    typer.echo(_totals(watch, box))
+        yield one_line_of(ident_of(box))
+        watch = _watch(box, duration, interrupted, every_s, show)
+    yield f"ended; lost: {losses(watch, box)}"
 
 
-def _watch(box: BoxControl, duration: float | None, interrupted: Callable[[], bool], plain: bool) -> Watch:
+def _watch(
+    box: BoxControl,
+    duration: float | None,
+    interrupted: Callable[[], bool],
+    every_s: float,
+    show: Callable[[Rows], None],
+) -> Watch:
     from truearm_wire.messages import START, STOP
 
     watch = Watch(ident_of(box))
     begun = time.monotonic()
     next_probe = begun
-    every = PLAIN_S if plain else SHOW_S
-    next_show = begun + every
+    next_show = begun + every_s
     with ExitStack() as stack:
-        show = _plain if plain else _live(stack)
         stack.callback(box.command, STOP)
         box.command(START)
         while not interrupted() and (duration is None or time.monotonic() < begun + duration):
@@ -133,12 +136,9 @@ def _watch(box: BoxControl, duration: float | None, interrupted: Callable[[], bo
                 next_probe = now + PROBE_S
                 watch.asked(*box.probe())
             if now >= next_show:
-                next_show = now + every
+                next_show = now + every_s
                 show(rows_of(watch, now - begun, box))
     return watch
-
-
-Rows = list[tuple[str, str]]
 
 
 def rows_of(watch: Watch, elapsed_s: float, box: BoxControl) -> Rows:
@@ -210,27 +210,3 @@ def losses(watch: Watch, box: BoxControl) -> str:
         watch.edges > 0
     )
     return ", ".join(parts)
-
-
-def _plain(rows: Rows) -> None:
-    print("; ".join(f"{name} {value}" for name, value in rows), flush=True)
-
-
-def _live(stack: ExitStack) -> Callable[[Rows], None]:
-    from rich.live import Live
-    from rich.table import Table
-    from rich.text import Text
-
-    live = stack.enter_context(Live(auto_refresh=False, transient=False))
-
-    def show(rows: Rows) -> None:
-        table = Table.grid(padding=(0, 2))
-        for name, value in rows:
-            table.add_row(Text(name), Text(value))
-        live.update(table, refresh=True)
-
-    return show
-
-
-def _totals(watch: Watch, box: BoxControl) -> str:
-    return f"ended; lost: {losses(watch, box)}"

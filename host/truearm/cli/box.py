@@ -7,11 +7,12 @@ from typing import Annotated, Any
 
 import typer
 
-from truearm.box.conversation import Device, Stop, conversation, ident_of, one_line_of
+from truearm.box.conversation import conversation, ident_of, one_line_of
 from truearm.cli.box_config import config
 from truearm.cli.box_flash import flash
 from truearm.cli.box_gauge import gauge
 from truearm.cli.box_monitor import monitor
+from truearm.cli.options import DeviceOption, StopOption
 from truearm.errors import InputError, TruearmError
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
@@ -79,7 +80,7 @@ def _asked(port: Any) -> dict[str, Any]:
 
 
 @app.command()
-def info(device: Device, as_json: Json = False) -> None:
+def info(device: DeviceOption, as_json: Json = False) -> None:
     """Print what a box says of itself: firmware, streams, channels, calibrations, faults.
 
     Example: truearm box info --device /dev/ttyACM0
@@ -96,7 +97,7 @@ def info(device: Device, as_json: Json = False) -> None:
 
 
 @app.command("test")
-def self_test(device: Device, stop: Stop = False, as_json: Json = False) -> None:
+def self_test(device: DeviceOption, stop: StopOption = False, as_json: Json = False) -> None:
     """Have a box test itself, and print each result with what to do about it.
 
     Exit code 1 if something failed. A warning is something that was not measured or is near its limit.
@@ -126,7 +127,7 @@ def self_test(device: Device, stop: Stop = False, as_json: Json = False) -> None
 
 
 @app.command()
-def reset(device: Device, stop: Stop = False) -> None:
+def reset(device: DeviceOption, stop: StopOption = False) -> None:
     """Restart a box. It forgets the traceback that it kept.
 
     Example: truearm box reset --device /dev/ttyACM0

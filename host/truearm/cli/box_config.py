@@ -7,7 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from truearm.box.conversation import Device, Stop, conversation
+from truearm.box.conversation import conversation
+from truearm.cli.options import DeviceOption, StopOption
 from truearm.errors import ConfigError
 
 config = typer.Typer(
@@ -26,12 +27,12 @@ def _config(context: typer.Context) -> None:
 
 @config.command()
 def get(
-    device: Device,
+    device: DeviceOption,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write it there (.toml) instead of printing it.")
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
-    stop: Stop = False,
+    stop: StopOption = False,
 ) -> None:
     """Print a box's configuration as TOML, in units for people.
 
@@ -56,9 +57,9 @@ def put(
     changes: Annotated[
         list[str], typer.Argument(metavar="FILE.toml | KEY=VALUE...", help="A file as get writes it, or single values.")
     ],
-    device: Device,
+    device: DeviceOption,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what would change, and change nothing.")] = False,
-    stop: Stop = False,
+    stop: StopOption = False,
 ) -> None:
     """Change a box's configuration; print what changes.
 

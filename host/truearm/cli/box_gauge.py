@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-from truearm.box.conversation import Device, Stop
+from truearm.cli.options import DeviceOption, StopOption
 
 
 def gauge(
     channel: Annotated[str, typer.Argument(metavar="CHANNEL", help="lvdt, transverse_a, magnetostrictive …")],
-    device: Device,
+    device: DeviceOption,
     references: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="The references in order (.csv with a column reference_mm, _um or _in)."),
@@ -25,7 +25,7 @@ def gauge(
     serial: Annotated[str | None, typer.Option(metavar="TEXT", help="Of the sensor; default: as before.")] = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="The page; default gauge-CHANNEL.html.")] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Store the calibration without asking.")] = False,
-    stop: Stop = False,
+    stop: StopOption = False,
 ) -> None:
     """Calibrate a sensor against a reference: gauge blocks, a micrometer, a stage with a scale.
 
@@ -36,6 +36,22 @@ def gauge(
 
     Example: truearm box gauge lvdt --device /dev/ttyACM0
     """
-    from truearm.box.gauge_run import gauge_channel
+    from truearm.box.gauge_run import GaugeOptions, gauge_channel
 
-    gauge_channel(channel, device, references, unit, seconds, order, serial, out, yes, stop)
+    options = GaugeOptions(channel, references, unit, seconds, order, serial, out, yes)
+    gauge_channel(device, options, _Terminal(), stop)
+
+
+class _Terminal:
+    """The operator of ``gauge`` at standard input and output."""
+
+    def say(self, text: str) -> None:
+        typer.echo(text)
+
+    def ask(self, prompt: str) -> str | None:
+        typer.echo(prompt, nl=False)
+        try:
+            return input().strip()
+        except EOFError:
+            typer.echo()
+            return None

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
+from contextlib import ExitStack
 from typing import Annotated
 
 import typer
 
-from truearm.box.conversation import Device
+from truearm.cli.options import DeviceOption
+
+SHOW_S = 0.5
+PLAIN_S = 1.0
 
 
 def monitor(
-    device: Device,
+    device: DeviceOption,
     duration: Annotated[
         float | None, typer.Option(metavar="S", help="End after so many seconds; default: Ctrl-C.")
     ] = None,
@@ -24,4 +30,28 @@ def monitor(
     """
     from truearm.box.monitor import monitor_box
 
-    monitor_box(device, duration, plain)
+    with ExitStack() as stack:
+        plain = plain or not sys.stdout.isatty()
+        show = _plain if plain else _live(stack)
+        for line in monitor_box(device, duration, PLAIN_S if plain else SHOW_S, show):
+            typer.echo(line)
+
+
+def _plain(rows: list[tuple[str, str]]) -> None:
+    print("; ".join(f"{name} {value}" for name, value in rows), flush=True)
+
+
+def _live(stack: ExitStack) -> Callable[[list[tuple[str, str]]], None]:
+    from rich.live import Live
+    from rich.table import Table
+    from rich.text import Text
+
+    live = stack.enter_context(Live(auto_refresh=False, transient=False))
+
+    def show(rows: list[tuple[str, str]]) -> None:
+        table = Table.grid(padding=(0, 2))
+        for name, value in rows:
+            table.add_row(Text(name), Text(value))
+        live.update(table, refresh=True)
+
+    return show

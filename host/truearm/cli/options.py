@@ -16,6 +16,11 @@ from truearm.text import one_line
 from truearm.units import DEG, MM
 
 ROBOT_HELP = f"Built-in robot ({', '.join(builtin_names())}), robot file (.toml) or URDF (.urdf)."
+DEVICE_HELP = "The box: /dev/ttyACM0, COM3 or socket://127.0.0.1:7007."
+DeviceOption = Annotated[str, typer.Option(metavar="DEVICE", help=DEVICE_HELP)]
+StopOption = Annotated[
+    bool, typer.Option("--stop", help="Stop the box first if it streams, as a recorder that was killed leaves it.")
+]
 LARGEST_MM, LARGEST_DEG = 1e5, 720.0  # of a frame
 LONGEST_NAME = 64  # letters of a rig's name, as of a table's identifiers
 

