@@ -270,13 +270,17 @@ def _carried(trace: PointTrace, force: Floats, moment: Floats) -> Rows:
     wrenches = np.empty((len(twists), *lead), np.result_type(near, law.angles, twists))
     jac_joints = np.empty((len(carries) - 1, *lead), wrenches.dtype)
     by_joints, columns = law.by_joints, law.law.columns
+    diagonal = by_joints.ndim == 2
     by_parameters = law.by_parameters.reshape(len(law.law.of_column), *(1,) * (len(lead) - 1), lead[-1])
     wrenches[:6] = near.reshape(6, *lead)
     at = 6
     for i, motion in enumerate(trace.chain.motions):
         far = (carries[i] @ near.reshape(6, -1)).reshape(near.shape)
         felt = far.reshape(6, *lead)[on_axis(motion)]
-        jac_joints[i] = felt * by_joints[i] if by_joints.ndim == 2 else felt
+        if diagonal:
+            np.multiply(felt, by_joints[i], out=jac_joints[i])
+        else:
+            jac_joints[i] = felt
         near = _moved(motion, law.angles[i], trace.cos_sin[0][i], trace.cos_sin[1][i], far)
         new = new_numbers(motion)
         near.reshape(6, *lead).take(new, axis=0, out=wrenches[at : at + len(new)], mode="clip")
@@ -285,7 +289,7 @@ def _carried(trace: PointTrace, force: Floats, moment: Floats) -> Rows:
         np.multiply(felt, by_parameters[columns[i]], out=wrenches[at:end])
         at = end
     far = (carries[-1][::2] @ near.reshape(6, -1)).reshape(3, *lead)
-    if by_joints.ndim == 3:
+    if not diagonal:
         jac_joints = np.einsum("i...n,ikn->k...n", jac_joints, by_joints)
     return Rows(np.moveaxis(wrenches, 0, -1), twists, np.moveaxis(jac_joints, 0, -1), np.moveaxis(far, 0, -1))
 
