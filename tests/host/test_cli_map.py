@@ -147,7 +147,7 @@ def test_bad_requests_are_one_line(result, tmp_path, run):
         (("map", result, "--task", "9x9", "--within", "nan:1,0:1"), "needs LOW:HIGH,LOW:HIGH"),
         (("map", result, "--within", "0:1,0:1"), "give that too"),
         (("map", result, "--cell", "0.1"), "--cell"),
-        (("map", tmp_path / "bad.json"), "null_space has the wrong form"),
+        (("map", tmp_path / "bad.json"), "null_space: item 1: weights: item 1: 'much' is not a number"),
         (("map", result, "--picture", tmp_path / "mine.svg"), "exists and is nothing"),
     ]
     for arguments, says in cases:
