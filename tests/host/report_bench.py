@@ -61,7 +61,7 @@ def make_page(n=1600, kind="ball_bar", seed=0, **changes):
     covariance[np.ix_(free, free)] = 1e-8 * np.linalg.inv(root.T @ root)
     nominal = np.round(rng.uniform(-1, 1, 54), 3)
     change = np.where(free, 1e-3 * rng.standard_normal(54), 0.0)
-    signed = kinds()[kind].signed("m")
+    signed = kinds()[kind].components.count("m") == 1
     residual = SIGMA * (rng.standard_normal(n) if signed else stats.maxwell.rvs(size=n, random_state=rng))
     before = 100.0 * residual
     fitted = np.arange(n) < (n + 1) // 2

@@ -72,7 +72,7 @@ def test_kinds_have_pictures_of_their_own():
 def test_every_kind_has_its_words_and_units(kind):
     text = render(make_page(240, kind))
     of = kinds()[kind]
-    name, signed = of.name, of.signed("m")
+    name, signed = of.name, of.components.count("m") == 1
     assert f"Residual of a {name} observation: " in text
     assert all(html.escape(residual) in text for residual in of.residual.values())
     assert verdict(make_page(240, kind)).startswith(f"The {name} error is ")

@@ -58,7 +58,3 @@ class Kind:
     def points(self, rig: Rig) -> Mapping[str, Point]:
         """The points of the robot's end that rows may name, by name; none where the kind measures no point."""
         return next((rig.things(entry.field) for entry in self.entries if entry.name == self.point), {})
-
-    def signed(self, unit: str) -> bool:
-        """Whether the residual of a unit is one number with a sign, otherwise a norm."""
-        return self.components.count(unit) == 1
