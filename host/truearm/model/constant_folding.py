@@ -67,6 +67,11 @@ def folded(chain: Chain, params: Floats) -> Folded:
     return _folded(chain, params.tobytes(), params.dtype.str)
 
 
+def link_transforms(chain: Chain, params: Floats) -> Floats:
+    """(j + 1, 4, 4) the links alone. Unlike ``folded`` it asks nothing of the joint law, so that a term of the law may ask it."""
+    return _multiplied(chain.constants, _amounts(chain.constants, params))[0]
+
+
 @lru_cache(maxsize=4)
 def _folded(chain: Chain, params: bytes, dtype: str) -> Folded:
     constants = chain.constants

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.model.chain import Chain
-from truearm.model.constant_folding import folded
+from truearm.model.constant_folding import link_transforms
 from truearm.model.poses import inverted
 from truearm.model.transforms import elementary
 from truearm.types import Floats
@@ -38,7 +38,7 @@ def mountings(chain: Chain, nominal: Floats, identified: Floats) -> Mountings:
     """What of the identified parameters (p,) is mounting, the nominal ones (p,) having none."""
     first, last = chain.motions[0], chain.motions[-1]
     turned = chain.law.offset.of(identified) - chain.law.offset.of(nominal)
-    links_n, links_i = folded(chain, nominal).transforms, folded(chain, identified).transforms
+    links_n, links_i = link_transforms(chain, nominal), link_transforms(chain, identified)
     by_first = elementary(first, turned[0]) if len(chain.joints) > 1 else np.eye(4)
     base = links_i[0] @ by_first @ inverted(links_n[0])
     return Mountings(base, inverted(links_n[-1]) @ elementary(last, turned[-1]) @ links_i[-1])
@@ -46,8 +46,8 @@ def mountings(chain: Chain, nominal: Floats, identified: Floats) -> Mountings:
 
 def own_links(chain: Chain, nominal: Floats, identified: Floats) -> tuple[Floats, Floats]:
     """Links (j + 1, 4, 4) and joint offsets (j,) of R(q): the identified ones without the mountings."""
-    links = folded(chain, identified).transforms.copy()
-    ends = folded(chain, nominal).transforms
+    links = link_transforms(chain, identified)
+    ends = link_transforms(chain, nominal)
     links[0], links[-1] = ends[0], ends[-1]
     return links, chain.law.offset.of(own_law(chain, nominal, identified))
 
