@@ -14,7 +14,7 @@ from truearm.files.rig_file import write_rig
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.types import Message
-from truearm.workflows.inspect import shown
+from truearm.workflows.inspect import printable
 from truearm.workflows.session_observations import SessionOptions, observations_of_session
 
 EVIL = b'Traceback:\r\n  File "\x1b]0;owned\x07\x1b[2J\xff\x9b31m"\r\nline two\n'
@@ -231,4 +231,4 @@ def test_readings_of_other_joints_are_malformed(stream, tmp_path, run):
     ],
 )
 def test_shown(data, text):
-    assert shown(data) == text
+    assert printable(data) == text

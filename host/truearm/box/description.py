@@ -66,7 +66,7 @@ def finding_lines(findings: Iterable[Finding]) -> list[str]:
     return lines
 
 
-def shown(value: float, spread: float, unit: str) -> str:
+def with_spread(value: float, spread: float, unit: str) -> str:
     """A value with its spread: lengths in mm and µm, times in µs, all else as it is."""
     if not math.isfinite(value):
         return "–"

@@ -170,7 +170,7 @@ def _stream_rows(stream: Stream, window: Window | None) -> Rows:
 
 def value_of(counts: NDArray[np.int32], channel: Channel, stream: Stream) -> str:
     """The mean of counts (n,) in the channel's best unit, with the standard deviation of one sample."""
-    from truearm.box.description import shown
+    from truearm.box.description import with_spread
     from truearm.session.lvdt import railed
 
     if channel.fault:
@@ -184,7 +184,7 @@ def value_of(counts: NDArray[np.int32], channel: Channel, stream: Stream) -> str
     values = counts * channel.scale
     if channel.poly:
         values = np.polynomial.polynomial.polyval(values, channel.poly)
-    return shown(
+    return with_spread(
         float(np.mean(values)), float(np.std(values)), channel.calibrated_unit if channel.poly else channel.unit
     )
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Mapping, Sized
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from rich.table import Table
 from truearm.kinds.registry import kinds
 from truearm.report.parameter_cells import parameter_cells
 from truearm.report.words import drawing, kind_name, proposal, time_offset
-from truearm.text import one_line
+from truearm.text import counted, one_line
 from truearm.types import AdditionKind
 from truearm.units import SUFFIXES, UNITS, title
 
@@ -121,12 +121,12 @@ def unseen(document: Document) -> list[str]:
         return ["The observations see every free parameter."]
     lines = []
     if directions:
-        what = _counted(directions, "combination")
+        what = counted(len(directions), "combination")
         which = "it" if what[:2] == "1 " else "them"
         lines.append(f"{what} of parameters cannot be seen; predictions do not depend on {which}:")
         lines += _directions(directions, "null_space")
     if weak:
-        what = _counted(weak, "combination")
+        what = counted(len(weak), "combination")
         lines.append(
             f"{what} of parameters {'is' if what[:2] == '1 ' else 'are'} hardly seen, less well than a drawing tells "
             f"({drawing()}):"
@@ -198,7 +198,7 @@ def seen(document: Document) -> list[str]:
     if indices is None or any(value is None for value in indices.values()):
         return []
     named = ", ".join(f"{name.upper()} {value:.3g}" for name, value in indices.items())
-    return [f"Observability of {_counted(document['suggested_free'], 'parameter')}: {named} (larger is better)."]
+    return [f"Observability of {counted(len(document['suggested_free']), 'parameter')}: {named} (larger is better)."]
 
 
 def timing(document: Document) -> list[str]:
@@ -304,12 +304,9 @@ def further_measurements(document: Document) -> list[str]:
     for addition in document["additions"]:  # the most useful first
         best.setdefault(addition["kind"], addition)
     return [
-        f"Next: {_proposal(a)} to tell {_counted(a['parameters'], 'more parameter')}: {_few(a)}." for a in best.values()
+        f"Next: {_proposal(a)} to tell {counted(len(a['parameters']), 'more parameter')}: {_few(a)}."
+        for a in best.values()
     ]
-
-
-def _counted(things: Sized, name: str) -> str:
-    return f"{len(things)} {name}{'s' * (len(things) != 1)}"
 
 
 def _proposal(addition: Mapping[str, Any]) -> str:

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.errors import TableError
-from truearm.files.observation_columns import Column, shown
-from truearm.schema import NAME
+from truearm.files.observation_columns import Column
+from truearm.schema import NAME, quoted
 from truearm.types import Floats
 from truearm.units import SUFFIXES
 
@@ -64,7 +64,7 @@ def identifiers(rows: list[Row], column: Column | None, name: str) -> np.ndarray
         cell = row.cells[column.position]
         if cell and not NAME.fullmatch(cell):
             raise TableError(
-                f"{name} row {row.number} column {column.name}: {shown(cell)} is no identifier; "
+                f"{name} row {row.number} column {column.name}: {quoted(cell)} is no identifier; "
                 "use up to 64 letters, digits, '-' and '_'"
             )
     return np.array([row.cells[column.position] for row in rows])
@@ -89,9 +89,9 @@ def numbers(
         where = f"{name} row {row.number} column {column.name}"
         out[i] = np.nan if not cell and not required else scale * number(cell, where)
         if abs(out[i]) > largest:
-            raise TableError(f"{where}: {shown(cell)} is too large for {column.unit}; is the column in another unit?")
+            raise TableError(f"{where}: {quoted(cell)} is too large for {column.unit}; is the column in another unit?")
         if positive and out[i] <= 0.0:
-            raise TableError(f"{where}: {shown(cell)} must be greater than 0")
+            raise TableError(f"{where}: {quoted(cell)} must be greater than 0")
     return out
 
 
@@ -113,5 +113,5 @@ def number(cell: str, where: str) -> float:
         raise TableError(f"{where}: {cell} is not a finite number; leave out rows without a reading")
     # float() would take "1_000" and digits of other scripts; a table with them was not written as numbers.
     if len(cell) > MAX_CELL or not NUMBER.fullmatch(cell):
-        raise TableError(f"{where}: {shown(cell)} is not a number")
+        raise TableError(f"{where}: {quoted(cell)} is not a number")
     return float(cell)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from truearm.errors import TableError
 from truearm.kinds import registry
+from truearm.schema import quoted
 from truearm.units import SUFFIXES, suffixes
 
 JOINTS = {"q": ("rad", "deg", "m", "mm"), "qd": ("rad_s", "deg_s", "m_s", "mm_s")}
@@ -28,7 +29,7 @@ def read_header(header: list[str], name: str) -> dict[str, Column]:
     columns: dict[str, Column] = {}
     seen: set[str] = set()
     for position, title in enumerate(header):
-        where = f"{name} column {position + 1} ({shown(title)})"
+        where = f"{name} column {position + 1} ({quoted(title)})"
         if title in seen:
             raise TableError(f"{where}: stands twice in the header; keep one")
         seen.add(title)
@@ -65,7 +66,7 @@ def _quantity(title: str, where: str) -> tuple[str, str]:
     if unit is None:
         raise TableError(f"{where}: has no unit; name it {' or '.join(f'{quantity}_{u}' for u in known)}")
     if unit not in known:
-        raise TableError(f"{where}: unit {shown(unit)} is not known; use one of {', '.join(known)}")
+        raise TableError(f"{where}: unit {quoted(unit)} is not known; use one of {', '.join(known)}")
     return sigma_column(SUFFIXES[unit].si) if quantity == "sigma" else quantity, unit
 
 
@@ -121,8 +122,3 @@ def _numbered(columns: dict[str, Column], letter: str, name: str) -> list[Column
 def base_unit(unit: str) -> str:
     """The SI unit that a joint's column is turned into, of a velocity without its "per second"."""
     return SUFFIXES[unit].si.removesuffix("/s")
-
-
-def shown(text: str) -> str:
-    """A stranger's text in quotes and cut short, for messages."""
-    return repr(text if len(text) <= 40 else text[:37] + "...")

@@ -19,9 +19,10 @@ import numpy as np
 from truearm.errors import TableError
 from truearm.files.csv_cells import Row, identifiers, numbers, read_cells, together
 from truearm.files.disk import read_text, write_atomic
-from truearm.files.observation_columns import Column, joint_columns, rate_columns, read_header, shown, sigma_column
+from truearm.files.observation_columns import Column, joint_columns, rate_columns, read_header, sigma_column
 from truearm.kinds import registry
 from truearm.kinds.quantities import LARGEST_NOISE, Quantity
+from truearm.schema import quoted
 from truearm.text import with_article
 from truearm.types import Floats, ObservationTable, Rig
 from truearm.units import SUFFIXES, UNITS, suffixes
@@ -67,7 +68,7 @@ def _kinds(rows: list[Row], column: Column, name: str) -> np.ndarray:
     for row in rows:
         if row.cells[column.position] not in registry.NAMES:
             raise TableError(
-                f"{name} row {row.number} column kind: {shown(row.cells[column.position])} is no kind of observation; "
+                f"{name} row {row.number} column kind: {quoted(row.cells[column.position])} is no kind of observation; "
                 f"use {' or '.join(registry.NAMES)}"
             )
     return np.array([row.cells[column.position] for row in rows])
@@ -141,7 +142,7 @@ def _check_signs(
             bad = np.argwhere(small & (kind == key)[:, None] & quantity.positive)
             for i, k in bad[:1].tolist():
                 column = columns[quantity.columns[k]]
-                cell = shown(rows[i].cells[column.position])
+                cell = quoted(rows[i].cells[column.position])
                 raise TableError(f"{name} row {rows[i].number} column {column.name}: {cell} must be greater than 0")
 
 
@@ -165,7 +166,7 @@ def check_against_rig(table: ObservationTable, rig: Rig) -> None:
             if identifier and identifier not in known:
                 names = ", ".join(sorted(known)) or "none; give it with --rig"
                 raise TableError(
-                    f"{source} column {column}: {shown(str(identifier))} is not in the rig (it has {names})"
+                    f"{source} column {column}: {quoted(str(identifier))} is not in the rig (it has {names})"
                 )
     for key, kind in registry.kinds().items():
         rows, points = table.kind == key, kind.points(rig)

@@ -20,9 +20,9 @@ from scipy.spatial.transform import Rotation
 from truearm.errors import TableError, TargetError
 from truearm.files.csv_cells import Row, identifiers, numbers, read_cells
 from truearm.files.disk import read_text
-from truearm.files.observation_columns import Column, shown
+from truearm.files.observation_columns import Column
 from truearm.model.poses import pose_of
-from truearm.schema import IDENTIFIER, Key, Number, hint
+from truearm.schema import IDENTIFIER, Key, Number, hint, quoted
 from truearm.types import Floats, Strings
 from truearm.units import DEG, MM, SUFFIXES, UNITS, key, number
 
@@ -78,7 +78,7 @@ def _columns(header: list[str], name: str, joints: Sequence[Key]) -> dict[str, C
     keys = {spelled: key for key in (NAME, *XYZ, *TURN, *joints) for spelled in key.spellings}
     columns: dict[str, Column] = {}
     for position, title in enumerate(header):
-        where = f"{name} column {position + 1} ({shown(title)})"
+        where = f"{name} column {position + 1} ({quoted(title)})"
         quantity, _, unit = title.rpartition("_")
         spellings = [spelled for spelled, key in keys.items() if key.name == quantity]
         if title not in keys:

@@ -216,7 +216,7 @@ def _box_words(status: Status) -> str:
 
 
 @contextmanager
-def shown(view: View, plain: bool) -> Iterator[None]:
+def showing(view: View, plain: bool) -> Iterator[None]:
     """Show the view until the end of the block; typed lines go to it, if there is a terminal in the foreground."""
     live = not plain and _is_terminal()
     with ExitStack() as stack:

@@ -25,6 +25,7 @@ from truearm.errors import RobotError
 from truearm.model.chain import Chain, Element, Joint, Parameter
 from truearm.model.joint_terms.gain import Gain
 from truearm.model.joint_terms.offset import Offset
+from truearm.text import listed
 from truearm.units import UNITS
 
 MAX_TEXT = 8_000_000  # characters; a large humanoid has some 200,000
@@ -57,7 +58,7 @@ def chain_from_urdf(text: str, base: str | None = None, tip: str | None = None) 
     base = base or _only(sorted(links - set(by_child)), "root links", "base")
     for link in (base, tip):
         if link is not None and link not in links:
-            raise RobotError(f"URDF has no link {link!r}; it has {_listed(sorted(links))}")
+            raise RobotError(f"URDF has no link {link!r}; it has {listed(sorted(links))}")
     tip = tip or _only(_leaves(base, joints), "end links", "tip")
     path = _path(base, tip, by_child)
     return _build(root.get("name") or "robot", path, base, tip)
@@ -243,9 +244,4 @@ def _only(candidates: list[str], what: str, option: str) -> str:
         return candidates[0]
     if not candidates:
         raise RobotError(f"URDF has no {what}: its joints form a loop")
-    raise RobotError(f"URDF has {len(candidates)} {what}; choose a {option} among {_listed(candidates)}")
-
-
-def _listed(names: list[str]) -> str:
-    shown = ", ".join(names[:12])
-    return shown if len(names) <= 12 else f"{shown}, … ({len(names)} in all)"
+    raise RobotError(f"URDF has {len(candidates)} {what}; choose a {option} among {listed(candidates)}")

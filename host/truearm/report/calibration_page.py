@@ -27,9 +27,10 @@ from truearm.report.findings import (
     suspect_table,
 )
 from truearm.report.page_tables import fact_list, parameter_table, step_table, visibility
-from truearm.report.page_text import counted, escape, figures, size
+from truearm.report.page_text import escape, figures, size
 from truearm.report.residual_rows import rows_by_kind, summaries
 from truearm.report.words import kind_name, tolerances
+from truearm.text import counted
 from truearm.types import Estimate, Floats, HeldOut, ObservationTable, PredictedError
 from truearm.units import symbol
 

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from truearm.kinds.registry import kinds
 from truearm.report import svg
-from truearm.report.page_text import counted, figures, number
+from truearm.report.page_text import figures, number
 from truearm.report.residual_rows import Rows, law_of, rms
+from truearm.text import counted
 from truearm.types import Estimate, Floats
 from truearm.units import shown, symbol, title
 

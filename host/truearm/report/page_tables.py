@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from truearm.report.page_text import ABSENT, counted, escape, figures, number
+from truearm.report.page_text import ABSENT, escape, figures, number
 from truearm.report.words import drawing
+from truearm.text import counted
 from truearm.types import Estimate, NullDirection
 from truearm.units import UNITS
 

@@ -46,8 +46,3 @@ def figures(value: float, count: int = 3) -> str:
 def size(value: float, si: str, unit: str | None = None) -> str:
     """A value in SI with three significant figures, as a person sees it; ``unit`` in place of the symbol behind it."""
     return f"{figures(shown(value, si))} {symbol(si) if unit is None else unit}".rstrip()
-
-
-def counted(count: int, one: str, many: str = "") -> str:
-    """ "1 row", "7 rows"."""
-    return f"{count} {one if count == 1 else many or one + 's'}"

@@ -94,7 +94,7 @@ def describe(session: Session) -> dict[str, Any]:
         "firmware": sorted({ident.firmware for ident in found.idents.values()}),
         "streams": [_stream(stream, found) for stream in found.streams],
         "losses": asdict(found.losses) | _silences(contents.silences.finish(), min(times, default=0), found),
-        "console": [shown(data) for data in contents.console],
+        "console": [printable(data) for data in contents.console],
         "clock": [asdict(report) for report in found.clock_reports],
         "robot": _robot(found, contents),
         "events": found.marks.kinds,
@@ -112,7 +112,7 @@ def ident_of(session: Session) -> Ident | None:
     return None if text is None else parse_ident_json(text)
 
 
-def shown(data: bytes) -> str:
+def printable(data: bytes) -> str:
     """Bytes of a stranger as printable text; what is no text as \\x.. escapes."""
     text = data.decode(errors="backslashreplace").replace("\r\n", "\n")
     return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)

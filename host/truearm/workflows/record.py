@@ -15,7 +15,7 @@ from truearm.live.choose_box import choose_box
 from truearm.live.mounted import check_mounted, parse_mounted
 from truearm.live.progress import Course
 from truearm.live.state import LiveState
-from truearm.live.view import View, shown
+from truearm.live.view import View, showing
 from truearm.workflows.session_parts import SETUP, Earlier, earlier, gone_on
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ def _record(device: str, work: Work, request: Request) -> tuple[RecordSummary, b
         _robot_link(work.robot, clock) as robot_link,
         SessionWriter(work.out, clock, overwrite=request.force, hold=True) as writer,
         asked_to_stop() as interrupted,
-        shown(view, request.plain),
+        showing(view, request.plain),
     ):
         try:
             summary = record_session(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from truearm.errors import InputError
 from truearm.kinds.registry import drawn_from, identifiers
+from truearm.text import listed
 from truearm.types import ObservationTable
 
 Mask = NDArray[np.bool_]
@@ -89,8 +90,7 @@ def _is_number(text: str) -> bool:
 
 
 def _listed(what: str, known: Sequence[str]) -> str:
-    shown = ", ".join(known[:12]) + (f", … ({len(known)} in all)" if len(known) > 12 else "")
-    return f"there is {shown}" if known else f"the observations have no {what} column"
+    return f"there is {listed(known)}" if known else f"the observations have no {what} column"
 
 
 def _random_rows(table: ObservationTable, fraction: float, seed: int) -> Mask:

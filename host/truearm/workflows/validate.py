@@ -22,8 +22,7 @@ from truearm.files.result_file import Input
 from truearm.files.robot_file import RobotChoice
 from truearm.kinds.registry import regions as regions_of_kinds
 from truearm.model.chain import forward
-from truearm.report.page_text import counted
-from truearm.text import one_line
+from truearm.text import counted, one_line
 from truearm.types import Figures, Floats, ObservationTable
 from truearm.units import MM, SUFFIXES, UNITS, Scale, key, shown, title
 from truearm.workflows.calibration import Calibration, read_calibration

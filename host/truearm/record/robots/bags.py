@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from truearm.errors import InputError, SessionError
-from truearm.files.observation_columns import shown
 from truearm.record.robots.joint_table import NO_ARRIVAL, Reading
 from truearm.record.robots.sources import FileOptions
+from truearm.schema import quoted
 from truearm.session.joint_line import MAX_JOINTS, are_joints, format_reading
 from truearm.session.session_file import open_session
 
@@ -112,7 +112,7 @@ def _sqlite_messages(path: Path, topic: str) -> Iterator[bytes]:
             yield data if isinstance(data, bytes) else b""
     except (sqlite3.Error, UnicodeDecodeError) as exc:  # the latter where an error's own text is damaged
         raise SessionError(
-            f"{path}: is no bag, or damaged ({shown(str(exc))}); record it again, or mend it with ros2 bag reindex"
+            f"{path}: is no bag, or damaged ({quoted(str(exc))}); record it again, or mend it with ros2 bag reindex"
         ) from exc
     finally:
         connection.close()

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from truearm.errors import InputError
-from truearm.files.observation_columns import shown
+from truearm.schema import quoted
 from truearm.session.joint_line import MAX_JOINTS, format_reading
 from truearm.units import SUFFIXES
 
@@ -66,7 +66,7 @@ def read_columns(titles: Sequence[str]) -> Columns:
         known: dict[str, Place] | dict[int, Place] = joints[quantity] if number else single
         key = number or quantity
         if key in known:
-            raise InputError(f"column {shown(title)}: {quantity}{number or ''} is given twice; keep one")
+            raise InputError(f"column {quoted(title)}: {quantity}{number or ''} is given twice; keep one")
         known[key] = (position, scale)  # type: ignore[index]
     if "t" not in single:
         raise InputError(f"no column t_s of the controller's time; expected is a header such as {EXAMPLE}")
@@ -85,7 +85,7 @@ def _quantity(title: str) -> tuple[str, int, float]:
     found = _JOINT.fullmatch(title)
     if found is None or (found[1] == "qd") != bool(found[5]) or (found[1] == "qd" and found[3]):
         raise InputError(
-            f"column {shown(title)} is not known; expected is a header such as {EXAMPLE}; x_... is passed over"
+            f"column {quoted(title)} is not known; expected is a header such as {EXAMPLE}; x_... is passed over"
         )
     return found[1] + (found[3] or ""), int(found[2]), SUFFIXES[found[4]].scale
 

@@ -24,12 +24,12 @@ from typing import Any
 from urllib.parse import parse_qsl
 
 from truearm.errors import InputError, LinkError, ProtocolError
-from truearm.files.observation_columns import shown
 from truearm.record.frames import Runs
 from truearm.record.joint_lines import MAX_LINE
 from truearm.record.links import Arrivals, Backlog, Clock, Link, TcpLink, backlog_of
 from truearm.record.robots.joint_columns import PER_SECOND, Columns, read_columns
 from truearm.record.robots.udp import UdpLink
+from truearm.schema import quoted
 from truearm.session.joint_line import MAX_JOINTS, are_joints, format_reading, parse_reading
 from truearm.units import SUFFIXES
 
@@ -92,18 +92,18 @@ def read_names(said: dict[str, Any], names: Names | None = None) -> Names:
     names = names or Names()
     of = said.get("names", {})
     if not isinstance(of, dict) or not set(of) <= set(QUANTITIES):
-        raise InputError(f"names are given to {', '.join(QUANTITIES)}, not to {shown(str(of))}")
+        raise InputError(f"names are given to {', '.join(QUANTITIES)}, not to {quoted(str(of))}")
     units = str(said.get("unit", "")).split(",")
     if said.get("unit") is not None:
         if not set(units) <= {"rad", "deg", "m", "mm"} or len(units) > MAX_JOINTS:
             raise InputError(
-                f"unit {shown(str(said['unit']))} is not known; use rad, deg, m or mm, one for all joints or one each"
+                f"unit {quoted(str(said['unit']))} is not known; use rad, deg, m or mm, one for all joints or one each"
             )
         names = replace(names, scale=tuple(SUFFIXES[unit].scale for unit in units))
     if said.get("t_unit") is not None:
         unit = str(said["t_unit"])
         if unit not in PER_SECOND:
-            raise InputError(f"t_unit {shown(unit)} is not known; use s, ms, us or ns")
+            raise InputError(f"t_unit {quoted(unit)} is not known; use s, ms, us or ns")
         names = replace(names, t_per_second=PER_SECOND[unit])
     return replace(names, of=names.of | {quantity: _name(name) for quantity, name in of.items()})
 
@@ -113,7 +113,7 @@ def _name(name: Any) -> Name:
         return name
     if isinstance(name, list) and 1 <= len(name) <= MAX_JOINTS and all(isinstance(part, str) for part in name):
         return tuple(name)
-    raise InputError(f"{shown(str(name))} is no name; give the key of a list, or a list of the joints' keys")
+    raise InputError(f"{quoted(str(name))} is no name; give the key of a list, or a list of the joints' keys")
 
 
 class Dialect:
