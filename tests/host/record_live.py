@@ -7,7 +7,7 @@ import cbor2
 import numpy as np
 from record_box import ident
 
-from truearm.live.progress import Course
+from truearm.live.progress import SessionProgress
 from truearm.live.state import LiveState
 from truearm.record.status import Counters, Status
 from truearm.session.box_ident import decode_ident
@@ -52,7 +52,7 @@ class Session:
     """Feeds a state: the bar at ``position`` [m], the robot at ``q``, second by second."""
 
     def __init__(self, rows=(), mounted=None, robot=True, rig=RIG):
-        self.state = LiveState(Course(list(rows), dict(mounted or {})), rig, robot)
+        self.state = LiveState(SessionProgress(list(rows), dict(mounted or {})), rig, robot)
         self.state.ident(box())
         self.t = 1000 * S
         self.robot = robot

@@ -23,7 +23,7 @@ from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.session.approach_sides import came_from
 from truearm.session.pipeline import observations
-from truearm.session.visits import visits
+from truearm.session.repeated_visits import visits
 from truearm.types import Message
 from truearm.workflows.characterize import Part, characterized
 from truearm.workflows.session_parts import SETUP

@@ -10,9 +10,9 @@ from truearm.plan.approaches import (
     LEAST,
     ApproachesWanted,
     length_derivatives,
+    most_informative,
     plan_approaches,
     sides,
-    telling,
 )
 from truearm.plan.bar_paths import Pace
 from truearm.plan.measurement_limits import Limits, allowed, free_travel
@@ -28,7 +28,7 @@ def test_each_joint_comes_from_both_sides_independently_of_all_others(joints):
 
 def test_the_poses_are_those_that_tell_most_of_every_joint():
     tells = np.array([[1.0, 0.1], [0.9, 0.1], [0.1, 0.5], [0.0, 0.0]])
-    assert telling(tells, 2) == [0, 2]
+    assert most_informative(tells, 2) == [0, 2]
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,7 @@ from truearm.plan.forecast import forecast
 from truearm.plan.line_plan import SETUP, LinesWanted, line_rows, plan_lines
 from truearm.plan.region import Region
 from truearm.plan.route_program import program
-from truearm.plan.stops import SETTLE, Signals, Task
+from truearm.plan.route_stops import SETTLE, Signals, Task
 from truearm.types import NullDirection, Point, Rig
 
 POINT = np.array([0.03, -0.02, 0.12])

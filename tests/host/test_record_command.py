@@ -17,7 +17,7 @@ from record_real import PATIENCE_S, box_on_a_socket, play, real_time_box, serve_
 from truearm.cli.main import main
 from truearm.errors import InputError
 from truearm.files.plan_file import write_plan
-from truearm.live.mounted import parse_mounted
+from truearm.live.mounted_parts import parse_mounted
 from truearm.record.links import HostClock
 from truearm.session.session_file import open_session
 from truearm.types import Plan

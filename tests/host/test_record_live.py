@@ -9,7 +9,7 @@ import pytest
 from record_box import ident
 from record_live import NOISE, PAIRS, S, Session, plan
 
-from truearm.live.progress import Course
+from truearm.live.progress import SessionProgress
 from truearm.live.state import LiveState
 from truearm.record.status import Counters, Status
 from truearm.session.box_ident import decode_ident
@@ -185,7 +185,7 @@ class TestThePlan:
         rows = plan(*PAIRS[:2])
         via = {"pose": 2, "move": "via", "q": [1.0, 1.0]}
         line = {"pose": 3, "move": "line", "line": "l1", "target": "t1", "speed_m_s": 0.1, "q": [2.0, 2.0]}
-        course = Course([*rows, via, line])
+        course = SessionProgress([*rows, via, line])
         assert (course.planned, course.planned_lines) == (2, 1)
         course.visit(np.array([0.0, 0.0]))
         course.visit(np.array([0.5, 0.5]))
@@ -226,7 +226,7 @@ class TestLines:
         said["streams"].append(
             {"id": 1, "name": "mag", "period_ns": 983_040, "osr": 0, "group_delay_ns": 0, "channels": [channel]}
         )
-        state = LiveState(Course(list(rows)), None, robot)
+        state = LiveState(SessionProgress(list(rows)), None, robot)
         state.ident(decode_ident(cbor2.dumps(said)))
         return state
 

@@ -19,7 +19,7 @@ def test_ids_are_in_range_and_without_ctrl_c(count):
 
 
 def test_no_id_stands_for_two_counts():
-    """The digits of a number to the base 255 are its own: every change of a digit is another id. Seen over all carries of two digits."""
+    """The digits of a number to the base 255 are its own: every change of a digit is another id. LiveDwell over all carries of two digits."""
     counts = [k for base in (0, 255**2 - 600, 255**3 - 600, LAST - 600) for k in range(base, base + 601)]
     assert len({id_of(k) for k in counts}) == len(set(counts))
 

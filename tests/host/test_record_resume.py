@@ -11,7 +11,7 @@ from test_record_command import CALIBRATED, RIG
 
 from truearm.cli.main import main
 from truearm.files.plan_file import write_plan
-from truearm.live.progress import Course
+from truearm.live.progress import SessionProgress
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.session.session_file import open_session
@@ -53,7 +53,7 @@ class TestEarlier:
             assert before.mounted == {"bar": "b61"}
             assert (before.dwells, before.lines) == ((0, None, 1), (7,))
             assert before.setup["osr"] == "2048"
-        course = Course(before.rows)
+        course = SessionProgress(before.rows)
         gone_on(course, before)
         assert (course.done, course.unplanned, course.lines, course.next) == ({0, 1}, 1, 1, 2)
 

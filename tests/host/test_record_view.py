@@ -10,7 +10,7 @@ from record_live import PAIRS, TODAY, Session, box, plan
 from truearm.box.readiness import Purpose, Verdict, check_box
 from truearm.errors import InputError
 from truearm.live.keyboard import LONGEST, Typed
-from truearm.live.progress import Course
+from truearm.live.progress import SessionProgress
 from truearm.live.state import LiveState
 from truearm.live.view import WAITING, View
 from truearm.session.data_frames import Data
@@ -157,7 +157,7 @@ class TestCheck:
 
 class TestView:
     def test_a_silent_robot_is_said_and_that_it_is_heard_again(self):
-        view = View(LiveState(Course(), None, True), Purpose())
+        view = View(LiveState(SessionProgress(), None, True), Purpose())
         session, said = Session(), []
         for age_s, ok in ((0.1, True), (4.0, True), (5.0, True), (0.1, True), (5.0, True), (6.0, False), (0.1, True)):
             view.status(dataclasses.replace(session.status(robot_age_s=age_s), robot_ok=ok))
@@ -171,15 +171,15 @@ class TestView:
         ]
 
     def test_a_box_that_is_refused(self):
-        view = View(LiveState(Course(), None, False), Purpose(ball_bar=True))
+        view = View(LiveState(SessionProgress(), None, False), Purpose(ball_bar=True))
         with pytest.raises(InputError, match=r"not calibrated to a length.* Nothing was started; --unchecked"):
             view.approve(box(calibration={}))
-        all_the_same = View(LiveState(Course(), None, False), Purpose(ball_bar=True), unchecked=True)
+        all_the_same = View(LiveState(SessionProgress(), None, False), Purpose(ball_bar=True), unchecked=True)
         all_the_same.approve(box(calibration={}))
         assert "not calibrated" in all_the_same.take()[0][0]
 
     def test_a_view_that_stands_still_is_bounded(self):
-        view = View(LiveState(Course(), None, False), Purpose())
+        view = View(LiveState(SessionProgress(), None, False), Purpose())
         for _ in range(WAITING + 5):
             view.reading(1, b"")
         assert view.trouble == "the view stood still and missed 5 pieces; the recording did not"

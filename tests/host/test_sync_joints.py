@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from truearm.session import joint_readings as joints_module
 from truearm.session.dwells import DwellRules, find_dwells
 from truearm.session.joint_readings import JointReader, parse_lines
-from truearm.session.missing_numbers import Holes
+from truearm.session.missing_numbers import MissingNumbers
 from truearm.types import Message
 
 
@@ -143,7 +143,7 @@ def test_holes_of_another_life_are_not_filled():
 
 @given(st.lists(st.integers(-6, 6).map(lambda k: k**9), max_size=40))
 def test_what_is_lost_is_never_negative(numbers):
-    holes, last = Holes(), 0
+    holes, last = MissingNumbers(), 0
     for number in numbers:
         if number > last:
             holes.skip(last, number)

@@ -12,7 +12,7 @@ from truearm.errors import RigError, SessionError
 from truearm.session.box_ident import parse_ident
 from truearm.session.box_messages import Exchange
 from truearm.session.device_clock_fit import fit_clock
-from truearm.session.dwell_samples import gather
+from truearm.session.dwell_samples import collect_samples
 from truearm.session.dwells import REASONS, DwellRules
 from truearm.session.pipeline import observations, survey
 from truearm.session.sample_blocks import blocks_of
@@ -316,7 +316,7 @@ def test_samples_are_those_of_the_interval_by_signal_time():
     blocks = [(block, block.ident) for block in blocks_of(box.messages, None)]
     intervals = [(0, 2 * 10**9, 3 * 10**9), (1, 3_000_000_001, 3_000_500_000), (2, 4 * 10**9, 60 * 10**9)]
     signal = 10**9 + np.arange(13 * 400) * PERIOD_NS - 1_500_000
-    for taken, (_, start, end) in zip(gather(iter(blocks), clocks, intervals, "lvdt"), intervals, strict=True):
+    for taken, (_, start, end) in zip(collect_samples(iter(blocks), clocks, intervals, "lvdt"), intervals, strict=True):
         # stamps are cut to 1 µs: a sample within 2 µs of an end may fall on either side, and none does here
         assert np.min(np.abs(signal - start)) > 2000 or start == 3_000_000_001
         expected = np.flatnonzero((signal >= start) & (signal <= end))

@@ -129,7 +129,7 @@ def ballbar(
     from truearm.cli.plan_text import show
     from truearm.files.robot_file import RobotChoice
     from truearm.plan.region import parse_region
-    from truearm.plan.stops import Signals
+    from truearm.plan.route_stops import Signals
     from truearm.workflows.plan import BallBarOptions, Budget, PlanFiles, plan_ball_bar_files
 
     check_finite(minutes=minutes, reserve_mm=reserve_mm, spread_mm=spread_mm, dwell_s=dwell_s)
@@ -207,7 +207,7 @@ def line(
     from truearm.files.robot_file import RobotChoice
     from truearm.plan.cartesian_lines import Shape
     from truearm.plan.region import parse_region
-    from truearm.plan.stops import Signals
+    from truearm.plan.route_stops import Signals
     from truearm.workflows.plan import Budget, LineOptions, PlanFiles, plan_line_files
 
     check_finite(minutes=minutes, length_mm=length_mm, transverse_mm=transverse_mm, speed_mm_s=speed_mm_s)
@@ -271,7 +271,7 @@ def characterize(
     """
     from truearm.cli.plan_text import show_approaches
     from truearm.files.robot_file import RobotChoice
-    from truearm.plan.stops import Signals
+    from truearm.plan.route_stops import Signals
     from truearm.workflows.plan import ApproachOptions, PlanFiles, plan_approaches_files
 
     check_finite(long_s=long_s, reserve_mm=reserve_mm, dwell_s=dwell_s)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.session.sample_statistics import LEAST_LAGS, mean_of
-from truearm.session.standstill import JOINTS, SENSOR, Resting
+from truearm.session.standstill import JOINTS, SENSOR, StandstillDetector
 from truearm.types import Floats
 
 SETTLE_NS = 500_000_000  # of a rest, left out at its beginning
@@ -22,7 +22,7 @@ LEAST_STROKE = 0.02  # m
 LEAST_SPEED = 0.005  # m/s
 
 
-class Seen(NamedTuple):
+class LiveDwell(NamedTuple):
     """A dwell: host times, the sensor's mean [m], noise of a sample [m] and drift [m]; NaN without samples. ``q``: None without a robot."""
 
     begin_ns: int
@@ -34,7 +34,7 @@ class Seen(NamedTuple):
     q: Floats | None
 
 
-class OwnTime:
+class ControllerTime:
     """Instants of a clock of its own in the host's, by the fastest arrival so far: arrivals come in bursts where a machine is busy, which is
     no standing still. What may be off is a latency, and a drift of CREEP."""
 
@@ -62,11 +62,11 @@ class LiveDwells:
 
     def __init__(self, with_robot: bool) -> None:
         self._with_robot = with_robot
-        self._rest = Resting(*JOINTS) if with_robot else Resting(*SENSOR)
+        self._rest = StandstillDetector(*JOINTS) if with_robot else StandstillDetector(*SENSOR)
         self._blocks: deque[tuple[int, int, float, float]] = deque(maxlen=BLOCKS)  # time, n, mean, variance
         self._readings: deque[tuple[int, Floats]] = deque(maxlen=READINGS)
 
-    def samples(self, t_ns: int, extension: Floats) -> Seen | None:
+    def samples(self, t_ns: int, extension: Floats) -> LiveDwell | None:
         """Samples (n,) [m] arrived; the dwell that they ended."""
         self._blocks.append((t_ns, extension.size, float(extension.mean()), float(extension.var())))
         if self._with_robot:
@@ -74,7 +74,7 @@ class LiveDwells:
         low, high = extension.min(keepdims=True), extension.max(keepdims=True)
         return self._seen(self._rest.feed(t_ns, low, high))
 
-    def joints(self, t_ns: int, q: Floats) -> Seen | None:
+    def joints(self, t_ns: int, q: Floats) -> LiveDwell | None:
         """A reading (j,); the dwell that it ended."""
         if self._readings and self._readings[-1][1].shape != q.shape:
             return None
@@ -93,23 +93,23 @@ class LiveDwells:
         """The last joints."""
         return self._readings[-1][1] if self._readings else None
 
-    def under_way(self) -> Seen | None:
+    def under_way(self) -> LiveDwell | None:
         """The dwell under way, as if it ended with the last reading; None while it moves, or too short."""
         since_ns = self._rest.since_ns
         return None if since_ns is None else self._seen((since_ns, self._rest.last_ns))
 
-    def _seen(self, rest: tuple[int, int] | None) -> Seen | None:
+    def _seen(self, rest: tuple[int, int] | None) -> LiveDwell | None:
         if rest is None or rest[1] - rest[0] < ENOUGH_NS:
             return None
         begin, end = rest[0] + SETTLE_NS, rest[1] - GUARD_NS
         q = next((q for t_ns, q in reversed(self._readings) if t_ns <= end), None)
         used = np.array([block for block in self._blocks if begin <= block[0] <= end]).reshape(-1, 4)
         if len(used) < 2 * LEAST_LAGS:
-            return Seen(*rest, float("nan"), float("nan"), float("nan"), False, q)
+            return LiveDwell(*rest, float("nan"), float("nan"), float("nan"), False, q)
         mean = mean_of(used[:, 2])
         noise = float(np.sqrt(np.average(used[:, 3], weights=used[:, 1])))
         settled = abs(mean.drift) <= max(MICRON, DRIFT_SIGMAS * mean.drift_sigma)
-        return Seen(*rest, mean.mean, noise, mean.drift, settled, q)
+        return LiveDwell(*rest, mean.mean, noise, mean.drift, settled, q)
 
 
 class Strokes:

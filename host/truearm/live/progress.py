@@ -16,7 +16,7 @@ TOLERANCE = np.pi / 180.0  # rad or m, as sync.dwell has it
 
 
 @dataclass
-class Course:
+class SessionProgress:
     """``rows`` is the plan as ``/plan`` has it, [] without one; ``mounted`` what is mounted as far as anybody said or the plan begins.
 
     ``done``: rows whose dwell was taken; ``unplanned``: dwells beside the plan, or without one. ``next``: the row that is awaited.

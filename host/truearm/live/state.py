@@ -10,9 +10,9 @@ import numpy as np
 
 from truearm.box.monitor import Window, value_of
 from truearm.box.readiness import LINE_CHANNELS, LVDT
-from truearm.live.dwells_taken import ENOUGH_NS, LiveDwells, OwnTime, Seen, Strokes
-from truearm.live.progress import Course, words_of
-from truearm.record.operator import Wish
+from truearm.live.dwells_taken import ENOUGH_NS, ControllerTime, LiveDwell, LiveDwells, Strokes
+from truearm.live.progress import SessionProgress, words_of
+from truearm.record.operator import OperatorEvent
 from truearm.session.box_ident import find_channel
 from truearm.session.joint_line import parse_reading
 from truearm.session.lvdt import extension, railed
@@ -34,7 +34,7 @@ DRY_S = 2.0  # of a stream without samples
 LATE_S = 1.0  # a reading older than that is shown as late
 
 
-class Shown(NamedTuple):
+class ViewLine(NamedTuple):
     """A line of the view; ``alarm``: the operator should look."""
 
     name: str
@@ -45,16 +45,16 @@ class Shown(NamedTuple):
 class LiveState:
     """Fed in order of arrival. ``wishes`` are events that the recorder shall write, ``said`` lines for the operator, both to be taken."""
 
-    def __init__(self, course: Course, rig: Rig | None, with_robot: bool) -> None:
+    def __init__(self, course: SessionProgress, rig: Rig | None, with_robot: bool) -> None:
         self.course = course
-        self.wishes: deque[Wish] = deque()
+        self.wishes: deque[OperatorEvent] = deque()
         self.said: deque[str] = deque(maxlen=1000)
         self.last = ""
         self._rig, self._with_robot = rig, with_robot
         self._ident: Ident | None = None
         self._windows: dict[int, Window] = {}
         self._dwells = LiveDwells(with_robot)
-        self._box_time, self._robot_time = OwnTime(), OwnTime()
+        self._box_time, self._robot_time = ControllerTime(), ControllerTime()
         self._strokes = Strokes()
         self._counted = False  # the dwell under way, which is
         self._pose: int | None = None  # of the plan, and called
@@ -125,9 +125,9 @@ class LiveState:
         word, _, rest = text.partition(" ")
         pairings = self.course.pairings()
         if text == "q":
-            self.wishes.append(Wish("end", {}))
+            self.wishes.append(OperatorEvent("end", {}))
         elif word == "note" and rest.strip():
-            self.wishes.append(Wish("note", {"text": rest.strip()[:500]}))
+            self.wishes.append(OperatorEvent("note", {"text": rest.strip()[:500]}))
             self.said.append(f"noted: {rest.strip()[:500]}")
         elif text == "" and (change := self.course.change()) is not None:
             self._mount(change)
@@ -140,7 +140,7 @@ class LiveState:
 
     def _mount_named(self, text: str) -> None:
         from truearm.errors import InputError
-        from truearm.live.mounted import check_mounted, parse_mounted
+        from truearm.live.mounted_parts import check_mounted, parse_mounted
 
         try:
             pairing = parse_mounted(text)
@@ -153,7 +153,7 @@ class LiveState:
 
     def _mount(self, pairing: Mapping[str, str]) -> None:
         self.course.mount(pairing)
-        self.wishes.append(Wish("mounted", dict(self.course.mounted)))
+        self.wishes.append(OperatorEvent("mounted", dict(self.course.mounted)))
         self.said.append(f"mounted: {words_of(self.course.mounted)}")
 
     # --- dwells and lines
@@ -177,7 +177,7 @@ class LiveState:
             self.said.append(f"warning: pose {pose} is planned with {planned}; mounted is {words_of(course.mounted)}")
         self._say_complete()
 
-    def _ended(self, seen: Seen | None) -> None:
+    def _ended(self, seen: LiveDwell | None) -> None:
         if seen is not None and not self._counted and self._may_count():
             self._take(seen.q)  # nobody looked between its becoming long enough and its end
         if seen is None or not self._counted:
@@ -195,7 +195,7 @@ class LiveState:
         state = "settled" if seen.settled else "NOT settled"
         self.last = f"{self._label}: {NS.to_si(seen.end_ns - seen.begin_ns):.1f} s, {value}, {state}"
         self.said.append(self.last)
-        self.wishes.append(Wish("dwell", fields))
+        self.wishes.append(OperatorEvent("dwell", fields))
 
     def _stroke(self, stroke: tuple[float, float] | None) -> None:
         if stroke is None:
@@ -208,7 +208,7 @@ class LiveState:
         self.last = f"{where}: {MM.text(length, '.1f')} at {MM_S.text(speed, '.1f')}"
         self.said.append(self.last)
         fields: dict[str, Any] = {"length_m": length, "speed_m_s": speed}
-        self.wishes.append(Wish("line", fields if row is None else {**fields, "pose": row}))
+        self.wishes.append(OperatorEvent("line", fields if row is None else {**fields, "pose": row}))
         self._say_complete()
 
     def _say_complete(self) -> None:
@@ -267,9 +267,9 @@ class LiveState:
 
     # --- what is shown
 
-    def rows(self, status: Status, clock: OnlineEstimate | None) -> list[Shown]:
+    def rows(self, status: Status, clock: OnlineEstimate | None) -> list[ViewLine]:
         """The whole view."""
-        rows = [Shown("state", f"{status.state}, {status.elapsed_s:.0f} s", not status.box_ok)]
+        rows = [ViewLine("state", f"{status.state}, {status.elapsed_s:.0f} s", not status.box_ok)]
         rows += [] if "line" in self.course.mounted else [self.travel()]
         for stream in () if self._ident is None else self._ident.streams.values():
             window = self._windows.get(stream.id)
@@ -277,51 +277,51 @@ class LiveState:
                 if channel.name != LVDT and window is not None and window.blocks:
                     counts = np.concatenate(window.blocks)[:, k]
                     alarm = channel.name in self._near_end
-                    rows.append(Shown(one_line(channel.name), value_of(counts, channel, stream), alarm))
+                    rows.append(ViewLine(one_line(channel.name), value_of(counts, channel, stream), alarm))
         rows.append(self.rates(status))
-        rows.append(Shown("clock", clock_words(status, clock)))
+        rows.append(ViewLine("clock", clock_words(status, clock)))
         if self._with_robot:
             rows.append(self.robot(status))
         rows.append(self.progress(status))
         change = self.course.change()
-        rows.append(Shown("mounted", words_of(self.course.mounted)))
+        rows.append(ViewLine("mounted", words_of(self.course.mounted)))
         if change is not None:
-            rows.append(Shown("change", f"mount {words_of(change)}; then press Enter", True))
-        rows.append(Shown("last", self.last or "nothing yet"))
+            rows.append(ViewLine("change", f"mount {words_of(change)}; then press Enter", True))
+        rows.append(ViewLine("last", self.last or "nothing yet"))
         return rows
 
     def line(self, status: Status, clock: OnlineEstimate | None) -> str:
         """The view on one line, for a log."""
         place = self.along() if "line" in self.course.mounted else self.travel(drawn=False)
-        rows = [place, self.rates(status), Shown("clock", clock_words(status, clock))]
+        rows = [place, self.rates(status), ViewLine("clock", clock_words(status, clock))]
         rows += [self.robot(status)] if self._with_robot else []
         return "; ".join(f"{row.name} {row.text}" for row in (*rows, self.progress(status)))
 
-    def travel(self, drawn: bool = True) -> Shown:
+    def travel(self, drawn: bool = True) -> ViewLine:
         """The LVDT within its travel."""
         position, half, wrong = self._position()
         if position is None:
-            return Shown("lvdt", wrong or "no calibrated LVDT", bool(wrong))
+            return ViewLine("lvdt", wrong or "no calibrated LVDT", bool(wrong))
         text = MM.text(position, "+.4f")
         if half is None:
-            return Shown("lvdt", text)
+            return ViewLine("lvdt", text)
         text += f" of ±{MM.text(half, '.1f')}"
         place = round((BAR_CELLS - 1) * (0.5 + 0.5 * max(-1.0, min(1.0, position / half))))
         bar = "".join("●" if k == place else "┼" if k == BAR_CELLS // 2 else "─" for k in range(BAR_CELLS))
         alarm = abs(position) > (1.0 - 2.0 * NEAR_END) * half
         over = " BEYOND ITS TRAVEL" if abs(position) > half else " near its end" if alarm else ""
-        return Shown("lvdt", f"├{bar}┤ {text}{over}" if drawn else text + over, alarm)
+        return ViewLine("lvdt", f"├{bar}┤ {text}{over}" if drawn else text + over, alarm)
 
-    def along(self) -> Shown:
+    def along(self) -> ViewLine:
         """Where the magnet is on the line device."""
         found = None if self._ident is None else find_channel(self._ident, LINE_CHANNELS[0])
         window = None if found is None else self._windows.get(found[0].id)
         if found is None or window is None or not window.blocks:
-            return Shown("line", "no readings of its longitudinal sensor")
+            return ViewLine("line", "no readings of its longitudinal sensor")
         counts = np.concatenate(window.blocks)[-1:, found[1]]
-        return Shown("line", value_of(counts, found[0].channels[found[1]], found[0]).partition(" ±")[0])
+        return ViewLine("line", value_of(counts, found[0].channels[found[1]], found[0]).partition(" ±")[0])
 
-    def rates(self, status: Status) -> Shown:
+    def rates(self, status: Status) -> ViewLine:
         """Rates by the box's own stamps, and what was lost anywhere."""
         counters = status.counters
         streams = {} if self._ident is None else self._ident.streams
@@ -341,7 +341,7 @@ class LiveState:
         )
         text += "".join(f", {n} {what}" for n, what in more if n)
         alarm, self._lost = lost != self._lost, lost
-        return Shown("samples", text, alarm or not rates or max(dry_s.values(), default=0.0) > DRY_S)
+        return ViewLine("samples", text, alarm or not rates or max(dry_s.values(), default=0.0) > DRY_S)
 
     def _dry_s(self, stream: int, n0: int | None, status: Status) -> float:
         """For how long a stream has not gone on, though the box speaks."""
@@ -350,11 +350,11 @@ class LiveState:
             before = self._came[stream] = n0, status.elapsed_s
         return status.elapsed_s - before[1]
 
-    def robot(self, status: Status) -> Shown:
+    def robot(self, status: Status) -> ViewLine:
         """Its link, its rate, the age of its last reading."""
         age = status.robot_age_s
         if not status.robot_ok:
-            return Shown("robot", f"lost, last reading {_age(age)}; trying to reach it again", True)
+            return ViewLine("robot", f"lost, last reading {_age(age)}; trying to reach it again", True)
         times = self._readings
         rate = (
             f"{1e9 * (len(times) - 1) / (times[-1] - times[0]):.1f} readings/s"
@@ -362,13 +362,13 @@ class LiveState:
             else "no readings yet"
         )
         late = age is None or age > LATE_S
-        return Shown("robot", f"{rate}, last {_age(age)}", late)
+        return ViewLine("robot", f"{rate}, last {_age(age)}", late)
 
-    def progress(self, status: Status) -> Shown:
+    def progress(self, status: Status) -> ViewLine:
         """Dwells and lines taken, and whether the robot may move on."""
         course = self.course
         if self._lines_alone():
-            return Shown("lines", f"{course.lines} of {course.planned_lines}")
+            return ViewLine("lines", f"{course.lines} of {course.planned_lines}")
         parts = [f"{course.taken} of {course.planned}" if course.planned else f"{course.taken}"]
         if course.planned and course.unplanned:
             parts.append(f"{course.unplanned} beside the plan")
@@ -377,7 +377,7 @@ class LiveState:
         standing = self._dwells.standing_ns
         if standing is not None and self._is_heard(status):
             parts.append(f"standing for {NS.to_si(standing):.1f} s" + (", enough" if self._counted else ""))
-        return Shown("dwells", ", ".join(parts))
+        return ViewLine("dwells", ", ".join(parts))
 
     def _is_heard(self, status: Status) -> bool:
         """Whether that which tells the dwells speaks."""

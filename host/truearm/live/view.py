@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Any
 from truearm.box.readiness import Purpose, check_box
 from truearm.errors import InputError
 from truearm.live.keyboard import Typed, may_ask, typed_lines
-from truearm.live.state import HELP, LiveState, Shown
+from truearm.live.state import HELP, LiveState, ViewLine
 from truearm.record.joint_lines import SILENCE_S
-from truearm.record.operator import Operator, Wish
+from truearm.record.operator import Operator, OperatorEvent
 from truearm.text import one_line
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ class View(Operator):
         self._missed = 0
         self._state, self._purpose, self._unchecked = state, purpose, unchecked
         self._queue: deque[tuple[Any, ...]] = deque()
-        self._wishes: deque[Wish] = deque()
+        self._wishes: deque[OperatorEvent] = deque()
         self._clock: OnlineClock | None = None
         self._estimate: OnlineEstimate | None = None
         self._estimated_s = -CLOCK_S
@@ -78,10 +78,10 @@ class View(Operator):
     def status(self, status: Status) -> None:
         self._put("status", status)
 
-    def wishes(self) -> list[Wish]:
+    def wishes(self) -> list[OperatorEvent]:
         return [self._wishes.popleft() for _ in range(len(self._wishes))]
 
-    def last_wishes(self) -> list[Wish]:
+    def last_wishes(self) -> list[OperatorEvent]:
         self._put("over")
         self.wake.set()
         self._over.wait(LAST_WORDS_S / 2)
@@ -135,7 +135,7 @@ class View(Operator):
             said += self._heard()
         return said, self._status
 
-    def rows(self, status: Status) -> list[Shown]:
+    def rows(self, status: Status) -> list[ViewLine]:
         """The view."""
         return self._state.rows(status, self._clock_now(status))
 
@@ -297,7 +297,7 @@ class _Live:
         self._text.seek(0)
         self._text.truncate()
 
-    def _table(self, rows: list[Shown]) -> Any:
+    def _table(self, rows: list[ViewLine]) -> Any:
         from rich.console import Group
         from rich.table import Table
         from rich.text import Text

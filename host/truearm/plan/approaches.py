@@ -58,7 +58,7 @@ def plan_approaches(
             "model with --result, which needs less reserve"
         )
     usable = np.flatnonzero(reached)
-    chosen = usable[telling(derivatives[usable], wanted.n_poses)]
+    chosen = usable[most_informative(derivatives[usable], wanted.n_poses)]
     say("ways between them")
     rng = np.random.default_rng([wanted.seed, 0xC4A2])
     stops: list[tuple[Floats, bool, bool]] = []  # joints, whether the bar is read, whether it is put on there
@@ -84,7 +84,7 @@ def sides(joints: int) -> Floats:
     return np.asarray(hadamard(order)[:, 1 : joints + 1], dtype=np.float64)
 
 
-def telling(derivatives: Floats, n: int) -> list[int]:
+def most_informative(derivatives: Floats, n: int) -> list[int]:
     """The n of all poses (p, j) at which the length says most of every joint, greedily."""
     squared = np.square(derivatives)
     total = np.full(squared.shape[1], 1e-6)  # m²/rad²: a joint that no pose shows is hopeless, not infinitely wanted

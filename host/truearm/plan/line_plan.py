@@ -29,7 +29,7 @@ from truearm.plan.choose import as_blocks, choose, condensed
 from truearm.plan.forecast import Aim, Forecast, Known, compiled, forecast, planned_table, prior_unit, region_root
 from truearm.plan.measurement_limits import Site
 from truearm.plan.region import Region, around, poses_in
-from truearm.plan.stops import SETTLE, Stop, plain
+from truearm.plan.route_stops import SETTLE, Stop, plain
 from truearm.types import Device, Floats, ObservationTable, Plan, Rig
 
 SETUP = 180.0  # s to place the device

@@ -12,8 +12,8 @@ from truearm.errors import PlanError
 from truearm.plan.bar_paths import Pace, move_seconds, way_without_bar
 from truearm.plan.measurement_limits import Pairing, Site, of_pairing, pairing_at
 from truearm.plan.roadmap import Roadmap, make_roadmap, passable
+from truearm.plan.route_stops import Stop, plain
 from truearm.plan.shells import move_costs
-from truearm.plan.stops import Stop, plain
 from truearm.plan.visit_order import short_tour
 from truearm.types import BAR_MOUNTED, Floats, Plan
 

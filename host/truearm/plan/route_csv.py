@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from truearm.plan.stops import Stop, Task
+from truearm.plan.route_stops import Stop, Task
 from truearm.units import MM_S
 
 

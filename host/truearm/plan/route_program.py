@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from truearm.errors import PlanError
 
 if TYPE_CHECKING:
-    from truearm.plan.stops import Stop, Task
+    from truearm.plan.route_stops import Stop, Task
 
 N_AXES = 6
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from truearm.plan.stops import SETTLE, TIMEOUT, Stop, Task, identifier
+from truearm.plan.route_stops import SETTLE, TIMEOUT, Stop, Task, identifier
 from truearm.units import DEG, MM, MM_S
 
 TOOL = "toTruearm"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from truearm.plan.stops import SETTLE, SLOW, TIMEOUT, Stop, Task, identifier
+from truearm.plan.route_stops import SETTLE, SLOW, TIMEOUT, Stop, Task, identifier
 
 ACCELERATION = 0.5  # m/s² at a line's ends
 

@@ -10,7 +10,7 @@ from truearm.session.box_ident import Ident
 from truearm.session.data_frames import Data
 
 
-class Wish(NamedTuple):
+class OperatorEvent(NamedTuple):
     """An event to write: ``fields`` beside ``kind``. The kind "end" ends the recording, and is no event."""
 
     kind: str
@@ -35,10 +35,10 @@ class Operator:
     def status(self, status: Status) -> None:
         """Four times a second."""
 
-    def wishes(self) -> list[Wish]:
+    def wishes(self) -> list[OperatorEvent]:
         """What the operator asked for since the last call; asked at least every 50 ms."""
         return []
 
-    def last_wishes(self) -> list[Wish]:
+    def last_wishes(self) -> list[OperatorEvent]:
         """The recording has ended: what is still to be written. It may wait for half a second, no longer."""
         return []

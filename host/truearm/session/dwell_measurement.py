@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.session.dwell_samples import Taken
+from truearm.session.dwell_samples import DwellSamples
 from truearm.session.dwells import Dwell, DwellRules, begun_at
 from truearm.session.joint_readings import JointStream
 from truearm.session.lvdt import bar_length, extension, out_of_travel, railed
@@ -60,7 +60,7 @@ class Noise(NamedTuple):
     quick: float
 
 
-def usual_noise(taken: Sequence[Taken]) -> Noise:
+def usual_noise(taken: Sequence[DwellSamples]) -> Noise:
     """The noise of the sensor in the middle of several dwells."""
     found = []
     for one in taken:
@@ -71,12 +71,12 @@ def usual_noise(taken: Sequence[Taken]) -> Noise:
     return Noise(*np.median(found, axis=0).tolist()) if found else Noise(float("nan"), float("nan"))
 
 
-def block_length(taken: Taken) -> int:
+def block_length(taken: DwellSamples) -> int:
     """How many samples of a dwell are BLOCK_S."""
     return max(1, round(BLOCK_S / (1e-9 * taken.period_ns)))
 
 
-def measured(dwell: Dwell, taken: Taken, bar: BallBar, sensing: Sensing) -> Dwell:
+def measured(dwell: Dwell, taken: DwellSamples, bar: BallBar, sensing: Sensing) -> Dwell:
     """The dwell with its mean length, or with the reason why it has none."""
     rules = sensing.rules
     begin_ns, counts = taken.longest_piece

@@ -21,7 +21,7 @@ CHUNK = 256  # blocks looked at together
 
 
 @dataclass
-class Taken:
+class DwellSamples:
     """The samples of one dwell as they come in: runs of counts, each whole in itself."""
 
     dwell: int
@@ -53,17 +53,17 @@ class Source(NamedTuple):
     column: int
 
 
-def gather(
+def collect_samples(
     blocks: Iterator[tuple[Block, Ident]],
     clocks: Mapping[int, DeviceClock],
     intervals: Sequence[tuple[int, int, int]],
     channel: str,
-) -> Iterator[Taken]:
+) -> Iterator[DwellSamples]:
     """The samples of each interval (dwell, start_host_ns, end_host_ns); the intervals ascend and do not overlap.
 
     Raises SessionError where the box has no channel of that name.
     """
-    waiting = deque(Taken(*interval) for interval in intervals)
+    waiting = deque(DwellSamples(*interval) for interval in intervals)
     for chunk, source in _chunks(blocks, channel):
         clock = clocks.get(chunk[0].segment)
         if clock is None:
@@ -119,7 +119,7 @@ def within_ns(chunk: list[Block]) -> NDArray[np.int64]:
 
 
 def _take(
-    taken: Taken, chunk: list[Block], times: NDArray[np.int64], bounds: NDArray[np.float64], source: Source
+    taken: DwellSamples, chunk: list[Block], times: NDArray[np.int64], bounds: NDArray[np.float64], source: Source
 ) -> None:
     """Add the samples of a chunk that fall into the interval, cut where a gap is."""
     low, high = (int(i) for i in np.searchsorted(times, [taken.start_ns, taken.end_ns + 1]))

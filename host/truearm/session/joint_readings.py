@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.session.joint_line import MAX_JOINTS, MAX_SEQ, MAX_T_S, are_joints, parse_reading
-from truearm.session.missing_numbers import Holes
+from truearm.session.missing_numbers import MissingNumbers
 from truearm.session.robot_clock import Arrivals, RobotClock, RobotClockReport, fit_robot_clock
 from truearm.session.robot_inputs import InputTrack, Ints, bits_of
 from truearm.types import Floats, Message
@@ -100,7 +100,7 @@ class JointReader:
         self._fast_step: Floats = np.empty(0)  # smallest change of a change
         self._numbered = True
         self._returned = False  # the link was lost and is back: the next reading begins a segment
-        self._holes = Holes()
+        self._holes = MissingNumbers()
         self.malformed = self.duplicated = self.late = self.gaps = 0
 
     def feed(self, message: Message) -> None:

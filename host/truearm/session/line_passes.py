@@ -38,7 +38,7 @@ from truearm.session.joint_readings import JointStream
 from truearm.session.legs import Leg
 from truearm.session.local_fit import LEAST, MISSED, fit_locally
 from truearm.session.lvdt import extension, railed
-from truearm.session.motion_samples import Heard, Readings, Samples, readings_of, samples_of
+from truearm.session.motion_samples import LegSamples, Readings, Samples, readings_of, samples_of
 from truearm.session.sample_statistics import mean_variance
 from truearm.types import Floats
 
@@ -141,7 +141,7 @@ class _Signals:
 
 
 def measure(
-    passing: Pass, heard: Heard, clocks: Mapping[int, DeviceClock], joints: JointStream, rules: LineRules
+    passing: Pass, heard: LegSamples, clocks: Mapping[int, DeviceClock], joints: JointStream, rules: LineRules
 ) -> Pass | None:
     """The pass with its rows or with the reason why it has none; None where nothing moved along the device.
 

@@ -23,12 +23,12 @@ from truearm.session.sample_blocks import Block
 NO_STEP = np.zeros(1)
 
 
-def are_noted(stream: JointStream) -> bool:
+def has_manual_joints(stream: JointStream) -> bool:
     """Whether the readings are too far apart to say when the robot stood still."""
     return stream.bins is not None and (stream.readings == 1 or stream.rate_hz * NOTED_S < 1.0)
 
 
-def noted_dwells(
+def manual_dwells(
     stream: JointStream,
     blocks: Iterable[tuple[Block, Ident]],
     clocks: Mapping[int, DeviceClock],

@@ -7,7 +7,7 @@ from collections import deque
 REMEMBERED = 256  # holes, and late numbers that fill none; a number that comes later than that is not looked for
 
 
-class Holes:
+class MissingNumbers:
     """Counts numbers that were skipped and did not come late. A number that was never missed, or comes late twice, fills nothing."""
 
     def __init__(self) -> None:

@@ -58,7 +58,7 @@ class _Piece(NamedTuple):
 
 
 @dataclass(eq=False)
-class Heard:
+class LegSamples:
     """What is heard during one leg; ``index`` is the caller's."""
 
     index: int
@@ -74,14 +74,14 @@ class Listener:
 
     def __init__(self, legs: Sequence[tuple[int, Leg]], wanted: Sequence[tuple[str, ...]], joints: JointStream) -> None:
         """``legs``: index and leg, by ascending start; ``wanted``: names of channels, a tuple for each stream."""
-        self._waiting = deque(Heard(index, leg) for index, leg in legs)
-        self._open: list[Heard] = []
+        self._waiting = deque(LegSamples(index, leg) for index, leg in legs)
+        self._open: list[LegSamples] = []
         self._wanted, self._joints = wanted, joints
         self._segment_from = np.array([clock.host_ref_ns for clock in joints.clocks], dtype=np.int64)
         self._places: tuple[Ident | None, list[tuple[Stream, tuple[int, ...]] | None]] = (None, [])
         self._follows: dict[int, tuple[int, int]] = {}  # wanted stream → segment and run of its last block
 
-    def line(self, message: Message) -> list[Heard]:
+    def line(self, message: Message) -> list[LegSamples]:
         """Take a line of the robot."""
         over = self._advance(message.t_host_ns)
         for heard in self._open:
@@ -91,7 +91,7 @@ class Listener:
                 self._parse(heard)
         return over
 
-    def block(self, block: Block, ident: Ident) -> list[Heard]:
+    def block(self, block: Block, ident: Ident) -> list[LegSamples]:
         """Take a block of samples of any stream."""
         over = self._advance(block.t_host_ns)
         if self._places[0] is not ident:
@@ -101,7 +101,7 @@ class Listener:
                 self._keep(k, block, *place)
         return over
 
-    def rest(self) -> list[Heard]:
+    def rest(self) -> list[LegSamples]:
         """The legs that were still open at the session's end, or had not begun."""
         over = [*self._open, *self._waiting]
         for heard in over:
@@ -109,7 +109,7 @@ class Listener:
         self._open, self._waiting = [], deque()
         return over
 
-    def _advance(self, now_ns: int) -> list[Heard]:
+    def _advance(self, now_ns: int) -> list[LegSamples]:
         while self._waiting and self._waiting[0].leg.start_host_ns < now_ns + EARLY_NS:
             self._open.append(self._waiting.popleft())
         over = [heard for heard in self._open if heard.leg.end_host_ns + LATE_NS < now_ns]
@@ -128,7 +128,7 @@ class Listener:
         for heard in self._open:
             heard.pieces.setdefault(k, []).append(_Piece(block, whole, stream, columns))
 
-    def _parse(self, heard: Heard) -> None:
+    def _parse(self, heard: LegSamples) -> None:
         """Keep the readings of the leg's own segment and time."""
         parsed = parse_lines(heard.lines, len(self._joints.step))
         arrival = np.array(heard.arrival_ns, dtype=np.int64)[parsed.rows]
@@ -139,7 +139,7 @@ class Listener:
             heard.readings.append((parsed.t[mine], parsed.seq[mine], parsed.q[mine]))
 
 
-def samples_of(heard: Heard, k: int, clocks: Mapping[int, DeviceClock]) -> Samples | None:
+def samples_of(heard: LegSamples, k: int, clocks: Mapping[int, DeviceClock]) -> Samples | None:
     """What a wanted stream showed during the leg; None if nothing that a clock places in time."""
     pieces = [piece for piece in heard.pieces.get(k, []) if piece.block.segment in clocks]
     if not pieces:
@@ -159,7 +159,7 @@ def samples_of(heard: Heard, k: int, clocks: Mapping[int, DeviceClock]) -> Sampl
     return Samples(times[order], counts[order], number[order], channels, period, bound_ns)
 
 
-def readings_of(heard: Heard, joints: JointStream) -> Readings:
+def readings_of(heard: LegSamples, joints: JointStream) -> Readings:
     """The robot's readings by their time; one that came late stands where it belongs, one that came twice once."""
     if not heard.readings:
         return Readings(np.empty(0, np.int64), np.empty((0, len(joints.step))), np.empty(0, np.int64))

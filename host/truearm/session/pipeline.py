@@ -20,15 +20,15 @@ from truearm.session.device_clock import DeviceClock
 from truearm.session.device_clock_fit import ClockReport, fit_clock
 from truearm.session.dwell_measurement import LEARNT, Sensing, measured, usual_noise, without_noisy
 from truearm.session.dwell_pairing import Marks, Plan, match_plan, nearest_pose
-from truearm.session.dwell_samples import gather
+from truearm.session.dwell_samples import collect_samples
 from truearm.session.dwells import Dwell, DwellRules, find_dwells
 from truearm.session.joint_readings import JointReader, JointStream
 from truearm.session.legs import Leg, find_legs
 from truearm.session.line_pairing import passes_of
 from truearm.session.line_passes import WANTED, LineRules, Pass, measure
 from truearm.session.losses import Losses
-from truearm.session.manual_joints import are_noted, noted_dwells
-from truearm.session.motion_samples import Heard, Listener
+from truearm.session.manual_joints import has_manual_joints, manual_dwells
+from truearm.session.motion_samples import LegSamples, Listener
 from truearm.session.observation_rows import table_of
 from truearm.session.sample_blocks import Block, BoxReader, blocks_of
 from truearm.session.sample_streams import StreamReport
@@ -107,9 +107,9 @@ def survey(messages: Messages, ident: Ident | None = None, rules: DwellRules | N
     outputs = {s.index: Output.of(s.output) for s in box.segments if s.output}
     joints = with_edges(robot.finish(), outputs, clocks)
     rules = rules or DwellRules()
-    if are_noted(joints):
+    if has_manual_joints(joints):
         blocks = _blocks(messages, topics, ident, None, lambda _: None)
-        dwells = noted_dwells(joints, blocks, clocks, rules)
+        dwells = manual_dwells(joints, blocks, clocks, rules)
     else:
         dwells = [_on_host(dwell, joints) for dwell in find_dwells(joints, rules)]
     return Survey(
@@ -150,7 +150,7 @@ def observations(
     passes: list[Pass | None] = list(passes_of(found.legs, found.marks, rig, line_rules.pose_tolerance))
     legs = [(i, one.leg) for i, one in enumerate(passes) if one and one.reason not in ("too long", "ambiguous")]
 
-    def over(legs_over: list[Heard]) -> None:
+    def over(legs_over: list[LegSamples]) -> None:
         for heard in legs_over:
             one = passes[heard.index]
             passes[heard.index] = one and measure(one, heard, found.clocks, found.joints, line_rules)
@@ -160,7 +160,7 @@ def observations(
     good = sorted((d.start_host_ns, d.end_host_ns, i) for i, d in enumerate(dwells) if not d.reason)
     if good:
         intervals = disjoint([(i, start, end) for start, end, i in good])
-        several = gather(blocks, found.clocks, intervals, channel)
+        several = collect_samples(blocks, found.clocks, intervals, channel)
         first = list(islice(several, LEARNT))
         sensing = Sensing(rules, found.joints, bool(found.clocks), usual_noise(first))
         for taken in chain(first, several):
@@ -172,7 +172,7 @@ def observations(
     dwells = without_noisy(dwells)
     driven = tuple(one for one in passes if one is not None)
     used = sum(dwell.n_samples for dwell in dwells if not dwell.reason) + sum(one.n_samples for one in driven)
-    bins = None if are_noted(found.joints) else found.joints.bins
+    bins = None if has_manual_joints(found.joints) else found.joints.bins
     table = table_of(dwells, driven, len(found.joints.step), name, bins)
     return SyncResult(table, tuple(dwells), driven, found, found.losses.samples, used)
 
@@ -182,7 +182,7 @@ def _blocks(
     topics: Collection[str],
     ident: Ident | None,
     listener: Listener | None,
-    over: Callable[[list[Heard]], None],
+    over: Callable[[list[LegSamples]], None],
 ) -> Iterator[tuple[Block, Ident]]:
     """All blocks in the order of sending; the ``listener`` hears them too, and the robot, and ``over`` takes the legs that are over."""
 

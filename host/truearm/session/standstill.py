@@ -21,7 +21,7 @@ JOINTS = (1e-6, 1e-3)  # rad or m: least and most range of a window at rest
 SENSOR = (1e-6, 5e-5)  # m
 
 
-class Resting:
+class StandstillDetector:
     """Takes readings (k,) or the extremes of short blocks of them, in order of time. ``since_ns``: since when it rests; ``last_ns``: the last reading."""
 
     def __init__(self, least: float, most: float) -> None:

@@ -32,8 +32,8 @@ from truearm.model.chain import Chain, along, trace_point
 from truearm.session.box_ident import Ident
 from truearm.session.dwells import Dwell
 from truearm.session.pipeline import Messages, SyncResult, observations
+from truearm.session.repeated_visits import Visits, joined, visits
 from truearm.session.session_file import Session, open_session
-from truearm.session.visits import Visits, joined, visits
 from truearm.text import one_line
 from truearm.types import Floats, Message, Rig
 from truearm.workflows.inspect import ident_of

@@ -27,7 +27,7 @@ from truearm.plan.line_plan import LinePlan, LinesWanted, plan_lines
 from truearm.plan.measurement_limits import Limits, Pairing
 from truearm.plan.region import Region
 from truearm.plan.route_program import DIALECTS, check_suffix, program
-from truearm.plan.stops import Signals, Stop, Task
+from truearm.plan.route_stops import Signals, Stop, Task
 from truearm.types import Floats, Rig
 from truearm.units import MM
 from truearm.workflows.calibration import Calibration, read_calibration

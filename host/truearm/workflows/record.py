@@ -12,8 +12,8 @@ from truearm.box.readiness import Purpose
 from truearm.errors import InputError, TruearmError
 from truearm.interrupt import asked_to_stop
 from truearm.live.choose_box import choose_box
-from truearm.live.mounted import check_mounted, parse_mounted
-from truearm.live.progress import Course
+from truearm.live.mounted_parts import check_mounted, parse_mounted
+from truearm.live.progress import SessionProgress
 from truearm.live.state import LiveState
 from truearm.live.view import View, showing
 from truearm.workflows.session_parts import SETUP, Earlier, earlier, gone_on
@@ -110,7 +110,7 @@ def _record(device: str, work: Work, request: Request) -> tuple[RecordSummary, b
 
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     clock = HostClock()
-    course = Course(work.rows, dict(work.mounted))
+    course = SessionProgress(work.rows, dict(work.mounted))
     if work.before is not None and request.plan is None:
         gone_on(course, work.before)
     view = View(LiveState(course, work.rig, work.robot is not None), _purpose(work), request.unchecked)

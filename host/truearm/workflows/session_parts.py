@@ -17,7 +17,7 @@ from truearm.files.disk import same_file
 from truearm.session.joint_line import are_joints
 
 if TYPE_CHECKING:
-    from truearm.live.progress import Course
+    from truearm.live.progress import SessionProgress
     from truearm.session.session_file import Session
 
 SUFFIX = ".mcap"
@@ -125,7 +125,7 @@ def earlier(path: Path) -> Earlier:
     )
 
 
-def gone_on(course: Course, before: Earlier) -> None:
+def gone_on(course: SessionProgress, before: Earlier) -> None:
     """Count what was taken before."""
     for pose in before.dwells:
         if type(pose) is int and 0 <= pose < len(course.rows):

@@ -13,7 +13,7 @@ import numpy as np
 from truearm.session.allan import Allan, allan
 from truearm.session.approach_sides import came_from
 from truearm.session.box_ident import Ident
-from truearm.session.dwell_samples import gather
+from truearm.session.dwell_samples import collect_samples
 from truearm.session.dwells import Dwell
 from truearm.session.joint_readings import Bins
 from truearm.session.lvdt import bar_length, extension
@@ -85,7 +85,9 @@ def visits(
     before = round(1e9 * BEFORE_S)
     stood = [d.start_host_ns - round(1e9 * (d.start_s - d.stood_s)) for d in used]
     wanted = disjoint([(i, stood[i] - before, d.end_host_ns) for i, d in enumerate(used)])
-    for taken in gather(_blocks(messages, result.survey.box_topics, ident), result.survey.clocks, wanted, channel):
+    for taken in collect_samples(
+        _blocks(messages, result.survey.box_topics, ident), result.survey.clocks, wanted, channel
+    ):
         dwell = used[taken.dwell]
         if taken.channel is None:
             continue
