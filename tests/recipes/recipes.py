@@ -1,49 +1,107 @@
 """The recipes of docs/extending.md: their code blocks applied to a copy of the package."""
 
+import difflib
+import json
 import os
 import re
 import shutil
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
+from typing import NamedTuple
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "extending.md"
 FILE = re.compile(r"^New file `([^`]+)`:\n\n```\w*\n(.*?)^```$", re.M | re.S)
-LINE = re.compile(r"^New line in `([^`]+)`, after `([^`]+)`:\n\n```\w*\n(.*?)^```$", re.M | re.S)
+LINE = re.compile(r"^New lines? in `([^`]+)`, after `([^`]+)`:\n\n```\w*\n(.*?)^```$", re.M | re.S)
+TEXT = re.compile(r"^In `([^`]+)`, `([^`]+)` becomes `([^`]+)`\.$", re.M)
+NOISE = shutil.ignore_patterns("__pycache__", "*.egg-info")
+# Commands that need no process of their own share one, which imports everything once.
+ALL_IN_ONE = """
+import contextlib, io, json, sys
+from truearm.cli.main import main
+said = []
+for command in json.load(sys.stdin):
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = main(command)
+    said.append([code, out.getvalue(), err.getvalue()])
+json.dump(said, sys.stdout)
+"""
+
+
+class Said(NamedTuple):
+    """What a command ended with and printed."""
+
+    code: int
+    out: str
+    err: str
 
 
 class Copy:
-    """A copy of the package in a folder, in which commands run."""
+    """A copy of the package in a folder, in which commands run; ``parts``: the folders of the repository that it has."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, parts: tuple[str, ...] = ("host",)) -> None:
         self.folder = folder
-        shutil.copytree(ROOT / "host", folder / "host", ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
+        self.parts = parts
+        for part in parts:
+            shutil.copytree(ROOT / part, folder / part, ignore=NOISE)
 
-    def apply(self, recipe: str) -> list[str]:
-        """Apply the code blocks below a heading of the page; the files that are new or changed."""
+    def apply(self, recipe: str) -> None:
+        """Apply the code blocks below a heading of the page."""
         text = re.split(r"^## ", PAGE.read_text(encoding="utf-8"), flags=re.M)
         (section,) = (part for part in text if part.startswith(f"{recipe}\n"))
         for path, content in FILE.findall(section):
             assert not (self.folder / path).exists()
             (self.folder / path).write_text(content, encoding="utf-8")
         for path, before, content in LINE.findall(section):
-            source = (self.folder / path).read_text(encoding="utf-8")
-            assert source.count(f"{before}\n") == 1
-            (self.folder / path).write_text(source.replace(f"{before}\n", f"{before}\n{content}"), encoding="utf-8")
-        return [path for path, *_ in (*FILE.findall(section), *LINE.findall(section))]
+            self._replace(path, f"{before}\n", f"{before}\n{content}")
+        for path, before, after in TEXT.findall(section):
+            self._replace(path, before, after)
+
+    def changes(self) -> dict[str, str]:
+        """Files that differ from the repository's: "new file", or how many lines were added and taken away."""
+        found = {}
+        for path in sorted(p for part in self.parts for p in (self.folder / part).rglob("*")):
+            name = path.relative_to(self.folder).as_posix()
+            if path.is_dir() or path.suffix == ".pyc":
+                continue
+            if not (ROOT / name).exists():
+                found[name] = "new file"
+            elif path.read_bytes() != (ROOT / name).read_bytes():
+                before, after = ((base / name).read_text(encoding="utf-8").splitlines() for base in (ROOT, self.folder))
+                signs = Counter(line[0] for line in list(difflib.unified_diff(before, after, n=0))[2:])
+                found[name] = f"+{signs['+']} -{signs['-']}"
+        return found
 
     def run(self, *command: str, code: int = 0) -> str:
         """What truearm prints; errors too where it is to end with another code than 0."""
-        environment = {**os.environ, "PYTHONPATH": str(self.folder / "host"), "PYTHONWARNINGS": "error::RuntimeWarning"}
+        done = self.python("-m", "truearm", *command, code=code)
+        return done.out if code == 0 else done.err
+
+    def run_each(self, *commands: tuple[str, ...]) -> list[Said]:
+        """What several commands of truearm print, in one process."""
+        done = self.python("-c", ALL_IN_ONE, text=json.dumps(commands))
+        return [Said(*each) for each in json.loads(done.out)]
+
+    def python(self, *arguments: str, text: str = "", code: int = 0) -> Said:
+        """What a Python prints that imports the copy."""
+        paths = os.pathsep.join(str(self.folder / part) for part in self.parts)
         done = subprocess.run(
-            [sys.executable, "-m", "truearm", *command],
+            [sys.executable, *arguments],
             cwd=self.folder,
-            env=environment,
+            env={**os.environ, "PYTHONPATH": paths, "PYTHONWARNINGS": "error::RuntimeWarning"},
+            input=text,
             capture_output=True,
             text=True,
             timeout=300,
             check=False,
         )
         assert done.returncode == code, done.stderr
-        return done.stdout if code == 0 else done.stderr
+        return Said(done.returncode, done.stdout, done.stderr)
+
+    def _replace(self, path: str, before: str, after: str) -> None:
+        source = (self.folder / path).read_text(encoding="utf-8")
+        assert source.count(before) == 1, f"{path} has {before!r} {source.count(before)} times"
+        (self.folder / path).write_text(source.replace(before, after), encoding="utf-8")

@@ -39,10 +39,11 @@ COMMAND = ("--robot", "puma560", "--rig", "rig.toml")
 def copy(tmp_path_factory):
     """The package with the kind, points of a tracker and readings of two inclinometers on a PUMA 560."""
     copy = Copy(tmp_path_factory.mktemp("kind"))
-    assert copy.apply("A kind of observation") == [
-        "host/truearm/kinds/inclinometer.py",
-        "host/truearm/kinds/registry.py",
-    ]
+    copy.apply("A kind of observation")
+    assert copy.changes() == {
+        "host/truearm/kinds/inclinometer.py": "new file",
+        "host/truearm/kinds/registry.py": "+1 -0",
+    }
     robot, rng = builtin_robot("puma560"), np.random.default_rng(4)
     q = rng.uniform(-2.0, 2.0, (500, 6))
     pose = forward(robot.chain, robot.parameter_sets["optimised"], q)
