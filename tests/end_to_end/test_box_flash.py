@@ -7,7 +7,7 @@ import sys
 
 import pytest
 from tests.end_to_end.box_server import BootDrive, box, by_the_labs_clock, served
-from tests.host.test_uf2 import image
+from tests.host.test_box_uf2 import image
 
 from truearm import __version__
 from truearm.box.boot_drive import find_drives

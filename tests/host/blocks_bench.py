@@ -3,7 +3,7 @@
 from dataclasses import asdict
 
 import numpy as np
-from sync_stream import CHANNELS, PERIOD_NS, Box
+from session_stream import CHANNELS, PERIOD_NS, Box
 
 from truearm.session.sample_blocks import BoxReader
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import cbor2
 import numpy as np
 from scipy.interpolate import CubicSpline
-from sync_stream import PERIOD_NS, SCALE, Box, renumber
+from session_stream import PERIOD_NS, SCALE, Box, renumber
 
 from truearm.model.chain import point_forward, trace_point
 from truearm.model.robot import builtin_robot

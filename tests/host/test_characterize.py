@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from approaches_bench import planned
 from scipy import stats
-from sync_stream import stream_of
+from session_stream import stream_of
 from world_stream import HOST_NS, messages_of
 
 from truearm.estimate.identify import identify

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 from record_box import Lab
-from sync_stream import BLOCK, PERIOD_NS, RIG, Box, metres_of, session, stream_of
+from session_stream import BLOCK, PERIOD_NS, RIG, Box, metres_of, session, stream_of
 
 from truearm.cli.main import main
 from truearm.errors import SessionError
@@ -218,7 +218,7 @@ def test_keys_that_come_later_begin_another_table(monkeypatch):
 def test_a_box_that_is_ever_another():
     """A stranger's file cannot make files without end."""
     import cbor2
-    from sync_stream import ident_document
+    from session_stream import ident_document
 
     from truearm_wire import messages as wire
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.reader import SeekingReader
-from sync_stream import PERIOD_NS, RIG, ident_document, session
+from session_stream import PERIOD_NS, RIG, ident_document, session
 
 from truearm.errors import SessionError
 from truearm.files.rig_file import write_rig

@@ -24,7 +24,7 @@ from mutations import (
     with_crc,
 )
 from record_box import Lab, run_of
-from sync_stream import BLOCK, PERIOD_NS, Box, ident_document
+from session_stream import BLOCK, PERIOD_NS, Box, ident_document
 
 from truearm.errors import TruearmError
 from truearm.record.intake import Intake

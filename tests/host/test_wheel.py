@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from identify_bench import exact_lengths
-from sync_stream import RIG, session
+from session_stream import RIG, session
 
 import truearm
 from truearm.files.rig_file import write_rig

@@ -1,6 +1,6 @@
 """A simulated world's session as messages, without a box and a recorder between: for runs by the dozen.
 
-Frames are written by ``truearm_wire``, as ``sync_stream.py`` does it. The box's samples and the robot's lines are the world's.
+Frames are written by ``truearm_wire``, as ``session_stream.py`` does it. The box's samples and the robot's lines are the world's.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import json
 
 import cbor2
 import numpy as np
-from sync_stream import Box
+from session_stream import Box
 
 from truearm.types import Message
 from truearm.workflows.record import plan_rows

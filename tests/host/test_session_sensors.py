@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from sync_stream import ident_document, metres_of
+from session_stream import ident_document, metres_of
 
 from truearm.errors import ProtocolError, SessionError
 from truearm.session.box_ident import Channel, decimal, decode_ident, find_channel, parse_ident, parse_ident_json

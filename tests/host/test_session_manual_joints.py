@@ -5,7 +5,7 @@ from itertools import chain
 
 import numpy as np
 import pytest
-from sync_stream import RIG, session, stream_of
+from session_stream import RIG, session, stream_of
 
 from truearm.session.pipeline import observations
 from truearm.types import Message

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from line_stream import CHAIN, DESIGN, MAGNET, ROBOT, line_session, some_lines, true_params
-from sync_stream import stream_of
+from session_stream import stream_of
 
 from truearm.estimate.identify import identify
 from truearm.estimate.prior import wide_prior

@@ -5,7 +5,7 @@ import pytest
 from blocks_bench import BLOCK_NS, COUNTS, account, box_with, read
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sync_stream import Box
+from session_stream import Box
 
 from truearm.session.frame_order import REACH
 

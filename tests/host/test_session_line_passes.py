@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from line_stream import DESIGN, MAGNET, STEP, LineBox, line_session, robot_lines, some_lines, true_params
-from sync_stream import PERIOD_NS, renumber, stream_of
+from session_stream import PERIOD_NS, renumber, stream_of
 
 from truearm.errors import RigError
 from truearm.session.legs import find_legs

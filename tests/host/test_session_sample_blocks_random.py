@@ -6,7 +6,7 @@ import cbor2
 from blocks_bench import BLOCK_NS, COUNTS, read
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sync_stream import PERIOD_NS, Box, ident_document
+from session_stream import PERIOD_NS, Box, ident_document
 
 from truearm.session.box_ident import parse_ident
 from truearm.session.data_frames import data_of, decode, usual_data

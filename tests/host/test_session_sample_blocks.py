@@ -6,7 +6,7 @@ import cbor2
 import numpy as np
 import pytest
 from blocks_bench import BLOCK_NS, COUNTS, account, box_with, data_places, read
-from sync_stream import PERIOD_NS, Box, ident_document
+from session_stream import PERIOD_NS, Box, ident_document
 
 from truearm.session.box_ident import parse_ident
 from truearm.session.data_frames import Data

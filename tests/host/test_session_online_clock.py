@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 import pytest
-from tests.host.test_sync_clock import TAIL_NS, True_, exchanges, shape
+from tests.host.test_session_device_clock import TAIL_NS, True_, exchanges, shape
 
 from truearm.session.box_messages import Exchange
 from truearm.session.device_clock_fit import fit_clock

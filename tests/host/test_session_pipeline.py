@@ -6,7 +6,7 @@ from itertools import count
 
 import numpy as np
 import pytest
-from sync_stream import PERIOD_NS, RIG, Box, counts_of, ident_document, renumber, session, stream_of
+from session_stream import PERIOD_NS, RIG, Box, counts_of, ident_document, renumber, session, stream_of
 
 from truearm.errors import RigError, SessionError
 from truearm.session.box_ident import parse_ident
