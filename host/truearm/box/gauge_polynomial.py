@@ -16,7 +16,7 @@ the best guess; but on n points that mean is itself known to some tens of percen
 mean square is within one standard error of the best one's (Breiman, Friedman, Olshen and Stone, "Classification and
 regression trees", 1984, §3.4.3). On polynomials of order 1 to 5 with 12 and 20 points it finds the order that was put in in 76 to 93 % of
 cases (the least mean square alone: 61 to 76 %) and errs, between the points, by 4 to 21 % more than the best order in
-hindsight does (tests/host/test_box_gauge.py).
+hindsight does (tests/host/test_gauge_polynomial.py).
 """
 
 from __future__ import annotations
