@@ -55,7 +55,7 @@ def quoted(value: object) -> str:
     if isinstance(value, str):
         return repr(value[:MAX_SHOWN])
     if value is None:
-        return "nothing"
+        return "null"
     if isinstance(value, list | dict):
         return "a list" if isinstance(value, list) else "a table"
     if isinstance(value, int | float) and not abs(value) > HUGE:
