@@ -160,3 +160,9 @@ def quantity(value: float, si: str, decimals: int | None = None) -> str:
 def title(text: str, si: str) -> str:
     """A column's title with its unit: "error [mm]"."""
     return f"{text} [{symbol(si)}]" if symbol(si) else text
+
+
+def tolerances(prior: str) -> tuple[str, str, str]:
+    """The standard deviations of a length, an angle and a gain by the prior "weak" or "wide"."""
+    length, angle, gain = (getattr(UNITS[si], f"{prior}_sigma") for si in ("m", "rad", "1"))
+    return MM.text(length), MRAD.text(angle), f"{ONE.text(gain)} of a gain"

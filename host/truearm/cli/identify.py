@@ -12,7 +12,7 @@ import typer
 
 from truearm.cli.options import ROBOT_HELP, choices, one_of, rigs_of, warn
 from truearm.estimate.solvers import LOSSES, SOLVERS, with_loss
-from truearm.report.words import tolerances
+from truearm.units import tolerances
 
 
 class Prior(StrEnum):

@@ -29,10 +29,10 @@ from truearm.report.findings import (
 from truearm.report.page_tables import fact_list, parameter_table, step_table, visibility
 from truearm.report.page_text import escape, figures, size
 from truearm.report.residual_rows import rows_by_kind, summaries
-from truearm.report.words import kind_name, tolerances
+from truearm.report.words import kind_name
 from truearm.text import counted
 from truearm.types import Estimate, Floats, HeldOut, ObservationTable, PredictedError
-from truearm.units import symbol
+from truearm.units import symbol, tolerances
 
 CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
 HELD_OUT_DOUBTFUL = 1.5  # held-out RMS over fitted RMS

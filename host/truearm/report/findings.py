@@ -12,10 +12,10 @@ import numpy as np
 from truearm.kinds.registry import NAMES
 from truearm.report.page_text import ABSENT, escape, figures, number, size
 from truearm.report.residual_rows import Summary, row_name
-from truearm.report.words import OBSERVABILITY, kind_name, proposal, residual_words, tolerances
+from truearm.report.words import OBSERVABILITY, kind_name, proposal, residual_words
 from truearm.text import counted
 from truearm.types import Addition, Estimate, Figures, ObservationTable, PredictedError, Relabelling
-from truearm.units import shown, symbol, title
+from truearm.units import shown, symbol, title, tolerances
 
 MAX_ROWS = 40  # suspects and relabelled rows that are named
 MAX_NAMES = 12

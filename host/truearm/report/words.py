@@ -8,7 +8,7 @@ from typing import assert_never
 from truearm.kinds.registry import NAMES, kinds
 from truearm.text import with_article
 from truearm.types import AdditionKind
-from truearm.units import MM, MRAD, MS, ONE, UNITS
+from truearm.units import MS, UNITS, tolerances
 
 PARTS = {"m": "position", "rad": "rotation"}  # of a kind that has residuals of both units
 
@@ -38,12 +38,6 @@ def time_offset(name: str, value_s: float | None, sigma_s: float | None) -> str:
 def drawing() -> str:
     """What a maker's drawing says of a parameter: the steps in which a parameter counts as hardly seen."""
     return f"{', '.join(tolerances('weak'))}; {MS.text(UNITS['s'].weak_sigma)}"
-
-
-def tolerances(prior: str) -> tuple[str, str, str]:
-    """The standard deviations of a length, an angle and a gain by the prior "weak" or "wide"."""
-    length, angle, gain = (getattr(UNITS[si], f"{prior}_sigma") for si in ("m", "rad", "1"))
-    return MM.text(length), MRAD.text(angle), f"{ONE.text(gain)} of a gain"
 
 
 def kind_name(kind: str) -> str:
