@@ -124,9 +124,37 @@ def test_one_version_of_package_firmware_and_image():
 
 def test_only_simulate_demo_and_reproduce_know_the_simulator():
     users = {p.stem for p in python_files(HOST) if any(i.startswith("truearm_sim") for i in imports(p))}
-    assert users <= {"simulate", "demo", "demo_steps", "demo_lines", "reproduce"}
+    assert users <= {"simulate", "demo", "demo_steps", "demo_lines", "demo_text", "reproduce"}
     outside = [p for p in python_files(HOST / "reproduce") if any(i.startswith("truearm_sim") for i in imports(p))]
     assert not outside  # the room; its command may
+
+
+def parameters_of(path: Path) -> dict[str, int]:
+    """How many parameters each function of a file has, ``self`` not counted."""
+    found = {}
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            given = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+            found[node.name] = len([a for a in given if a.arg not in ("self", "cls")]) + bool(node.args.vararg)
+    return found
+
+
+@pytest.mark.parametrize("path", python_files(HOST), ids=lambda p: str(p.relative_to(HOST)))
+def test_no_function_has_more_than_eight_parameters(path):
+    """But for the commands, whose parameters are their options."""
+    is_command = room_of(path) == "cli"
+    for name, count in parameters_of(path).items():
+        assert count <= 8 or (is_command and not name.startswith("_")), f"{name} has {count} parameters"
+
+
+@pytest.mark.parametrize("path", python_files(HOST), ids=lambda p: str(p.relative_to(HOST)))
+def test_only_the_command_line_and_the_live_view_print(path):
+    if room_of(path) in ("cli", "live", "__main__"):
+        return
+    assert not {name for name in imports(path) if name.split(".")[0] in ("typer", "rich")}
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        name = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
+        assert name not in ("print", "input", "sys.stdout.write", "sys.stderr.write"), f"{name}() at line {node.lineno}"
 
 
 @pytest.mark.parametrize("path", python_files(ROOT / "protocol" / "truearm_wire"), ids=lambda p: p.name)

@@ -14,7 +14,7 @@ import pytest
 from truearm.cli.main import main
 from truearm.files.rig_file import format_rig
 from truearm.record import ports
-from truearm.record.recorder import RecordSummary, record
+from truearm.record.recorder import RecordOptions, RecordSummary, record
 from truearm.record.session_writer import SessionWriter
 from truearm.types import Floats, ObservationTable, Plan, Rig
 from truearm.workflows.record import plan_rows
@@ -101,10 +101,9 @@ def record_session(
             SessionWriter(path, lab.clock, overwrite=True),
             lab.clock,
             robot=lab.robot_link,
-            plan=plan_rows(plan),
-            rig_toml=format_rig(world.rig).encode(),
-            osr=osr,
-            duration_s=duration_s,
+            options=RecordOptions(
+                plan=plan_rows(plan), rig_toml=format_rig(world.rig).encode(), osr=osr, duration_s=duration_s
+            ),
         )
     finally:
         box.close()

@@ -11,7 +11,7 @@ import numpy as np
 from mcap.reader import make_reader
 from tests.end_to_end.conftest import interpreter
 
-from truearm.record.recorder import RecordSummary, record
+from truearm.record.recorder import RecordOptions, RecordSummary, record
 from truearm.record.session_writer import SessionWriter
 from truearm.session.box_ident import Ident
 from truearm.session.data_frames import data_of, decode
@@ -123,5 +123,7 @@ def record_lab(lab: Lab, path: Path, duration_s: float) -> Session:
     """Record a lab for some seconds."""
     wait_until_ready(lab)
     writer = SessionWriter(path, lab.clock, overwrite=True)
-    summary = record(lab.box_link, writer, lab.clock, robot=lab.robot_link, duration_s=duration_s)
+    summary = record(
+        lab.box_link, writer, lab.clock, robot=lab.robot_link, options=RecordOptions(duration_s=duration_s)
+    )
     return Session(path, summary, lab.world, lab.box)

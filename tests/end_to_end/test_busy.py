@@ -13,7 +13,7 @@ from tests.end_to_end.conftest import truearm
 
 from truearm.record.links import HostClock, backlog_of
 from truearm.record.ports import BoxPort
-from truearm.record.recorder import record
+from truearm.record.recorder import Hooks, RecordOptions, record
 from truearm.record.reopening import Reopening
 from truearm.record.session_writer import SessionWriter
 from truearm.session.device_clock_fit import fit_clock
@@ -74,7 +74,9 @@ def test_two_seconds_of_python_lose_nothing(device, tmp_path):
     link = Reopening(BoxPort(device, clock))
     try:
         with SessionWriter(path, clock) as writer:
-            summary = record(link, writer, clock, osr=OSR, duration_s=6.0, progress=toil)
+            summary = record(
+                link, writer, clock, options=RecordOptions(osr=OSR, duration_s=6.0), hooks=Hooks(progress=toil)
+            )
     finally:
         link.close()
         sys.setswitchinterval(5e-3)

@@ -9,7 +9,7 @@ from tests.end_to_end.conftest import truearm
 from tests.end_to_end.levels import LEVELS, wait_until_ready
 
 from truearm.files.rig_file import format_rig
-from truearm.record.recorder import record
+from truearm.record.recorder import RecordOptions, record
 from truearm.record.session_writer import SessionWriter
 from truearm.workflows.record import plan_rows
 from truearm_sim import sensors
@@ -41,9 +41,7 @@ def recorded(level, poses, path):
             SessionWriter(path, lab.clock, overwrite=True),
             lab.clock,
             robot=lab.robot_link,
-            plan=plan_rows(plan),
-            rig_toml=format_rig(rig).encode(),
-            osr=OSR,
+            options=RecordOptions(plan=plan_rows(plan), rig_toml=format_rig(rig).encode(), osr=OSR),
         )
     finally:
         box.close()

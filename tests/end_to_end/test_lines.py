@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from tests.end_to_end.conftest import record_session
 
-from truearm.estimate.identify import identify
+from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prior import wide_prior
 from truearm.model.robot import builtin_robot
 from truearm.session.session_file import open_session
@@ -36,7 +36,7 @@ def test_a_hidden_delay_is_found_through_the_whole_chain(tmp_path):
             replace(rig, time_offset_sigma=sigma),
             result.table,
             free=robot.free,
-            solver=solver,
+            options=SolverOptions(solver=solver),
             prior_sigma=prior,
             hold_out=result.table.line == "l5",
         )

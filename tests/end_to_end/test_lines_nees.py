@@ -7,13 +7,13 @@ import pytest
 from scipy import stats
 from tests.end_to_end.conftest import interpreter, measured_by_bars
 
-from truearm.estimate.identify import identify
+from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prior import weak_prior
 from truearm.files.plan_file import concatenate
 from truearm.files.rig_file import format_rig
 from truearm.model.chain import point_forward
 from truearm.model.robot import builtin_robot
-from truearm.record.recorder import record
+from truearm.record.recorder import RecordOptions, record
 from truearm.record.session_writer import SessionWriter
 from truearm.types import ObservationTable
 from truearm.workflows.record import plan_rows
@@ -66,7 +66,9 @@ def shown(world, flaws=None):
 
 
 def found(world, table, **how):
-    return identify(CHAIN, replace(world.rig, **how), table, free=FREE, prior_sigma=SIGMA, solver="map")
+    return identify(
+        CHAIN, replace(world.rig, **how), table, free=FREE, prior_sigma=SIGMA, options=SolverOptions(solver="map")
+    )
 
 
 def in_band(estimate):
@@ -90,9 +92,7 @@ def recorded(world, path):
             SessionWriter(path, lab.clock, overwrite=True),
             lab.clock,
             robot=lab.robot_link,
-            plan=plan_rows(PLAN),
-            rig_toml=format_rig(world.rig).encode(),
-            osr=8192,
+            options=RecordOptions(plan=plan_rows(PLAN), rig_toml=format_rig(world.rig).encode(), osr=8192),
         )
     finally:
         lab.box.close()

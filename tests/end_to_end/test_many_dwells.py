@@ -22,7 +22,7 @@ SEED = 1
 RECORD = f"""
 import sys
 from pathlib import Path
-from truearm.cli.demo import record_virtually
+from truearm.workflows.demo_steps import record_virtually
 from truearm.files.plan_file import read_plan
 from truearm_sim import micropython
 from truearm_sim.simbox import SimulatedBox
@@ -39,7 +39,7 @@ box.close()
 PLAN = f"""
 import sys
 from pathlib import Path
-from truearm.cli.demo import write_setup
+from truearm.workflows.demo_steps import write_setup
 from truearm.model.robot import builtin_robot
 from truearm.plan.forecast import Known
 from truearm.plan.shells import plan_shells

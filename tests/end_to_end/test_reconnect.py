@@ -12,7 +12,7 @@ from tests.end_to_end.conftest import interpreter, record_session
 
 from truearm.cli.main import main
 from truearm.files.rig_file import format_rig
-from truearm.record.recorder import record
+from truearm.record.recorder import RecordOptions, record
 from truearm.record.session_writer import SessionWriter
 from truearm.session.joint_readings import JointReader
 from truearm.session.sample_blocks import BoxReader
@@ -160,11 +160,13 @@ def in_parts(tmp_path_factory):
                 SessionWriter(path, lab.clock),
                 lab.clock,
                 robot=lab.robot_link,
-                plan=plan_rows(plan),
-                rig_toml=format_rig(world.rig).encode(),
-                osr=16384,
-                duration_s=seconds,
-                head=[(SETUP, setup)],
+                options=RecordOptions(
+                    plan=plan_rows(plan),
+                    rig_toml=format_rig(world.rig).encode(),
+                    osr=16384,
+                    duration_s=seconds,
+                    head=[(SETUP, setup)],
+                ),
             )
             assert summary.reason == ("duration" if seconds else "robot closed")
             for _ in range(40):

@@ -9,7 +9,7 @@ from tests.end_to_end.conftest import interpreter
 from typer.testing import CliRunner
 
 from truearm.cli.main import app
-from truearm.record.recorder import record
+from truearm.record.recorder import RecordOptions, record
 from truearm.record.session_writer import SessionWriter
 from truearm.session.pipeline import survey
 from truearm.session.session_file import open_session
@@ -30,7 +30,7 @@ def recorded(path, seed, seconds, rate=500.0):
     try:
         lab = Lab(world, box, seed)
         writer = SessionWriter(path, lab.clock, overwrite=True)
-        record(lab.box_link, writer, lab.clock, robot=lab.robot_link, duration_s=seconds)
+        record(lab.box_link, writer, lab.clock, robot=lab.robot_link, options=RecordOptions(duration_s=seconds))
     finally:
         box.close()
     return world, box
@@ -97,7 +97,7 @@ def test_the_chip_stamps_its_own_edges_to_a_microsecond(tmp_path):
     try:
         lab = Lab(world, box, 4)
         path = tmp_path / "chip.mcap"
-        record(lab.box_link, SessionWriter(path, lab.clock), lab.clock, duration_s=1.0)
+        record(lab.box_link, SessionWriter(path, lab.clock), lab.clock, options=RecordOptions(duration_s=1.0))
         seen = [cbor2.loads(m.data)[2:5] for m in open_session(path).messages(["/box/event"])]
     finally:
         box.close()

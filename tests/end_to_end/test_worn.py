@@ -11,7 +11,7 @@ from tests.end_to_end.test_real_time import Simulator
 from truearm.cli.main import main
 from truearm.files.noise_file import read_noise
 from truearm.files.rig_file import format_rig, write_rig
-from truearm.record.recorder import record
+from truearm.record.recorder import RecordOptions, record
 from truearm.record.session_writer import SessionWriter
 from truearm.workflows.record import plan_rows
 from truearm_sim import serve
@@ -35,9 +35,9 @@ def virtual_time(monkeypatch):
             SessionWriter(folder / "session.mcap", lab.clock, overwrite=True),
             lab.clock,
             robot=lab.robot_link,
-            plan=plan_rows(world.controller.plan),
-            rig_toml=format_rig(world.rig).encode(),
-            osr=16384,
+            options=RecordOptions(
+                plan=plan_rows(world.controller.plan), rig_toml=format_rig(world.rig).encode(), osr=16384
+            ),
         )
 
     monkeypatch.setattr(serve, "serve", start)

@@ -1,17 +1,19 @@
 """A recording in virtual time, and what is in its file."""
 
 import json
+from dataclasses import replace
 
 from record_box import run_of
 
-from truearm.record.recorder import record
+from truearm.record.recorder import RecordOptions, record
 from truearm.record.session_writer import SessionWriter
 from truearm.session.session_file import open_session
 
 
-def run(lab, box, path, seconds=3.0, **options):
+def run(lab, box, path, seconds=3.0, options=None, **more):
+    options = replace(options or RecordOptions(), duration_s=seconds)
     with SessionWriter(path, lab) as writer:
-        return record(box.link, writer, lab, duration_s=seconds, **options)
+        return record(box.link, writer, lab, options=options, **more)
 
 
 def topics(path):

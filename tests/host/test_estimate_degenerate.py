@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from puma_bench import CHAIN, FREE, RIG, SIGMA, random_table
 
-from truearm.estimate.identify import identify
+from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.solvers import SOLVERS
 from truearm.types import Point, Rig
 
@@ -42,7 +42,7 @@ def test_a_contradictory_rig_is_seen_in_chi2(rows):
 @pytest.mark.parametrize("solver", sorted(SOLVERS))
 @pytest.mark.parametrize("n", [1, 5])
 def test_too_few_rows_have_their_number_as_rank(rows, n, solver):
-    e = fit(RIG, rows.select(np.arange(n)), solver=solver)
+    e = fit(RIG, rows.select(np.arange(n)), options=SolverOptions(solver=solver))
     assert e.rank == n
     assert len(e.null_space) == 36 - n
     assert "poses" in {a.kind for a in e.additions}
@@ -52,7 +52,7 @@ def test_too_few_rows_have_their_number_as_rank(rows, n, solver):
 @pytest.mark.parametrize("solver", sorted(SOLVERS))
 def test_poses_all_alike(rows, solver):
     """One pose, nine pairings: six numbers place the end, and no more is seen."""
-    e = fit(RIG, replace(rows, q=np.repeat(rows.q[:1], len(rows), axis=0)), solver=solver)
+    e = fit(RIG, replace(rows, q=np.repeat(rows.q[:1], len(rows), axis=0)), options=SolverOptions(solver=solver))
     assert e.rank == 6
     assert "poses" in {a.kind for a in e.additions}
     assert np.isfinite(e.value).all()

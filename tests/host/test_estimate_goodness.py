@@ -10,7 +10,7 @@ import pytest
 from puma_bench import CHAIN, FREE, RIG, SIGMA, random_table
 from scipy import stats
 
-from truearm.estimate.identify import identify
+from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.information import fold, half, spectrum
 from truearm.estimate.prior import weak_prior
 from truearm.estimate.solvers import SOLVERS
@@ -147,7 +147,7 @@ def drawn(c, runs, seed, **how):
 @pytest.mark.parametrize("c", [1.0, 0.0])
 def test_every_solver_is_judged_alike(c, solver):
     """A prior on the robot, true and far too wide; with 24 residuals to spare and the prior's share, ν is above 24."""
-    chi2, freedom, inside = drawn(c, RUNS, 20, solver=solver)
+    chi2, freedom, inside = drawn(c, RUNS, 20, options=SolverOptions(solver=solver))
     assert (freedom > N_ROWS - 36).all()
     # Each of 36 directions lowers the mean by ¼/ν at most.
     error = 4 * np.sqrt(2 / freedom.mean() / RUNS)
@@ -158,8 +158,8 @@ def test_every_solver_is_judged_alike(c, solver):
 
 def test_the_paper_s_recipe_fits_as_closely_as_it_claims_to():
     """Run after run the prior fades, which the degrees of freedom follow."""
-    chi2, freedom, inside = drawn(1.0, RUNS, 21, solver="renders-1991")
-    of_map = drawn(1.0, 1, 21, solver="map")[1]
+    chi2, freedom, inside = drawn(1.0, RUNS, 21, options=SolverOptions(solver="renders-1991"))
+    of_map = drawn(1.0, 1, 21, options=SolverOptions(solver="map"))[1]
     assert (freedom < of_map).all()
     assert chi2.mean() < 1.0 + 4 * np.sqrt(2 / freedom.mean() / RUNS)
     assert inside.sum() >= RUNS - 5
@@ -169,14 +169,14 @@ def test_the_paper_s_recipe_fits_as_closely_as_it_claims_to():
 def test_under_a_robust_loss_all_rows_count_as_declared(loss):
     """Clean rows fit as by least squares; a fault adds its square, whatever weight the loss left it."""
     t = random_table(400, np.random.default_rng(22), SIGMA)
-    e = identify(CHAIN, RIG, t, free=FREE, loss=loss)
+    e = identify(CHAIN, RIG, t, free=FREE, options=SolverOptions(loss=loss))
     plain = identify(CHAIN, RIG, t, free=FREE)
     assert e.chi2_freedom == plain.chi2_freedom == 364
     # 5 % less efficient: the fit follows 36 directions 0.05·36 = 1.8 less well, of 364.
     assert plain.chi2_reduced < e.chi2_reduced < plain.chi2_reduced + 3 * 1.8 / 364
     value = t.value.copy()
     value[7] += 30 * SIGMA
-    faulty = identify(CHAIN, RIG, replace(t, value=value), free=FREE, loss=loss)
+    faulty = identify(CHAIN, RIG, replace(t, value=value), free=FREE, options=SolverOptions(loss=loss))
     # 30² and twice the row's own noise, at most 4 σ of it, times 30.
     assert abs(364 * (faulty.chi2_reduced - e.chi2_reduced) - 900) < 2 * 4 * 30 + 36
     assert faulty.chi2_reduced > faulty.chi2_band[1]
@@ -186,7 +186,7 @@ def test_rows_that_were_left_out_are_not_judged():
     t = random_table(400, np.random.default_rng(23), SIGMA)
     value = t.value.copy()
     value[7] += 30 * SIGMA
-    e = identify(CHAIN, RIG, replace(t, value=value), free=FREE, solver="recursive")
+    e = identify(CHAIN, RIG, replace(t, value=value), free=FREE, options=SolverOptions(solver="recursive"))
     assert e.chi2_freedom == 363
     assert e.chi2_band[0] < e.chi2_reduced < e.chi2_band[1]
 
@@ -195,7 +195,7 @@ def test_rows_that_were_left_out_are_not_judged():
 def test_what_nothing_sees_takes_no_degree_of_freedom(solver):
     """54 parameters free where 36 can be seen, no prior."""
     t = random_table(200, np.random.default_rng(24), SIGMA)
-    e = identify(CHAIN, RIG, t, solver=solver)
+    e = identify(CHAIN, RIG, t, options=SolverOptions(solver=solver))
     assert e.chi2_freedom == pytest.approx(200 - 36, abs=1e-6)
     assert e.chi2_band == pytest.approx(np.array(stats.chi2.interval(0.95, 164)) / 164, rel=1e-6)
 
@@ -203,5 +203,5 @@ def test_what_nothing_sees_takes_no_degree_of_freedom(solver):
 @pytest.mark.soak
 @pytest.mark.parametrize("c", [1.0, 0.3, 0.0])
 def test_coverage_over_four_hundred_robots(c):
-    _, _, inside = drawn(c, 400, 30, solver="map")
+    _, _, inside = drawn(c, 400, 30, options=SolverOptions(solver="map"))
     assert inside.mean() > 0.95 - 3 * np.sqrt(0.95 * 0.05 / 400)

@@ -21,7 +21,7 @@ from puma_bench import (
 from puma_bench import table as ball_bar_table
 
 from truearm.estimate import problem as problem_module
-from truearm.estimate.identify import identify
+from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prior import free_without_gains, weak_prior
 from truearm.model.chain import forward, point_jacobians
 from truearm.types import BallBar, ObservationTable, Point, Rig, SocketDistance
@@ -153,7 +153,14 @@ def test_the_result_is_complete():
     t = random_table(200, np.random.default_rng(7), SIGMA)
     held = np.arange(200) % 4 == 0
     heard = []
-    e = identify(CHAIN, RIG, t, free=FREE, hold_out=held, progress=lambda i, rms: heard.append((i, rms["m"])))
+    e = identify(
+        CHAIN,
+        RIG,
+        t,
+        free=FREE,
+        hold_out=held,
+        options=SolverOptions(progress=lambda i, rms: heard.append((i, rms["m"]))),
+    )
     assert (e.n_robot_parameters, e.n_observations, e.solver) == (54, 150, "lm")
     assert e.parameter_names == CHAIN.parameter_names
     np.testing.assert_array_equal(e.nominal, DESIGN)
@@ -171,7 +178,9 @@ def test_the_result_is_complete():
 
 
 def test_max_iterations_is_a_status():
-    e = identify(CHAIN, RIG, random_table(200, np.random.default_rng(8)), free=FREE, max_iterations=1)
+    e = identify(
+        CHAIN, RIG, random_table(200, np.random.default_rng(8)), free=FREE, options=SolverOptions(max_iterations=1)
+    )
     assert (e.status, e.iterations) == ("max_iterations", 1)
     assert "1 iteration" in e.message
 

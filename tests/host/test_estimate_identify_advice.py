@@ -25,7 +25,7 @@ from puma_bench import (
     table,
 )
 
-from truearm.estimate.identify import identify
+from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.solvers import SOLVERS
 from truearm.types import Rig
 
@@ -37,7 +37,7 @@ def shells():
 
 @pytest.mark.parametrize("solver", sorted(SOLVERS))
 def test_every_solver_arrives_at_the_noise(shells, solver):
-    e = identify(CHAIN, RIG, shells, free=FREE, solver=solver)
+    e = identify(CHAIN, RIG, shells, free=FREE, options=SolverOptions(solver=solver))
     assert e.status == "converged"
     assert e.solver == solver
     assert e.rms_before["m"] > 2e-3
@@ -63,7 +63,7 @@ def test_distances_are_chi_and_bands_hold(shells):
 def test_least_squares_reads_the_noise_from_the_residuals(shells):
     """Its σ are those of lm times s/σ, whatever σ the rig declares."""
     lied = {k: replace(b, sigma=10 * SIGMA) for k, b in BARS.items()}
-    e = identify(CHAIN, Rig(CHUCKS, SPHERES, lied), shells, free=FREE, solver="ls")
+    e = identify(CHAIN, Rig(CHUCKS, SPHERES, lied), shells, free=FREE, options=SolverOptions(solver="ls"))
     lm = identify(CHAIN, RIG, shells, free=FREE)
     np.testing.assert_allclose(e.sigma[FREE], lm.sigma[FREE] * np.sqrt(lm.chi2_reduced), rtol=1e-3)
     assert e.chi2_reduced == pytest.approx(lm.chi2_reduced / 100, rel=1e-3)
@@ -137,7 +137,13 @@ def test_poor_data_still_give_an_answer(solver, case):
     n = {"alike": 80, "few": 12, "one": 1}[case]
     q = np.tile(random_poses(1, rng), (n, 1)) if case == "alike" else random_poses(n, rng)
     pairs = all_pairs(n)
-    e = identify(CHAIN, RIG, table(q, lengths(TRUTH, q, pairs), pairs), free=FREE, solver=solver, max_iterations=20)
+    e = identify(
+        CHAIN,
+        RIG,
+        table(q, lengths(TRUTH, q, pairs), pairs),
+        free=FREE,
+        options=SolverOptions(solver=solver, max_iterations=20),
+    )
     assert e.status in ("converged", "max_iterations", "stalled")
     assert np.isfinite(e.value).all()
     assert e.rank <= n
@@ -165,7 +171,9 @@ def test_lines_alone_want_a_ball_bar(sigma, more):
     truth = ulb_bench.NOMINAL + 2e-3 * free * np.random.default_rng(9).normal(size=free.size)
     t = replace(t, xyz=ulb_bench.point_forward(ulb_bench.CHAIN, truth, t.q, np.zeros(3)))
     rig = ulb_bench.rig(t, sigma=sigma, turn_sigma=sigma)
-    e = identify(ulb_bench.CHAIN, rig, t, free=free, solver="lm", prior_sigma=np.full(free.size, 0.01))
+    e = identify(
+        ulb_bench.CHAIN, rig, t, free=free, options=SolverOptions(solver="lm"), prior_sigma=np.full(free.size, 0.01)
+    )
     assert e.status == "converged"
     assert e.iterations <= 6  # from the guessed rig, with all at once, it crept for more than 100
     (bar,) = by_kind(e)["ball_bar"]

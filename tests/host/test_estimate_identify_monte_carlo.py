@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from puma_bench import BARS, CHAIN, FREE, RIG, SIGMA, TRUTH, shell_table
 
-from truearm.estimate.identify import identify
+from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.information import observe
 from truearm.estimate.problem import build_problem
 
@@ -66,7 +66,7 @@ def held_to(shells, runs, seed, mse_band, **how):
 def test_forty_runs(shells, solver):
     # Squared normalised errors of correlated parameters: at worst all 36 move together, a standard error sqrt(2/runs);
     # the 0.085 for 200 runs is 0.19 for 40.
-    held_to(shells, 40, 1, 0.19, solver=solver)
+    held_to(shells, 40, 1, 0.19, options=SolverOptions(solver=solver))
 
 
 @pytest.mark.soak
@@ -78,9 +78,12 @@ def test_two_hundred_runs(shells):
 @pytest.mark.parametrize(
     "how",
     [
-        {"solver": "map"},
-        {"solver": "map", "prior_sigma": np.ones(54)},  # far too wide, and no degrees of freedom for that
-        {"solver": "recursive"},
+        {"options": SolverOptions(solver="map")},
+        {
+            "options": SolverOptions(solver="map"),
+            "prior_sigma": np.ones(54),
+        },  # far too wide, and no degrees of freedom for that
+        {"options": SolverOptions(solver="recursive")},
     ],
 )
 def test_two_hundred_runs_of_the_other_solvers(shells, how):

@@ -21,7 +21,7 @@ from puma_bench import (
 )
 
 from truearm.estimate import label_search as relabel
-from truearm.estimate.identify import identify
+from truearm.estimate.identify import SolverOptions, identify
 from truearm.types import ObservationTable, Rig
 
 
@@ -87,7 +87,7 @@ def test_held_out_rows_are_not_relabelled_and_noise_is_no_label(shells):
 def test_when_nothing_fits_nothing_is_named(shells):
     """Lengths of another world: large residuals, but no label that would explain them."""
     wild = replace(shells, value=np.random.default_rng(6).uniform(0.3, 0.8, 400))
-    e = identify(CHAIN, RIG, wild, free=FREE, max_iterations=5)
+    e = identify(CHAIN, RIG, wild, free=FREE, options=SolverOptions(max_iterations=5))
     assert e.rms_after["m"] > 1e-2
     assert e.relabellings == ()
 

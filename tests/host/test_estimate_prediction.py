@@ -8,7 +8,7 @@ from device_bench import TARGETS, join, joints_at, rows, touches, tracked
 from puma_bench import CHAIN, CHUCKS, FREE, RIG, SIGMA, SPHERES, random_table, shell_table
 
 from truearm.estimate import prediction
-from truearm.estimate.identify import identify
+from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prediction import MOST_POSES, predicted_point_error
 from truearm.estimate.uncertainty import predicted_error
 from truearm.model.chain import point_forward, point_jacobians
@@ -80,7 +80,7 @@ def test_flats_alone_do_not_determine_the_tool(monkeypatch):
     table = join(*(touches(flat, 40, rng) for flat in flats.values()))
     table = replace(table, value=table.value + 2e-5 * rng.normal(size=len(table)))
     rig = Rig(targets={"ball": TARGETS["ball"]}, planes=flats)
-    estimate = identify(CHAIN, rig, table, free=FREE, max_iterations=5)
+    estimate = identify(CHAIN, rig, table, free=FREE, options=SolverOptions(max_iterations=5))
     assert predicted_point_error(CHAIN, rig, table, estimate) is None
     monkeypatch.setattr(prediction, "FIRST_ORDER", np.inf)
     assert predicted_point_error(CHAIN, rig, table, estimate).rms > 10.0

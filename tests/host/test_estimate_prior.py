@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from puma_bench import CHAIN, DESIGN, FREE, RIG, TRUTH, random_table
 
-from truearm.estimate.identify import identify
+from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prior import weak_prior, wide_prior
 
 
@@ -30,7 +30,7 @@ def test_sigmas_by_unit():
 
 
 def test_without_a_prior_map_is_lm(exact):
-    e, off = found(exact, solver="map")
+    e, off = found(exact, options=SolverOptions(solver="map"))
     assert e.status == "converged"
     assert off < 1e-6  # the end of the search, 1e-6 of what is left
     assert e.chi2_reduced < 1e-15
@@ -43,7 +43,7 @@ def test_the_wide_prior_holds_errors_of_millimetres(exact):
     covariance = exact[1].covariance[: FREE.size, : FREE.size][np.ix_(FREE, FREE)]
     largest = np.linalg.eigvalsh(covariance / np.multiply.outer(sigma, sigma))[-1]
     bound = np.linalg.norm(error / sigma) * np.sqrt(largest)
-    e, off = found(exact, solver="map", prior_sigma=wide_prior(CHAIN))
+    e, off = found(exact, options=SolverOptions(solver="map"), prior_sigma=wide_prior(CHAIN))
     assert e.status == "converged"
     assert off < bound < 0.2
     assert e.chi2_reduced < bound**2 / (200 - 36)
@@ -53,5 +53,5 @@ def test_the_wide_prior_holds_errors_of_millimetres(exact):
 def test_the_weak_prior_is_not_for_them(exact):
     """410 for 36: the prior is false, and the parameters are off by a σ of the data, without any noise."""
     assert (((TRUTH - DESIGN) / weak_prior(CHAIN))[FREE] ** 2).sum() > 400
-    _, off = found(exact, solver="map", prior_sigma=weak_prior(CHAIN))
+    _, off = found(exact, options=SolverOptions(solver="map"), prior_sigma=weak_prior(CHAIN))
     assert off > 0.5

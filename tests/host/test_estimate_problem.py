@@ -8,7 +8,7 @@ from device_bench import join, rows
 from puma_bench import BARS, CHAIN, CHUCKS, RIG, SPHERES, random_table
 
 from truearm.errors import ProblemError
-from truearm.estimate.identify import identify
+from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prior import robot_prior
 from truearm.estimate.problem import build_problem
 from truearm.types import BallBar, Device, ObservationTable, Plane, Point, Rig, SocketDistance
@@ -96,7 +96,7 @@ def test_priors_by_name_and_by_array():
         ({"free": np.ones(54)}, "free must be 54 booleans, is float64"),
         ({"hold_out": np.zeros(17, bool)}, "hold_out must be 18 booleans"),
         ({"hold_out": np.ones(18, bool)}, "no observations are left"),
-        ({"solver": "magic"}, "solver 'magic' is not known; use lm"),
+        ({"options": SolverOptions(solver="magic")}, "solver 'magic' is not known; use lm"),
     ],
 )
 def test_arguments_that_do_not_fit(arguments, says):
@@ -153,7 +153,11 @@ def test_numbers_of_the_rig_that_are_none(xyz, sigma):
 def test_a_wild_prior_mean_of_the_bars_gain_does_no_harm():
     """Gains near zero divide by nearly nothing; the step is refused, not an exception."""
     rig = Rig(CHUCKS, SPHERES, {"short": BallBar("short", 0.46, 1e-6, 0.075, 84e-6, gain_sigma=10.0)})
-    assert identify(CHAIN, rig, TABLE, max_iterations=5).status in ("converged", "max_iterations", "stalled")
+    assert identify(CHAIN, rig, TABLE, options=SolverOptions(max_iterations=5)).status in (
+        "converged",
+        "max_iterations",
+        "stalled",
+    )
 
 
 COV = ((1e-8, 0.0, 0.0), (0.0, 1e-8, 0.0), (0.0, 0.0, 1e-8))

@@ -9,7 +9,7 @@ from ulb_bench import CHAIN as ULB
 from ulb_bench import NOMINAL as ULB_NOMINAL
 
 from truearm.estimate.fit import fit
-from truearm.estimate.identify import identify
+from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.information import covariance, observe, spectrum, with_prior
 from truearm.estimate.problem import build_problem
 from truearm.estimate.recursive import Filter, Rows, rows_of, run, start, update
@@ -76,7 +76,8 @@ def test_a_pass_is_the_batch_solution(ulb):
 def test_relinearised_it_ends_where_map_ends(ulb):
     """The data count once: estimate and σ are those of the batch with one fixed prior."""
     map_, recursive = (
-        identify(ULB, rig(ulb), ulb, free=free(*OFFSETS), prior_sigma=PRIOR, solver=s) for s in ("map", "recursive")
+        identify(ULB, rig(ulb), ulb, free=free(*OFFSETS), prior_sigma=PRIOR, options=SolverOptions(solver=s))
+        for s in ("map", "recursive")
     )
     assert (map_.status, recursive.status) == ("converged", "converged")
     seen = map_.identifiable & map_.free
@@ -89,7 +90,7 @@ def test_relinearised_it_ends_where_map_ends(ulb):
 
 def test_without_a_prior_it_ends_where_lm_ends():
     t = random_table(200, np.random.default_rng(3), SIGMA)
-    lm, recursive = (identify(CHAIN, RIG, t, free=FREE, solver=s) for s in ("lm", "recursive"))
+    lm, recursive = (identify(CHAIN, RIG, t, free=FREE, options=SolverOptions(solver=s)) for s in ("lm", "recursive"))
     assert recursive.status == "converged"
     np.testing.assert_allclose(recursive.value[FREE], lm.value[FREE], atol=1e-3 * lm.sigma[FREE].min())
     np.testing.assert_allclose(recursive.sigma[FREE], lm.sigma[FREE], rtol=1e-5)
@@ -97,7 +98,7 @@ def test_without_a_prior_it_ends_where_lm_ends():
 
 def test_with_redundant_parameters_it_converges_and_says_what_it_cannot_see():
     t = random_table(200, np.random.default_rng(3), SIGMA)
-    e = identify(CHAIN, RIG, t, solver="recursive", prefer=FREE)
+    e = identify(CHAIN, RIG, t, options=SolverOptions(solver="recursive"), prefer=FREE)
     assert (e.status, e.rank, len(e.null_space)) == ("converged", 36, 18)
     np.testing.assert_array_equal(e.suggested_free, FREE)
 
@@ -147,8 +148,8 @@ def noisy(t, seed, fault=None, size=10.0):
 @pytest.mark.parametrize("at", [0, 1, 5, 35, 36, 400, 799])
 def test_one_fault_is_named_wherever_it_stands(shells, solver, at):
     """10 σ among 800, first, among the first that determine anything, in the middle, last."""
-    how = {"solver": "recursive"} if solver == "recursive" else {"solver": "lm", "loss": solver}
-    e = identify(CHAIN, RIG, noisy(shells, at, at), free=FREE, **how)
+    how = SolverOptions("recursive") if solver == "recursive" else SolverOptions("lm", loss=solver)
+    e = identify(CHAIN, RIG, noisy(shells, at, at), free=FREE, options=how)
     assert np.flatnonzero(e.suspect).tolist() == [at]
     assert e.distance[at] > 8.0
     if solver == "recursive":
@@ -178,7 +179,13 @@ def test_live_the_first_rows_look_faulty_and_in_the_end_none_is(shells):
 def test_no_clean_row_is_left_out(shells):
     """20 seeds of 800 rows: 0.016 rows beyond 1e-6 are to be expected in all of them together."""
     for seed in range(20):
-        e = identify(CHAIN, RIG, noisy(shells, 100 + seed), free=FREE, solver="recursive", max_iterations=20)
+        e = identify(
+            CHAIN,
+            RIG,
+            noisy(shells, 100 + seed),
+            free=FREE,
+            options=SolverOptions(solver="recursive", max_iterations=20),
+        )
         assert e.status == "converged"
         assert not e.suspect.any()
         assert (e.weight == 1.0).all()
@@ -188,14 +195,21 @@ def test_gross_faults_do_not_take_their_neighbours_along(shells):
     t = noisy(shells, 1)
     at = [3, 250, 251, 600]
     t.value[at] += [1.0, -0.05, 0.03, 0.002]
-    e = identify(CHAIN, RIG, t, free=FREE, solver="recursive")
+    e = identify(CHAIN, RIG, t, free=FREE, options=SolverOptions(solver="recursive"))
     assert e.status == "converged"
     assert np.flatnonzero(e.weight == 0.0).tolist() == at
     assert "4 of 800" in e.message
 
 
 def test_not_converging_is_a_status(ulb):
-    e = identify(ULB, rig(ulb), ulb, free=free(*OFFSETS), prior_sigma=PRIOR, solver="recursive", max_iterations=1)
+    e = identify(
+        ULB,
+        rig(ulb),
+        ulb,
+        free=free(*OFFSETS),
+        prior_sigma=PRIOR,
+        options=SolverOptions(solver="recursive", max_iterations=1),
+    )
     assert (e.status, e.iterations) == ("max_iterations", 1)
 
 
@@ -204,13 +218,13 @@ def test_numbers_beyond_reason_end_as_stalled():
     t.value[3] = 1e300
     for solver in ("lm", "map", "recursive", "ls", "renders-1991"):
         with np.errstate(over="ignore"):
-            e = identify(CHAIN, RIG, t, free=FREE, solver=solver, max_iterations=3)
+            e = identify(CHAIN, RIG, t, free=FREE, options=SolverOptions(solver=solver, max_iterations=3))
         assert e.status in ("stalled", "max_iterations"), solver
 
 
 def test_an_empty_set_of_free_parameters():
     t = random_table(20, np.random.default_rng(7), SIGMA)
-    e = identify(CHAIN, RIG, t, free=np.zeros(54, bool), solver="recursive")
+    e = identify(CHAIN, RIG, t, free=np.zeros(54, bool), options=SolverOptions(solver="recursive"))
     assert e.rms_after["m"] == e.rms_before["m"]
 
 

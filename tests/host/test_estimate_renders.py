@@ -12,7 +12,7 @@ import pytest
 from ulb_bench import CHAIN, NOMINAL, OFFSETS, S_Q, free, lines, rig, rows, straights
 
 from truearm.estimate.identifiability import identifiability, suggested_free
-from truearm.estimate.identify import identify
+from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.information import observe
 from truearm.estimate.problem import build_problem
 from truearm.model.chain import Chain, Element, Joint, Parameter, point_forward
@@ -42,7 +42,7 @@ def third_runs():
         t = lines(5, 12, truth, rng)
         for solver, found in out.items():
             e = identify(
-                CHAIN, rig(t), t, free=free(*OFFSETS), hold_out=t.line == "l4", prior_sigma=PRIOR, solver=solver, max_iterations=3
+                CHAIN, rig(t), t, free=free(*OFFSETS), hold_out=t.line == "l4", prior_sigma=PRIOR, options=SolverOptions(solver=solver, max_iterations=3)
             )  # fmt: skip
             found.append((e, nees(e, truth)))
     return out
@@ -82,8 +82,10 @@ def test_more_runs_of_the_recipe_help_slowly():
     rng = np.random.default_rng(1)
     truth = wrong_offsets(rng)
     t = lines(4, 12, truth, rng)
-    how = {"free": free(*OFFSETS), "prior_sigma": PRIOR, "solver": "renders-1991"}
-    few, many = (identify(CHAIN, rig(t), t, max_iterations=m, **how) for m in (3, 30))
+    how = {"free": free(*OFFSETS), "prior_sigma": PRIOR}
+    few, many = (
+        identify(CHAIN, rig(t), t, options=SolverOptions("renders-1991", max_iterations=m), **how) for m in (3, 30)
+    )
     assert many.rms_after["m"] < few.rms_after["m"]
     assert many.sigma[OFFSETS[0]] < few.sigma[OFFSETS[0]] / 1.5
 
@@ -92,7 +94,9 @@ def test_more_runs_of_the_recipe_help_slowly():
 def test_the_recipe_ends_on_data_without_noise(truth, runs):
     """Its error fades as that of the first run over k, so what run k gains as 1/k²: below 0.01 σ after ten or twenty."""
     t = puma_bench.random_table(200, np.random.default_rng(0), truth=truth)
-    e = identify(puma_bench.CHAIN, puma_bench.RIG, t, free=puma_bench.FREE, solver="renders-1991")
+    e = identify(
+        puma_bench.CHAIN, puma_bench.RIG, t, free=puma_bench.FREE, options=SolverOptions(solver="renders-1991")
+    )
     assert (e.status, e.iterations in runs) == ("converged", True)
     assert e.rms_after["m"] < 0.2 * puma_bench.SIGMA  # (runs − 1)⁻¹ of 1.6 σ after the first
 
@@ -100,8 +104,10 @@ def test_the_recipe_ends_on_data_without_noise(truth, runs):
 def test_first_run_of_the_recipe_is_the_first_of_map():
     rng = np.random.default_rng(2)
     t = lines(4, 12, wrong_offsets(rng), rng)
-    how = {"free": free(*OFFSETS), "prior_sigma": PRIOR, "max_iterations": 1}
-    one, other = (identify(CHAIN, rig(t), t, solver=s, **how) for s in ("map", "renders-1991"))
+    how = {"free": free(*OFFSETS), "prior_sigma": PRIOR}
+    one, other = (
+        identify(CHAIN, rig(t), t, options=SolverOptions(s, max_iterations=1), **how) for s in ("map", "renders-1991")
+    )
     np.testing.assert_allclose(other.value, one.value, atol=1e-10)
 
 
@@ -110,9 +116,9 @@ def test_weights_matter_least_squares_claims_less_than_it_knows():
     rng = np.random.default_rng(3)
     t = lines(4, 60, wrong_offsets(rng), rng)
     blind = replace(rig(t), joint_cov=())
-    e = identify(CHAIN, blind, t, free=free(*OFFSETS), prior_sigma=PRIOR, solver="map")
+    e = identify(CHAIN, blind, t, free=free(*OFFSETS), prior_sigma=PRIOR, options=SolverOptions(solver="map"))
     assert e.chi2_reduced > e.chi2_band[1]
-    told = identify(CHAIN, rig(t), t, free=free(*OFFSETS), prior_sigma=PRIOR, solver="map")
+    told = identify(CHAIN, rig(t), t, free=free(*OFFSETS), prior_sigma=PRIOR, options=SolverOptions(solver="map"))
     assert told.chi2_band[0] < told.chi2_reduced < told.chi2_band[1]
     assert S_Q[5, 5] > S_Q[0, 0]
 

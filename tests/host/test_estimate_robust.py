@@ -6,7 +6,7 @@ from puma_bench import CHAIN, FREE, RIG, SIGMA, TRUTH, all_pairs, lengths, rando
 from scipy import integrate, stats
 
 from truearm.errors import ProblemError
-from truearm.estimate.identify import identify
+from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.information import covariance, spectrum
 from truearm.estimate.robust import Moments, sandwich, tuning, weigh
 
@@ -85,7 +85,7 @@ def test_errors_are_as_large_as_the_covariance_says(loss):
         noise = rng.normal(size=300)
         noise[rng.integers(0, 300, 6)] += 30.0 * rng.choice([-1.0, 1.0], 6)
         for how, out in nees.items():
-            e = identify(CHAIN, RIG, table(q, truth + SIGMA * noise, pairs), free=FREE, loss=how)
+            e = identify(CHAIN, RIG, table(q, truth + SIGMA * noise, pairs), free=FREE, options=SolverOptions(loss=how))
             error = (e.value - TRUTH)[FREE]
             out.append(error @ np.linalg.solve(e.covariance[np.ix_(FREE, FREE)], error))
     # Four standard errors of a mean of χ²(36); the covariance itself is estimated from 300 residuals, ±8 %.
@@ -98,7 +98,7 @@ def test_half_a_percent_of_gross_faults_changes_little():
     clean = identify(CHAIN, RIG, t, free=FREE)
     t.value[[7, 200]] += [0.5, -0.02]
     for loss in ("huber", "cauchy"):
-        e = identify(CHAIN, RIG, t, free=FREE, loss=loss, solver="map")
+        e = identify(CHAIN, RIG, t, free=FREE, options=SolverOptions(loss=loss, solver="map"))
         assert (e.status, e.loss) == ("converged", loss)
         assert np.flatnonzero(e.suspect).tolist() == [7, 200]
         assert e.weight[[7, 200]].max() < 0.01
@@ -111,9 +111,9 @@ def test_half_a_percent_of_gross_faults_changes_little():
 def test_iterations_count_on_over_the_stages():
     t = random_table(200, np.random.default_rng(3), SIGMA)
     heard = []
-    e = identify(CHAIN, RIG, t, free=FREE, loss="cauchy", progress=lambda i, _: heard.append(i))
+    e = identify(CHAIN, RIG, t, free=FREE, options=SolverOptions(loss="cauchy", progress=lambda i, _: heard.append(i)))
     assert heard == list(range(1, e.iterations + 1))
-    short = identify(CHAIN, RIG, t, free=FREE, loss="cauchy", max_iterations=2)
+    short = identify(CHAIN, RIG, t, free=FREE, options=SolverOptions(loss="cauchy", max_iterations=2))
     assert (short.status, short.iterations) == ("max_iterations", 2)
     assert "after 2 " in short.message
 
@@ -121,11 +121,11 @@ def test_iterations_count_on_over_the_stages():
 def test_choices_that_do_not_go_together_are_refused():
     t = random_table(60, np.random.default_rng(4), SIGMA)
     for how, text in (
-        ({"solver": "newton"}, "solver 'newton' is not known"),
-        ({"loss": "tukey"}, "loss 'tukey' is not known"),
-        ({"damping": "none"}, "damping 'none' is not known"),
-        ({"solver": "recursive", "loss": "huber"}, "recursive has no robust loss"),
-        ({"solver": "map", "damping": "plain"}, "map has no damping"),
+        ({"options": SolverOptions(solver="newton")}, "solver 'newton' is not known"),
+        ({"options": SolverOptions(loss="tukey")}, "loss 'tukey' is not known"),
+        ({"options": SolverOptions(damping="none")}, "damping 'none' is not known"),
+        ({"options": SolverOptions(solver="recursive", loss="huber")}, "recursive has no robust loss"),
+        ({"options": SolverOptions(solver="map", damping="plain")}, "map has no damping"),
         ({"prefer": np.ones(3, bool)}, "prefer must be 54 booleans"),
     ):
         with pytest.raises(ProblemError, match=text):
@@ -134,6 +134,6 @@ def test_choices_that_do_not_go_together_are_refused():
 
 def test_plain_damping_ends_where_scaled_damping_ends():
     t = random_table(300, np.random.default_rng(5), SIGMA)
-    scaled, plain = (identify(CHAIN, RIG, t, free=FREE, damping=d) for d in ("scaled", "plain"))
+    scaled, plain = (identify(CHAIN, RIG, t, free=FREE, options=SolverOptions(damping=d)) for d in ("scaled", "plain"))
     assert plain.status == "converged"
     np.testing.assert_allclose(plain.value, scaled.value, atol=1e-3 * scaled.sigma[FREE].min())

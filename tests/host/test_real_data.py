@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from truearm.estimate.identify import identify
+from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prior import free_without_gains, weak_prior
 from truearm.files.observation_table import read_table
 from truearm.files.rig_file import read_rig
@@ -42,7 +42,7 @@ def test_prior_and_loss_by_nested_hold_out(panda):
                     free=free,
                     hold_out=fitting.place == place,
                     prior_sigma=scaled(prior, factor),
-                    loss=loss,
+                    options=SolverOptions(loss=loss),
                 )
                 .held_out.figures["m"]
                 .mean
@@ -59,7 +59,7 @@ def test_prior_and_loss_by_nested_hold_out(panda):
         free=free,
         hold_out=np.isin(table.place, places[3:]),
         prior_sigma=scaled(prior, factor),
-        loss=loss,
+        options=SolverOptions(loss=loss),
     )
     assert e.held_out.figures["m"].mean <= 0.217e-3
     assert e.held_out_before.figures["m"].mean > 2e-3

@@ -20,7 +20,7 @@ from record_files import events, received, run, topics
 from truearm.errors import LinkClosed, LinkError, ProtocolError
 from truearm.record.intake import Answer, Intake
 from truearm.record.probes import Probes
-from truearm.record.recorder import record
+from truearm.record.recorder import Hooks, RecordOptions, record
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
 from truearm.session.session_file import open_session
@@ -57,7 +57,7 @@ class TestProtocol:
         box = Box(lab)
         box.refuse = {49: (3, "out of range")}
         with pytest.raises(ProtocolError, match=r"refuses 'configure' \[0, 128\]: out of range"):
-            run(lab, box, path, osr=128)
+            run(lab, box, path, options=RecordOptions(osr=128))
 
     def test_ids_differ_from_those_of_an_earlier_session(self, tmp_path):
         lab = Lab()
@@ -106,7 +106,9 @@ class TestEnds:
         for reason in ("until", "interrupted"):
             lab = Lab()
             box = Box(lab)
-            summary = run(lab, box, tmp_path / reason, None, **{reason: lambda lab=lab: lab.now > HOST_0 + SECOND})
+            summary = run(
+                lab, box, tmp_path / reason, None, hooks=Hooks(**{reason: lambda lab=lab: lab.now > HOST_0 + SECOND})
+            )
             assert summary.reason == reason
             assert not box.streaming
             assert events(tmp_path / reason) == ["start", "stop"]

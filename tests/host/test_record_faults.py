@@ -26,6 +26,7 @@ from record_box import (
 from record_files import events, received, run, topics
 
 from truearm.errors import LinkClosed
+from truearm.record.recorder import Hooks, RecordOptions
 from truearm.session.box_ident import parse_ident_json
 from truearm.session.joint_readings import JointReader
 from truearm.session.sample_blocks import BoxReader
@@ -38,7 +39,13 @@ class TestFaults:
         box = Box(lab)
         box.lvdt = change
         seen = []
-        summary = run(lab, box, path, osr=2048, progress=lambda status: seen.append(status.faults))
+        summary = run(
+            lab,
+            box,
+            path,
+            options=RecordOptions(osr=2048),
+            hooks=Hooks(progress=lambda status: seen.append(status.faults)),
+        )
         (fault,) = summary.faults
         assert fault.startswith("channel 'c0' of stream adc: ")
         assert seen[1] == (fault,)
@@ -149,7 +156,7 @@ class TestFaults:
             box.send_ident(0)
 
         lab.at(HOST_0 + 2 * SECOND, reset)
-        summary = run(lab, box, path, 4.0, osr=2048)
+        summary = run(lab, box, path, 4.0, options=RecordOptions(osr=2048))
         assert summary.counters.restarts == 1
         assert summary.counters.lost_frames == 0
         assert events(path) == ["start", "box-restarted", "start", "stop"]

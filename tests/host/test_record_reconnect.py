@@ -14,6 +14,7 @@ from truearm.errors import LinkClosed, LinkError, ProtocolError
 from truearm.record.joint_lines import END
 from truearm.record.links import Backlog
 from truearm.record.recorder import PATIENCE_S as WAITS_S
+from truearm.record.recorder import Hooks, RecordOptions
 from truearm.record.reopening import Reopening
 from truearm.session.joint_readings import JointReader
 from truearm.session.session_file import open_session
@@ -64,7 +65,7 @@ class TestRobot:
 
     def test_a_close_in_order_that_was_the_end(self, lab, path):
         robot = Robot(lab, 2.0, LinkClosed("closed"), link=ComingBack)
-        summary = run(lab, Box(lab), path, None, robot=robot.link, patience_s=5.0)
+        summary = run(lab, Box(lab), path, None, robot=robot.link, options=RecordOptions(patience_s=5.0))
         assert (summary.reason, summary.text) == ("robot closed", "closed; it did not come back in 5 s")
         assert summary.duration_s == pytest.approx(7.0, abs=0.1)
 
@@ -78,7 +79,7 @@ class TestRobot:
         robot = Robot(lab, 20.0, link=ComingBack)
         lose(lab, robot.link, 2.0, 3.0)
         lab.at(HOST_0 + 2 * SECOND, lambda: setattr(robot.link, "deliver", lambda data: None))
-        summary = run(lab, Box(lab), path, None, robot=robot.link, patience_s=5.0)
+        summary = run(lab, Box(lab), path, None, robot=robot.link, options=RecordOptions(patience_s=5.0))
         assert (summary.reason, summary.duration_s) == ("robot lost", pytest.approx(7.0, abs=0.1))
         assert events(path) == ["start", "robot-lost", "stop"]
 
@@ -100,7 +101,7 @@ class TestRobot:
     def test_not_for_ever(self, lab, path):
         robot = Robot(lab, 20.0, link=ComingBack)
         lose(lab, robot.link, 2.0, 1e6)
-        summary = run(lab, Box(lab), path, None, robot=robot.link, patience_s=5.0)
+        summary = run(lab, Box(lab), path, None, robot=robot.link, options=RecordOptions(patience_s=5.0))
         assert summary.reason == "robot lost"
         assert summary.text == "reset by peer; it did not come back in 5 s"
         assert summary.duration_s == pytest.approx(7.0, abs=0.1)
@@ -117,7 +118,14 @@ class TestRobot:
         lab.at(HOST_0 + SECOND, lambda: setattr(robot.link, "deliver", lambda data: None))
         lab.at(HOST_0 + 6 * SECOND, lambda: setattr(robot.link, "deliver", deliver))
         seen = []
-        run(lab, Box(lab), path, 8.0, robot=robot.link, progress=lambda s: seen.append(s.robot_age_s or 0.0))
+        run(
+            lab,
+            Box(lab),
+            path,
+            8.0,
+            robot=robot.link,
+            hooks=Hooks(progress=lambda s: seen.append(s.robot_age_s or 0.0)),
+        )
         assert events(path) == ["start", "robot-silent", "robot-heard", "stop"]
         assert max(seen) == pytest.approx(5.0, abs=0.3)
         assert seen[-1] < 0.1
@@ -127,14 +135,14 @@ class TestBox:
     def test_not_for_ever(self, lab, path):
         box = Box(lab, ComingBack)
         lose(lab, box.link, 2.0, 1e6, LinkError("unplugged"))
-        summary = run(lab, box, path, None, patience_s=5.0)
+        summary = run(lab, box, path, None, options=RecordOptions(patience_s=5.0))
         assert (summary.reason, summary.text) == ("link lost", "unplugged; it did not come back in 5 s")
         assert WAITS_S == 600.0
 
     def test_ctrl_c_while_it_is_away(self, lab, path):
         box = Box(lab, ComingBack)
         lose(lab, box.link, 2.0, 1e6)
-        summary = run(lab, box, path, None, interrupted=lambda: lab.now > HOST_0 + 3 * SECOND)
+        summary = run(lab, box, path, None, hooks=Hooks(interrupted=lambda: lab.now > HOST_0 + 3 * SECOND))
         assert summary.reason == "interrupted"
         assert events(path) == ["start", "link-lost", "stop"]
 

@@ -17,6 +17,7 @@ from record_box import (
 from record_files import events, received, run, topics
 
 from truearm.errors import LinkClosed
+from truearm.record.recorder import Hooks, RecordOptions
 from truearm.session.session_file import open_session
 
 
@@ -82,21 +83,31 @@ class TestCleanRun:
 
     def test_configure_only_if_it_differs(self, lab, path):
         box = Box(lab)
-        run(lab, box, path, osr=2048)
+        run(lab, box, path, options=RecordOptions(osr=2048))
         assert [c[0] for c in box.commands] == [48, 51, 49, 48, 50, 51]
         assert box.commands[2][2:] == [0, 2048]
         assert json.loads(open_session(path).metadata["box"]["ident"])["streams"][0]["osr"] == 2048
 
     def test_plan_rig_and_mounting_come_first(self, lab, path):
         poses = [{"pose": i, "shell": "s", "bar": "b", "chuck": "c", "sphere": "p", "q": [0.1, i]} for i in range(3)]
-        run(lab, Box(lab), path, plan=poses, rig_toml=b"# rig\n", mounted={"bar": "b", "chuck": "c"})
+        run(
+            lab,
+            Box(lab),
+            path,
+            options=RecordOptions(plan=poses, rig_toml=b"# rig\n", mounted={"bar": "b", "chuck": "c"}),
+        )
         assert [json.loads(m.data) for m in topics(path)["/plan"]] == poses
         assert open_session(path).attachments == {"rig.toml": b"# rig\n"}
         assert events(path, "mounted") == [{"kind": "mounted", "bar": "b", "chuck": "c"}]
 
     def test_progress(self, lab, path):
         seen = []
-        run(lab, Box(lab), path, progress=lambda s: seen.append((s.state, s.counters.samples, s.rtt_us, s.robot_ok)))
+        run(
+            lab,
+            Box(lab),
+            path,
+            hooks=Hooks(progress=lambda s: seen.append((s.state, s.counters.samples, s.rtt_us, s.robot_ok))),
+        )
         assert len(seen) == pytest.approx(12, abs=2)
         assert seen[0] == ("identifying", 0, None, None)
         assert seen[-1][0] == "recording"

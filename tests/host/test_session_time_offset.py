@@ -8,7 +8,7 @@ import pytest
 from line_stream import CHAIN, DESIGN, MAGNET, ROBOT, line_session, some_lines, true_params
 from session_stream import stream_of
 
-from truearm.estimate.identify import identify
+from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prior import wide_prior
 from truearm.model.rotation import rotation_vector
 from truearm.session.line_passes import LineRules
@@ -37,7 +37,7 @@ def observed(there_and_back=True, only_offsets=False):
 
 
 def identified(rig, table, solver="map", free=ROBOT.free):
-    return identify(CHAIN, rig, table, free=free, solver=solver, prior_sigma=wide_prior(CHAIN))
+    return identify(CHAIN, rig, table, free=free, options=SolverOptions(solver=solver), prior_sigma=wide_prior(CHAIN))
 
 
 @pytest.mark.parametrize("solver", ["map", "recursive"])
@@ -61,7 +61,9 @@ def test_devices_of_which_nothing_is_declared_tell_it_as_well(solver):
     noise = np.sqrt(np.diag(SIGMA)) * np.random.default_rng(5).standard_normal(table.xyz.shape)
     prior = {} if solver == "lm" else {"prior_sigma": wide_prior(CHAIN)}
     rough = replace(table, xyz=table.xyz + noise)
-    found = identify(CHAIN, replace(rig, lines=placed), rough, free=ROBOT.free, solver=solver, **prior)
+    found = identify(
+        CHAIN, replace(rig, lines=placed), rough, free=ROBOT.free, options=SolverOptions(solver=solver), **prior
+    )
     at = found.parameter_names.index("time_offset")
     assert abs(found.value[at] - DELAY_S - LATENCY_S) < 3.0 * found.sigma[at] < 0.3e-3
     assert found.chi2_reduced < found.chi2_band[1]

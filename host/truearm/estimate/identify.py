@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,26 @@ DAMPINGS = ("scaled", "plain")
 Progress = Callable[[int, Mapping[str, float]], None]  # iteration, RMS of the residuals by SI unit
 
 
+@dataclass(frozen=True)
+class SolverOptions:
+    """How to identify.
+
+    solver : one of SOLVERS; each is a module that says what it does.
+    loss : "linear", "huber" or "cauchy" (robust.py), for the solvers lm and map.
+    damping : of lm: "scaled" columns (Marquardt) or "plain" λI (Goswami's (10)).
+    progress : called with (iteration, RMS by SI unit) after each step.
+    """
+
+    solver: str = "lm"
+    loss: str = "linear"
+    damping: str = "scaled"
+    max_iterations: int = 50
+    progress: Progress | None = None
+
+
+DEFAULTS = SolverOptions()
+
+
 def identify(
     chain: Chain,
     rig: Rigs,
@@ -48,12 +68,8 @@ def identify(
     free: NDArray[np.bool_] | None = None,
     hold_out: NDArray[np.bool_] | None = None,
     prior_sigma: Mapping[str, float] | Floats | None = None,
-    solver: str = "lm",
-    loss: str = "linear",
-    damping: str = "scaled",
     prefer: NDArray[np.bool_] | None = None,
-    max_iterations: int = 50,
-    progress: Progress | None = None,
+    options: SolverOptions = DEFAULTS,
 ) -> Estimate:
     """Identify the robot's free parameters and the rig's unknowns.
 
@@ -61,11 +77,8 @@ def identify(
     hold_out : (n,) rows that are not used to fit but to judge, default none. Unknowns of the rig that only these rows
         touch (the sockets of a place that was held out, the pose of a line) are estimated on them, with the robot fixed.
     prior_sigma : σ of robot parameters about their nominal values, by name or (p,) with inf for none; default none.
-    solver : one of SOLVERS; each is a module that says what it does.
-    loss : "linear", "huber" or "cauchy" (robust.py), for the solvers lm and map.
-    damping : of lm: "scaled" columns (Marquardt) or "plain" λI (Goswami's (10)).
     prefer : (p,) parameters that the suggested free set should rather contain, a robot file's ``free``; default none.
-    progress : called with (iteration, RMS by SI unit) after each step.
+    options : solver, loss, damping, the most iterations, and who hears of the progress.
 
     Raises ProblemError for masks of the wrong shape, no row to fit, an unknown solver, loss or damping, a loss for a
     solver that has none, and what ``build_problem`` raises. Rank and convergence are fields of the result.
@@ -74,7 +87,7 @@ def identify(
     free = _mask("free", free, len(chain.parameters), default=True)
     held = _mask("hold_out", hold_out, len(table), default=False)
     prefer = _mask("prefer", prefer, len(chain.parameters), default=False)
-    _check_choice(solver, loss, damping)
+    _check_choice(options.solver, options.loss, options.damping)
     if held.all():
         raise ProblemError("no observations are left to fit; hold out less")
     problem = build_problem(chain, rig, table.select(~held), prior_sigma)
@@ -83,13 +96,14 @@ def identify(
 
     def on_step(iteration: int, residual: Residuals) -> None:
         history.append(_rms(residual))
-        if progress is not None:
-            progress(iteration, history[-1])
+        if options.progress is not None:
+            options.progress(iteration, history[-1])
 
-    x_before, before = _before(problem, max_iterations)
-    options = Options(max_iterations, loss, damping == "plain", on_step)
+    x_before, before = _before(problem, options.max_iterations)
+    how = Options(options.max_iterations, options.loss, options.damping == "plain", on_step)
     # To find the robot and a far-off rig at once is a curved valley; from a rig that has a prior the mode is nearer (decision 19).
-    found = solver_of(solver)(problem, columns, x_before if SOLVERS[solver].starts_from_rig else problem.start, options)
+    start = x_before if SOLVERS[options.solver].starts_from_rig else problem.start
+    found = solver_of(options.solver)(problem, columns, start, how)
     x, information = found.x, found.information
     parts = spectrum(information.root)
     fit_quality = goodness(*of_data(problem, columns, found), prior_shares(half(parts), found.prior_sigma))
@@ -113,7 +127,7 @@ def identify(
     estimate = Estimate(
         status=found.status,
         message=found.message,
-        solver=solver,
+        solver=options.solver,
         iterations=found.iterations,
         parameter_names=problem.names,
         units=problem.units,
@@ -138,7 +152,7 @@ def identify(
         residual_before=_merged(before, error_before, held),
         fitted=~held,
         seconds=0.0,
-        loss=loss,
+        loss=options.loss,
         chi2_band=fit_quality.band,
         chi2_freedom=fit_quality.freedom,
         distance=_merge(distance, np.nan, held),

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from operator import itemgetter
 from typing import Any
 
@@ -49,42 +50,59 @@ class _Ended(Exception):
         self.text = text
 
 
+@dataclass(frozen=True)
+class RecordOptions:
+    """What to record, and for how long.
+
+    ``plan``: one mapping a pose, as ``/plan`` holds them. ``osr`` is configured on every stream that has one; None leaves them.
+    ``head``: metadata to write first, name and entries. ``patience_s``: how long to wait for a link that was lost.
+    """
+
+    plan: Iterable[Mapping[str, Any]] = ()
+    rig_toml: bytes | None = None
+    mounted: Mapping[str, str] | None = None
+    osr: int | None = None
+    duration_s: float | None = None
+    patience_s: float = PATIENCE_S
+    head: Iterable[tuple[str, Mapping[str, Any]]] = ()
+
+
+@dataclass(frozen=True)
+class Hooks:
+    """Who is asked whether to end, at least every 50 ms, and who hears of the recording: ``progress`` four times a second."""
+
+    until: Callable[[], bool] | None = None
+    interrupted: Callable[[], bool] | None = None
+    progress: Callable[[Status], None] | None = None
+    operator: Operator | None = None
+
+
+EVERYTHING = RecordOptions()
+NOBODY = Hooks()
+
+
 def record(
     link: Link,
     writer: SessionWriter,
     clock: Clock,
     *,
     robot: Link | None = None,
-    plan: Iterable[Mapping[str, Any]] = (),
-    rig_toml: bytes | None = None,
-    mounted: Mapping[str, str] | None = None,
-    osr: int | None = None,
-    duration_s: float | None = None,
-    until: Callable[[], bool] | None = None,
-    interrupted: Callable[[], bool] | None = None,
-    progress: Callable[[Status], None] | None = None,
-    operator: Operator | None = None,
-    patience_s: float = PATIENCE_S,
-    head: Iterable[tuple[str, Mapping[str, Any]]] = (),
+    options: RecordOptions = EVERYTHING,
+    hooks: Hooks = NOBODY,
 ) -> RecordSummary:
     """Identify, configure and start the box, then record until the end; completes and closes the session file.
 
     The end: ``duration_s`` after the start, the robot saying that it has ended or sending no reading in 5 s, ``until()`` or
     ``interrupted()`` turning true (both asked at least every 50 ms), KeyboardInterrupt, the operator's wish, or a link, lost or
-    closed, that cannot be opened again, or not within ``patience_s``. A writer that is held is kept once the box has started. ``plan``: one mapping a
-    pose, as ``/plan`` holds them. ``osr`` is configured on every stream that has one; None leaves them.
-    ``progress`` is called four times a second. ``head``: metadata to write first, name and entries. The links stay open.
+    closed, that cannot be opened again, or not within ``patience_s``. A writer that is held is kept once the box has started. The links stay open.
 
     Raises LinkError if the box does not answer, ProtocolError if it refuses a command, speaks another protocol or is suddenly
     another one, TruearmError if the file cannot be written, and what ``operator`` raises to refuse the box; what came until then is
     kept in the file.
     """
-    ends = {"until": until, "interrupted": interrupted}
-    for name, entries in head:
+    for name, entries in options.head:
         writer.metadata(name, entries)
-    operator = operator or Operator()
-    recorder = _Recorder(link, writer, clock, robot, osr, duration_s, ends, progress, operator, patience_s)
-    return recorder.run(plan, rig_toml, mounted)
+    return _Recorder(link, writer, clock, robot, options, hooks).run(options.plan, options.rig_toml, options.mounted)
 
 
 class _Recorder:
@@ -94,22 +112,19 @@ class _Recorder:
         writer: SessionWriter,
         clock: Clock,
         robot: Link | None,
-        osr: int | None,
-        duration_s: float | None,
-        ends: Mapping[str, Callable[[], bool] | None],
-        progress: Callable[[Status], None] | None,
-        operator: Operator,
-        patience_s: float,
+        options: RecordOptions,
+        hooks: Hooks,
     ) -> None:
+        operator = hooks.operator or Operator()
         self._link = link
         self._writer = writer
         self._clock = clock
-        self._osr = osr
-        self._duration_s = duration_s
-        self._ends = ends
-        self._progress = progress
+        self._osr = options.osr
+        self._duration_s = options.duration_s
+        self._ends = {"until": hooks.until, "interrupted": hooks.interrupted}
+        self._progress = hooks.progress
         self._operator = operator
-        self._patience_ns = int(patience_s * SECOND)
+        self._patience_ns = int(options.patience_s * SECOND)
 
         self._counters = Counters()
         self._probes = Probes(writer)

@@ -61,13 +61,12 @@ def case(
     solver: str,
     *,
     rule: str = "least_squares",
-    device_sigma: float = WIDE,
     runs: int = 50,
     joint_noise: bool = True,
 ) -> Case:
     """Identify ``free`` on all lines but the last, judge by that one."""
     free, table, p = frozenset(free), session.table, len(chain.parameters)
-    rig = line_rig(session, rule, device_sigma, joint_noise)
+    rig = line_rig(session, rule, WIDE, joint_noise)
     last = table.line == table.line[-1]
     problem = build_problem(chain, rig, table.select(~last), prior_of(chain))
     columns = np.array([name in free or name.startswith("line.") for name in problem.names])

@@ -10,15 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import typer
-
-from truearm.units import MM, MS, NS
-from truearm.workflows.demo_steps import FITTED, VALIDATED, ClockTruth, Steps, recording_facts, say_clock, say_samples
+from truearm.units import MS, NS
+from truearm.workflows.demo_steps import FITTED, VALIDATED, ClockTruth, Steps, recording_facts
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from truearm.model.robot import Robot
     from truearm.session.pipeline import SyncResult
     from truearm.types import Estimate, Floats, ObservationTable, Plan, PredictedError, Rig
@@ -98,7 +93,7 @@ def calibrate(kind: str, out: Path, table: ObservationTable) -> LineCalibration:
     """Fit four lines, with them the 46 cm shells, and judge by the rest; writes result.json."""
     import numpy as np
 
-    from truearm.estimate.identify import identify
+    from truearm.estimate.identify import SolverOptions, identify
     from truearm.estimate.prediction import predicted_point_error
     from truearm.estimate.prior import wide_prior
     from truearm.files.result_file import RobotFrames, document_of, write_result
@@ -113,7 +108,15 @@ def calibrate(kind: str, out: Path, table: ObservationTable) -> LineCalibration:
     if kind == "line":
         prior = wide_prior(chain)
         estimate, other = (
-            identify(chain, rig, table, free=robot.free, hold_out=judges, prior_sigma=prior, solver=solver)
+            identify(
+                chain,
+                rig,
+                table,
+                free=robot.free,
+                hold_out=judges,
+                prior_sigma=prior,
+                options=SolverOptions(solver=solver),
+            )
             for solver in ("map", "recursive")
         )
     else:
@@ -161,47 +164,3 @@ def delay_words(estimate: Estimate) -> str:
     k = estimate.parameter_names.index("time_offset")
     truth = ROBOT_DELAY_S + NS.to_si(FROM_ROBOT.least)
     return f"{MS.of(estimate.value[k]):.2f} ± {MS.text(estimate.sigma[k], '.2f')} found, {MS.text(truth, '.2f')} true"
-
-
-def say_result(found: LineCalibration, result: SyncResult, truth: ClockTruth, steps: Steps, page: Path) -> None:
-    """The demo's last words."""
-    import numpy as np
-
-    estimate, other, table, say = found.estimate, found.other, found.table, typer.echo
-    dwells, points = int(np.sum(table.kind == "ball_bar")), int(np.sum(table.kind == "line"))
-    say_samples(result, steps, " and ".join([f"{dwells} dwells"] * (dwells > 0) + [f"{points} points on lines used"]))
-    say_clock(truth)
-    say(f"robot's delay   {delay_words(estimate)}")
-    say(f"parameters      {int(estimate.free.sum())} free with the rig's, rank {estimate.rank}, {estimate.status}")
-    is_line, fitted = table.kind == "line", estimate.fitted
-    sensors = MM.of(float(np.linalg.norm(found.rig.line_sigma)))
-    if found.kind == "both":
-        _say_group("46 cm shells", found, ~is_line & fitted, "")
-        _say_group("61 cm shells", found, ~is_line & ~fitted, ", not fitted")
-    _say_group(f"{N_LINES} lines", found, is_line & fitted, f"; the sensors alone would leave {sensors:.4f}")
-    _say_group("validation line", found, is_line & ~fitted, ", not fitted")
-    if found.kind == "line":
-        steps_of = " → ".join(f"{MM.of(rms):.3f}" for rms in estimate.rms_history["m"][:4])
-        say(f"by iteration    {steps_of} mm RMS on the {N_LINES} lines")
-        robot = slice(estimate.n_robot_parameters)
-        seen = estimate.sigma[robot] > 0.0
-        apart = np.abs(other.value[robot] - estimate.value[robot])[seen] / estimate.sigma[robot][seen]
-        say(f"row by row      the recursive solver ends within {apart.max():.1g} σ of this")
-    else:
-        alone = _rms(other.residual["m"][is_line & ~fitted])
-        say(f"ball-bar alone  would leave {MM.text(alone, '.4f')} on the validation line")
-    say(f"\nreport          {page}")
-
-
-def _say_group(label: str, found: LineCalibration, rows: NDArray[np.bool_], note: str) -> None:
-    before, after = (_rms(r["m"][rows]) for r in (found.estimate.residual_before, found.estimate.residual))
-    n = int(rows.sum())
-    typer.echo(
-        f"{label:<16}{MM.text(before, '.3f')} RMS before, {MM.text(after, '.4f')} after ({n} observations{note})"
-    )
-
-
-def _rms(residual: Floats) -> float:
-    import numpy as np
-
-    return float(np.sqrt(np.mean(residual**2)))

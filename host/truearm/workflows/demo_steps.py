@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,10 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import typer
-
 from truearm.errors import LinkError
 from truearm.units import NS, US
+from truearm.workflows.session_observations import Say
 
 if TYPE_CHECKING:
     from truearm.record.status import Status
@@ -35,17 +33,18 @@ class ClockTruth:
 
 
 class Steps:
-    """Names and seconds of the steps, printed as they end."""
+    """Names and seconds of the steps; ``say`` hears of each as it ends."""
 
-    def __init__(self) -> None:
+    def __init__(self, say: Say) -> None:
         self.done: list[tuple[str, float]] = []
+        self._say = say
 
     @contextmanager
     def step(self, name: str) -> Iterator[None]:
         started = time.perf_counter()
         yield
         self.done.append((name, time.perf_counter() - started))
-        typer.echo(f"{name:<42}{self.done[-1][1]:7.1f} s")
+        self._say(f"{name:<42}{self.done[-1][1]:7.1f} s")
 
     @property
     def total_s(self) -> float:
@@ -61,10 +60,18 @@ def write_setup(out: Path, world: World) -> None:
     write_rig(out / "rig.toml", world.rig)
 
 
-def record_virtually(out: Path, plan: Plan, world: World, box: SimulatedBox, osr: int, seed: int) -> None:
+def record_virtually(
+    out: Path,
+    plan: Plan,
+    world: World,
+    box: SimulatedBox,
+    osr: int,
+    seed: int,
+    progress: Callable[[Status], None] | None = None,
+) -> None:
     """The recorder on the lab's links and clock: session.mcap."""
     from truearm.interrupt import asked_to_stop
-    from truearm.record.recorder import record
+    from truearm.record.recorder import Hooks, RecordOptions, record
     from truearm.record.session_writer import SessionWriter
     from truearm.workflows.record import plan_rows
     from truearm_sim.lab import Lab
@@ -72,17 +79,14 @@ def record_virtually(out: Path, plan: Plan, world: World, box: SimulatedBox, osr
     lab = Lab(world, box, seed)
     writer = SessionWriter(out / "session.mcap", lab.clock, overwrite=True)
     # An exception in the middle of a grant would leave the box's process waiting for its other half.
-    with asked_to_stop() as interrupted, _progress(world.duration) as progress:
+    with asked_to_stop() as interrupted:
         summary = record(
             lab.box_link,
             writer,
             lab.clock,
             robot=lab.robot_link,
-            plan=plan_rows(plan),
-            rig_toml=(out / "rig.toml").read_bytes(),
-            osr=osr,
-            interrupted=interrupted,
-            progress=progress,
+            options=RecordOptions(plan=plan_rows(plan), rig_toml=(out / "rig.toml").read_bytes(), osr=osr),
+            hooks=Hooks(interrupted=interrupted, progress=progress),
         )
     if summary.reason == "interrupted":
         raise KeyboardInterrupt
@@ -135,33 +139,3 @@ def recording_facts(result: SyncResult, truth: ClockTruth) -> tuple[tuple[str, s
         ("clock error, reported bound", f"{US.text(NS.to_si(truth.bound_ns), '.0f')}"),
         ("clock error against the simulator's truth", f"{US.text(NS.to_si(truth.error_ns), '.0f')} at most"),
     )
-
-
-def say_samples(result: SyncResult, steps: Steps, used: str) -> None:
-    """Seconds in all, what was recorded, lost and used."""
-    losses = result.losses
-    typer.echo(f"\n{'total':<42}{steps.total_s:7.1f} s\n")
-    lost = losses.samples_lost + losses.samples_overrun
-    typer.echo(f"samples         {result.samples_seen:,} recorded, {lost} lost; {used}")
-
-
-def say_clock(truth: ClockTruth) -> None:
-    """How well the box's clock is known."""
-    typer.echo(
-        f"clock           largest error {US.text(NS.to_si(truth.error_ns), '.0f')} against the simulator's truth, "
-        f"{'within' if truth.within else 'OUTSIDE'} its reported bound ({US.text(NS.to_si(truth.bound_ns), '.0f')} at most)"
-    )
-
-
-@contextmanager
-def _progress(duration_s: float) -> Iterator[Callable[[Status], None] | None]:
-    """A bar on a terminal; nothing elsewhere."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as display:
-        task = display.add_task("recording", total=duration_s)
-        yield lambda status: display.update(task, completed=status.elapsed_s)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import InputError
+from truearm.estimate.identify import SolverOptions
 from truearm.estimate.identify import identify as estimate_parameters
 from truearm.estimate.prediction import predicted_point_error
 from truearm.estimate.prior import free_without_gains, weak_prior, wide_prior
@@ -214,11 +215,10 @@ def identified(
         free=selection.free,
         hold_out=selection.held_out,
         prior_sigma=PRIORS[prior](chain) if prior in PRIORS else None,
-        solver=options.solver,
-        loss=options.loss,
+        options=SolverOptions(
+            solver=options.solver, loss=options.loss, max_iterations=options.max_iterations, progress=progress
+        ),
         prefer=default_free(robot),
-        max_iterations=options.max_iterations,
-        progress=progress,
     )
     predicted = predicted_point_error(chain, rig, table, estimate)
     frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, chain.joint_units)

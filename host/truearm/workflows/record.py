@@ -104,6 +104,7 @@ def _record(device: str, work: Work, request: Request) -> tuple[RecordSummary, b
     """The summary, whether there is a file, and the view."""
     from truearm.record.links import HostClock
     from truearm.record.ports import BoxPort
+    from truearm.record.recorder import Hooks, RecordOptions
     from truearm.record.recorder import record as record_session
     from truearm.record.reopening import Reopening
     from truearm.record.session_writer import SessionWriter
@@ -127,15 +128,16 @@ def _record(device: str, work: Work, request: Request) -> tuple[RecordSummary, b
                 writer,
                 clock,
                 robot=robot_link,
-                plan=work.rows,
-                rig_toml=work.rig_toml,
-                mounted=work.mounted,
-                osr=work.osr,
-                duration_s=request.duration_s,
-                interrupted=interrupted,
-                operator=view,
-                patience_s=request.patience_s,
-                head=[(SETUP, work.setup)],
+                options=RecordOptions(
+                    plan=work.rows,
+                    rig_toml=work.rig_toml,
+                    mounted=work.mounted,
+                    osr=work.osr,
+                    duration_s=request.duration_s,
+                    patience_s=request.patience_s,
+                    head=[(SETUP, work.setup)],
+                ),
+                hooks=Hooks(interrupted=interrupted, operator=view),
             )
         except TruearmError as exc:
             kept = f"; what came until then is in {work.out}" if writer.kept else ""

@@ -1,0 +1,88 @@
+"""The last words of ``truearm demo``."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.session.pipeline import SyncResult
+from truearm.types import Floats, ObservationTable
+from truearm.units import MM, NS, US
+from truearm.workflows.demo_ball_bar import BallBarCalibration
+from truearm.workflows.demo_lines import N_LINES, LineCalibration, delay_words
+from truearm.workflows.demo_steps import FITTED, ClockTruth, Steps
+
+
+def recording_lines(result: SyncResult, truth: ClockTruth, steps: Steps, used: str) -> list[str]:
+    """Seconds in all, what was recorded, lost and used, and how well the box's clock is known."""
+    losses = result.losses
+    lost = losses.samples_lost + losses.samples_overrun
+    return [
+        f"\n{'total':<42}{steps.total_s:7.1f} s\n",
+        f"samples         {result.samples_seen:,} recorded, {lost} lost; {used}",
+        f"clock           largest error {US.text(NS.to_si(truth.error_ns), '.0f')} against the simulator's truth, "
+        f"{'within' if truth.within else 'OUTSIDE'} its reported bound ({US.text(NS.to_si(truth.bound_ns), '.0f')} at most)",
+    ]
+
+
+def used(table: ObservationTable) -> str:
+    """How many observations of each kind were used."""
+    dwells, points = int(np.sum(table.kind == "ball_bar")), int(np.sum(table.kind == "line"))
+    return " and ".join([f"{dwells} dwells"] * (dwells > 0) + [f"{points} points on lines used"])
+
+
+def ball_bar_lines(found: BallBarCalibration) -> list[str]:
+    """What the ball-bar found: rank, and the errors on the shells that were fitted and on the others."""
+    estimate = found.estimate
+    n_free, n_fitted = int(estimate.free.sum()), int(estimate.fitted.sum())
+    expected = MM.of(found.rig.bars[FITTED].sigma * (1.0 - estimate.rank / n_fitted) ** 0.5)
+    said = [
+        f"parameters      rank {found.all_free.rank} of {len(estimate.free)}; {n_free} free, {estimate.status} "
+        f"in {estimate.iterations} iterations",
+        f"46 cm shells    {MM.text(estimate.rms_before['m'], '.3f')} RMS before, {MM.text(estimate.rms_after['m'], '.4f')} after "
+        f"({n_fitted} dwells; noise alone would leave {expected:.4f})",
+    ]
+    before, after = estimate.held_out_before, estimate.held_out
+    if before is not None and after is not None:
+        said.append(
+            f"61 cm shells    {MM.text(before.figures['m'].rms, '.3f')} RMS before, "
+            f"{MM.text(after.figures['m'].rms, '.4f')} after ({after.n} dwells that were not fitted)"
+        )
+    return said
+
+
+def line_lines(found: LineCalibration) -> list[str]:
+    """What lines found, by themselves or beside the ball-bar."""
+    estimate, other, table = found.estimate, found.other, found.table
+    said = [
+        f"robot's delay   {delay_words(estimate)}",
+        f"parameters      {int(estimate.free.sum())} free with the rig's, rank {estimate.rank}, {estimate.status}",
+    ]
+    is_line, fitted = table.kind == "line", estimate.fitted
+    sensors = MM.of(float(np.linalg.norm(found.rig.line_sigma)))
+    if found.kind == "both":
+        said += _group("46 cm shells", found, ~is_line & fitted, "")
+        said += _group("61 cm shells", found, ~is_line & ~fitted, ", not fitted")
+    said += _group(f"{N_LINES} lines", found, is_line & fitted, f"; the sensors alone would leave {sensors:.4f}")
+    said += _group("validation line", found, is_line & ~fitted, ", not fitted")
+    if found.kind == "line":
+        steps_of = " → ".join(f"{MM.of(rms):.3f}" for rms in estimate.rms_history["m"][:4])
+        said.append(f"by iteration    {steps_of} mm RMS on the {N_LINES} lines")
+        robot = slice(estimate.n_robot_parameters)
+        seen = estimate.sigma[robot] > 0.0
+        apart = np.abs(other.value[robot] - estimate.value[robot])[seen] / estimate.sigma[robot][seen]
+        said.append(f"row by row      the recursive solver ends within {apart.max():.1g} σ of this")
+    else:
+        alone = _rms(other.residual["m"][is_line & ~fitted])
+        said.append(f"ball-bar alone  would leave {MM.text(alone, '.4f')} on the validation line")
+    return said
+
+
+def _group(label: str, found: LineCalibration, rows: NDArray[np.bool_], note: str) -> list[str]:
+    before, after = (_rms(r["m"][rows]) for r in (found.estimate.residual_before, found.estimate.residual))
+    n = int(rows.sum())
+    return [f"{label:<16}{MM.text(before, '.3f')} RMS before, {MM.text(after, '.4f')} after ({n} observations{note})"]
+
+
+def _rms(residual: Floats) -> float:
+    return float(np.sqrt(np.mean(residual**2)))
