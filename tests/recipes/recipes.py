@@ -70,7 +70,9 @@ class Copy:
             if not (ROOT / name).exists():
                 found[name] = "new file"
             elif path.read_bytes() != (ROOT / name).read_bytes():
-                before, after = ((base / name).read_text(encoding="utf-8").splitlines() for base in (ROOT, self.folder))
+                before, after = (
+                    (base / name).read_text("utf-8", "replace").splitlines() for base in (ROOT, self.folder)
+                )
                 signs = Counter(line[0] for line in list(difflib.unified_diff(before, after, n=0))[2:])
                 found[name] = f"+{signs['+']} -{signs['-']}"
         return found

@@ -1,6 +1,7 @@
-"""A new format to export in two places: its module and its line in the registry."""
+"""A new format to export, the joints' axes, in one new file and one line of the registry."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -8,39 +9,58 @@ from scipy.spatial.transform import Rotation
 
 from tests.recipes.recipes import Copy
 from tests.recipes.tracked import RIG, tracked
-from truearm.files.result_file import read_result
 from truearm.model.chain import forward
 from truearm.model.robot import builtin_robot
 
-CHAIN = builtin_robot("ur5e").chain
+N = 300
+ROBOTS = ("ur5e", "puma560")  # gains of 1 that are held, and gains that are identified
+
+
+def disturbed(name):
+    """A robot that is not as its maker described it."""
+    robot, rng = builtin_robot(name), np.random.default_rng(5)
+    return robot.chain, robot.chain.params_nominal + robot.free * rng.normal(size=len(robot.free)) * 1e-3
+
+
+def joints():
+    return np.random.default_rng(6).uniform(-2.0, 2.0, (N, 6))
 
 
 @pytest.fixture(scope="module")
 def copy(tmp_path_factory):
+    """The package with the format, and tables of a tracker for two robots."""
     copy = Copy(tmp_path_factory.mktemp("format"))
     copy.apply("A format to export")
-    rng = np.random.default_rng(0)
-    errors = 2e-3 * rng.normal(size=len(CHAIN.parameters)) * [p.term != "gain" for p in CHAIN.parameters]
-    q = rng.uniform(-2, 2, (200, 6))
-    ends = forward(CHAIN, CHAIN.params_nominal + errors, q)
-    (copy.folder / "t.csv").write_text(tracked(q, ends, rng.normal(size=(200, 3))))
+    assert copy.changes() == {"host/truearm/export/formats.py": "+1 -0", "host/truearm/export/screws.py": "new file"}
+    for name in ROBOTS:
+        chain, params = disturbed(name)
+        ends = forward(chain, params, joints())
+        (copy.folder / f"{name}.csv").write_text(tracked(joints(), ends, np.zeros((N, 3))))
     (copy.folder / "rig.toml").write_text(RIG)
-    copy.run("identify", "t.csv", "--robot", "ur5e", "--rig", "rig.toml", "--out", "r.json")
     return copy
 
 
-def test_help_names_it(copy):
-    assert "screws: axes of the joints at readings 0 (.json)." in " ".join(copy.run("export", "--help").split())
+@pytest.fixture(scope="module")
+def said(copy):
+    """What the commands print."""
+    commands = [("export", "--help")]
+    for name in ROBOTS:
+        table, result = f"{name}.csv", f"{name}.json"
+        commands.append(("identify", table, "--robot", name, "--rig", "rig.toml", "--out", result))
+        commands.append(("export", result, "--format", "screws", "--out", f"{name}.screws", "--over", table))
+    return copy.run_each(*commands)
 
 
-def test_it_predicts_the_identified_robot(copy):
-    said = copy.run("export", "r.json", "--format", "screws", "--out", "screws.json")
-    assert "the file holds all that was identified" in said
-    document = json.loads((copy.folder / "screws.json").read_text())
-    stored = read_result(copy.folder / "r.json")
-    for q in np.random.default_rng(2).uniform(-2, 2, (20, 6)):
-        expected = forward(CHAIN, stored.value[stored.of_robot], q)
-        np.testing.assert_allclose(exponentials(document, q), expected, atol=1e-12)
+def position_errors(copy, name):
+    """How far the file's own formula is from the disturbed robot [mm], (n,)."""
+    document = json.loads((copy.folder / f"{name}.screws").read_text())
+    wanted = forward(*disturbed(name), joints())
+    return np.array(
+        [
+            1e3 * np.linalg.norm(exponentials(document, q)[:3, 3] - end[:3, 3])
+            for q, end in zip(joints(), wanted, strict=True)
+        ]
+    )
 
 
 def exponentials(document, q):
@@ -52,3 +72,25 @@ def exponentials(document, q):
         turn[:3, 3] = joint["point"] - turn[:3, :3] @ joint["point"]
         out = out @ turn
     return out @ np.array(document["home"])
+
+
+def test_help_lists_it(said):
+    code, out, _ = said[0]
+    assert code == 0
+    assert "screws: axes of the joints at readings 0 (.json)." in " ".join(out.split())
+
+
+def test_it_holds_a_robot_without_gains(copy, said):
+    assert [each.code for each in said[1:3]] == [0, 0], said[2].err
+    assert "the file holds all that was identified" in said[2].out
+    assert position_errors(copy, "ur5e").max() < 1e-6
+
+
+def test_what_gains_cost_is_said_and_true(copy, said):
+    assert [each.code for each in said[3:5]] == [0, 0], said[4].err
+    assert "--format screws has no place for joint1.gain" in said[4].out
+    rms, largest = map(float, re.findall(r"([\d.]+)(?: mm RMS| at most)", said[4].out.partition("and ")[2]))
+    wrong = position_errors(copy, "puma560")
+    assert rms == pytest.approx(np.sqrt(np.mean(wrong**2)), abs=6e-4)
+    assert largest == pytest.approx(wrong.max(), abs=6e-4)
+    assert rms > 0.01
