@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from truearm.cli.main import main
-from truearm.cli.simulate import visits
 from truearm.files.plan_file import read_plan, write_plan
 from truearm.files.rig_file import read_rig, write_rig
+from truearm.workflows.simulate import SimulateOptions, visits
 from truearm_sim.line_plan import drawn_line_plan, line_rig
 from truearm_sim.world import World, standard_plan, standard_rig
 
@@ -22,16 +22,16 @@ def folder(tmp_path_factory):
 
 
 def test_plans_from_files_are_what_is_visited(folder):
-    plan, rig = visits(72, 0, 1, folder / "lines.csv", folder / "lines.toml")
+    plan, rig = visits(SimulateOptions(folder, plan=folder / "lines.csv", rig=folder / "lines.toml"))
     assert np.array_equal(plan.q, read_plan(folder / "lines.csv").q)
     assert rig == read_rig(folder / "lines.toml")
     assert list(World(1, plan, rig).rig.lines) == ["l1"]
-    plan, rig = visits(72, 0, 1, folder / "bars.csv", None)
+    plan, rig = visits(SimulateOptions(folder, plan=folder / "bars.csv"))
     assert (len(plan), rig) == (18, standard_rig())
 
 
 def test_lines_are_drawn_and_driven_there_and_back(folder):
-    plan, rig = visits(72, 1, 2, None, None)
+    plan, rig = visits(SimulateOptions(folder, lines=1, seed=2))
     assert np.array_equal(plan.q, read_plan(folder / "lines.csv").q)
     assert plan.move.tolist() == ["via", "line", "line"]
     assert list(rig.targets) == ["magnet"]

@@ -61,10 +61,10 @@ def demo(
       truearm demo --rig line --out out/line
     """
     from truearm.cli import demo_text
-    from truearm.cli.simulate import find_interpreter
     from truearm.files.disk import own_folder
     from truearm.workflows import demo_ball_bar, demo_lines
     from truearm.workflows.record import nearest_osr
+    from truearm.workflows.simulate import find_interpreter
     from truearm_sim import micropython
     from truearm_sim.simbox import SimulatedBox
     from truearm_sim.world import World, standard_plan
