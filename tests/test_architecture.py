@@ -202,7 +202,7 @@ def test_nothing_evaluates_or_unpickles():
             assert not {n.split(".")[0] for n in imports(path)} & {"pickle", "marshal", "shelve", "dill"}, path
 
 
-CODE_FLOW = ROOT / "docs" / "code_flow.md"
+PAGES = ("code_flow.md", "extending.md")
 SOURCES = (HOST, ROOT / "protocol", ROOT / "firmware", ROOT / "hil_sim")
 # where a file that the page names may stand
 FILE_BASES = (ROOT, HOST, ROOT / "docs", ROOT / "protocol", ROOT / "protocol" / "truearm_wire")
@@ -239,8 +239,14 @@ def missing_files(text: str) -> set[str]:
     return {f for f in files if "NAME" not in f and not any((base / f).exists() for base in FILE_BASES)}
 
 
-def test_the_code_flow_page_names_what_exists():
-    text, known = CODE_FLOW.read_text(encoding="utf-8"), defined_names()
+def prose(text: str) -> str:
+    """A page without its blocks of code, and without the files that its recipes make."""
+    return re.sub(r"^New file `[^`]+`:$|^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_pages_about_the_code_name_what_exists(page):
+    text, known = prose((ROOT / "docs" / page).read_text(encoding="utf-8")), defined_names()
     assert not missing_names(text, known)
     assert not missing_files(text)
 
