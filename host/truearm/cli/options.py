@@ -95,7 +95,7 @@ def one_of(names: Collection[str]) -> Callable[[str], str]:
 
 def choices(names: Collection[str]) -> str:
     """Return the names of a registry as ``--help`` shows the values of an option."""
-    return f"[{'|'.join(names)}]"
+    return f"<{'|'.join(names)}>"
 
 
 def numbers_of(option: str, text: str | None, count: int | None = None) -> tuple[float, ...] | None:
