@@ -367,7 +367,7 @@ GOOD = {"name": "lvdt", "unit": "V", "scale": [1, -7]}
         ({"osr": 1024, "channels": [{**GOOD, "calibration": None}] * 4}, "is a table with poly"),
         ({"osr": 1024, "channels": [{**GOOD, "calibration": {"unit": "m", "poly": ["x"]}}] * 4}, "poly of lvdt"),
         ({"osr": 1024, "channels": [{**GOOD, "note": "x" * 3000}] * 4}, "longer than"),
-        ({"osr": 1024, "channels": [{**GOOD, "note": "x" * 1500}] * 4}, "it has 32 pages, at most 16 fit"),
+        ({"osr": 1024, "channels": [{**GOOD, "note": "x" * 760}] * 4}, "it has 17 pages, at most 16 fit"),
         ({"osr": 1024, "channels": [{**GOOD, "note": 1.5}] * 4}, "not on this wire"),
     ],
 )

@@ -52,7 +52,19 @@ def tables(robot, described):
     }
 
 
-PARALLEL = ("irb120", "puma560", "ulb", "ur5e", "ur10e")  # nominally parallel axes 2 and 3
+READABLE = ("urdf", "dh-hayati", "sheth-uicker")  # files of any robot that truearm reads itself
+
+
+def parallel(described):
+    """Whether axes 2 and 3 are nominally parallel."""
+    return abs(described.links[2, 2, 2]) > 1.0 - 1e-9
+
+
+def test_which_robots_have_parallel_axes():
+    chains = {name: builtin_robot(name).chain for name in builtin_names()}
+    found = {name for name, c in chains.items() if parallel(link_frames(c, c.params_nominal, c.params_nominal))}
+    assert found >= {"irb120", "puma560", "ulb", "ur5e", "ur10e"}
+    assert not found & {"iiwa14", "panda"}
 
 
 @pytest.mark.parametrize("name", builtin_names())
@@ -61,7 +73,7 @@ def test_tables_are_robot_files_that_predict_the_same(name, form):
     chain = builtin_robot(name).chain
     nominal, calibrated = disturbed(chain, gains=1e-3)
     robot, described = link_frames(chain, nominal, calibrated), link_frames(chain, nominal, nominal)
-    if form in ("dh", "mdh") and name in PARALLEL:
+    if form in ("dh", "mdh") and parallel(described):
         with pytest.raises(RobotError, match=r"joints 2 and 3 are 0\.\d+° from parallel: d would be -?\d+\.\d+ m"):
             tables(robot, described)[form]()
         return
@@ -311,7 +323,7 @@ def test_a_term_that_no_format_has_is_costed_by_each(name, waving):
     assert "joint2.wave" in found.missing
     assert found.params[-1] == 0.0
     assert 1e-5 < np.sqrt(np.mean(found.left**2)) < np.sqrt(np.mean(found.dropped**2))
-    text = written("sheth-uicker" if name in ("dh", "mdh", "ur") else name, RobotToWrite(chain, nominal, found.params))
+    text = written(name if name in READABLE else "sheth-uicker", RobotToWrite(chain, nominal, found.params))
     again = parse_robot(text).chain if text.startswith("name") else chain_from_urdf(text)
     apart = (forward(again, again.params_nominal, q) - forward(chain, calibrated, q))[:, :3, 3]
     np.testing.assert_allclose(np.linalg.norm(apart, axis=1), found.left, atol=1e-12)  # the cost is that of the file
