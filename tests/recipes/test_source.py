@@ -47,7 +47,7 @@ def test_readings_come_out(copy):
     )  # the first of a connection may have lost its head, the last its tail
     assert others == [b"hello", b"\xff", b"1502;nan;0", b"1502", b";;"]
     found = [parse_reading(line) for line in (reading, last)]
-    assert [each.t for each in found] == [1.5, 1.504]
+    assert [each.t for each in found] == pytest.approx([1.5, 1.504], rel=1e-15)
     assert found[0].q == pytest.approx([math.pi / 2, math.radians(-45.5)], rel=1e-15)
     assert json.loads(reading)["line"] == "1500;90.0;-45.5"
     assert not any(map(parse_reading, others))
