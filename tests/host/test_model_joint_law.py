@@ -143,6 +143,20 @@ def test_a_points_derivatives_go_through_the_law(further_terms):
             np.testing.assert_allclose(jac_end[:, 3:, k], spin[:, (2, 0, 1), (1, 2, 0)], atol=1e-12)
 
 
+@pytest.mark.parametrize("lead", [(), (0,), (1,), (2, 3)])
+def test_any_batch_of_poses(further_terms, lead):
+    """None at all too, as a search that has no more poses to improve asks for."""
+    rng = np.random.default_rng(5)
+    for chain, params in cases(rng):
+        j = len(chain.joints)
+        q = rng.uniform(-2.0, 2.0, (*lead, j))
+        jac = joint_jacobian(chain, params, q)
+        assert (jac.shape, forward(chain, params, q).shape) == ((*lead, 6, j), (*lead, 4, 4))
+        assert chain.law.by_joints(params, q).shape == (*lead, j, j)
+        one_by_one = [joint_jacobian(chain, params, each) for each in q.reshape(-1, j)]
+        np.testing.assert_allclose(jac.reshape(-1, 6, j), np.reshape(one_by_one, (-1, 6, j)), atol=1e-13)
+
+
 def test_every_varying_parameter_is_one_more_wrench(further_terms):
     """Offsets are none: what the joint feels is a combination of what the links have made."""
     chain = builtin_robot("puma560").chain

@@ -37,7 +37,7 @@ IdentifiedBaseOption = Annotated[
 IdentifiedTipOption = Annotated[
     str | None, typer.Option("--tip", metavar="LINK", help="Of a URDF; default: as identified.")
 ]
-SeedOption = Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Of everything that is drawn by chance.")]
+SeedOption = Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Random seed.")]
 
 
 def warn(text: str) -> None:

@@ -69,7 +69,7 @@ BranchOption = Annotated[
         f"{', '.join(names_with_branch())} have.",
     ),
 ]
-SeedOption = Annotated[int, typer.Option(min=0, metavar="N", help="Of everything that is drawn by chance.")]
+SeedOption = Annotated[int, typer.Option(min=0, metavar="N", help="Random seed.")]
 OutOption = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the plan that record follows (CSV).")]
 ProgramOption = Annotated[
     list[Path] | None,

@@ -8,24 +8,28 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib import import_module
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 if TYPE_CHECKING:
     from truearm.export.writing import Writer
 
 
+Held = Literal["offset", "gain"]
+
+
 class Format(NamedTuple):
     """A format: its writer as "module:function" of this package, what ``--help`` says of it, and what it can hold.
 
-    ``suffix``: of its files. ``holds``: the terms of the joint law by name, with their identified values. What a format does
-    not hold the rest of its parameters is refitted for, and what that leaves is computed and printed. ``mountings``: it has a place for
+    ``suffix``: of its files. ``holds``: the terms of the joint law that it has a place for, with their identified values; a
+    ``RobotToWrite`` has no others to give. What a format does not hold the rest of its parameters is refitted for, and what
+    that leaves is computed and printed. ``mountings``: it has a place for
     how base and tool were mounted.
     """
 
     writer: str
     suffix: str
     summary: str
-    holds: tuple[str, ...]
+    holds: tuple[Held, ...]
     mountings: bool = True
 
 

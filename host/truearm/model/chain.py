@@ -29,6 +29,7 @@ unharmed, so that a complex step can check every derivative.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -199,7 +200,7 @@ def joint_jacobian(chain: Chain, params: Floats, q: Floats) -> Floats:
     for i, (motion, frame) in enumerate(zip(chain.motions, frames, strict=False)):
         axis = frame[..., :3, axis_of(motion)]
         if by_joints.ndim == 2:
-            axis = axis * by_joints[i].reshape(*(axis.shape[:-1] if by_joints[i].size > 1 else ()), 1)
+            axis = axis * np.broadcast_to(by_joints[i], math.prod(axis.shape[:-1])).reshape(*axis.shape[:-1], 1)
         if motion[0] == "t":
             columns.append(np.concatenate([axis, np.zeros_like(axis)], axis=-1))
         else:
