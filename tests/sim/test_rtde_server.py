@@ -37,9 +37,10 @@ import json, sys, time
 from rtde_receive import RTDEReceiveInterface
 host, hz, names = json.loads(sys.argv[1])
 robot = RTDEReceiveInterface(host, hz, names)
-rows = []
-for _ in range(100):
+rows, seen, end = [], set(), time.monotonic() + 20.0
+while len(seen) < 60 and time.monotonic() < end:  # as long as that takes on a machine that is busy
     rows.append([robot.getTimestamp(), robot.getActualQ(), robot.getTargetQ(), robot.getActualQd(), robot.getRobotMode()])
+    seen.add(tuple(rows[-1][1]))
     time.sleep(0.004)
 print(json.dumps([robot.isConnected(), rows]))
 robot.disconnect()

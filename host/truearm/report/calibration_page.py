@@ -143,16 +143,18 @@ def _list(sentences: Sequence[str], css: str) -> str:
 def verdict(page: CalibrationPage) -> str:
     """The result in one line of plain text, a sentence for each unit of the residuals."""
     return " ".join(
-        f"The {_kinds(page, si)} error is {_change(page.estimate, page.judged, si)}." for si in page.estimate.rms_before
+        f"The {_kinds(page, si)}error is {_change(page.estimate, page.judged, si)}." for si in page.estimate.rms_before
     )
 
 
 def _kinds(page: CalibrationPage, si: str) -> str:
-    """The kinds of observation that have residuals in a unit."""
-    *several, last = (
-        kind_name(str(kind)) for kind in np.unique(page.table.kind[~np.isnan(page.estimate.residual[si])])
-    )
-    return f"{', '.join(several)} and {last}" if several else last
+    """The kinds of observation that have residuals in a unit, with a space behind them; nothing where no row has one."""
+    rows = ~np.isnan(page.estimate.residual[si])
+    names = [kind_name(str(kind)) for kind in np.unique(page.table.kind[rows])]
+    if not names:
+        return ""
+    *several, last = names
+    return f"{', '.join(several)} and {last} " if several else f"{last} "
 
 
 def _change(e: Estimate, judged: HeldOut | None, si: str) -> str:
