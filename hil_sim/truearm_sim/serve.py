@@ -50,11 +50,12 @@ def serve(
                 continue
             start_ns = clock.now_ns()
             started()
+        received = box_port.receive()  # before the clock is read: nothing reaches the box earlier than it was sent
         t_ns = clock.now_ns() - start_ns
         if longest_step_ns is not None and t_ns > sent_until_ns + longest_step_ns:
             start_ns += t_ns - sent_until_ns - longest_step_ns
             t_ns = sent_until_ns + longest_step_ns
-        for tx in box.advance(t_ns, box_port.receive(), box_port.room()):
+        for tx in box.advance(t_ns, received, box_port.room()):
             box_port.send(tx)
         _report(world, box, robot_port, sent_until_ns, t_ns)
         sent_until_ns = t_ns
