@@ -56,7 +56,8 @@ def _public(function: Callable[P, R]) -> Callable[P, R]:
         try:
             return function(*args, **kwargs)
         except TruearmError as exc:
-            text = re.sub(r"--([a-z][a-z-]*)", lambda option: option[1].replace("-", "_"), str(exc))
+            # an option stands by itself; a file's name may hold two dashes
+            text = re.sub(r"(?<![^\s(\"'])--([a-z][a-z-]*)", lambda option: option[1].replace("-", "_"), str(exc))
             exc.args = (text, *exc.args[1:])
             raise
 

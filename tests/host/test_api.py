@@ -248,3 +248,9 @@ def test_a_wrong_argument_is_named_in_one_line(case, folder, robot, table, rig, 
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
     assert "--" not in str(caught.value)
+
+
+def test_a_files_name_is_no_option(tmp_path):
+    """Messages name arguments as Python has them; two dashes in a name stay."""
+    with pytest.raises(InputError, match=r"runs--monday\.csv"):
+        truearm.read_table(tmp_path / "runs--monday.csv", truearm.load_robot("puma560"))
