@@ -14,6 +14,10 @@ def run() -> None:
         sys.exit(main())
     except KeyboardInterrupt:  # while modules are being imported
         os._exit(130)
+    except ImportError as exc:
+        if isinstance(exc.__cause__, KeyboardInterrupt):  # a compiled module
+            os._exit(130)
+        raise
 
 
 if __name__ == "__main__":
