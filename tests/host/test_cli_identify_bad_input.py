@@ -99,8 +99,18 @@ def test_interruption_is_one_line_and_130(run: Run, good: list[object], monkeypa
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("truearm.workflows.identify.identified", interrupted)
-    assert run(*good) == Outcome(130, "", "truearm: interrupted\n")
+    def interrupted_while_importing(*_: object, **__: object) -> None:
+        raise ImportError("initialization failed") from KeyboardInterrupt()
+
+    def faulty(*_: object, **__: object) -> None:
+        raise ImportError("no such module")
+
+    for raises in (interrupted, interrupted_while_importing):
+        monkeypatch.setattr("truearm.workflows.identify.identified", raises)
+        assert run(*good) == Outcome(130, "", "truearm: interrupted\n")
+    monkeypatch.setattr("truearm.workflows.identify.identified", faulty)
+    with pytest.raises(ImportError, match="no such module"):
+        run(*good)
 
 
 def test_a_reader_that_leaves_is_no_traceback(good: list[object]) -> None:

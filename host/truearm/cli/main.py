@@ -119,6 +119,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _discard_stdout()
         _complain(f"cannot write: {exc.strerror or exc}")
         return 1
+    except Exception as exc:
+        if not isinstance(exc.__cause__, KeyboardInterrupt):
+            raise
+        _complain("interrupted")  # while a compiled module was being imported, which makes an ImportError of it
+        return 130
 
 
 def _discard_stdout() -> None:
