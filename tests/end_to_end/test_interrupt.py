@@ -9,8 +9,6 @@ import time
 import pytest
 from tests.end_to_end.conftest import truearm
 
-from truearm.cli.main import main
-
 COMMAND = [sys.executable, "-m", "truearm"]
 
 
@@ -63,23 +61,3 @@ def test_simulate_into_a_file(tmp_path):
     assert done.returncode == 2
     assert "cannot be used as a folder" in done.stderr
     assert (tmp_path / "rig.toml").read_text() == "mine"
-
-
-def test_an_interrupt_that_strikes_a_compiled_modules_import(monkeypatch, capsys):
-    """It arrives as an ImportError whose cause is the interrupt."""
-
-    def strike(_: object) -> int:
-        raise ImportError("initialization failed") from KeyboardInterrupt()
-
-    monkeypatch.setattr("truearm.cli.main._run", strike)
-    assert main([]) == 130
-    assert capsys.readouterr().err == "truearm: interrupted\n"
-
-
-def test_a_module_that_is_missing_is_no_interrupt(monkeypatch):
-    def miss(_: object) -> int:
-        raise ImportError("no module")
-
-    monkeypatch.setattr("truearm.cli.main._run", miss)
-    with pytest.raises(ImportError, match="no module"):
-        main([])

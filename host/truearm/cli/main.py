@@ -107,11 +107,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, typer.Abort):
         _complain("interrupted")
         return 130
-    except ImportError as exc:
-        if not isinstance(exc.__cause__, KeyboardInterrupt):  # which a compiled module makes of an interrupt
-            raise
-        _complain("interrupted")
-        return 130
     except BrokenPipeError:  # the reader of our output left, as `| head` does
         _discard_stdout()
         return 1
