@@ -72,9 +72,10 @@ def test_a_header_that_is_not_understood_is_said(tmp_path, capsys):
     with box_on_a_socket() as (_, device), server(robot) as peer:
         arguments = ["--device", device, "--robot", f"lines+tcp://{peer}", "--out", str(out), "--duration", "3"]
         assert main(["record", *arguments]) == 1
-    complaint = capsys.readouterr().err
-    assert "column 'q1_grad' is not known" in complaint
-    assert complaint.count("\n") == 1
+    # the box here has no calibrated channel; whether its warning comes before the end is a matter of milliseconds
+    complaint = [line for line in capsys.readouterr().err.splitlines() if "warning: no channel" not in line]
+    assert len(complaint) == 1
+    assert "column 'q1_grad' is not known" in complaint[0]
 
 
 @pytest.mark.parametrize("address", ["kuka://x", "rtde://", "lines+tcp://127.0.0.1:1?unit=grad"])
