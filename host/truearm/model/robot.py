@@ -116,12 +116,18 @@ def parse_robot(text: str) -> Robot:
 
 
 def _set_names(description: Description, nominal: str) -> list[str]:
-    sets = [set(amount.values) for amount in description.amounts.values() if amount.constant is None]
+    """The sets that every parameter has a value in. Raises SchemaError that names the first parameter without one."""
+    sets = {name: amount.values.keys() for name, amount in description.amounts.items() if amount.constant is None}
     if not sets:
         raise SchemaError("nothing can be identified; write parameters as tables, { design = 0.0 }")
-    if nominal not in sets[0] or any(names != sets[0] for names in sets):
-        raise SchemaError(f"every parameter needs the same sets of values, {nominal!r} among them")
-    return sorted(sets[0])
+    every = sorted({nominal}.union(*sets.values()))
+    for wanted in (nominal, *every):
+        for name, values in sets.items():
+            if wanted not in values:
+                raise SchemaError(
+                    f"{name}: has no value {wanted!r}; every parameter needs the same sets of values ({', '.join(every)})"
+                )
+    return every
 
 
 def _chain(head: Mapping[str, str], description: Description) -> Chain:
