@@ -88,6 +88,8 @@ def test_a_result_of_version_1_is_read(run: Run, good: list[object]) -> None:
         (lambda d: d.pop("parameters"), "needs parameters"),
         (lambda d: d.update(format="other"), "is no result"),
         (lambda d: d.update(format_version=99), "format version 99"),
+        (lambda d: d.update(format_version=True), "format version True"),
+        (lambda d: d.pop("format_version"), "has no format_version"),
         (lambda d: d["parameters"][0].update(value="1"), "not a number"),
         (lambda d: d["parameters"][0].update(free=1), "not true or false"),
         (lambda d: d["covariance"]["matrix"].pop(), "covariance: matrix: needs"),
