@@ -81,7 +81,7 @@ class Device:
     by its own readings, which turn it away from ``rotation`` no further than they must (a line of finite ``turn_sigma``
     keeps its roll). ``sigma`` [m] and ``turn_sigma`` [rad] say how well that pose is known, each of its three
     components: 0 exactly, finite a parameter with that prior, None a parameter without. ``rotation_sigma`` [rad] is
-    the standard deviation of each component of a measured orientation; only rows of kind ``pose`` need it.
+    the standard deviation of each component of a measured orientation; only rows of kind ``pose`` without their own need it.
     """
 
     name: str

@@ -206,7 +206,7 @@ def tracker(**fields):
             tracker(rotation_sigma=None),
             "pose",
             {"tracker": "t", "rotation": np.zeros((2, 3)), **POINT},
-            "pose 1: a pose row needs a tracker with a rotation_sigma",
+            "pose 1: a pose row needs a rotation_sigma, its own or its tracker's",
         ),
         (tracker(), "position", {"tracker": "t", "sigma": np.array([1e-5, 0.0]), **POINT}, "position 2: sigma must be"),
         (

@@ -167,6 +167,18 @@ WRONG = {
         "has no x_mm",
     ),
     "point in cm": (LINE.replace("y_mm", "y_cm"), "unit 'cm' is not known"),
+    "rotation sigma of a point": (
+        "kind,q1_rad,tracker,x_m,y_m,z_m,rotation_sigma_deg\nposition,0,t,0,0,0,0.1\n",
+        "a position row has no rotation_sigma_deg or rotation_sigma_rad; leave that cell empty",
+    ),
+    "rotation sigma of 0": (
+        "kind,q1_rad,tracker,x_m,y_m,z_m,rx_rad,ry_rad,rz_rad,rotation_sigma_deg\npose,0,t,0,0,0,0,0,0,0\n",
+        "row 2 column rotation_sigma_deg: '0' must be greater than 0",
+    ),
+    "rotation sigma in m": (
+        "kind,q1_rad,tracker,x_m,y_m,z_m,rx_rad,ry_rad,rz_rad,rotation_sigma_mm\npose,0,t,0,0,0,0,0,0,1\n",
+        "unit 'mm' is not known; use one of rad, deg",
+    ),
     "pose without a turn": (
         "kind,q1_rad,tracker,x_m,y_m,z_m\npose,0,t,0,0,0\n",
         "needs rx_deg, ry_deg, rz_deg (or _rad)",

@@ -22,12 +22,14 @@ from truearm.kinds.group import Group
 from truearm.kinds.kind import Kind
 from truearm.kinds.linearised import Indices, Linearised, gather, no_columns, scatter
 from truearm.kinds.position import TRACKER, PositionRows, in_device_axes, joints_in_time, points_of
-from truearm.kinds.quantities import POINT, SPREAD, TURN
+from truearm.kinds.quantities import LARGEST_TURN_NOISE, POINT, SPREAD, TURN, Quantity
 from truearm.kinds.rig_entries import TARGET
 from truearm.kinds.unknowns import Layout
 from truearm.model.chain import Chain, about, forward, trace_point
 from truearm.model.rotation import left_jacobian, rotation, rotation_vector
 from truearm.types import Floats
+
+TURN_SIGMA = Quantity("rotation_sigma", ("rotation_sigma",), "rad", LARGEST_TURN_NOISE, positive=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,13 +70,16 @@ class PoseRows(PositionRows):
 
 
 def draft(scope: Scope, rows: Indices) -> Draft:
-    """Targets and trackers that the rows use."""
+    """Targets and trackers that the rows use. A row's own standard deviation of the orientation comes before its tracker's."""
     known = scope.rig.trackers
     used, make_points = points_of(scope, rows, "tracker", known)
     labels, which = look_up(scope, rows, "tracker", known)
     turns = measured(scope, rows, TURN)
-    sigma = np.array([known[str(label)].rotation_sigma or 0.0 for label in labels])[which]
-    refuse(scope, rows, ~((sigma > 0.0) & np.isfinite(sigma)), "a pose row needs a tracker with a rotation_sigma")
+    own = scope.table.column(TURN_SIGMA.field, np.nan)[rows]
+    of_tracker = np.array([known[str(label)].rotation_sigma or 0.0 for label in labels])[which]
+    sigma = np.where(np.isnan(own), of_tracker, own)
+    wanted = "a pose row needs a rotation_sigma, its own or its tracker's"
+    refuse(scope, rows, ~((sigma > 0.0) & np.isfinite(sigma)), wanted)
 
     def make(layout: Layout) -> list[Group]:
         points = vars(make_points(layout))
@@ -99,7 +104,7 @@ KIND = Kind(
     group=PoseRows,
     draft=draft,
     needs=("tracker", POINT, TURN),
-    may=("target", SPREAD),
+    may=("target", SPREAD, TURN_SIGMA),
     entries=(TARGET, TRACKER),
     point="target",
     grouped_by=("tracker", "target"),

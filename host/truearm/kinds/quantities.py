@@ -44,6 +44,7 @@ class Quantity:
 
 
 LARGEST_NOISE = 0.1  # m: a decimetre of noise was written in another unit
+LARGEST_TURN_NOISE = 0.1  # rad
 LENGTH = Quantity("value", ("length",), "m", positive=True)
 DISTANCE = Quantity("value", ("length",), "m")  # with a sign
 POINT = Quantity("xyz", ("x", "y", "z"), "m")
