@@ -1,0 +1,51 @@
+"""Sessions that earlier versions recorded stay readable: the files of tests/data/sessions give the observations that they gave."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from truearm.session.session_file import open_session
+from truearm.workflows.export_session import ExportSession, export_session_files
+from truearm.workflows.session_observations import observations_of_session
+
+SESSIONS = Path(__file__).parents[1] / "data" / "sessions"
+# dwells and passes that gave observations, and readings of the robot, all of which count
+KNOWN = {"ball-bar": (3, 0, 476), "line": (0, 2, 489), "rtde": (1, 0, 518)}
+# Sums may be in another order with other versions of NumPy: some 1e4 roundings of 1e-16.
+RTOL = 1e-12
+
+
+def rows_of(path):
+    """Header and rows; numbers as floats, words as they are."""
+    with path.open(newline="", encoding="utf-8") as file:
+        header, *rows = csv.reader(file)
+    numbers = [i for i, title in enumerate(header) if title.rpartition("_")[2] in ("m", "rad", "s")]
+    return header, np.array([[float(row[i]) for i in numbers] for row in rows]), [row[:1] + row[-4:] for row in rows]
+
+
+@pytest.mark.parametrize("name", KNOWN)
+class TestOldSessions:
+    def test_observations_are_the_same(self, name, tmp_path):
+        export_session_files(ExportSession(SESSIONS / f"{name}.mcap", tmp_path / "tables"))
+        header, numbers, words = rows_of(tmp_path / "tables" / "observations.csv")
+        expected = rows_of(SESSIONS / f"{name}.csv")
+        assert header == expected[0]
+        assert words == expected[2]
+        np.testing.assert_allclose(numbers, expected[1], rtol=RTOL)
+
+    def test_everything_was_read(self, name):
+        result = observations_of_session(SESSIONS / f"{name}.mcap")
+        dwells, passes, readings = KNOWN[name]
+        assert sum(not dwell.reason for dwell in result.dwells) == dwells
+        assert sum(not one.reason for one in result.passes) == passes
+        joints = result.survey.joints
+        assert (joints.readings, joints.lost, joints.malformed, joints.restarts) == (readings, 0, 0, 0)
+        assert (result.losses.frames_lost, result.losses.samples_lost) == (0, 0)
+
+
+def test_events_of_the_operator():
+    events = [message.data for message in open_session(SESSIONS / "rtde.mcap").messages("/events")]
+    assert b'{"kind":"note","text":"the table was knocked"}' in events
+    assert sum(b'"kind":"mounted"' in event for event in events) == 2
