@@ -81,7 +81,8 @@ class Unit:
 
     ``scale``: in which a person sees it. ``decimals``: of a value with its standard deviation. ``largest``: beyond this
     [SI] a number was written in another unit. ``weak_sigma`` and ``wide_sigma``: σ [SI] of what a drawing says, and of what
-    a hand leaves (``estimate.prior``); a parameter that is known less well than ``weak_sigma`` is hardly seen.
+    a hand leaves (``estimate.prior``); a parameter that is known less well than ``weak_sigma`` is hardly seen. ``vague_sigma``:
+    σ [SI] that stands for none where a plan needs a finite one.
     """
 
     si: str
@@ -90,6 +91,7 @@ class Unit:
     largest: float
     weak_sigma: float = math.nan
     wide_sigma: float = math.nan
+    vague_sigma: float = 1.0
 
     @property
     def symbol(self) -> str:
@@ -105,7 +107,7 @@ UNITS: Mapping[str, Unit] = {
     for unit in (
         Unit("m", MM, 4, 100.0, 1e-3, 1e-2),
         Unit("rad", DEG, 5, 20.0 * math.pi, 5e-3, 0.052),
-        Unit("1", ONE, 6, 100.0, 1e-3, 1e-2),
+        Unit("1", ONE, 6, 100.0, 1e-3, 1e-2, 1e-2),
         Unit("s", MS, 4, 100.0, 1e-3),
         Unit("m/s", MM_S, 3, 100.0),
         Unit("rad/s", DEG_S, 4, 20.0 * math.pi),

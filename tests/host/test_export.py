@@ -329,13 +329,31 @@ def test_a_term_that_no_format_has_is_costed_by_each(name, waving):
     np.testing.assert_allclose(np.linalg.norm(apart, axis=1), found.left, atol=1e-12)  # the cost is that of the file
 
 
-def test_a_format_that_declares_what_it_cannot_write_is_found_out(waving, monkeypatch):
+@pytest.mark.parametrize("name", ["dh-hayati", "sheth-uicker"])
+def test_a_format_may_declare_a_further_term_and_then_writes_it(name, waving, monkeypatch):
     chain, nominal, calibrated = waving
-    lying = FORMATS["sheth-uicker"]._replace(holds=("offset", "gain", "wave"))
-    monkeypatch.setitem(FORMATS, "sheth-uicker", lying)
-    found = fit_to("sheth-uicker", chain, nominal, calibrated, np.ones(nominal.size, dtype=bool), some_poses(chain))
-    assert (found.refitted, found.missing, found.exact) == (False, (), False)
-    assert found.left.max() > 1e-4
+    monkeypatch.setitem(FORMATS, name, FORMATS[name]._replace(holds=("offset", "gain", "wave")))
+    q = some_poses(chain)
+    found = fit_to(name, chain, nominal, calibrated, np.ones(nominal.size, dtype=bool), q)
+    assert (found.refitted, found.missing, found.exact) == (False, (), True)
+    again = parse_robot(written(name, RobotToWrite(chain, nominal, found.params))).chain
+    assert "wave" in {p.term for p in again.parameters}
+    np.testing.assert_allclose(forward(again, again.params_nominal, q), forward(chain, calibrated, q), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["urdf", "ur"])
+def test_a_format_that_declares_what_it_does_not_write_is_refused(name, waving, monkeypatch):
+    chain, nominal, calibrated = waving
+    monkeypatch.setitem(FORMATS, name, FORMATS[name]._replace(holds=("offset", "wave")))
+    found = fit_to(name, chain, nominal, calibrated, np.ones(nominal.size, dtype=bool), some_poses(chain))
+    with pytest.raises(RobotError, match=f"{name} declares that it holds wave of a joint, but its file says nothing"):
+        written(name, RobotToWrite(chain, nominal, found.params))
+
+
+def test_a_format_that_declares_no_term_that_there_is_is_refused(monkeypatch):
+    monkeypatch.setitem(FORMATS, "urdf", FORMATS["urdf"]._replace(holds=("offset", "waves")))
+    with pytest.raises(ValueError, match="holds waves, which no term of the joint law is called"):
+        fit_to("urdf", CHAIN, DESIGN, TRUTH, np.ones(DESIGN.size, dtype=bool), some_poses(CHAIN))
 
 
 def test_where_nothing_sensible_can_be_written_nothing_is():

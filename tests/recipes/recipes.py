@@ -56,9 +56,9 @@ class Copy:
             assert not (self.folder / path).exists()
             (self.folder / path).write_text(content, encoding="utf-8")
         for path, before, content in LINE.findall(section):
-            self._replace(path, f"{before}\n", f"{before}\n{content}")
+            self.replace(path, f"{before}\n", f"{before}\n{content}")
         for path, before, after in TEXT.findall(section):
-            self._replace(path, before, after)
+            self.replace(path, before, after)
 
     def changes(self) -> dict[str, str]:
         """Files that differ from the repository's: "new file", or how many lines were added and taken away."""
@@ -103,7 +103,8 @@ class Copy:
         assert done.returncode == code, done.stderr
         return Said(done.returncode, done.stdout, done.stderr)
 
-    def _replace(self, path: str, before: str, after: str) -> None:
+    def replace(self, path: str, before: str, after: str) -> None:
+        """Change a text that a file has once."""
         source = (self.folder / path).read_text(encoding="utf-8")
         assert source.count(before) == 1, f"{path} has {before!r} {source.count(before)} times"
         (self.folder / path).write_text(source.replace(before, after), encoding="utf-8")

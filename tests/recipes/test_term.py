@@ -176,3 +176,35 @@ def test_a_format_refuses_or_says_what_its_file_costs(copy, said, name):
 
 def test_some_formats_are_written(said):
     assert {name for name in FORMATS if said[name].code == 0} >= {"urdf", "dh-hayati", "sheth-uicker"}
+
+
+EXPORTED = """
+import json, numpy as np
+from truearm.model.chain import forward
+from truearm.model.robot import parse_robot
+chain = parse_robot(open("held.toml", encoding="utf-8").read()).chain
+q = np.random.default_rng(3).uniform(-2.0, 2.0, (400, 6))
+spring = {p.name: p.nominal for p in chain.parameters}["joint2.spring"]
+print(json.dumps([spring, forward(chain, chain.params_nominal, q)[:, :3, 3].tolist()]))
+"""
+
+
+def test_a_format_that_declares_the_term_holds_it(copy, said):
+    """The file's spring works on the file's own geometry, off the design's by 5 mm: 2 mrad by 5 mm make 10 µm on a metre."""
+    copy.replace(
+        "host/truearm/export/formats.py",
+        'write_sheth_uicker", ".toml", "links of six constants", ("offset", "gain")',
+        'write_sheth_uicker", ".toml", "links of six constants", ("offset", "gain", "spring")',
+    )
+    command = ("export", "exact.json", "--robot", "sprung.toml", "--over", "exact.csv", "--format")
+    held, refused = copy.run_each(
+        (*command, "sheth-uicker", "--out", "held.toml"),
+        (*command, "urdf", "--out", "held.urdf"),
+    )
+    assert (held.code, held.err) == (0, "")
+    assert "the file holds all that was identified" in held.out
+    assert "joint2.spring" in refused.out
+    spring, points = json.loads(copy.python("-c", EXPORTED).out)
+    assert spring == pytest.approx(SPRING, rel=1e-6)
+    q = np.random.default_rng(3).uniform(-2.0, 2.0, (N, 6))
+    assert np.linalg.norm(np.array(points) - true_end(q)[:, :3, 3], axis=1).max() < 1e-5

@@ -8,28 +8,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib import import_module
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from truearm.export.writing import Writer
 
 
-Held = Literal["offset", "gain"]
-
-
 class Format(NamedTuple):
     """A format: its writer as "module:function" of this package, what ``--help`` says of it, and what it can hold.
 
-    ``suffix``: of its files. ``holds``: the terms of the joint law that it has a place for, with their identified values; a
-    ``RobotToWrite`` has no others to give. What a format does not hold the rest of its parameters is refitted for, and what
-    that leaves is computed and printed. ``mountings``: it has a place for
-    how base and tool were mounted.
+    ``suffix``: of its files. ``holds``: the terms of the joint law (``joint_law.TERMS``) that its writer writes. A term that it
+    does not hold is neutral in what the writer gets; the rest of the parameters is refitted, and what that leaves is computed
+    and printed. ``mountings``: it has a place for how base and tool were mounted.
     """
 
     writer: str
     suffix: str
     summary: str
-    holds: tuple[Held, ...]
+    holds: tuple[str, ...]
     mountings: bool = True
 
 

@@ -1,9 +1,9 @@
 """The robot as formats want it: every joint about or along the z axis of its own frame, mountings apart.
 
-    T(q) = B · S_0 · Z_1(θ_1) · S_1 · … · Z_j(θ_j) · S_j · E ,    θ = offset + gain·q
+    T(q) = B · S_0 · Z_1(θ_1) · S_1 · … · Z_j(θ_j) · S_j · E
 
-B and E are the mountings (``model.mountings``), S_i rigid constants, Z_i a turn about z or a motion along it. Other terms of the
-joint law have no place here.
+B and E are the mountings (``model.mountings``), S_i rigid constants, Z_i a turn about z or a motion along it, and θ the true
+joint angles by the joint law.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ import numpy as np
 from truearm.errors import RobotError
 from truearm.model.chain import Chain, Joint
 from truearm.model.frames import far_frames
-from truearm.model.mountings import mountings, own_links
+from truearm.model.joint_law import JointLaw
+from truearm.model.joint_terms.term import Term
+from truearm.model.mountings import mountings, own_law, own_links
 from truearm.model.transforms import elementary
 from truearm.types import Floats
 
@@ -29,12 +31,27 @@ class LinkFrames(NamedTuple):
     name: str
     joints: tuple[Joint, ...]
     links: Floats  # (j + 1, 4, 4) S
-    offsets: Floats  # (j,) rad or m
-    gains: Floats  # (j,)
+    law: JointLaw
+    params: Floats  # (p,) of the law; offsets that are mountings are not in them
     base: Floats  # (4, 4) B
     tool: Floats  # (4, 4) E
     base_frame: str
     end_frame: str
+
+    @property
+    def offsets(self) -> Floats:
+        """(j,) rad or m"""
+        return self.law.offset.of(self.params)
+
+    @property
+    def gains(self) -> Floats:
+        """(j,)"""
+        return self.law.gain.of(self.params)
+
+    @property
+    def further_terms(self) -> tuple[Term, ...]:
+        """The terms of the law besides offset and gain; ``params[term.parameters]`` are those of the joints ``term.joints``."""
+        return tuple(term for term in self.law.terms if term not in (self.law.offset, self.law.gain))
 
     @property
     def first(self) -> Floats:
@@ -52,7 +69,7 @@ def link_frames(chain: Chain, nominal: Floats, calibrated: Floats, with_mounting
 
     ``with_mountings`` False leaves them out: B and E are then identities.
     """
-    links, offsets = own_links(chain, nominal, calibrated)
+    links = own_links(chain, nominal, calibrated)
     axes = [_TO_AXIS[motion[1]] for motion in chain.motions]
     before = [np.eye(4), *axes]
     after = [*axes, np.eye(4)]
@@ -62,8 +79,8 @@ def link_frames(chain: Chain, nominal: Floats, calibrated: Floats, with_mounting
         name=chain.name,
         joints=chain.joints,
         links=turned,
-        offsets=offsets,
-        gains=chain.law.gain.of(calibrated),
+        law=chain.law,
+        params=own_law(chain, nominal, calibrated),
         base=found.base if with_mountings else np.eye(4),
         tool=found.tool if with_mountings else np.eye(4),
         base_frame=chain.base_frame,
@@ -75,7 +92,7 @@ def predicted(robot: LinkFrames, q: Floats) -> Floats:
     """T(q), (n, 4, 4), at joint readings q (n, j)."""
     links = np.stack([robot.first, *robot.links[1:-1], robot.last])
     motions = ["tz" if joint.kind == "prismatic" else "rz" for joint in robot.joints]
-    return far_frames(links, motions, robot.offsets + robot.gains * q)[-1]
+    return far_frames(links, motions, robot.law.angles(robot.params, q))[-1]
 
 
 def joint_motion(joint: Joint, amount: float) -> Floats:

@@ -124,6 +124,17 @@ def _joint(i: int, robot: LinkFrames, offset: float) -> list[str]:
         f"upper_{unit} = {upper!r}",
         _parameter(f"offset_{unit}", offset),
         f"gain = {{ calibrated = {float(robot.gains[i])!r}, held = true }}",
+        *_further_terms(i, robot),
+    ]
+
+
+def _further_terms(i: int, robot: LinkFrames) -> list[str]:
+    """What the joint law has of a joint besides offset and gain, unless it says nothing."""
+    return [
+        _parameter(f"{term.name}_{term.unit_of(robot.joints[i].kind)}".removesuffix("_1"), robot.params[at])
+        for term in robot.further_terms
+        for at in term.parameters[term.joints == i]
+        if robot.params[at] != term.neutral
     ]
 
 

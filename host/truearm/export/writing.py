@@ -1,14 +1,13 @@
 """A calibrated robot made ready for a format: refitted for what the format cannot hold, and what that costs.
 
-What is said of a file is computed from what is written: the links, offsets and gains of ``link_frames``, which are all that any
-writer gets of the joint law, predict poses, and these are compared with the identified robot's. A format that declares a term and has
-no place for it is found out by that, too.
+What is said of a file is computed from what its writer gets: the links and the joint law of ``link_frames`` predict poses, and these
+are compared with the identified robot's. A format that declares a term of the law and writes nothing of it is refused.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -70,11 +69,20 @@ class Fitted(NamedTuple):
 
 def written(name: str, robot: RobotToWrite) -> str:
     """Return the text of the format called ``name``. Raises RobotError for a robot that it cannot hold."""
-    return writer(name)(robot)
+    text = writer(name)(robot)
+    for term in robot.chain.law.moving:
+        neutral = np.array(robot.params)
+        neutral[term.parameters] = term.neutral
+        if not np.array_equal(neutral, robot.params) and writer(name)(replace(robot, params=neutral)) == text:
+            raise RobotError(f"{name} declares that it holds {term.name} of a joint, but its file says nothing of it")
+    return text
 
 
 def held(chain: Chain, form: Format) -> NDArray[np.bool_]:
-    """(p,) the parameters that a format has a place for."""
+    """(p,) the parameters that a format has a place for. Raises ValueError where it declares a term that there is not."""
+    unknown = set(form.holds) - {term.name for term in joint_law.TERMS}
+    if unknown:
+        raise ValueError(f"a format holds {', '.join(sorted(unknown))}, which no term of the joint law is called")
     return np.array([p.term == GEOMETRY or p.term in form.holds for p in chain.parameters])
 
 

@@ -44,12 +44,12 @@ def mountings(chain: Chain, nominal: Floats, identified: Floats) -> Mountings:
     return Mountings(base, inverted(links_n[-1]) @ elementary(last, turned[-1]) @ links_i[-1])
 
 
-def own_links(chain: Chain, nominal: Floats, identified: Floats) -> tuple[Floats, Floats]:
-    """Links (j + 1, 4, 4) and joint offsets (j,) of R(q): the identified ones without the mountings."""
+def own_links(chain: Chain, nominal: Floats, identified: Floats) -> Floats:
+    """Links (j + 1, 4, 4) of R(q): the identified ones without the mountings."""
     links = link_transforms(chain, identified)
     ends = link_transforms(chain, nominal)
     links[0], links[-1] = ends[0], ends[-1]
-    return links, chain.law.offset.of(own_law(chain, nominal, identified))
+    return links
 
 
 def own_law(chain: Chain, nominal: Floats, identified: Floats) -> Floats:

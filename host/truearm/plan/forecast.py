@@ -137,7 +137,7 @@ def candidate_rows(known: Known, planned: ObservationTable) -> tuple[list[Floats
     """What ``choose`` needs: rows (w, k) of every planned one, and the information (k, k) known.
 
     All in units of the prior: the robot's parameters by ``wide_prior``, the rig's by what the rig says of them; what it
-    does not know at all counts as known to a metre or radian. The prior is part of what is known.
+    does not know at all counts as known to ``Unit.vague_sigma``. The prior is part of what is known.
     """
     problem, x, columns = compiled(known, planned)
     unit = prior_unit(known, problem, columns)
@@ -180,8 +180,8 @@ def prior_unit(known: Known, problem: Problem, columns: NDArray[np.bool_]) -> Fl
     """(k,) standard deviations of the free columns."""
     rig = problem.prior_sigma[problem.n_robot :]
     units = problem.units[problem.n_robot :]
-    far = np.array([UNITS["1"].wide_sigma if unit == "1" else 1.0 for unit in units])
-    return np.concatenate([wide_prior(known.chain), np.where(np.isfinite(rig), rig, far)])[columns]
+    vague = np.array([UNITS[unit].vague_sigma for unit in units])
+    return np.concatenate([wide_prior(known.chain), np.where(np.isfinite(rig), rig, vague)])[columns]
 
 
 def bar_table(known: Known, plan: Plan) -> ObservationTable:

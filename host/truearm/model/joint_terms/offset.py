@@ -24,21 +24,13 @@ class Offset(Term):
 
     def __init__(self, chain: Chain, parameters: NDArray[np.intp]) -> None:
         super().__init__(chain, parameters)
-        self._fixed = np.array([mover.value for mover in chain.movers])
-
-    def of(self, params: Floats) -> Floats:
-        """(j,) the joints' offsets."""
-        if self.of_every_joint:
-            return np.asarray(params[self.parameters])
-        out = self._fixed.astype(np.result_type(params, float))
-        out[self.joints] = params[self.parameters]
-        return out
+        self.without = np.array([mover.value for mover in chain.movers])
 
     def value(self, params: Floats, q: Floats) -> Floats:
         return self.of(params)[:, None]
 
     def by_joints(self, params: Floats, q: Floats) -> Floats:
-        return np.zeros((len(self._fixed), 1))
+        return np.zeros((len(self.without), 1))
 
     def by_parameters(self, params: Floats, q: Floats) -> Floats:
         return np.ones((len(self.parameters), 1))

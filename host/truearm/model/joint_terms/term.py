@@ -39,6 +39,7 @@ class Term(ABC):
         self.parameters = parameters
         self.joints = np.array([chain.parameters[i].joint for i in parameters], dtype=np.intp)  # (m,)
         self.of_every_joint = np.array_equal(self.joints, np.arange(len(chain.joints)))  # one parameter each, in order
+        self.without = np.full(len(chain.joints), self.neutral)  # (j,) the values of joints that have no parameter
 
     @classmethod
     def of_chain(cls, chain: Chain) -> Self:
@@ -50,6 +51,14 @@ class Term(ABC):
     def unit_of(cls, joint_kind: str) -> str:
         """SI unit of the parameters of a joint, "revolute" or "prismatic"."""
         return cls.unit or ("m" if joint_kind == "prismatic" else "rad")
+
+    def of(self, params: Floats) -> Floats:
+        """(j,) the joints' parameters, for a term of one parameter a joint."""
+        if self.of_every_joint:
+            return np.asarray(params[self.parameters])
+        out = self.without.astype(np.result_type(params, float))
+        out[self.joints] = params[self.parameters]
+        return out
 
     @abstractmethod
     def value(self, params: Floats, q: Floats) -> Floats:
