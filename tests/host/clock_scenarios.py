@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truearm.session.device_clock_fit import fit_clock
+from truearm.session.device_clock import fit_clock
 from truearm.session.robot_clock import Arrivals, fit_robot_clock
 from truearm.session.sample_blocks import BoxReader
 from truearm.types import Message

@@ -7,8 +7,7 @@ import pytest
 from tests.host.test_session_device_clock import TAIL_NS, True_, exchanges, shape
 
 from truearm.session.box_messages import Exchange
-from truearm.session.device_clock_fit import fit_clock
-from truearm.session.online_clock import MOST_EXCHANGES, OnlineClock
+from truearm.session.device_clock import MOST_EXCHANGES, OnlineClock, fit_clock
 
 
 def in_order(every):

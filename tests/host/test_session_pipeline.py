@@ -11,7 +11,7 @@ from session_stream import PERIOD_NS, RIG, Box, counts_of, ident_document, renum
 from truearm.errors import RigError, SessionError
 from truearm.session.box_ident import parse_ident
 from truearm.session.box_messages import Exchange
-from truearm.session.device_clock_fit import fit_clock
+from truearm.session.device_clock import fit_clock
 from truearm.session.dwell_samples import collect_samples
 from truearm.session.dwells import REASONS, DwellRules
 from truearm.session.pipeline import observations, survey

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from truearm.session.box_messages import Exchange
-from truearm.session.device_clock_fit import fit_clock
+from truearm.session.device_clock import fit_clock
 from truearm.session.joint_readings import JointReader
 from truearm.session.robot_inputs import UNKNOWN, InputTrack, bits_of
 from truearm.session.trigger_edges import Output, fit_edges, match, with_edges

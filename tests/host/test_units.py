@@ -90,10 +90,9 @@ OF_TEN = {1e3, 1e-3, 1e6, 1e-6}
 TO_DEGREES = {"degrees", "rad2deg"}
 # files in which such a factor is no unit that a person sees
 PHYSICAL = {
-    "session/clock_lines.py": "µs of the box's timer as ns of the host's, in arrays of clock exchanges",
-    "session/device_clock.py": "a bound on a clock's drift",
-    "session/device_clock_fit.py": "µs and ns as in clock_lines",
-    "session/sample_streams.py": "µs and ns as in clock_lines",
+    "session/clock_windows.py": "µs of the box's timer as ns of the host's, in arrays of clock exchanges",
+    "session/device_clock.py": "µs and ns as in clock_windows",
+    "session/sample_streams.py": "µs and ns as in clock_windows",
     "session/trigger_edges.py": "s as whole µs of the box's timer",
     "correct/inverse.py": "a penalty that makes one solution worse than another",
     "correct/error_map.py": "a share of a cell's width",

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from truearm.box.control import BoxControl, Sent
     from truearm.session.box_ident import Channel, Ident, Stream
-    from truearm.session.online_clock import OnlineClock
+    from truearm.session.device_clock import OnlineClock
 
 WINDOW_S = 1.0  # of samples that a shown value is the mean of
 PROBE_S = 0.25
@@ -56,7 +56,7 @@ class Window:
 
 
 def _clock() -> OnlineClock:
-    from truearm.session.online_clock import OnlineClock  # with scipy, which --help does without
+    from truearm.session.device_clock import OnlineClock  # with numpy, which --help does without
 
     return OnlineClock()
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from truearm.record.status import Status
     from truearm.session.box_ident import Ident
     from truearm.session.data_frames import Data
-    from truearm.session.online_clock import OnlineEstimate
+    from truearm.session.device_clock import OnlineEstimate
     from truearm.types import Floats, Rig
 
 NEAR_END = 0.1  # of the travel, at either end

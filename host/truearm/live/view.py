@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from truearm.record.status import Status
     from truearm.session.box_ident import Ident
     from truearm.session.data_frames import Data
-    from truearm.session.online_clock import OnlineClock, OnlineEstimate
+    from truearm.session.device_clock import OnlineClock, OnlineEstimate
 
 LIVE_S, PLAIN_S = 0.25, 1.0
 LOOK_S = 0.2  # for events, without a terminal
@@ -149,7 +149,7 @@ class View(Operator):
         return self._estimate
 
     def _exchanges(self) -> OnlineClock:
-        from truearm.session.online_clock import OnlineClock  # with scipy, while the recording runs already
+        from truearm.session.device_clock import OnlineClock  # with numpy, while the recording runs already
 
         self._clock = self._clock or OnlineClock()
         return self._clock

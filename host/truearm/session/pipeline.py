@@ -16,8 +16,7 @@ import numpy as np
 
 from truearm.errors import RigError
 from truearm.session.box_ident import Ident
-from truearm.session.device_clock import DeviceClock
-from truearm.session.device_clock_fit import ClockReport, fit_clock
+from truearm.session.device_clock import ClockReport, DeviceClock, fit_clock
 from truearm.session.dwell_measurement import LEARNT, Sensing, measured, usual_noise, without_noisy
 from truearm.session.dwell_pairing import Marks, Plan, match_plan, nearest_pose
 from truearm.session.dwell_samples import collect_samples

@@ -24,7 +24,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.session.device_clock import slack_ns
+from truearm.session.clock_windows import slack_ns
 from truearm.session.hull import line_under, lower_hull
 from truearm.types import Floats
 from truearm.units import PPM

@@ -34,8 +34,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.session.device_clock import DeviceClock, Window, blended
-from truearm.session.device_clock_fit import windows_of
+from truearm.session.clock_windows import Window, blended, windows_of
+from truearm.session.device_clock import DeviceClock
 from truearm.session.hull import lower_hull
 from truearm.session.joint_readings import JointStream
 from truearm.session.robot_clock import EdgeReport, RobotClock

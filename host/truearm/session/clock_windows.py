@@ -1,0 +1,251 @@
+r"""Lines between two-sided bounds of one clock's time by another's, in overlapping windows (hop 4).
+
+A row (t0, t1, t2, t3) says of the host's time h(d) of device time d: h(t1 + 1 µs) ≥ t0 (device time counts whole microseconds, so the
+true instant lies up to one after t1) and h(t2) ≤ t3. Within a window of 60 s the estimate of h is a line, a + (1 + r) d with
+|r| ≤ 1000 ppm, the one with the largest margin to both bounds,
+
+    max over r of  U(r) − L(r),    U(r) = min(t3 − (1 + r) t2),    L(r) = max(t0 − (1 + r)(t1 + 1 µs)),
+
+with a half-way between. U − L is concave and piecewise linear in r, and it bends only at the slopes of the edges of two
+convex hulls: the optimum follows exactly from a few dozen candidates, without an iteration.
+
+The rate h′ is taken to change by no more than DRIFT, 1 ppm a minute. Then h keeps within ½ · DRIFT · x² of its tangent in the
+window's centre, x away from it: 7.5 µs at the ends of 60 s. The tangent therefore is among the lines that keep to
+all bounds when these are widened by as much. Such lines form a convex polygon in (a, r); a window's bound is the farthest
+that any of them is from the estimate, and ½ · DRIFT · x².
+
+Windows overlap by half. Between the centres of two neighbours their lines are blended linearly, and so are their
+bounds: h has no steps.
+
+A row that no line can keep to together with the rest, by the widened bounds, is rejected: the least sum of
+violations (a linear program) finds it. If two neighbours or more than a fifth would go, the clock was not steady; the
+window is halved. What stays rejected widens its window's bound by the farthest that it allows, for it may be right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.session.hull import lower_hull
+from truearm.types import Floats
+
+Ints = NDArray[np.int64]
+
+WINDOW_US = 60_000_000
+SHORTEST_WINDOW_US = 4_000_000
+MAX_REJECTED = 0.2  # share of a window's rows
+RATE_LIMIT = 1e-3  # crystals stay within 100 ppm, a slewed host clock within 500
+TICK_US = 1
+ROUNDING_NS = 1.0  # stamps are whole ns, and the linear program's tolerance is far below one
+
+
+DRIFT = 1e-6 / 60.0  # 1/s: a rate changes by no more than 1 ppm a minute
+
+
+def slack_ns(from_centre_ns: Floats) -> Floats:
+    """How far [ns] a clock that keeps to DRIFT may be from its tangent in a window's centre."""
+    return 0.5e-9 * DRIFT * np.square(from_centre_ns)
+
+
+@dataclass(frozen=True)
+class Window:
+    """host = host_ref_ns + dx + offset_ns + rate · dx, dx = 1000 · (device − device_ref_us)."""
+
+    device_ref_us: int
+    host_ref_ns: int
+    offset_ns: float
+    rate: float
+    lines: Floats  # (v, 2) offset_ns and rate of the corners of all lines that may be the tangent in the centre
+    margin_ns: float  # to the bounds without slack; negative where the clock bends
+    centre_us: int
+    rejected_us: tuple[int, ...]  # t1 of the exchanges that were left out
+    reach_ns: float  # the farthest that these allow; 0 without any
+
+    def to_host_ns(self, t_us: Ints) -> tuple[Ints, Floats]:
+        """Host times [ns] of device times (n,) and how far they may be off [ns]."""
+        whole = 1000 * (t_us - self.device_ref_us)  # exact; only what is small becomes a float
+        dx = whole.astype(np.float64)
+        correction = self.offset_ns + self.rate * dx
+        others = self.lines[:, :1] + self.lines[:, 1:] * dx
+        bend = slack_ns((1000 * (t_us - self.centre_us)).astype(np.float64))
+        bound = np.max(np.abs(others - correction), axis=0) + bend + self.reach_ns
+        return self.host_ref_ns + whole + np.rint(correction).astype(np.int64), bound
+
+
+def windows_of(sane: Ints, window_us: int = WINDOW_US) -> tuple[Window, ...]:
+    """The lines in overlapping windows that exchanges (n, 4) in order of t1 allow, by ascending centre."""
+    return tuple(_distinct([window for part in _overlapping(sane, window_us) for window in _fit_or_halve(part)]))
+
+
+def _distinct(windows: list[Window]) -> list[Window]:
+    """By ascending centre; halves of neighbours may share one."""
+    return list({window.centre_us: window for window in sorted(windows, key=lambda w: w.centre_us)}.values())
+
+
+def _overlapping(sane: Ints, window_us: int) -> list[Ints]:
+    """The exchanges of each window; windows overlap by half."""
+    if not len(sane):
+        return []
+    t1 = sane[:, 1]
+    steps = max(0, -(-(int(t1[-1] - t1[0]) - window_us) // (window_us // 2))) + 1
+    if steps > len(sane) + 1:  # exchanges years apart: a damaged file must not cost memory
+        return [sane]
+    starts = t1[0] + np.arange(steps) * (window_us // 2)
+    first, last = np.searchsorted(t1, starts), np.searchsorted(t1, starts + window_us, side="right")
+    return [sane[i:j] for i, j in zip(first, last, strict=True) if j > i]
+
+
+def _fit_or_halve(part: Ints) -> list[Window]:
+    """The windows of these exchanges: one if a line fits but for single ones, else those of both halves."""
+    keep = np.ones(len(part), dtype=bool)
+    window = fit_line(part, keep)
+    if window is not None:
+        return [window]
+    keep = consistent(part)
+    span = int(part[-1, 1] - part[0, 1])
+    unsteady = np.mean(keep) < 1.0 - MAX_REJECTED or bool(np.any(~keep[1:] & ~keep[:-1]))
+    if unsteady and span > SHORTEST_WINDOW_US:
+        middle = max(1, int(np.searchsorted(part[:, 1], part[0, 1] + span // 2)))
+        return [*_fit_or_halve(part[:middle]), *_fit_or_halve(part[middle:])]
+    window = fit_line(part, keep)
+    return [] if window is None else [window]
+
+
+class Points(NamedTuple):
+    """What a line must lie above (low) and below (high); y is host − device, both from references."""
+
+    x_low: Floats
+    y_low: Floats
+    x_high: Floats
+    y_high: Floats
+
+    def widened(self, centre: float) -> Points:
+        """The same with what a clock that keeps to DRIFT may be from its tangent at x = centre."""
+        low, high = slack_ns(self.x_low - centre), slack_ns(self.x_high - centre)
+        return Points(self.x_low, self.y_low - low, self.x_high, self.y_high + high)
+
+
+def _points(part: Ints, device_ref: int, host_ref: int) -> Points:
+    x_low, x_high = 1000 * (part[:, 1] + TICK_US - device_ref), 1000 * (part[:, 2] - device_ref)
+    y_low, y_high = part[:, 0] - host_ref - x_low, part[:, 3] - host_ref - x_high
+    return Points(x_low.astype(float), y_low.astype(float), x_high.astype(float), y_high.astype(float))
+
+
+def _centre(part: Ints) -> int:
+    return int(part[0, 1] + part[-1, 1]) // 2
+
+
+def fit_line(part: Ints, keep: NDArray[np.bool_]) -> Window | None:
+    """The line with the largest margin; None if none keeps to the widened bounds of the exchanges that are kept."""
+    if not np.any(keep):
+        return None
+    used, centre = part[keep], _centre(part)
+    device_ref, host_ref = int(used[len(used) // 2, 1]), int(used[len(used) // 2, 0])
+    points = _points(used, device_ref, host_ref)
+    rates, low, high = _candidates(points.widened(1e3 * (centre - device_ref)))
+    widest = float(np.max(high - low))
+    if widest < -2.0 * ROUNDING_NS:
+        return None
+    lines = _corners(rates, low + min(0.0, 0.5 * widest), high - min(0.0, 0.5 * widest))
+    offset, rate, margin = _middle(*_candidates(points))
+    reach = _reach(_points(part[~keep], device_ref, host_ref), offset, rate)
+    rejected = tuple(part[~keep, 1].tolist())
+    return Window(device_ref, host_ref, offset, rate, lines, margin, centre, rejected, reach)
+
+
+def _middle(rates: Floats, low: Floats, high: Floats) -> tuple[float, float, float]:
+    """Offset, rate and margin of the line that is farthest from both bounds."""
+    widest = float(np.max(high - low))
+    # Device stamps are whole ticks, so margins that differ by less tell nothing: the middle of all such rates.
+    best = rates[high - low >= widest - 1000.0 * TICK_US]
+    rate = float(0.5 * (best[0] + best[-1]))
+    return float(np.interp(rate, rates, 0.5 * (low + high))), rate, 0.5 * widest
+
+
+def _reach(rejected: Points, offset: float, rate: float) -> float:
+    """The farthest from the line that exchanges allow."""
+    low = rejected.y_low - offset - rate * rejected.x_low
+    high = rejected.y_high - offset - rate * rejected.x_high
+    return float(np.max(np.abs([low, high]), initial=0.0))
+
+
+def _candidates(points: Points) -> tuple[Floats, Floats, Floats]:
+    """Rates at which U − L can bend, ascending, and L and U there."""
+    x_low, y_low, x_high, y_high = points
+    below, above = lower_hull(x_low, -y_low), lower_hull(x_high, y_high)
+    x_low, y_low, x_high, y_high = x_low[below], y_low[below], x_high[above], y_high[above]
+    edges = np.concatenate([np.diff(y_low) / np.diff(x_low), np.diff(y_high) / np.diff(x_high)])
+    rates = np.unique(np.concatenate([[-RATE_LIMIT, RATE_LIMIT], edges[np.abs(edges) < RATE_LIMIT]]))
+    low = np.max(y_low - rates[:, None] * x_low, axis=1)
+    high = np.min(y_high - rates[:, None] * x_high, axis=1)
+    return rates, low, high
+
+
+def _corners(rates: Floats, low: Floats, high: Floats) -> Floats:
+    """Corners (offset, rate) of the polygon L ≤ offset ≤ U: both curves where U ≥ L, and where they cross."""
+    gap = high - low
+    inside = np.flatnonzero(gap >= 0.0)
+    crossings = []
+    for i, j in ((inside[0] - 1, inside[0]), (inside[-1] + 1, inside[-1])):
+        if 0 <= i < len(rates):
+            share = gap[j] / (gap[j] - gap[i])
+            crossings.append((high[j] + share * (high[i] - high[j]), rates[j] + share * (rates[i] - rates[j])))
+    lower, upper = np.stack([low, rates], axis=1)[inside], np.stack([high, rates], axis=1)[inside]
+    return np.concatenate([lower, upper, np.array(crossings).reshape(-1, 2)])
+
+
+def consistent(part: Ints) -> NDArray[np.bool_]:
+    """Mask of the exchanges whose widened bounds the line with the least sum of violations keeps to."""
+    from scipy.optimize import linprog  # type: ignore[attr-defined]  # takes 0.1 s, and steady clocks do without
+
+    middle = part[len(part) // 2]
+    points = _points(part, int(middle[1]), int(middle[0]))
+    x_low, y_low, x_high, y_high = points.widened(1e3 * (_centre(part) - int(middle[1])))
+    n = len(part)
+    scale = max(1.0, float(np.ptp(x_high)))  # rate · scale is of the size of an offset
+    slack = np.tile(-np.eye(n), (2, 1))
+    line = np.concatenate([np.stack([-np.ones(n), -x_low / scale], 1), np.stack([np.ones(n), x_high / scale], 1)])
+    solution = linprog(
+        np.concatenate([[0.0, 0.0], np.ones(n)]),
+        A_ub=np.concatenate([line, slack], axis=1),
+        b_ub=np.concatenate([-y_low, y_high]),
+        bounds=[(None, None), (-RATE_LIMIT * scale, RATE_LIMIT * scale), *[(0.0, None)] * n],
+        method="highs",
+    )
+    if solution.x is None:
+        return np.zeros(n, dtype=bool)
+    return np.asarray(solution.x[2:] <= ROUNDING_NS)
+
+
+def blended(windows: Sequence[Window], t_us: Ints) -> tuple[Ints, Floats]:
+    """Host times [ns] by the two windows about each device time (n,), and the bound [ns] that their lines give."""
+    centres = np.array([window.centre_us for window in windows])
+    left = np.clip(np.searchsorted(centres, t_us, side="right") - 1, 0, len(centres) - 1)
+    host, bound = np.empty(t_us.shape, np.int64), np.empty(t_us.shape)
+    order = np.argsort(left, kind="stable")
+    edges = np.flatnonzero(np.diff(left[order])) + 1
+    for at in np.split(order, edges):
+        if at.size:
+            host[at], bound[at] = _between(windows, int(left[at[0]]), t_us[at])
+    return host, bound
+
+
+def _between(windows: Sequence[Window], k: int, t_us: Ints) -> tuple[Ints, Floats]:
+    host, bound = windows[k].to_host_ns(t_us)
+    if k + 1 == len(windows):
+        return host, bound
+    start, end = windows[k].centre_us, windows[k + 1].centre_us
+    weight = np.clip((t_us - start) / (end - start), 0.0, 1.0)
+    next_host, next_bound = windows[k + 1].to_host_ns(t_us)
+    apart = (next_host - host).astype(np.float64)
+    mixed = bound + weight * (next_bound - bound)
+    # Windows that contradict each other or their exchanges: one of them is right, which one is not known.
+    torn = np.maximum(bound + weight * np.abs(apart), next_bound + (1.0 - weight) * np.abs(apart))
+    doubtful = (np.abs(apart) > bound + next_bound) | bool(windows[k].rejected_us or windows[k + 1].rejected_us)
+    mixed = np.where(doubtful & (weight > 0.0) & (weight < 1.0), torn, mixed)
+    return host + np.rint(weight * apart).astype(np.int64), mixed
