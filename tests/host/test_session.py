@@ -19,6 +19,7 @@ from mcap.writer import Writer
 from record_box import MS, SECOND, Lab
 
 from truearm.errors import InputError, SessionError, TruearmError
+from truearm.record.recover import recover
 from truearm.record.session_writer import CHUNK_NS, SessionWriter
 from truearm.session.session_file import MAX_CHUNK_BYTES, open_session
 from truearm.types import Message
@@ -64,10 +65,24 @@ class TestRoundTrip:
         messages = written(tmp_path / "s.mcap")
         with (tmp_path / "s.mcap").open("rb") as file:
             read = [
-                (c.topic, m.log_time, m.data)
+                (c.topic, m.publish_time, m.data)
                 for _, c, m in reader(file, validate_crcs=True).iter_messages(log_time_order=False)
             ]
         assert read == messages
+
+    def test_log_time_is_utc(self, tmp_path):
+        """By the pair of times in the metadata; a recovered file has the same."""
+        messages = written(tmp_path / "s.mcap")
+        start = open_session(tmp_path / "s.mcap").metadata["session"]
+        offset = int(start["utc_ns"]) - int(start["monotonic_ns"])
+        recover(open_session(tmp_path / "s.mcap", allow_damaged=True), tmp_path / "r.mcap", {})
+        for name in ("s.mcap", "r.mcap"):
+            with (tmp_path / name).open("rb") as file:
+                reader = SeekingReader(file, validate_crcs=True)
+                read = [m.log_time for _, _, m in reader.iter_messages(log_time_order=False)]
+                statistics = reader.get_summary().statistics
+            assert read == [m.t_host_ns + offset for m in messages]
+            assert (statistics.message_start_time, statistics.message_end_time) == (read[0], read[-1])
 
     def test_summary_schemas_and_sequences(self, tmp_path):
         messages = written(tmp_path / "s.mcap")

@@ -5,6 +5,9 @@ Here a chunk also ends when its first message is ``CHUNK_NS`` old, and is handed
 second of real time the disk is told to keep it (fsync). A killed recorder therefore loses less than a second. About
 5 µs a message of 200 bytes at 100 a second, of which the chunks' compression and index take 2.
 
+A message's log time is UTC, by the one pair of times that the metadata ``session`` give; its publish time is the host's own clock, on which all
+is computed. So UTC never steps within a file, and other programs place it among their own.
+
 A completed file ends with a CRC of all that stands before it, so that no flipped bit anywhere passes for a measurement.
 
 A writer that is held writes nothing to the disk before ``keep``: an earlier recording of that name stays whole until
@@ -28,13 +31,15 @@ from mcap.writer import CompressionType, Writer
 from truearm import __version__
 from truearm.errors import InputError, LinkError, WriteError
 from truearm.record.links import Clock
-from truearm.session.mcap_records import CHANNELS, CRC, metadata_crc
+from truearm.session.mcap_records import CHANNELS, CRC, LATEST_NS, metadata_crc
 from truearm.types import BAR_MOUNTED
 
 CHUNK_NS = 800_000_000  # with the recorder's pace of 50 ms no message waits longer than 1 s
 _CHUNK_BYTES = 1 << 20
 _FSYNC_EVERY_S = 0.9
 MAX_HELD_BYTES = 32 << 20  # in memory before ``keep``; a box that was just asked who it is sends a few kB
+
+Anchor = tuple[int, int]  # the same instant in UTC and on the host's clock [ns]
 
 _CONSOLE_TOPICS = frozenset({"/box/console", "/robot/console"})
 _NUMBERS = {"type": "array", "items": {"type": "number"}}
@@ -66,6 +71,8 @@ class SessionWriter:
     With ``hold`` there is no file before ``keep``, and never one if the writer is closed before. Without a ``clock`` it is the
     copy of a recording that is over: nothing is said of when, but for what ``metadata`` and ``close`` are given.
 
+    Messages get their log time by the last metadata ``session``; before it, and without a pair of times in it, by the host's clock.
+
     Raises InputError where the file cannot be made, WriteError where it cannot be written any more (a full disk).
     """
 
@@ -82,6 +89,7 @@ class SessionWriter:
             enable_data_crcs=True,
         )
         self._channels: dict[str, list[int]] = {}  # topic: channel id, messages so far
+        self._utc_offset_ns = 0  # UTC less the host's clock
         self._chunk_since_ns: int | None = None
         self._synced_s = time.monotonic()
         self._writer.start(profile="truearm", library=f"truearm {__version__}")
@@ -122,7 +130,7 @@ class SessionWriter:
         if sequence is not None:
             channel[1] = sequence
         try:
-            self._writer.add_message(channel[0], t_host_ns, data, t_host_ns, channel[1])
+            self._writer.add_message(channel[0], t_host_ns + self._utc_offset_ns, data, t_host_ns, channel[1])
         except OSError as exc:
             raise self._cannot_write(exc) from exc
         channel[1] = channel[1] + 1 & 0xFFFFFFFF
@@ -141,6 +149,9 @@ class SessionWriter:
 
     def metadata(self, name: str, entries: Mapping[str, str]) -> None:
         """Write a metadata record. A later one of the same name counts."""
+        if name == "session":
+            utc_ns, host_ns = read_anchor(entries) or (0, 0)
+            self._utc_offset_ns = max(0, utc_ns - host_ns)
         try:
             self._add_metadata(name, entries)
             self._out.flush()
@@ -149,7 +160,7 @@ class SessionWriter:
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Write an attachment."""
-        now_ns = 0 if self._clock is None else self._clock.now_ns()
+        now_ns = 0 if self._clock is None else self._clock.now_ns() + self._utc_offset_ns
         try:
             self._writer.add_attachment(now_ns, now_ns, name, media_type, data)
         except OSError as exc:
@@ -247,6 +258,15 @@ class _Output:
 
     def flush(self) -> None:
         self.file.flush()
+
+
+def read_anchor(entries: Mapping[str, str]) -> Anchor | None:
+    """The pair of times in metadata ``session`` or ``session-end``, None where there is none."""
+    try:
+        utc_ns, host_ns = int(entries["utc_ns"][:20]), int(entries["monotonic_ns"][:20])
+    except (KeyError, ValueError):
+        return None
+    return (utc_ns, host_ns) if abs(utc_ns) < LATEST_NS and abs(host_ns) < LATEST_NS else None
 
 
 def _anchor(clock: Clock) -> dict[str, str]:

@@ -155,21 +155,22 @@ def chunk_messages(
     path: Path, data: bytes, channels: dict[int, str], wanted: frozenset[str] | None
 ) -> Iterator[Message]:
     """The wanted messages among the records ``data``; ``channels`` gains those that it declares."""
-    for topic, _, t_host_ns, begin, end in stored(path, data, channels):
+    for topic, _, _, t_host_ns, begin, end in stored(path, data, channels):
         if wanted is None or topic in wanted:
             yield Message(topic, t_host_ns, data[begin:end])
 
 
-def stored(path: Path, data: bytes, channels: dict[int, str]) -> Iterator[tuple[str, int, int, int, int]]:
-    """All messages among the records ``data``: topic, number within the topic, host time, and where their bytes begin and end.
+def stored(path: Path, data: bytes, channels: dict[int, str]) -> Iterator[tuple[str, int, int, int, int, int]]:
+    """All messages among the records ``data``: topic, number within the topic, UTC and host time, and where their bytes begin and end.
 
-    ``channels`` gains those that ``data`` declares.
+    ``channels`` gains those that ``data`` declares. MCAP's log time is UTC, its publish time the host's clock; in sessions before
+    version 0.5 both are the host's clock.
     """
     at, size = 0, len(data)
     head = RECORD.size + MESSAGE.size
     while at < size:
         if at + head <= size:  # nearly all records are messages
-            opcode, length, channel, sequence, t_host_ns, _ = _STORED.unpack_from(data, at)
+            opcode, length, channel, sequence, log_ns, t_host_ns = _STORED.unpack_from(data, at)
         elif at + RECORD.size <= size:
             opcode, length = RECORD.unpack_from(data, at)
         else:
@@ -182,7 +183,7 @@ def stored(path: Path, data: bytes, channels: dict[int, str]) -> Iterator[tuple[
             topic = channels.get(channel) if begin <= end else None
             if topic is None or t_host_ns >= LATEST_NS:
                 damaged(path, at)
-            yield topic, sequence, t_host_ns, begin, end
+            yield topic, sequence, log_ns, t_host_ns, begin, end
         elif opcode == Opcode.CHANNEL:
             channel, topic = _channel(path, data[at:end], at)
             channels[channel] = topic

@@ -40,6 +40,7 @@ from truearm.session.mcap_records import (
     parse_attachment,
     parse_metadata,
     records,
+    stored,
 )
 
 MAX_BAD = 1000  # records; each may have cost the unpacking of a chunk
@@ -78,7 +79,7 @@ class Whole:
     unread_bytes: int = 0  # that stand in no whole record
     counted: dict[str, int] = field(default_factory=dict)  # messages by topic, as the file's end says
     first_ns: int | None = None
-    last_ns: int | None = None  # of the messages
+    last_ns: int | None = None  # of the messages, by MCAP's log time
     _gaps: list[tuple[int, int | None, int | None]] = field(default_factory=list)  # at byte, times before and after
 
     def bad(self, at: int) -> None:
@@ -165,6 +166,8 @@ def _is_whole(path: Path, file: BinaryIO, opcode: int, at: int, length: int, who
     body = at + RECORD.size
     try:
         if opcode == Opcode.CHUNK:
+            if not _fits(file, at, body + length):  # the library would pass over bytes behind what the chunk holds
+                return False
             _take_messages(path, chunk_records(path, file, body, length), whole)
         elif opcode in (Opcode.CHANNEL, Opcode.MESSAGE, Opcode.SCHEMA):
             _take_messages(
@@ -192,7 +195,7 @@ def _is_whole(path: Path, file: BinaryIO, opcode: int, at: int, length: int, who
 
 def _take_messages(path: Path, data: bytes, whole: Whole) -> None:
     channels = dict(whole.channels)
-    times = [message.t_host_ns for message in chunk_messages(path, data, channels, None)]
+    times = [log_ns for _, _, log_ns, _, _, _ in stored(path, data, channels)]
     whole.channels.update(channels)
     if times:
         whole.saw(min(times), max(times))

@@ -78,7 +78,7 @@ class Session:
         """All messages, each with the number that its writer gave it within its topic."""
         channels = dict(self.channels)
         for data in self._packed():
-            for topic, sequence, t_host_ns, begin, end in stored(self.path, data, channels):
+            for topic, sequence, _, t_host_ns, begin, end in stored(self.path, data, channels):
                 yield sequence, Message(topic, t_host_ns, data[begin:end])
 
     def _packed(self) -> Iterator[bytes]:

@@ -2,7 +2,7 @@
 
 Nobody saw such readings arrive. Their place on the host's clock is worked out from the controller's time alone, by what the
 user says of it: it is UTC, and the session's two anchors tell UTC from the host's clock; or it was zero so many seconds after the
-session began. That place becomes ``log_time``. Whoever reads the session knows it by ``"arrival": false`` in each line and by the metadata ``joints-added``;
+session began. That place becomes the message's time. Whoever reads the session knows it by ``"arrival": false`` in each line and by the metadata ``joints-added``;
 an error of it is an error of time for every reading alike, to which dwells are blind up to their settling time and motion is not.
 """
 
@@ -15,7 +15,7 @@ from pathlib import Path
 
 from truearm.errors import InputError, SessionError
 from truearm.record.robots.joint_table import Reading
-from truearm.record.session_writer import SessionWriter, media_type
+from truearm.record.session_writer import Anchor, SessionWriter, media_type, read_anchor
 from truearm.session.session_file import Session
 from truearm.types import Message
 
@@ -24,15 +24,13 @@ ANCHORS = ("session", "session-end")
 MAX_NS = 2**63
 MAX_RATE = 1e-3  # a host's clock that is further off against UTC was set in between: then the first anchor counts alone
 
-Anchor = tuple[int, int]  # the same instant in UTC and on the host's clock [ns]
-
 
 class Anchors:
     """The clock of a session that was recorded already, for its copy: the old anchors, and no time of its own."""
 
     def __init__(self, session: Session) -> None:
         self.kind = session.metadata.get("session", {}).get("clock", "monotonic")
-        known = [anchor for name in ANCHORS if (anchor := _anchor(session.metadata.get(name, {}))) is not None]
+        known = [anchor for name in ANCHORS if (anchor := read_anchor(session.metadata.get(name, {}))) is not None]
         if not known:
             raise SessionError(
                 f"{session.path}: does not say when it was recorded; is this a session of truearm record?"
@@ -56,14 +54,6 @@ class Anchors:
         if span > 0 and abs(host_span - span) <= MAX_RATE * span:
             since += since * (host_span - span) // span
         return host + since
-
-
-def _anchor(entries: Mapping[str, str]) -> Anchor | None:
-    try:
-        utc_ns, host_ns = int(entries["utc_ns"][:20]), int(entries["monotonic_ns"][:20])
-    except (KeyError, ValueError):
-        return None
-    return (utc_ns, host_ns) if abs(utc_ns) < MAX_NS and abs(host_ns) < MAX_NS else None
 
 
 def add_readings(
