@@ -6,13 +6,11 @@ or InputError with one line that names it. Lengths are in metres, angles in radi
 
 from __future__ import annotations
 
-import functools
 import os
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ParamSpec, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from truearm.correct.correction import Correction
 from truearm.correct.error_map import ErrorMap
 from truearm.correct.methods import Method
-from truearm.errors import InputError, SessionError, TruearmError
+from truearm.errors import InputError, SessionError
 from truearm.estimate.problem import Rigs
 from truearm.export.formats import FORMATS
 from truearm.files import observation_table, result_file, rig_file, robot_file
@@ -29,7 +27,6 @@ from truearm.model.builtin import builtin_names
 from truearm.model.robot import Robot
 from truearm.plan.ball_bar_plan import BallBarPlan
 from truearm.types import ObservationTable, Rig
-from truearm.units import shown
 from truearm.workflows import correct, export, plan
 from truearm.workflows import error_map as maps
 from truearm.workflows import identify as identification
@@ -44,27 +41,9 @@ from truearm.workflows.validate import Validation, validated
 PathLike = str | os.PathLike[str]
 HoldOut = str | float | Sequence[str] | NDArray[np.bool_]
 RIGID = 1e-6  # how far a rotation matrix of few digits may be from orthonormal
-P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def _public(function: Callable[P, R]) -> Callable[P, R]:
-    """Name arguments in error messages as Python has them: the workflows name the options of the command line."""
-
-    @functools.wraps(function)
-    def called(*args: P.args, **kwargs: P.kwargs) -> R:
-        try:
-            return function(*args, **kwargs)
-        except TruearmError as exc:
-            # an option stands by itself; a file's name may hold two dashes
-            text = re.sub(r"(?<![^\s(\"'])--([a-z][a-z-]*)", lambda option: option[1].replace("-", "_"), str(exc))
-            exc.args = (text, *exc.args[1:])
-            raise
-
-    return called
-
-
-@_public
 def load_robot(robot: PathLike, base: str | None = None, tip: str | None = None) -> Robot:
     """Load a robot: one that comes with truearm, a robot file or a URDF.
 
@@ -107,7 +86,6 @@ def builtin_robots() -> tuple[str, ...]:
     return builtin_names()
 
 
-@_public
 def read_table(path: PathLike, robot: Robot) -> ObservationTable:
     """Read a table of observations (docs/table-format.md).
 
@@ -138,7 +116,6 @@ def read_table(path: PathLike, robot: Robot) -> ObservationTable:
     return observation_table.read_table(_path("path", path), _robot(robot).chain.joint_units)
 
 
-@_public
 def write_table(path: PathLike, table: ObservationTable, robot: Robot) -> None:
     """Write observations as a table that ``read_table`` reads. An existing file is replaced.
 
@@ -167,7 +144,6 @@ def write_table(path: PathLike, table: ObservationTable, robot: Robot) -> None:
     observation_table.write_table(_path("path", path), rows, robot.chain.joint_units)
 
 
-@_public
 def read_rig(path: PathLike) -> Rig:
     """Read a rig file: chucks, spheres, bars, sockets and devices (docs/rig.md).
 
@@ -214,7 +190,6 @@ class SessionObservations:
     lost: tuple[str, ...] = ()
 
 
-@_public
 def read_session(
     path: PathLike,
     *,
@@ -273,7 +248,6 @@ def read_session(
     return SessionObservations(table, around, tuple(lost))
 
 
-@_public
 def identify(
     robot: Robot,
     table: ObservationTable,
@@ -339,7 +313,6 @@ def identify(
     return identification.identified(robot, rigs, rows, selection, chosen, progress=progress)
 
 
-@_public
 def validate(result: Calibration, table: ObservationTable, rig: Rigs | None = None) -> Validation:
     """Judge a calibration by other observations than it was identified from.
 
@@ -376,7 +349,6 @@ def validate(result: Calibration, table: ObservationTable, rig: Rigs | None = No
     return Validation(validated(calibration, _rigs(rig, rows), rows))
 
 
-@_public
 def read_result(
     path: PathLike, robot: PathLike | None = None, base: str | None = None, tip: str | None = None
 ) -> Calibration:
@@ -411,7 +383,6 @@ def read_result(
     return read_calibration(_path("path", path), robot_file.RobotChoice(name, base, tip))
 
 
-@_public
 def write_result(path: PathLike, result: Calibration) -> None:
     """Write a calibration as result.json, whole or not at all. An existing file is replaced.
 
@@ -435,7 +406,6 @@ def write_result(path: PathLike, result: Calibration) -> None:
     result_file.write_result(_path("path", path), _result(result).document)
 
 
-@_public
 def plan_ball_bar(
     robot: Robot,
     rig: Rig,
@@ -493,7 +463,6 @@ def plan_ball_bar(
     return plan.planned_ball_bar(known, Budget(poses, minutes), chosen)
 
 
-@_public
 def correct_poses(
     result: Calibration,
     poses: ArrayLike,
@@ -549,11 +518,10 @@ def correct_poses(
         raise InputError(f"poses: must be finite numbers of shape (n, 4, 4) or (4, 4), the shape is {given.shape}")
     given = given.reshape(-1, 4, 4)
     _check_rigid("poses", given)
-    options = correct.CorrectOptions(method, own_frames=own_frames, home=_typed(calibration, home))
+    options = correct.CorrectOptions(method, own_frames=own_frames, home=None if home is None else tuple(home))
     return correct.corrected_poses(calibration, given, options)
 
 
-@_public
 def export_robot(
     result: Calibration,
     format: str,
@@ -612,7 +580,6 @@ def export_robot(
     return found
 
 
-@_public
 def error_map(
     result: Calibration,
     joints: tuple[int, int] = (2, 3),
@@ -658,16 +625,8 @@ def error_map(
     """
     if not cell > 0.0:
         raise InputError(f"cell: must be a size above 0 in metres, is {cell}")
-    section = maps.Section(joints, _typed(_result(result), at), elbow_up, cell, own_frames)
+    section = maps.Section(joints, None if at is None else tuple(at), elbow_up, cell, own_frames)
     return maps.mapped(result, section)
-
-
-def _typed(result: Calibration, joints: Sequence[float] | None) -> tuple[float, ...] | None:
-    """Joint readings [rad, m] as the options of the command line have them, in deg and mm."""
-    if joints is None:
-        return None
-    units = result.joint_units if len(joints) == len(result.joint_units) else ("1",) * len(joints)
-    return tuple(shown(value, unit) for value, unit in zip(joints, units, strict=True))
 
 
 def _checked(name: str, value: R | None, kind: type[R]) -> R | None:

@@ -21,11 +21,26 @@
         └── ProtocolError     the box speaks a protocol that this version does not
 
 Data conditions (rank, convergence, gaps, losses) are fields of results, never exceptions.
+
+A text that names what the caller gave has it as an ``Argument`` of its own. Python shows the argument's name, the command line
+the option in its place.
 """
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+
+class Argument(str):
+    """The name of an argument, in the text of an error."""
+
+    __slots__ = ()
 
 
 class TruearmError(Exception):
     """Base of all errors of truearm; its text is one line that says what is wrong and what to do.
+
+    The text is made of its ``args`` one after the other.
 
     Examples
     --------
@@ -35,6 +50,13 @@ class TruearmError(Exception):
     """
 
     exit_code = 1
+
+    def __str__(self) -> str:
+        return self.text(str)
+
+    def text(self, name: Callable[[Argument], str]) -> str:
+        """Return the text with every argument as ``name`` shows it."""
+        return "".join(name(part) if isinstance(part, Argument) else str(part) for part in self.args)
 
 
 class InputError(TruearmError):

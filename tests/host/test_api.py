@@ -231,11 +231,15 @@ WRONG = {
         InputError,
         "method: 'magic'",
     ),
-    "home": (lambda f, r, t, g, c: truearm.correct_poses(c, np.eye(4), home=[1.0]), InputError, "home 1"),
+    "home": (lambda f, r, t, g, c: truearm.correct_poses(c, np.eye(4), home=[1.0]), InputError, "home: must be 6"),
     "format": (lambda f, r, t, g, c: truearm.export_robot(c, "step"), InputError, "step"),
     "over": (lambda f, r, t, g, c: truearm.export_robot(c, "dh", over=[[1.0]]), InputError, "over: must be"),
     "cell": (lambda f, r, t, g, c: truearm.error_map(c, cell=0.0), InputError, "cell: must be"),
-    "joints of a map": (lambda f, r, t, g, c: truearm.error_map(c, (2, 9)), InputError, "vary 2,9"),
+    "joints of a map": (
+        lambda f, r, t, g, c: truearm.error_map(c, (2, 9)),
+        InputError,
+        "joints 2,9: must be two joints",
+    ),
     "session": (lambda f, r, t, g, c: truearm.read_session(f / "rig.toml"), InputError, "rig.toml"),
 }
 

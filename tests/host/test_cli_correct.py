@@ -194,7 +194,7 @@ CHANGES = {
     "no value": (lambda d: d["parameters"][3].update(value=None), "missing or absurd"),
     "other names": (lambda d: d["parameters"][3].update(name="link9.x", free=False), "not those of robot puma560"),
     "other nominal": (lambda d: d["parameters"][3].update(nominal=0.5), "began from another"),
-    "unknown robot": (lambda d: d["robot"].update(name="x\ny"), "name its file with --robot"),
+    "unknown robot": (lambda d: d["robot"].update(name="x\ny"), "name its file as --robot"),
     "no result": (lambda d: d.update(format="other"), "is no result"),
 }
 

@@ -161,7 +161,7 @@ def test_bad_requests_are_one_line(result, tmp_path, run):
     good = ("export", result, "--format", "urdf", "--out", tmp_path / "o.urdf")
     cases = [
         ((*good, "--adjust", "nothing*"), "matches no parameter"),
-        ((*good, "--adjust", "*.gain"), "leaves nothing that --format urdf can hold"),
+        ((*good, "--adjust", "*.gain"), "leaves nothing that urdf can hold"),
         ((*good, "--over", tmp_path / "short.csv"), "1 joint columns"),
         ((*good, "--over", tmp_path / "none.csv"), "no such file"),
         (("export", result, "--format", "ur", "--out", tmp_path / "o.yaml"), "Universal Robots"),

@@ -210,7 +210,7 @@ OPTIONS = {
     f"{PLAN} --dwell-s 1e300": "--dwell-s",
     f"{PLAN} --region nan:1,0:1,0:1": "LOW below HIGH",
     f"{PLAN} --region 1e300:2e300,0:1,0:1": "reaches no place of the region",
-    f"{PLAN} --branch 9:1,0:1,0:1,0:1,0:1,0:1": "every LOW must be below its HIGH",
+    f"{PLAN} --branch 9:1,0:1,0:1,0:1,0:1,0:1": "LOW below HIGH",
     f"{PLAN} --branch -9999:9999,0:1,0:1,0:1,0:1,0:1": "outside the joint's limits",
     f"{PLAN} --reserve-mm 1e9": "lower --reserve-mm",
     f"{PLAN} --result result.json": "not those of robot irb120",

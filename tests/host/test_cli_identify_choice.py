@@ -125,15 +125,15 @@ def test_more_parameters_are_freed_beside_the_default() -> None:
     ],
 )
 def test_a_misspelt_parameter_is_answered_with_near_names(pattern: str, near: str) -> None:
-    with pytest.raises(InputError, match="--also-free .*" + near):
+    with pytest.raises(InputError, match="also_free .*" + near):
         free_parameters(NAMES, np.ones(4, dtype=bool), [], [], [pattern])
 
 
 def test_patterns_that_match_nothing_or_leave_nothing_are_told() -> None:
     default = np.ones(4, dtype=bool)
-    with pytest.raises(InputError, match=r"--free joint1\.ofset: .* like joint1\.offset"):
+    with pytest.raises(InputError, match=r"free joint1\.ofset: .* like joint1\.offset"):
         free_parameters(NAMES, default, ["joint1.ofset"], [])
-    with pytest.raises(InputError, match=r"--freeze link7\.\*: matches no parameter"):
+    with pytest.raises(InputError, match=r"freeze link7\.\*: matches no parameter"):
         free_parameters(NAMES, default, [], ["link7.*"])
     with pytest.raises(InputError, match="no parameter is left"):
         free_parameters(NAMES, default, [], ["*"])

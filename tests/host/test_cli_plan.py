@@ -149,11 +149,20 @@ def test_what_is_wrong_with_lines_is_said_in_one_line(folder, capsys, monkeypatc
         (["--minutes", "5"], "give a budget"),
         (["--spread-mm", "nan"], "--spread-mm"),
         (["--dwell-s", "inf"], "--dwell-s"),
-        (["--robot", "ulb"], "--branch LOW:HIGH"),
+        (["--robot", "ulb"], "give LOW:HIGH,… in degrees as --branch"),
         (["--region", "1:2"], "--region '1:2'"),
         (["--region", "5000:5001,0:1,0:1"], "reaches no place of the region"),
         (["--bar", "nope"], "bar 'nope' is not in the rig"),
-        (["--branch", "1:2"], "--branch needs LOW:HIGH"),
+        *(
+            (["--region", text], f"--region {text!r}: needs LOW:HIGH in mm")
+            for text in ("0:1,2:3,5:4", "a:b,0:1,0:1", "0:1,0:1,0:nan", "0:1:2,0:1,0:1")
+        ),
+        (["--branch", "1:2"], "--branch: needs bounds of 6 joints, has 1"),
+        *(
+            (["--branch", ",".join([pair] * 6)], "needs LOW:HIGH in deg, LOW below HIGH")
+            for pair in ("", "1", "1:0", "a:b", "0:nan")
+        ),
+        (["--branch", ",".join(["0:9999"] * 6)], "--branch: a bound lies outside the joint's limits"),
         (["--reserve-mm", "37"], "lower --reserve-mm or --spread-mm"),
         (["--result", "missing.json"], "missing.json"),
         (["--measured", "missing.csv"], "missing.csv"),

@@ -14,7 +14,6 @@ from truearm.model.robot import builtin_robot
 from truearm.plan.ball_bar_plan import Wanted, all_pairings, plan_ballbar
 from truearm.plan.bar_paths import Pace
 from truearm.plan.forecast import Aim, bar_table, forecast
-from truearm.plan.region import parse_region
 from truearm.types import Plan
 
 each_robot = pytest.mark.parametrize("name", bench.ROBOTS)
@@ -250,6 +249,3 @@ def test_what_cannot_be_planned_is_said():
         plan_ballbar(site, known, all_pairings(known.rig), Wanted(), Pace())
     with pytest.raises(PlanError, match="bar 'b9' is not in the rig"):
         all_pairings(known.rig, ["b9"])
-    for text in ("1:2", "0:1,2:3,5:4", "a:b,0:1,0:1", "0:1,0:1,0:nan", "0:1:2,0:1,0:1"):
-        with pytest.raises(PlanError, match="--region"):
-            parse_region(text)

@@ -12,6 +12,7 @@ from tests.host import plan_bench as bench
 from truearm.errors import PlanError
 from truearm.model.builtin import names_with_branch
 from truearm.model.robot import builtin_robot
+from truearm.model.workspace import Branch
 from truearm.plan.ball_bar_plan import all_pairings
 from truearm.plan.bar_paths import onto_shell, samples, way_with_bar, way_without_bar
 from truearm.plan.branches import branch_of
@@ -73,17 +74,15 @@ def test_branches_lie_inside_the_joints_limits(name):
     assert (branch.upper <= [j.upper for j in chain.joints]).all()
 
 
-@pytest.mark.parametrize("text", ["", "1:2", ",".join(["0:1"] * 5), ",".join(["1:0"] * 6), ",".join(["a:b"] * 6),
-                                  ",".join(["0:nan"] * 6), ",".join(["0:9999"] * 6)])  # fmt: skip
-def test_branches_that_are_none_are_refused(text):
-    with pytest.raises(PlanError, match="--branch"):
-        branch_of(builtin_robot("puma560"), text)
-
-
-def test_robots_without_a_known_branch_are_told_so():
-    with pytest.raises(PlanError, match="--branch LOW:HIGH"):
+def test_a_branch_that_does_not_fit_the_robot_is_refused():
+    robot = builtin_robot("puma560")
+    for size, bound in ((5, 0.1), (7, 0.1), (6, 99.0)):
+        with pytest.raises(PlanError, match=r"^branch: "):
+            branch_of(robot, Branch(np.full(size, -bound), np.full(size, bound)))
+    with pytest.raises(PlanError, match=r"robot ulb has no \[branch\] in its file"):
         branch_of(builtin_robot("ulb"))
-    assert branch_of(builtin_robot("ulb"), ",".join(["-10:10"] * 6)).upper[0] == pytest.approx(np.deg2rad(10))
+    given = Branch(np.full(6, -0.1), np.full(6, 0.1))
+    assert branch_of(builtin_robot("ulb"), given) is given
 
 
 def test_every_limit_is_looked_at():

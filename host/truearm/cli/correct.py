@@ -13,6 +13,7 @@ from truearm.cli.options import (
     IdentifiedTipOption,
     ResultArgument,
     frame_of,
+    joints_of,
     numbers_of,
 )
 from truearm.correct.methods import Method, methods_help, with_steps
@@ -74,17 +75,20 @@ def correct(
     """
     from truearm.cli.correct_text import lines
     from truearm.files.robot_file import RobotChoice
+    from truearm.workflows.calibration import read_calibration
     from truearm.workflows.correct import CorrectFiles, CorrectOptions, correct_file
 
+    work_frame, tool_frame, shown = frame_of("--work", work), frame_of("--tool", tool), numbers_of("--home", home)
+    files = CorrectFiles(result, RobotChoice(robot, base, tip), targets, out, residuals)
+    calibration = read_calibration(files.result, files.robot)
     options = CorrectOptions(
         method=method,
         steps=steps,
         own_frames=own_frames,
         margin=margin,
-        work=frame_of("--work", work),
-        tool=frame_of("--tool", tool),
-        home=numbers_of("--home", home),
+        work=work_frame,
+        tool=tool_frame,
+        home=joints_of("--home", shown, calibration.joint_units),
     )
-    files = CorrectFiles(result, RobotChoice(robot, base, tip), targets, out, residuals)
-    for line in lines(correct_file(files, options)):
+    for line in lines(correct_file(calibration, files, options)):
         typer.echo(line)

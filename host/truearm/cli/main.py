@@ -10,8 +10,8 @@ from __future__ import annotations
 import io
 import os
 import sys
-from collections.abc import Sequence
-from typing import Annotated, cast
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, cast
 
 import typer
 
@@ -95,10 +95,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a Latin-1 terminal must not end a run at its first "σ"
             stream.reconfigure(errors="backslashreplace")
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
     try:
-        return _run(sys.argv[1:] if arguments is None else list(arguments))
+        return _run(arguments)
     except TruearmError as exc:
-        _complain(str(exc))
+        _complain(exc.text(_option_of(arguments)))
         return exc.exit_code
     except _UsageError as exc:
         message = exc.format_message().replace("Value error, ", "")  # words of the parser's own
@@ -124,6 +125,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _discard_stdout() -> None:
     """What is still in its buffer would raise again at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+
+
+def _option_of(arguments: Sequence[str]) -> Callable[[str], str]:
+    """Return what writes an argument's name as the option that the command on this line declares for it."""
+    command: Any = typer.main.get_command(app)
+    for word in arguments:
+        if word not in getattr(command, "commands", {}):
+            break
+        command = command.commands[word]
+    options = {one.name: one.opts[0] for one in command.params if one.opts[0].startswith("-")}
+    return lambda name: options.get(name, f"--{name.replace('_', '-')}")
 
 
 def _run(arguments: list[str]) -> int:

@@ -14,6 +14,7 @@ from truearm.cli.options import (
     IdentifiedRobotOption,
     IdentifiedTipOption,
     ResultArgument,
+    joints_of,
     numbers_of,
 )
 from truearm.errors import InputError
@@ -35,8 +36,9 @@ def map_(
     robot: IdentifiedRobotOption = None,
     base: IdentifiedBaseOption = None,
     tip: IdentifiedTipOption = None,
-    vary: Annotated[
-        str, typer.Option(metavar="I,J", help="The two joints that span the section; their axes are parallel.")
+    joints: Annotated[
+        str,
+        typer.Option("--vary", metavar="I,J", help="The two joints that span the section; their axes are parallel."),
     ] = "2,3",
     at: Annotated[
         str | None, typer.Option(metavar="Q1,Q2,...", help="Where the other joints stand [deg, mm]; default: 0.")
@@ -63,14 +65,18 @@ def map_(
     """
     from truearm.cli.map_text import lines
     from truearm.files.robot_file import RobotChoice
+    from truearm.workflows.calibration import read_calibration
     from truearm.workflows.error_map import MapFiles, Section, Task, map_files
 
     if task is None and within is not None:
         raise InputError("--within: is of the place for a --task WxH; give that too")
-    section = Section(_joints_of(vary), numbers_of("--at", at), elbow is Elbow.up, MM.to_si(cell), own_frames)
+    varied, shown = _joints_of(joints), numbers_of("--at", at)
     wanted = None if task is None else Task(_size_of(task), None if within is None else _span_of(within))
     files = MapFiles(result, RobotChoice(robot, base, tip), out, picture)
-    for line in lines(map_files(files, section, wanted), section.cell, task):
+    calibration = read_calibration(files.result, files.robot)
+    stand = joints_of("--at", shown, calibration.joint_units)
+    section = Section(varied, stand, elbow is Elbow.up, MM.to_si(cell), own_frames)
+    for line in lines(map_files(calibration, files, section, wanted), section.cell, task):
         typer.echo(line)
     for path in (out, picture):
         if path is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -13,7 +13,7 @@ import typer
 from truearm.errors import InputError
 from truearm.model.builtin import builtin_names
 from truearm.text import one_line
-from truearm.units import DEG, MM
+from truearm.units import DEG, MM, Scale, from_shown
 
 ROBOT_HELP = f"Built-in robot ({', '.join(builtin_names())}), robot file (.toml) or URDF (.urdf)."
 DEVICE_HELP = "The box: /dev/ttyACM0, COM3 or socket://127.0.0.1:7007."
@@ -109,6 +109,27 @@ def numbers_of(option: str, text: str | None, count: int | None = None) -> tuple
     if not values or (count is not None and (len(values) != count or not all(map(math.isfinite, values)))):
         raise InputError(f"{option} {text[:60]}: needs {count or 'some'} numbers between commas")
     return values
+
+
+def spans_of(option: str, text: str, scale: Scale) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Lower and upper ends in SI of an option "LOW:HIGH,LOW:HIGH,…" in a unit. Raises InputError."""
+    try:
+        spans = [(float(low), float(high)) for low, high in (part.split(":") for part in text.split(","))]
+    except ValueError:
+        spans = []
+    if not spans or not all(low < high and math.isfinite(high - low) for low, high in spans):
+        raise InputError(f"{option} {text[:60]!r}: needs LOW:HIGH in {scale.suffix}, LOW below HIGH, between commas")
+    return tuple(scale.to_si(low) for low, _ in spans), tuple(scale.to_si(high) for _, high in spans)
+
+
+def joints_of(option: str, shown: Sequence[float] | None, units: Sequence[str]) -> tuple[float, ...] | None:
+    """The joints [rad, m] of an option in deg and mm, by the units of the robot's joints. Raises InputError."""
+    if shown is None:
+        return None
+    if len(shown) != len(units) or not all(map(math.isfinite, shown)):
+        text = ",".join(f"{value:g}" for value in shown)
+        raise InputError(f"{option} {text[:60]}: needs {len(units)} numbers between commas")
+    return tuple(from_shown(value, unit) for value, unit in zip(shown, units, strict=True))
 
 
 def frame_of(option: str, text: str | None) -> tuple[float, float, float, float, float, float]:

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from truearm.cli.options import ROBOT_HELP, check_finite, choices, one_of, planning, silent
+from truearm.cli.options import ROBOT_HELP, check_finite, choices, one_of, planning, silent, spans_of
+from truearm.errors import InputError
 from truearm.model.builtin import names_with_branch
 from truearm.plan.criteria import CRITERIA
 from truearm.plan.route_program import dialects_help
-from truearm.units import MM, MM_S
+from truearm.units import DEG, MM, MM_S
+
+if TYPE_CHECKING:
+    from truearm.model.workspace import Branch
+    from truearm.plan.region import Region
 
 app = typer.Typer(
     name="plan",
@@ -85,10 +90,39 @@ OutputOption = Annotated[
 ReserveOption = Annotated[
     float | None,
     typer.Option(
-        min=0.0, metavar="MM", help="Travel kept for what the model does not know; default 22, 3 with --result."
+        "--reserve-mm",
+        min=0.0,
+        metavar="MM",
+        help="Travel kept for what the model does not know; default 22, 3 with --result.",
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the forecast as JSON and nothing else.")]
+
+
+def _region_of(text: str | None) -> Region | None:
+    """A box [m] of the option in mm, None where it was not given. Raises InputError."""
+    import numpy as np
+
+    from truearm.plan.region import Region
+
+    if text is None:
+        return None
+    lower, upper = spans_of("--region", text, MM)
+    if len(lower) != 3:
+        raise InputError(f"--region {text[:60]!r}: needs LOW:HIGH in mm for x, y and z, between commas")
+    return Region(np.array(lower), np.array(upper))
+
+
+def _branch_of(text: str | None) -> Branch | None:
+    """Bounds of the joints [rad] of the option in deg, None where it was not given. Raises InputError."""
+    import numpy as np
+
+    from truearm.model.workspace import Branch
+
+    if text is None:
+        return None
+    lower, upper = spans_of("--branch", text, DEG)
+    return Branch(np.array(lower), np.array(upper))
 
 
 @app.command("ballbar")
@@ -106,9 +140,12 @@ def ballbar(
     result: ResultOption = None,
     measured: MeasuredOption = None,
     branch: BranchOption = None,
-    reserve_mm: ReserveOption = None,
-    spread_mm: Annotated[
-        float, typer.Option(min=0.0, metavar="MM", help="Vary the bar's length about mid-travel, to tell its gain.")
+    reserve: ReserveOption = None,
+    spread: Annotated[
+        float,
+        typer.Option(
+            "--spread-mm", min=0.0, metavar="MM", help="Vary the bar's length about mid-travel, to tell its gain."
+        ),
     ] = 0.0,
     dwell_s: Annotated[float, typer.Option(min=0.5, max=600.0, metavar="S", help="Rest at a pose.")] = 2.0,
     seed: SeedOption = 0,
@@ -128,28 +165,27 @@ def ballbar(
     """
     from truearm.cli.plan_text import show
     from truearm.files.robot_file import RobotChoice
-    from truearm.plan.region import parse_region
     from truearm.plan.route_stops import Signals
     from truearm.workflows.plan import BallBarOptions, Budget, PlanFiles, plan_ball_bar_files
 
-    check_finite(minutes=minutes, reserve_mm=reserve_mm, spread_mm=spread_mm, dwell_s=dwell_s)
+    check_finite(minutes=minutes, reserve_mm=reserve, spread_mm=spread, dwell_s=dwell_s)
     files = PlanFiles(
         robot=RobotChoice(robot, base, tip),
         rig=rig,
         result=result,
         measured=tuple(measured or ()),
-        branch=branch,
+        branch=_branch_of(branch),
         out=out,
         programs=tuple(program or ()),
         signals=Signals(output_line, input_line),
     )
     options = BallBarOptions(
         criterion=criterion,
-        region=None if region is None else parse_region(region),
+        region=_region_of(region),
         candidates=candidates,
         bars=tuple(bar or ()),
-        reserve=None if reserve_mm is None else MM.to_si(reserve_mm),
-        spread=MM.to_si(spread_mm),
+        reserve=None if reserve is None else MM.to_si(reserve),
+        spread=MM.to_si(spread),
         dwell=dwell_s,
         seed=seed,
     )
@@ -206,7 +242,6 @@ def line(
     from truearm.cli.plan_text import show
     from truearm.files.robot_file import RobotChoice
     from truearm.plan.cartesian_lines import Shape
-    from truearm.plan.region import parse_region
     from truearm.plan.route_stops import Signals
     from truearm.workflows.plan import Budget, LineOptions, PlanFiles, plan_line_files
 
@@ -216,7 +251,7 @@ def line(
         rig=rig,
         result=result,
         measured=tuple(measured or ()),
-        branch=branch,
+        branch=_branch_of(branch),
         out=out,
         rig_out=rig_out,
         programs=tuple(program or ()),
@@ -227,7 +262,7 @@ def line(
         passes=passes,
         target=target,
         criterion=criterion,
-        region=None if region is None else parse_region(region),
+        region=_region_of(region),
         candidates=candidates,
         seed=seed,
     )
@@ -252,7 +287,7 @@ def characterize(
     ] = 20.0,
     result: ResultOption = None,
     branch: BranchOption = None,
-    reserve_mm: ReserveOption = None,
+    reserve: ReserveOption = None,
     dwell_s: Annotated[float, typer.Option(min=1.5, max=600.0, metavar="S", help="Rest at a pose.")] = 2.0,
     seed: SeedOption = 0,
     out: OutOption = None,
@@ -274,12 +309,12 @@ def characterize(
     from truearm.plan.route_stops import Signals
     from truearm.workflows.plan import ApproachOptions, PlanFiles, plan_approaches_files
 
-    check_finite(long_s=long_s, reserve_mm=reserve_mm, dwell_s=dwell_s)
+    check_finite(long_s=long_s, reserve_mm=reserve, dwell_s=dwell_s)
     files = PlanFiles(
         robot=RobotChoice(robot, base, tip),
         rig=rig,
         result=result,
-        branch=branch,
+        branch=_branch_of(branch),
         out=out,
         programs=tuple(program or ()),
         signals=Signals(output_line, input_line),
@@ -292,7 +327,7 @@ def characterize(
         rounds=rounds,
         long_dwell=long_s,
         dwell=dwell_s,
-        reserve=None if reserve_mm is None else MM.to_si(reserve_mm),
+        reserve=None if reserve is None else MM.to_si(reserve),
         seed=seed,
     )
     show_approaches(plan_approaches_files(files, options, silent if as_json else planning), as_json)

@@ -19,7 +19,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.errors import InputError
+from truearm.errors import Argument, InputError
 
 Columns = Mapping[str, NDArray[Any]]  # titles and columns of equal length
 
@@ -143,11 +143,11 @@ FORMATS: dict[str, type[Table]] = {"csv": CsvTable, "npz": NpzTable, "parquet": 
 def check_format(name: str) -> None:
     """Raise InputError for a format that is none or lacks its library."""
     if name not in FORMATS:
-        raise InputError(f"--format {name[:40]!r} is none of {', '.join(FORMATS)}")
+        raise InputError(Argument("format"), f" {name[:40]!r} is none of {', '.join(FORMATS)}")
     if name == "parquet":
         try:
             import pyarrow.parquet  # noqa: F401
         except ImportError as exc:
             raise InputError(
-                "--format parquet needs pyarrow: pip install 'truearm[parquet]', or give csv or npz"
+                Argument("format"), " parquet needs pyarrow: pip install 'truearm[parquet]', or give csv or npz"
             ) from exc

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from truearm.errors import InputError
+from truearm.errors import Argument, InputError
 
 
 def read_bytes(path: Path, max_bytes: int, error: type[InputError]) -> bytes:
@@ -114,7 +114,7 @@ def check_new(path: Path, force: bool, *, inputs: Iterable[Path] = ()) -> None:
     """As ``check_writable``; a file that exists is replaced only with ``force``. Raises InputError."""
     check_writable(path, inputs=inputs)
     if path.exists() and not force:
-        raise InputError(f"{path}: exists; choose another name or give --force")
+        raise InputError(f"{path}: exists; choose another name or give ", Argument("force"))
 
 
 def _check_writable(path: Path, inputs: Iterable[Path], ours: Callable[[bytes], bool] | None) -> None:
@@ -154,7 +154,7 @@ def own_folder(path: Path, mark: str) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
         if not (path / mark).exists() and any(path.iterdir()):
-            raise InputError(f"{path}: holds other files; give a new or empty folder with --out")
+            raise InputError(f"{path}: holds other files; give a new or empty folder as ", Argument("out"))
         (path / mark).touch()
     except OSError as exc:
         raise InputError(f"{path}: cannot be used as a folder: {exc.strerror}") from exc

@@ -164,10 +164,8 @@ def check_against_rig(table: ObservationTable, rig: Rig) -> None:
     for column, known in registry.things(rig).items():
         for identifier, source in zip(table.column(column), table.source, strict=True):
             if identifier and identifier not in known:
-                names = ", ".join(sorted(known)) or "none; give it with --rig"
-                raise TableError(
-                    f"{source} column {column}: {quoted(str(identifier))} is not in the rig (it has {names})"
-                )
+                has = f"it has {', '.join(sorted(known))}" if known else f"it has no {column}"
+                raise TableError(f"{source} column {column}: {quoted(str(identifier))} is not in the rig ({has})")
     for key, kind in registry.kinds().items():
         rows, points = table.kind == key, kind.points(rig)
         nameless = np.flatnonzero(rows & (table.column(kind.point) == "")) if len(points) > 1 else np.zeros(0, int)

@@ -316,7 +316,7 @@ def parse_result(text: str, name: str) -> StoredResult:
         raise InputError(f"{name}: is no result of truearm identify (its format is not {FORMAT!r})")
     version = document.get("format_version")
     if version is None:
-        raise InputError(f"{name}: has no format_version; write it again with truearm identify --out")
+        raise InputError(f"{name}: has no format_version, so it is not whole; identify again")
     if not isinstance(version, int) or isinstance(version, bool) or not 1 <= version <= FORMAT_VERSION:
         raise InputError(f"{name}: has format version {str(version)[:20]}, this truearm reads up to {FORMAT_VERSION}")
     with raising(InputError, name):

@@ -1,4 +1,4 @@
-"""``--robot``: a built-in robot by name, a robot file (TOML) or a URDF by path."""
+"""A robot as a user names it: a built-in robot by name, a robot file (TOML) or a URDF by path."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from truearm.errors import RobotError
+from truearm.errors import Argument, RobotError
 from truearm.files.disk import read_text
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import Chain
@@ -39,19 +39,20 @@ def load_robot(robot: str, base: str | None = None, tip: str | None = None) -> R
     """
     path = robot_file(robot)
     if not is_urdf(robot) and (base or tip):
-        raise RobotError("--base and --tip choose links of a URDF; a built-in robot or a TOML file has its own frames")
+        links = Argument("base"), " and ", Argument("tip")
+        raise RobotError(*links, " choose links of a URDF; a built-in robot or a TOML file has its own frames")
     if path is None:
         return builtin_robot(robot)
     text = read_text(path, MAX_BYTES, RobotError)
     try:
         found = _urdf_robot(chain_from_urdf(text, base, tip)) if is_urdf(robot) else parse_robot(text)
     except RobotError as exc:
-        raise RobotError(f"{path}: {exc}") from exc
+        raise RobotError(f"{path}: ", *exc.args) from exc
     return replace(found, file=str(path))
 
 
 def robot_file(robot: str) -> Path | None:
-    """The file that ``--robot`` names, None for a built-in robot. Raises RobotError where it is neither."""
+    """The file that a user named as the robot, None for a built-in robot. Raises RobotError where it is neither."""
     if robot in builtin_names():
         return None
     path = Path(robot)
@@ -63,7 +64,7 @@ def robot_file(robot: str) -> Path | None:
 
 
 def is_urdf(robot: str) -> bool:
-    """Whether ``--robot`` names a URDF. Raises RobotError as ``robot_file`` does."""
+    """Whether a user named a URDF as the robot. Raises RobotError as ``robot_file`` does."""
     path = robot_file(robot)
     return path is not None and path.suffix.lower() != ".toml"
 

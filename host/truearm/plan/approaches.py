@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import hadamard
 
-from truearm.errors import PlanError
+from truearm.errors import Argument, PlanError
 from truearm.model.chain import along, point_forward, trace_point
 from truearm.plan.ball_bar_plan import Say
 from truearm.plan.bar_paths import Pace, move_seconds, samples, way_with_bar, way_without_bar
@@ -54,8 +54,11 @@ def plan_approaches(
     reached = np.array([step is not None for step in away])
     if reached.sum() < wanted.n_poses:
         raise PlanError(
-            f"only {int(reached.sum())} poses leave the bar room to go away and come back; take fewer --poses, or a "
-            "model with --result, which needs less reserve"
+            *(
+                f"only {int(reached.sum())} poses leave the bar room to go away and come back; take fewer ",
+                Argument("poses"),
+            ),
+            *(", or the model of a ", Argument("result"), ", which needs less reserve"),
         )
     usable = np.flatnonzero(reached)
     chosen = usable[most_informative(derivatives[usable], wanted.n_poses)]
@@ -130,7 +133,7 @@ def _between(site: Site, start: Floats, end: Floats, pairing: Pairing, seed: int
         return via, False
     via = way_without_bar(site, start, end, seed)
     if via is None:
-        raise PlanError("no way between two of the poses is free; try another --seed")
+        raise PlanError("no way between two of the poses is free; try another ", Argument("seed"))
     return via if len(via) else 0.5 * (start + end)[None], True
 
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from truearm.errors import PlanError
+from truearm.errors import Argument, PlanError
 from truearm.estimate.information import observe, with_prior
 from truearm.estimate.problem import settled
 from truearm.estimate.whitened_rows import whitened_blocks
@@ -222,7 +222,7 @@ def _stops(site: Site, lines: Lines, names: list[str], wanted: LinesWanted, pace
         if stops:
             via = way_without_bar(site, stops[-1].q, q[0], seed=number)
             if via is None:
-                raise PlanError(f"no way to line {name} is free; try --seed")
+                raise PlanError(f"no way to line {name} is free; try another ", Argument("seed"))
             way = [*via, q[0]]
         first = len(stops)
         for place in way:

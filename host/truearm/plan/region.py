@@ -6,11 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from truearm.errors import PlanError
+from truearm.errors import Argument, PlanError
 from truearm.model.chain import point_forward
 from truearm.plan.measurement_limits import Site, allowed
 from truearm.types import Floats
-from truearm.units import MM
 
 N_POSES = 300
 
@@ -25,17 +24,6 @@ class Region(NamedTuple):
 def around(points: Floats) -> Region:
     """The smallest box around points (n, 3)."""
     return Region(points.min(axis=0), points.max(axis=0))
-
-
-def parse_region(text: str) -> Region:
-    """A box of a text "300:600,-200:200,100:400" in mm. Raises PlanError for anything else."""
-    try:
-        lower, upper = MM.to_si(np.array([[float(end) for end in part.split(":")] for part in text.split(",")])).T
-    except ValueError as exc:
-        raise PlanError(f"--region {text[:60]!r}: it needs LOW:HIGH in mm for x, y and z, between commas") from exc
-    if lower.shape != (3,) or not (np.isfinite(lower) & np.isfinite(upper) & (lower < upper)).all():
-        raise PlanError(f"--region {text[:60]!r}: it needs LOW:HIGH in mm for x, y and z, LOW below HIGH")
-    return Region(lower, upper)
 
 
 def poses_in(site: Site, region: Region, p_end_point: Floats, n: int = N_POSES, seed: int = 0) -> Floats:
@@ -53,5 +41,5 @@ def poses_in(site: Site, region: Region, p_end_point: Floats, n: int = N_POSES, 
         if len(kept) >= n:
             return kept[:n]
     if not len(kept):
-        raise PlanError("the arm reaches no place of the region; give another --region")
+        raise PlanError("the arm reaches no place of the region; give another ", Argument("region"))
     return kept

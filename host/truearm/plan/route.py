@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.errors import PlanError
+from truearm.errors import Argument, PlanError
 from truearm.plan.bar_paths import Pace, move_seconds, way_without_bar
 from truearm.plan.measurement_limits import Pairing, Site, of_pairing, pairing_at
 from truearm.plan.roadmap import Roadmap, make_roadmap, passable
@@ -153,7 +153,8 @@ def _way(site: Site, plan: Plan, i: int, roadmap: Roadmap) -> tuple[Floats, bool
             return via, False
     via = way_without_bar(site, start, end, seed=i)
     if via is None:
-        raise PlanError(f"no way to pose {i} ({pairing.bar}, {pairing.chuck}, {pairing.sphere}) is free; try --seed")
+        mounted = f"{pairing.bar}, {pairing.chuck}, {pairing.sphere}"
+        raise PlanError(f"no way to pose {i} ({mounted}) is free; try another ", Argument("seed"))
     if not len(via) and pairing == pairing_at(plan, i - 1):
         via = 0.5 * (start + end)[None]
     return via, True

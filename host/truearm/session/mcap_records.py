@@ -21,7 +21,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Metadata
 from mcap.writer import MCAP0_MAGIC
 
-from truearm.errors import SessionError
+from truearm.errors import Argument, SessionError
 from truearm.types import Message
 
 MAX_CHUNK_BYTES = 64 << 20
@@ -40,7 +40,7 @@ LATEST_NS = 1 << 62  # 146 years; differences of later times would not fit int64
 FOOTER_BYTES = 20
 # What the library raises for a record that ends early, holds no UTF-8 or claims a length beyond 63 bits.
 UNREADABLE = (McapError, struct.error, ValueError, OverflowError)
-ADVICE = "copy it again from where it was recorded, or give --allow-damaged to use what is whole"
+ADVICE = ("copy it again from where it was recorded, or, to use what is whole, give ", Argument("allow_damaged"))
 
 
 def open_file(path: Path) -> BinaryIO:
@@ -80,7 +80,7 @@ def has_footer(file: BinaryIO, size: int) -> bool:
 
 
 def damaged(path: Path, at: int) -> NoReturn:
-    raise SessionError(f"{path}: is damaged at byte {at}; {ADVICE}")
+    raise SessionError(f"{path}: is damaged at byte {at}; ", *ADVICE)
 
 
 def body_of(path: Path, file: BinaryIO, at: int, length: int, limit: int) -> bytes:

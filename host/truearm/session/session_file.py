@@ -20,7 +20,7 @@ from mcap.opcode import Opcode
 from mcap.records import Statistics
 from mcap.writer import MCAP0_MAGIC
 
-from truearm.errors import SessionError
+from truearm.errors import Argument, SessionError
 from truearm.session.mcap_records import (
     ADVICE,
     MAX_ATTACHMENT_BYTES,
@@ -113,8 +113,8 @@ def open_session(path: Path | str, allow_damaged: bool = False) -> Session:
             return _salvaged(path, file, known_damaged=False)
     if session.truncated and not allow_damaged:
         raise SessionError(
-            f"{path}: ends in the middle: the recorder was killed or is still running; "
-            "give --allow-damaged to use what is there"
+            f"{path}: ends in the middle: the recorder was killed or is still running; to use what is there, give ",
+            Argument("allow_damaged"),
         )
     return session
 
@@ -172,7 +172,7 @@ def _check_crc(path: Path, file: BinaryIO, at: int, length: int) -> bool:
         crc = zlib.crc32(block, crc)
         left -= len(block)
     if crc != written:
-        raise SessionError(f"{path}: is damaged: its bytes do not fit its CRC; {ADVICE}")
+        raise SessionError(f"{path}: is damaged: its bytes do not fit its CRC; ", *ADVICE)
     return True
 
 
@@ -186,7 +186,7 @@ def _check_chunks(path: Path, file: BinaryIO, summary: Iterator[tuple[int, int, 
             except UNREADABLE:
                 damaged(path, at)
             if counted != n_chunks:
-                raise SessionError(f"{path}: is damaged: {n_chunks} of {counted} chunks were found; {ADVICE}")
+                raise SessionError(f"{path}: is damaged: {n_chunks} of {counted} chunks were found; ", *ADVICE)
 
 
 def _without_torn_chunk(path: Path, file: BinaryIO, last: tuple[int, int], end: int) -> int:

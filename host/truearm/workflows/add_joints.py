@@ -7,7 +7,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from truearm.errors import InputError
+from truearm.errors import Argument, InputError
 from truearm.files.disk import check_new, sha256
 from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.record.robots.add_readings import add_readings
@@ -36,7 +36,7 @@ def add_joints_file(wanted: AddJoints, force: bool = False) -> int:
     check_new(wanted.out, force, inputs=[wanted.session, wanted.source])
     zero = wanted.zero
     if zero is not None and not abs(zero) < 1e9:
-        raise InputError(f"--zero {zero:g} is no time; give seconds")
+        raise InputError(Argument("zero"), f" {zero:g} is no time; give seconds")
     opened = open_session(wanted.session, wanted.options.allow_damaged)
     readings = readings_of_file(wanted.source, wanted.options)
     said = {
@@ -57,10 +57,10 @@ def add_joints_file(wanted: AddJoints, force: bool = False) -> int:
 def joint_names(joints: str | None, robot: RobotChoice) -> list[str]:
     """The joints' names from the base on; [] if nobody said. Raises InputError."""
     if joints is not None and robot.robot is not None:
-        raise InputError("--joints and --robot both name the joints; give one")
+        raise InputError(Argument("joints"), " and ", Argument("robot"), " both name the joints; give one")
     if robot.robot is not None:
         return [joint.name for joint in load_robot(robot.robot, robot.base, robot.tip).chain.joints]
     names = [] if joints is None else [name.strip() for name in joints.split(",")]
     if "" in names or len(set(names)) < len(names):
-        raise InputError(f"--joints {joints!r} is no list of different names: a,b,c")
+        raise InputError(Argument("joints"), f" {joints!r} is no list of different names: a,b,c")
     return names

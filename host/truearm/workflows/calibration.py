@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from truearm.errors import InputError
+from truearm.errors import Argument, InputError
 from truearm.files.result_file import StoredResult, read_result
 from truearm.files.robot_file import RobotChoice, is_urdf, load_robot
 from truearm.model.builtin import builtin_names
@@ -19,7 +19,7 @@ from truearm.model.poses import six_of
 from truearm.model.robot import Robot
 from truearm.report.parameter_cells import parameter_cells
 from truearm.types import Floats
-from truearm.units import DEG, MM, from_shown
+from truearm.units import DEG, MM
 
 LARGEST_JOINT = 100.0  # rad, m
 DEFAULT = RobotChoice()
@@ -126,12 +126,13 @@ def read_calibration(result: Path, choice: RobotChoice = DEFAULT) -> Calibration
 
     Raises InputError where the two do not belong together.
     """
+    check_names(result)
     stored = read_result(result)
     frames = stored.robot
     name, base, tip = choice
     if name is None:
         if frames.name not in builtin_names():
-            raise InputError(f"{result}: is of robot {frames.name[:60]!r}; name its file with --robot")
+            raise InputError(f"{result}: is of robot {frames.name[:60]!r}; name its file as ", Argument("robot"))
         name = frames.name
     if is_urdf(name):
         base, tip = base or frames.base_frame, tip or frames.end_frame
@@ -185,16 +186,15 @@ def mounting_lines(chain: Chain, nominal: Floats, identified: Floats) -> list[st
     ]
 
 
-def joints_of(option: str, given: Sequence[float] | None, units: tuple[str, ...]) -> Floats | None:
-    """Joint readings (j,) of an option in deg and mm; None where it was not given. Raises InputError."""
+def check_joints(argument: str, given: Sequence[float] | None, joint_units: tuple[str, ...]) -> Floats | None:
+    """Joint readings (j,) [rad, m] of an argument; None where it was not given. Raises InputError."""
     if given is None:
         return None
-    text = ",".join(f"{value:g}" for value in given)[:60]
-    if len(given) != len(units) or not np.isfinite(given).all():
-        raise InputError(f"{option} {text}: needs {len(units)} numbers between commas")
-    q = np.array([from_shown(value, unit) for value, unit in zip(given, units, strict=True)])
+    q = np.array(given, dtype=float)
+    if q.shape != (len(joint_units),) or not np.isfinite(q).all():
+        raise InputError(Argument(argument), f": must be {len(joint_units)} finite numbers, one a joint")
     if np.abs(q).max() > LARGEST_JOINT:
-        raise InputError(f"{option} {text}: no joint goes so far")
+        raise InputError(Argument(argument), ": no joint goes so far")
     return q
 
 

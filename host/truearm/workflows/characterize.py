@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from truearm.errors import InputError, RigError, SessionError
+from truearm.errors import Argument, InputError, RigError, SessionError
 from truearm.estimate.repeatability import (
     MISFIT,
     Interval,
@@ -94,10 +94,12 @@ def _rig(opened: Mapping[Path, Session], given: Path | None) -> Rig:
     for path, session in opened.items():
         found = attached_rig(session, path)
         if found is None:
-            raise RigError(f"{path}: was recorded without a rig; give one with --rig")
+            raise RigError(f"{path}: was recorded without a rig; give one as ", Argument("rig"))
         first = first or found
         if found != first:
-            raise RigError(f"{path}: was recorded with another rig than {next(iter(opened))}; give one with --rig")
+            raise RigError(
+                f"{path}: was recorded with another rig than {next(iter(opened))}; give one as ", Argument("rig")
+            )
     assert first is not None
     return first
 

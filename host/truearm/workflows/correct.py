@@ -13,7 +13,7 @@ import numpy as np
 from truearm.correct.correction import MARGIN, Configuration, Correction, correct
 from truearm.correct.methods import Method
 from truearm.correct.model_pair import Pair
-from truearm.errors import InputError, ProgramError, TargetError
+from truearm.errors import Argument, InputError, ProgramError, TargetError
 from truearm.files.disk import check_writable, write_atomic
 from truearm.files.robot_file import RobotChoice
 from truearm.files.target_programs import is_program, poses_of, quadrants_of, read_program, with_poses
@@ -25,10 +25,9 @@ from truearm.types import Floats
 from truearm.units import DEG, MM
 from truearm.workflows.calibration import (
     Calibration,
+    check_joints,
     check_names,
     chosen_mountings,
-    joints_of,
-    read_calibration,
 )
 
 Six = tuple[float, float, float, float, float, float]
@@ -37,8 +36,8 @@ NO_FRAME: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 SHOWN = 12  # targets printed one by one
 MOVES = 1e-6  # m by a direction that was not seen, whose largest weight is 1
 SEARCHED = (
-    "The arm's configuration was searched for, each nearest to the one before. Give --home, or q1_deg … in a table, where the "
-    "controller takes another."
+    "The arm's configuration was searched for, each nearest to the one before. Where the controller "
+    "takes another, name joints near those of the first target (home), or give q1_deg … in a table."
 )
 
 
@@ -47,7 +46,7 @@ class CorrectOptions(NamedTuple):
 
     ``own_frames``: targets lie in the robot's own base and flange frames. ``margin``: targets with a smaller singular value
     are refused. ``work`` and ``tool``: the frame that the targets are in and the tool's pose, position [m] and rotation
-    vector [rad]. ``home``: joints near those of the first target, in deg or mm by the joint.
+    vector [rad]. ``home``: joints (j,) [rad, m] near those of the first target.
     """
 
     method: Method | str = Method.NEWTON
@@ -103,15 +102,17 @@ class CorrectedFile:
     notes: tuple[str, ...]
 
 
-def correct_file(files: CorrectFiles, options: CorrectOptions) -> CorrectedFile:
-    """Correct a table or a program and write it. Raises InputError in one line, and then writes nothing."""
-    check_names(*files[:1], *files[2:])
+def correct_file(calibration: Calibration, files: CorrectFiles, options: CorrectOptions) -> CorrectedFile:
+    """Correct a table or a program by the calibration of ``files.result`` and write it.
+
+    Raises InputError in one line, and then writes nothing.
+    """
+    check_names(files.targets, files.out, files.residuals)
     program = is_program(files.targets)
     read = [files.result, files.targets, *files.robot.files]
     check_writable(files.out, inputs=read, ours=None if program else looks_like_targets)
     if program and files.out.exists():
         raise InputError(f"{files.out}: exists; a program is only written under a new name")
-    calibration = read_calibration(files.result, files.robot)
     request = _request(calibration, options)
     if files.residuals is not None:
         check_writable(files.residuals, inputs=[*read, files.out], ours=looks_like_targets)
@@ -138,7 +139,7 @@ def corrected_poses(calibration: Calibration, poses: Floats, options: CorrectOpt
         configuration=Configuration(home=request.home),
         margin=request.margin,
     )
-    _refuse(done, [f"pose {i}" for i in range(len(poses))], TargetError)
+    _refuse(done, [f"pose {i}" for i in range(len(poses))], TargetError, then="")
     return done._replace(told=inverted(request.work) @ done.told @ request.tool)
 
 
@@ -151,7 +152,7 @@ def _request(calibration: Calibration, options: CorrectOptions) -> _Request:
         steps=options.steps,
         work=_frame(options.work),
         tool=_frame(options.tool),
-        home=joints_of("--home", options.home, calibration.joint_units),
+        home=check_joints("home", options.home, calibration.joint_units),
         margin=options.margin,
     )
 
@@ -159,7 +160,9 @@ def _request(calibration: Calibration, options: CorrectOptions) -> _Request:
 def _correct_table(path: Path, out: Path, request: _Request) -> _Done:
     targets = read_targets(path, request.units)
     if not targets.oriented and not np.array_equal(request.tool, np.eye(4)):
-        raise TargetError(f"{path}: positions without orientations cannot be moved by --tool; give rx, ry, rz too")
+        raise TargetError(
+            f"{path}: positions without orientations cannot be moved by ", Argument("tool"), "; give rx, ry, rz too"
+        )
     done = correct(
         request.pair,
         request.work @ targets.pose @ inverted(request.tool),
@@ -194,12 +197,14 @@ def _correct_program(path: Path, out: Path, request: _Request) -> _Done:
     return _Done(done, lines, (*_left(program.left), *searched))
 
 
-def _refuse(done: Correction, sources: Sequence[str], error: type[InputError]) -> None:
+def _refuse(
+    done: Correction, sources: Sequence[str], error: type[InputError], then: str = "; nothing was written"
+) -> None:
     """Raise for the first target that cannot be corrected."""
     bad = [i for i, problem in enumerate(done.problem) if problem]
     if bad:
         more = f" ({len(bad)} of {len(sources)} targets cannot be corrected)" if len(bad) > 1 else ""
-        raise error(f"{sources[bad[0]]}: {done.problem[bad[0]]}{more}; nothing was written")
+        raise error(f"{sources[bad[0]]}: {done.problem[bad[0]]}{more}{then}")
 
 
 def _left(lines: Sequence[int]) -> list[str]:
@@ -227,7 +232,7 @@ def _doubts(calibration: Calibration, q: Floats, own_frames: bool) -> list[str]:
         doubts.append(f"The fit had stopped early ({one_line(calibration.stored.status)[:40]}).")
     _, jac, _ = point_jacobians(calibration.chain, calibration.identified, q, np.zeros(3))
     if np.abs(jac @ calibration.unseen).max(initial=0.0) > MOVES:
-        remedy = "" if own_frames else " With --own-frames base and tool stay out of the correction."
+        remedy = "" if own_frames else " With own frames, base and tool stay out of the correction."
         doubts.append(
             "Combinations of parameters that the observations did not see move the end, how base or tool are mounted perhaps: "
             f"these are as described, not as measured.{remedy}"

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 N_LINES = 4
 CHECK = "check"  # the line that judges
-REGION_MM = "200:700,-350:350,50:600"
+REGION = (0.2, -0.35, 0.05), (0.7, 0.35, 0.6)
 CANDIDATES = 30
 DRAW = 1000  # of the line that judges: beside the planner's own
 SPEED = 0.1  # m/s
@@ -57,10 +57,10 @@ def planned_lines(seed: int) -> Plan:
     from truearm.plan.forecast import Known
     from truearm.plan.line_plan import LinesWanted, plan_lines
     from truearm.plan.measurement_limits import Limits
-    from truearm.plan.region import parse_region
+    from truearm.plan.region import Region
     from truearm_sim.line_plan import JOINT_SPEED, MAGNET, TARGETS, line_rig, lines_plan, with_ways
 
-    robot, region, shape = load_robot("puma560"), parse_region(REGION_MM), Shape(speed=SPEED)
+    robot, region, shape = load_robot("puma560"), Region(*np.array(REGION)), Shape(speed=SPEED)
     known = Known.design(robot, line_rig())
     site = make_site(known, Limits(), Sizes(), seed)
     wanted = LinesWanted(N_LINES, shape=shape, n_candidates=CANDIDATES, seed=seed)

@@ -11,7 +11,7 @@ import numpy as np
 
 from truearm.correct.error_map import ErrorMap, Region, best_region, error_map
 from truearm.correct.model_pair import Pair
-from truearm.errors import InputError
+from truearm.errors import Argument, InputError
 from truearm.files.disk import check_writable, write_atomic
 from truearm.files.robot_file import RobotChoice
 from truearm.report.map_picture import map_picture
@@ -20,10 +20,9 @@ from truearm.types import Floats
 from truearm.units import MM, key, number
 from truearm.workflows.calibration import (
     Calibration,
+    check_joints,
     check_names,
     chosen_mountings,
-    joints_of,
-    read_calibration,
 )
 
 MARK = "u_mm,v_mm"
@@ -32,7 +31,7 @@ MARK = "u_mm,v_mm"
 class Section(NamedTuple):
     """The section of the workspace to map.
 
-    ``joints``: the two that span it, from 1 on. ``at``: where the others stand, in deg or mm by the joint; None for 0.
+    ``joints``: the two that span it, from 1 on. ``at``: where the joints stand (j,) [rad, m]; None for 0.
     ``elbow_up``: which of the arm's two configurations. ``cell`` [m] is the size of a cell. ``own_frames``: leave out how base and tool
     were mounted.
     """
@@ -67,15 +66,14 @@ class Mapped(NamedTuple):
     region: Region | None
 
 
-def map_files(files: MapFiles, section: Section, task: Task | None = None) -> Mapped:
-    """Make a map and write what was asked for. Raises InputError in one line."""
-    check_names(files.result, files.out, files.picture)
+def map_files(calibration: Calibration, files: MapFiles, section: Section, task: Task | None = None) -> Mapped:
+    """Make a map by the calibration of ``files.result`` and write what was asked for. Raises InputError in one line."""
+    check_names(files.out, files.picture)
     read = [files.result, *files.robot.files]
     if files.out is not None:
         check_writable(files.out, inputs=read, ours=lambda head: not head.strip() or head.startswith(MARK.encode()))
     if files.picture is not None:
         check_writable(files.picture, inputs=[*read, *filter(None, [files.out])], ours=_looks_like_picture)
-    calibration = read_calibration(files.result, files.robot)
     found = mapped(calibration, section)
     region = None if task is None else best_region(found, *task.size, task.within)
     if files.out is not None:
@@ -89,17 +87,15 @@ def mapped(calibration: Calibration, section: Section) -> ErrorMap:
     """The map of a section. Raises InputError for joints that the robot does not have or cannot take."""
     chain = calibration.chain
     pair = Pair(chain, calibration.nominal, calibration.identified, chosen_mountings(calibration, section.own_frames))
-    q = joints_of("--at", section.at, calibration.joint_units)
+    q = check_joints("at", section.at, calibration.joint_units)
     q = np.zeros(len(chain.joints)) if q is None else q
     if min(section.joints) < 1 or max(section.joints) > q.size:
-        raise InputError(
-            f"--vary {','.join(map(str, section.joints))}: needs two joints between 1 and {q.size}, as 2,3"
-        )
+        given = ",".join(map(str, section.joints))
+        raise InputError(Argument("joints"), f" {given}: must be two joints between 1 and {q.size}")
     varied = section.joints[0] - 1, section.joints[1] - 1
     for i, joint in enumerate(chain.joints):
         if section.at and i not in varied and not joint.lower <= q[i] <= joint.upper:
-            text = ",".join(f"{value:g}" for value in section.at)
-            raise InputError(f"--at {text[:60]}: joint {i + 1} would be outside its limits")
+            raise InputError(Argument("at"), f": joint {i + 1} would be outside its limits")
     return error_map(pair, q, varied, section.cell, calibration.covariance, calibration.unseen, section.elbow_up)
 
 

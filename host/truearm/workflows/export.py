@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from truearm.errors import InputError
+from truearm.errors import Argument, InputError
 from truearm.export.formats import FORMATS
 from truearm.export.writing import Fitted, RobotToWrite, fit_to, held, written
 from truearm.files.disk import check_writable, read_text, write_atomic
@@ -89,9 +89,9 @@ def _fitted(calibration: Calibration, options: ExportOptions, over: Floats | Non
     chain = calibration.chain
     adjustable = np.ones(len(chain.parameters), dtype=bool)
     if options.adjust:
-        adjustable = matching(chain.parameter_names, "--adjust", options.adjust)
+        adjustable = matching(chain.parameter_names, "adjust", options.adjust)
         if not (adjustable & held(chain, FORMATS[options.form])).any():
-            raise InputError(f"--adjust {options.adjust[0]}: leaves nothing that --format {options.form} can hold")
+            raise InputError(Argument("adjust"), f" {options.adjust[0]}: leaves nothing that {options.form} can hold")
     q = _anywhere(chain) if over is None else _thinned(over)
     return fit_to(options.form, chain, calibration.nominal, calibration.identified, adjustable, q)
 

@@ -111,7 +111,7 @@ def _observations(
     rig = rig or attached_rig(session, session.path)
     if rig is None:
         yield "dwells", dwell_columns(found, found.dwells, units)
-        raise InputError("was recorded without a rig; give one with --rig to have observations")
+        raise InputError("was recorded without a rig; give a rig to have observations")
     result = observations(messages_of(session), rig, ident_of(session), name=session.path.name, found=found)
     yield "dwells", dwell_columns(found, result.dwells, units)
     if result.passes:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.errors import InputError
+from truearm.errors import Argument, InputError
 from truearm.estimate.identify import SolverOptions
 from truearm.estimate.identify import identify as estimate_parameters
 from truearm.estimate.prediction import predicted_point_error
@@ -156,19 +156,24 @@ def check_options(options: IdentifyOptions) -> None:
     known = {"solver": tuple(SOLVERS), "loss": tuple(LOSSES), "prior": (NO_PRIOR, *PRIORS)}
     for what, given in (("solver", solver), ("loss", loss), ("prior", prior)):
         if given is not None and given not in known[what]:
-            raise InputError(f"--{what} {given!r} is not known; use {', '.join(known[what])}")
+            raise InputError(Argument(what), f" {given!r} is not known; use {', '.join(known[what])}")
     for option in ("free", "also_free", "freeze"):
         patterns = getattr(options, option)
         if isinstance(patterns, str):  # which would be read letter by letter
-            raise InputError(f"{option}: must be a tuple of patterns, is the text {patterns!r}")
+            raise InputError(Argument(option), f": must be a tuple of patterns, is the text {patterns!r}")
     if options.max_iterations < 1:
-        raise InputError(f"max_iterations: must be 1 or more, is {options.max_iterations}")
+        raise InputError(Argument("max_iterations"), f": must be 1 or more, is {options.max_iterations}")
     if loss != "linear" and not SOLVERS[solver].has_loss:
         raise InputError(
-            f"--loss {loss} goes with the solvers {' and '.join(with_loss())}; {solver} has no robust loss"
+            Argument("loss"), f" {loss} goes with the solvers {' and '.join(with_loss())}; {solver} has no robust loss"
         )
     if prior in PRIORS and SOLVERS[solver].prior is None:
-        raise InputError(f"--prior {prior} is nothing to --solver {solver}, which knows no prior; use map")
+        raise InputError(
+            Argument("prior"),
+            f" {prior} is nothing to ",
+            Argument("solver"),
+            f" {solver}, which knows no prior; use map",
+        )
 
 
 def default_free(robot: Robot) -> Mask:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from truearm.errors import InputError
+from truearm.errors import Argument, InputError
 from truearm.files.disk import check_writable, same_file
 from truearm.files.noise_file import check_against_rigs, read_noise, with_noise
 from truearm.files.observation_table import check_against_rig, concatenate, read_table
@@ -53,7 +53,7 @@ def check_files(sources: Sources, robot: RobotChoice, outputs: Sequence[Output] 
     if Path("-") in sources.inputs:
         raise InputError("-: standard input is not read; save the data to a file first")
     if any(path == Path("-") for path, _ in outputs):
-        raise InputError("-: is no file name; --json prints the result to standard output")
+        raise InputError("-: is no file name; ", Argument("as_json"), " prints the result to standard output")
     counted = [path for path in (*sources.inputs, sources.noise) if path is not None]
     for i, path in enumerate(counted):
         if any(same_file(path, other) for other in counted[:i]):
@@ -96,7 +96,7 @@ def _check_names(table: ObservationTable, rigs: dict[str, Rig], files: Mapping[s
     for name, file in files.items():
         if not (table.rig == name).any():
             raise InputError(
-                f"--rig {name}={file}: no row has that name in its column rig, and no session is called so"
+                Argument("rig"), f" {name}={file}: no row has that name in its column rig, and no session is called so"
             )
     for name, source in zip(table.rig, table.source, strict=True):
         if name not in rigs:

@@ -10,12 +10,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from truearm.errors import InputError
+from truearm.errors import Argument, InputError
 from truearm.files.disk import check_writable, write_atomic
 from truearm.files.plan_file import write_plan
 from truearm.files.rig_file import read_rig, write_rig
 from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.model.robot import Robot
+from truearm.model.workspace import Branch
 from truearm.plan.approaches import ApproachesWanted, plan_approaches
 from truearm.plan.ball_bar_plan import BallBarPlan, Wanted, all_pairings, make_site, plan_ballbar
 from truearm.plan.bar_paths import Pace
@@ -49,7 +50,7 @@ class PlanFiles:
     """What a plan is made from, and what is written.
 
     ``result``: an earlier result.json, whose model takes the place of the design. ``measured``: sessions and tables that count
-    as measured already. ``branch``: the text of ``--branch``, None for the robot file's. ``programs`` are written for the controller
+    as measured already. ``branch``: None for the robot file's. ``programs`` are written for the controller
     that their suffixes name, with these ``signals`` between robot and box.
     """
 
@@ -57,7 +58,7 @@ class PlanFiles:
     rig: Path
     result: Path | None = None
     measured: tuple[Path, ...] = ()
-    branch: str | None = None
+    branch: Branch | None = None
     out: Path | None = None
     rig_out: Path | None = None
     programs: tuple[Path, ...] = ()
@@ -136,7 +137,7 @@ def plan_ball_bar_files(files: PlanFiles, budget: Budget, options: BallBarOption
     """Plan, write what was asked for, and tell what will be known. Raises InputError in one line."""
     _check(files)
     if (budget.n is None) == (budget.minutes is None):
-        raise InputError("give a budget: --poses N or --minutes M")
+        raise InputError("give a budget: ", Argument("poses"), " or ", Argument("minutes"))
     planned = planned_ball_bar(_known(files), budget, _with_reserve(options, files.result), say)
     route = planned.route
     if files.out is not None:
@@ -169,7 +170,7 @@ def plan_line_files(files: PlanFiles, budget: Budget, options: LineOptions) -> d
     """Plan, write what was asked for, and tell what will be known. Raises InputError in one line."""
     _check(files)
     if (budget.n is None) == (budget.minutes is None):
-        raise InputError("give a budget: --lines N or --minutes M")
+        raise InputError("give a budget: ", Argument("lines"), " or ", Argument("minutes"))
     known = _known(files)
     target = _target(known, options.target)
     wanted = LinesWanted(*budget, options.shape, options.passes, options.candidates, options.criterion, options.seed)
@@ -232,7 +233,7 @@ def _named(what: str, given: str | None, have: Iterable[str]) -> str:
     """One of the rig's names, the first by default."""
     names = list(have)
     if (given is None and not names) or (given is not None and given not in names):
-        raise InputError(f"--{what} {given or 'is missing'}: the rig has {', '.join(names) or 'none'}")
+        raise InputError(Argument(what), f" {given or 'is missing'}: the rig has {', '.join(names) or 'none'}")
     return names[0] if given is None else given
 
 
@@ -271,7 +272,7 @@ def _target(known: Known, name: str | None) -> str:
     if name is None and len(have) <= 1:
         return have[0] if have else ""
     if name not in have:
-        raise InputError(f"--target {name or 'is missing'}: the rig has {', '.join(have) or 'none'}")
+        raise InputError(Argument("target"), f" {name or 'is missing'}: the rig has {', '.join(have) or 'none'}")
     return name
 
 
@@ -284,7 +285,7 @@ def _check(files: PlanFiles) -> None:
     outputs = files.outputs
     marks = {path: _begins_with(path) for path in outputs}
     if Path("-") in outputs:
-        raise InputError("-: is no file name; --json prints the forecast to standard output")
+        raise InputError("-: is no file name; ", Argument("as_json"), " prints the forecast to standard output")
     for path in files.programs:
         check_suffix(path.suffix.lower())
     read = [*files.robot.files, files.rig, files.result, *files.measured]
@@ -313,7 +314,7 @@ def _known(files: PlanFiles) -> Known:
         return known
     same, table = observed(Sources(tuple(with_parts(list(files.measured))), {"": files.rig}), robot.chain.joint_units)
     if not isinstance(same, Rig):
-        raise InputError("--measured: rows of several rigs cannot be planned on; give those of one rig")
+        raise InputError(Argument("measured"), ": rows of several rigs cannot be planned on; give those of one rig")
     return replace(known, measured=table)
 
 
@@ -323,7 +324,8 @@ def _check_travel(known: Known, reserve: float, spread: float) -> None:
         if left < LEFT:
             raise InputError(
                 f"bar {bar.name}: of {MM.text(0.5 * bar.travel)} travel either way {MM.text(reserve)} are reserve and "
-                f"{MM.text(spread)} spread; {MM.text(LEFT)} must be left to the way, so lower --reserve-mm or --spread-mm"
+                f"{MM.text(spread)} spread; {MM.text(LEFT)} must be left to the way, so lower ",
+                *(Argument("reserve"), " or ", Argument("spread")),
             )
 
 

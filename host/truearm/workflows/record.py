@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from truearm.box.readiness import Purpose
-from truearm.errors import InputError, TruearmError
+from truearm.errors import Argument, InputError, TruearmError
 from truearm.interrupt import asked_to_stop
 from truearm.live.choose_box import choose_box
 from truearm.live.mounted_parts import check_mounted, parse_mounted
@@ -140,8 +140,9 @@ def _record(device: str, work: Work, request: Request) -> tuple[RecordSummary, b
                 hooks=Hooks(interrupted=interrupted, operator=view),
             )
         except TruearmError as exc:
-            kept = f"; what came until then is in {work.out}" if writer.kept else ""
-            raise type(exc)(f"{exc}{kept}") from exc
+            if writer.kept:
+                exc.args = (*exc.args, f"; what came until then is in {work.out}")
+            raise
         return summary, writer.kept, view
 
 
@@ -155,7 +156,7 @@ def nearest_osr(rate: float) -> int:
     """The oversampling ratio whose rate is nearest to ``rate`` [Hz]. Raises InputError beyond the box's rates."""
     slowest, fastest = MODULATOR_HZ / OSRS[-1], MODULATOR_HZ / OSRS[0]
     if not 0.9 * slowest <= rate <= 1.1 * fastest:
-        raise InputError(f"--rate {rate:g} Hz is not within the box's {slowest:.0f} to {fastest:.0f} Hz")
+        raise InputError(Argument("rate"), f" {rate:g} Hz is not within the box's {slowest:.0f} to {fastest:.0f} Hz")
     return min(OSRS, key=lambda osr: abs(MODULATOR_HZ / osr - rate))
 
 
@@ -164,7 +165,9 @@ def _work(request: Request) -> Work:
     from truearm.files.disk import check_new
 
     if (request.out is None) == (request.resume is None):
-        raise InputError("give --out FILE for a new session, or --resume FILE to go on with one")
+        raise InputError(
+            "give ", Argument("out"), " FILE for a new session, or ", Argument("resume"), " FILE to go on with one"
+        )
     before = None if request.resume is None else earlier(request.resume)
     out = request.out if before is None else before.out
     assert out is not None

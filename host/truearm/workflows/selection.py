@@ -9,18 +9,19 @@ from fnmatch import fnmatchcase
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.errors import InputError
+from truearm.errors import Argument, InputError
 from truearm.kinds.registry import drawn_from, identifiers
 from truearm.text import listed
 from truearm.types import ObservationTable
 
 Mask = NDArray[np.bool_]
 
+HOLD_OUT = Argument("hold_out")
 GROUPS = ("place", "shell")  # what a bare identifier may mean
 
 
 def held_out_rows(table: ObservationTable, wanted: Sequence[str], seed: int) -> Mask | None:
-    """Mask (n,) of the rows that ``--hold-out`` names, None where it names none.
+    """Mask (n,) of the rows that a user names to hold out, None where it names none.
 
     ``wanted``: groups ("shell=s61", "place=front", or "front" alone where no other group has that name), or one
     fraction such as "0.2": that share of the rows, drawn by ``seed`` alike from every group.
@@ -34,11 +35,11 @@ def held_out_rows(table: ObservationTable, wanted: Sequence[str], seed: int) -> 
     elif len(wanted) == 1:
         mask = _random_rows(table, fractions[0], seed)
     else:
-        raise InputError("--hold-out takes one fraction or any number of groups, not both")
+        raise InputError(HOLD_OUT, " takes one fraction or any number of groups, not both")
     if mask.all():
-        raise InputError("--hold-out names every row; nothing would be left to fit")
+        raise InputError(HOLD_OUT, " names every row; nothing would be left to fit")
     if not mask.any():
-        raise InputError(f"--hold-out {wanted[0]} is not one row of {len(table)}; take a larger fraction")
+        raise InputError(HOLD_OUT, f" {wanted[0]} is not one row of {len(table)}; take a larger fraction")
     return mask
 
 
@@ -56,12 +57,12 @@ def _group_rows(table: ObservationTable, group: str) -> Mask:
         return _bare_group_rows(table, group)
     if column not in identifiers():
         raise InputError(
-            f"--hold-out {group}: {column!r} is no group; use one of {', '.join(identifiers())}, or a fraction"
+            HOLD_OUT, f" {group}: {column!r} is no group; use one of {', '.join(identifiers())}, or a fraction"
         )
     rows: Mask = table.column(column) == identifier
     if not identifier or not rows.any():
         known = [name for name in np.unique(table.column(column)) if name]
-        raise InputError(f"--hold-out {group}: no row has that {column}; {_listed(column, known)}")
+        raise InputError(HOLD_OUT, f" {group}: no row has that {column}; {_listed(column, known)}")
     return rows
 
 
@@ -69,15 +70,15 @@ def _bare_group_rows(table: ObservationTable, identifier: str) -> Mask:
     found = [column for column in GROUPS if identifier and np.any(table.column(column) == identifier)]
     if len(found) > 1:
         raise InputError(
-            f"--hold-out {identifier} is a place and a shell; say place={identifier} or shell={identifier}"
+            HOLD_OUT, f" {identifier} is a place and a shell; say place={identifier} or shell={identifier}"
         )
     if not found and _is_number(identifier):
         raise InputError(
-            f"--hold-out {identifier}: a fraction lies between 0 and 1, as 0.2; a group is written shell=NAME"
+            HOLD_OUT, f" {identifier}: a fraction lies between 0 and 1, as 0.2; a group is written shell=NAME"
         )
     if not found:
         known = [f"{column}={name}" for column in GROUPS for name in np.unique(table.column(column)) if name]
-        raise InputError(f"--hold-out {identifier}: no place or shell has that name; {_listed('group', known)}")
+        raise InputError(HOLD_OUT, f" {identifier}: no place or shell has that name; {_listed('group', known)}")
     return np.asarray(getattr(table, found[0]) == identifier)
 
 
@@ -117,20 +118,22 @@ def free_parameters(
 
     Raises InputError for a pattern that matches nothing and where no parameter is left.
     """
-    chosen = (matching(names, "--free", free) if free else default) | matching(names, "--also-free", also)
-    mask: Mask = chosen & ~matching(names, "--freeze", freeze)
+    chosen = (matching(names, "free", free) if free else default) | matching(names, "also_free", also)
+    mask: Mask = chosen & ~matching(names, "freeze", freeze)
     if not mask.any():
-        raise InputError("no parameter is left to identify; see --free and --freeze")
+        raise InputError("no parameter is left to identify; see ", Argument("free"), " and ", Argument("freeze"))
     return mask
 
 
-def matching(names: Sequence[str], option: str, given: Sequence[str]) -> Mask:
-    """Mask (p,) of the names that match one of an option's patterns. Raises InputError for one that matches nothing."""
+def matching(names: Sequence[str], argument: str, given: Sequence[str]) -> Mask:
+    """Mask (p,) of the names that match one of an argument's patterns. Raises InputError for one that matches nothing."""
     mask = np.zeros(len(names), dtype=bool)
     for pattern in (pattern.strip() for text in given for pattern in _parts(text, names)):
         matches = np.array([fnmatchcase(name, pattern) for name in names])
         if not matches.any():
-            raise InputError(f"{option} {pattern}: matches no parameter of the robot; {_near(pattern, names)}")
+            raise InputError(
+                Argument(argument), f" {pattern}: matches no parameter of the robot; {_near(pattern, names)}"
+            )
         mask |= matches
     return mask
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from truearm.errors import RigError, SessionError
+from truearm.errors import Argument, RigError, SessionError
 from truearm.text import one_line
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def observations_of_session(path: Path, rig: Rig | None = None, options: Session
         options.say(one_line(f"{path}: {said}{more}"))
     rig = rig or attached_rig(session, path)
     if rig is None:
-        raise RigError(f"{path}: was recorded without a rig; give one with --rig")
+        raise RigError(f"{path}: was recorded without a rig; give one as ", Argument("rig"))
     rules = LineRules(points=options.line_points)
     result = observations(messages_of(session), rig, ident=ident_of(session), name=path.name, line_rules=rules)
     if not len(result.table) and not options.may_be_empty:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from truearm.errors import InputError, SessionError
+from truearm.errors import Argument, InputError, SessionError
 from truearm.files.disk import same_file
 from truearm.session.joint_line import are_joints
 
@@ -141,10 +141,10 @@ def _first(path: Path) -> Path:
     if path.is_dir():
         firsts = [p for p in sorted(path.glob(f"*{SUFFIX}")) if _number(p) == 1]
         if len(firsts) != 1:
-            raise InputError(f"--resume {path}: holds {len(firsts)} sessions; name the one to go on with")
+            raise InputError(Argument("resume"), f" {path}: holds {len(firsts)} sessions; name the one to go on with")
         return firsts[0]
     if not path.exists():
-        raise InputError(f"--resume {path}: no such file; record a new session with --out")
+        raise InputError(Argument("resume"), f" {path}: no such file; record a new session with ", Argument("out"))
     part = _opened(path)
     of = Path(part.metadata.get(SETUP, {}).get("of", "")).name
     first = path.with_name(of) if of else path
@@ -166,7 +166,7 @@ def _planned(row: dict[str, Any], rows: list[dict[str, Any]], path: Path) -> dic
     """A row of the plan, with as many joints as those before it."""
     q = row.get("q")
     if not are_joints(q) or (rows and len(rows[0]["q"]) != len(q)):
-        raise SessionError(f"--resume {path}: its plan is damaged; give it anew with --plan")
+        raise SessionError(Argument("resume"), f" {path}: its plan is damaged; give it anew with ", Argument("plan"))
     return row
 
 
@@ -176,5 +176,5 @@ def _table(data: bytes) -> dict[str, Any]:
     except (ValueError, RecursionError):
         row = None
     if not isinstance(row, dict):
-        raise SessionError("--resume: the session's plan or events are damaged")
+        raise SessionError(Argument("resume"), ": the session's plan or events are damaged")
     return row

@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
-from truearm.errors import InputError, RigError
+from truearm.errors import Argument, InputError, RigError
 from truearm.types import Rig
 from truearm.workflows.session_observations import attached_rig, is_session
 from truearm.workflows.session_parts import first_stem
@@ -26,9 +26,9 @@ def session_name(path: Path) -> str:
 
 
 def session_rigs(inputs: list[Path], given: Mapping[str, Rig]) -> dict[Path, Assigned]:
-    """Name and rig of every session among the inputs; ``given`` holds the rigs of ``--rig`` by name.
+    """Name and rig of every session among the inputs; ``given`` holds those that the user gave, by name.
 
-    Without --rig NAME=FILE, and where all sessions were recorded with one rig, that is the one rig of everything, as a rig
+    Without such a name, and where all sessions were recorded with one rig, that is the one rig of everything, as a rig
     without a name is. Raises RigError for a session that has no rig, InputError for names that do not tell rigs apart.
     """
     sessions = [path for path in inputs if is_session(path)]
@@ -37,8 +37,8 @@ def session_rigs(inputs: list[Path], given: Mapping[str, Rig]) -> dict[Path, Ass
     recorded = {path: _recorded(path) for path in sessions if session_name(path) not in given}
     for path, rig in recorded.items():
         if rig is None:
-            name = f"{session_name(path)}=" * bool(given)
-            raise RigError(f"{path}: was recorded without a rig; give one with --rig {name}FILE")
+            name = f" {session_name(path)}=FILE" * bool(given)
+            raise RigError(f"{path}: was recorded without a rig; give one as ", Argument("rig"), name)
     own = {path: rig for path, rig in recorded.items() if rig is not None}
     if not given and all(rig == next(iter(own.values())) for rig in own.values()):
         return {path: ("", rig) for path, rig in own.items()}

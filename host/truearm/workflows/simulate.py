@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from truearm.errors import InputError, LinkError
+from truearm.errors import Argument, InputError, LinkError
 from truearm.workflows.session_observations import Say
 
 CHIP_STEP_NS = 20_000_000  # an emulated chip may be slower than the wall clock
@@ -67,7 +67,7 @@ def simulate_box_and_robot(options: SimulateOptions, say: Say) -> None:
 
     folder, seed = options.folder, options.seed
     if options.robot not in ROBOTS:
-        raise InputError(f"--robot {options.robot!r} is not known; it is one of {', '.join(ROBOTS)}")
+        raise InputError(Argument("robot"), f" {options.robot!r} is not known; it is one of {', '.join(ROBOTS)}")
     scheme, usual_port, rate = ROBOTS[options.robot]
     faults = [parse_fault(text) for text in options.faults]
     plan, rig = visits(options)
@@ -90,7 +90,8 @@ def simulate_box_and_robot(options: SimulateOptions, say: Say) -> None:
         box_port = Terminal() if options.pty else Port.listen("127.0.0.1", options.port)
         listener = Port.listen("127.0.0.1", usual_port if options.robot_port is None else options.robot_port)
     except OSError as exc:
-        raise LinkError(f"cannot listen: {exc.strerror}; choose other ports with --port and --robot-port") from exc
+        ports = Argument("port"), " and ", Argument("robot_port")
+        raise LinkError(f"cannot listen: {exc.strerror}; choose other ports with ", *ports) from exc
     robot_end = RtdeServer(listener, rate) if options.robot == "rtde" else listener
     device = box_port.path if isinstance(box_port, Terminal) else f"socket://127.0.0.1:{box_port.number}"
     dwells, driven = int(plan.dwells.sum()), int(plan.lines.sum())
@@ -130,10 +131,12 @@ def visits(options: SimulateOptions) -> tuple[Plan, Rig]:
     rig = read_rig(rig_file) if rig_file is not None else line_rig() if lines else standard_rig()
     if plan_file is None:
         if rig_file is not None:
-            raise InputError("--rig-file needs the --plan that was made for it")
+            raise InputError(Argument("rig_file"), " needs the ", Argument("plan"), " that was made for it")
         return drawn_line_plan(lines, options.seed) if lines else standard_plan(options.poses, options.seed), rig
     if lines:
-        raise InputError("--lines draws lines and --plan reads what the robot visits: give one of them")
+        raise InputError(
+            Argument("lines"), " draws lines and ", Argument("plan"), " reads what the robot visits: give one of them"
+        )
     plan = read_plan(plan_file)
     if plan.q.shape[1] != N_JOINTS:
         raise InputError(f"{plan_file}: has {plan.q.shape[1]} joints, the simulated PUMA 560 has {N_JOINTS}")
@@ -151,7 +154,7 @@ def hardware(level: str, say: Say) -> PowerOn:
         say(f"firmware: {interpreter or 'CPython; no MicroPython was found (' + micropython.BY_HAND + ')'}")
         return partial(VmBox, interpreter)
     if level != "chip":
-        raise InputError(f"--level {level!r}: there are vm and chip")
+        raise InputError(Argument("level"), f" {level!r}: there are vm and chip")
     node.ready()
     say(f"firmware: {node.image()} in an emulated RP2040")
     return ChipBox
@@ -175,4 +178,6 @@ def parse_fault(text: str) -> Fault:
     try:
         return Fault(float(seconds), kind)
     except ValueError:
-        raise InputError(f"--fault {text!r}: write SECONDS:KIND, with KIND one of {', '.join(FAULTS)}") from None
+        raise InputError(
+            Argument("fault"), f" {text!r}: write SECONDS:KIND, with KIND one of {', '.join(FAULTS)}"
+        ) from None
