@@ -3,6 +3,7 @@
 import ast
 import re
 import tomllib
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -165,6 +166,75 @@ def test_no_function_has_more_than_eight_parameters(path):
     is_command = room_of(path) == "cli"
     for name, count in parameters_of(path).items():
         assert count <= 8 or (is_command and not name.startswith("_")), f"{name} has {count} parameters"
+
+
+@cache
+def closed_choices() -> set[str]:
+    """Names of the enumerations of the host."""
+    return {
+        node.name
+        for path in python_files(HOST)
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ClassDef) and any(ast.unparse(base).endswith("Enum") for base in node.bases)
+    }
+
+
+def open_matches(tree: ast.AST, choices: set[str]) -> list[str]:
+    """What leaves a closed choice open, by line.
+
+    A ``match`` whose last case catches all and does anything but ``assert_never``, or that has no such case; a dictionary keyed
+    by members of an enumeration; and an ``elif`` that compares with one.
+    """
+    found = []
+
+    def member(node: ast.AST) -> bool:
+        return isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in choices
+
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Match):
+            last = node.cases[-1]
+            catches_all = isinstance(last.pattern, ast.MatchAs) and last.pattern.pattern is None and last.guard is None
+            if not (catches_all and len(last.body) == 1 and ast.unparse(last.body[0]).startswith("assert_never(")):
+                found.append(f"line {node.lineno}: match without assert_never")
+        elif isinstance(node, ast.Dict) and any(key is not None and member(key) for key in node.keys):
+            found.append(f"line {node.lineno}: dictionary keyed by a closed choice; use match")
+        elif isinstance(node, ast.If) and len(node.orelse) == 1 and isinstance(node.orelse[0], ast.If):
+            tests = (node.test, node.orelse[0].test)
+            if all(isinstance(test, ast.Compare) and any(map(member, test.comparators)) for test in tests):
+                found.append(f"line {node.lineno}: elif over a closed choice; use match")
+    return found
+
+
+@pytest.mark.parametrize("path", python_files(HOST), ids=lambda p: str(p.relative_to(HOST)))
+def test_every_closed_choice_is_exhaustive(path):
+    """mypy proves that an ``assert_never`` cannot be reached: a further member is an error where it has no case."""
+    assert not open_matches(ast.parse(path.read_text(encoding="utf-8")), closed_choices())
+
+
+OPEN = """
+match move:
+    case Move.VIA: a()
+    case _: b()
+match move:
+    case Move.VIA: a()
+WORDS = {Move.VIA: "via"}
+if move is Move.VIA: a()
+elif move == Move.LINE: b()
+else: c()
+match move:
+    case Move.VIA: a()
+    case _: assert_never(move)
+"""
+
+
+def test_the_check_of_closed_choices_finds_open_ones():
+    found = open_matches(ast.parse(OPEN), {"Move"})
+    assert [int(text.split()[1].rstrip(":")) for text in sorted(found, key=lambda t: int(t.split()[1][:-1]))] == [
+        2,
+        5,
+        7,
+        8,
+    ]
 
 
 @pytest.mark.parametrize("path", python_files(HOST), ids=lambda p: str(p.relative_to(HOST)))

@@ -263,15 +263,18 @@ IDENTIFIER = Text(pattern=NAME, wanted="a name of up to 64 letters, digits, '-' 
 
 @dataclass(frozen=True)
 class Choice:
-    """One of some texts or whole numbers."""
+    """One of some texts, members of a StrEnum, or whole numbers."""
 
     options: tuple[Any, ...]
     suffixes: ClassVar[Sequence[str]] = NO_UNIT
 
     def parse(self, raw: Any, suffix: str = "") -> Any:
-        if not any(type(raw) is type(option) and raw == option for option in self.options):
+        found = next(
+            (o for o in self.options if isinstance(o, type(raw)) and raw == o and not isinstance(raw, bool)), None
+        )
+        if found is None:
             raise SchemaError(f"{quoted(raw)} is none of {', '.join(map(quoted, self.options))}")
-        return raw
+        return found
 
     def format(self, value: Any) -> str:
         return json.dumps(value, ensure_ascii=False)

@@ -25,6 +25,21 @@ BAR_MOUNTED = ("bar", "chuck", "sphere")  # what is mounted while the ball-bar i
 LINE_MOUNTED = ("line", "target")  # what is mounted while a line is driven
 
 
+class Move(StrEnum):
+    """What a row of a plan is."""
+
+    DWELL = "dwell"  # a pose at which the ball-bar is read at rest
+    VIA = "via"  # a place that is passed or stopped at
+    LINE = "line"  # reached from the row before straight in Cartesian space, measured on the way
+
+
+class LinePlacement(StrEnum):
+    """How a line device without a pose is first placed: by all its points, or by its first two."""
+
+    LEAST_SQUARES = "least_squares"
+    TWO_POINT = "two_point"
+
+
 class Message(NamedTuple):
     """One message of a session file (hop 3): topic, host arrival time [ns, monotonic], bytes as stored."""
 
@@ -119,8 +134,8 @@ class Rig:
     something is known; all others are placed by their own seats.
 
     A rig without ``lines`` takes any line that a row names, with ``line_sigma`` [m] along the device's x, y, z (Renders
-    1991, III-C); with some, it must have them all. ``line_placement``: how a line without a pose is first placed,
-    "least_squares" by all its points or "two_point" by its first two. ``line_travel`` [m]: full range of the device's
+    1991, III-C); with some, it must have them all. ``line_placement``: how a line without a pose is first
+    placed. ``line_travel`` [m]: full range of the device's
     transverse sensors, which run over ±line_travel/2; None: as far as they say anything. ``time_offset`` τ [s]: the joints were truly at
     q(t) = q_reading(t + τ), of which only rows with velocities tell; ``time_offset_sigma`` as a Device's sigma. ``joint_cov`` S_q [rad², m²] is the covariance
     of the joint readings, j×j, empty for none; where a joint came from either side and nobody knows which, half its ``backlash`` either way
@@ -142,7 +157,7 @@ class Rig:
     targets: Mapping[str, Point] = field(default_factory=dict)
     lines: Mapping[str, Device] = field(default_factory=dict)
     line_sigma: tuple[float, float, float] = (62e-6, 100e-6, 62e-6)
-    line_placement: str = "least_squares"
+    line_placement: LinePlacement = LinePlacement.LEAST_SQUARES
     line_travel: float | None = None
     trackers: Mapping[str, Device] = field(default_factory=dict)
     planes: Mapping[str, Plane] = field(default_factory=dict)
@@ -280,21 +295,20 @@ class Plan:
     """
 
     IDS: ClassVar[tuple[str, ...]] = ("shell", *BAR_MOUNTED)
-    MOVES: ClassVar[tuple[str, ...]] = ("dwell", "via", "line")
 
     q: Floats  # (n, j) rad
     shell: Strings  # (n,)
     bar: Strings  # (n,)
     chuck: Strings  # (n,)
     sphere: Strings  # (n,)
-    move: Strings = field(default_factory=_absent)  # (n,) of MOVES
+    move: Strings = field(default_factory=_absent)  # (n,) of Move
     line: Strings = field(default_factory=_absent)  # (n,) the line device's placement, "" but on lines
     target: Strings = field(default_factory=_absent)  # (n,) the tool point on the line, "" but on lines
     speed: Floats = field(default_factory=_absent)  # (n,) m/s, NaN but on lines
 
     def __post_init__(self) -> None:
         n = self.q.shape[:1]
-        for name, value in (("move", "dwell"), ("line", ""), ("target", ""), ("speed", np.nan)):
+        for name, value in (("move", Move.DWELL.value), ("line", ""), ("target", ""), ("speed", np.nan)):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, np.full(n, value))
         shapes = {getattr(self, name).shape for name in self.columns()[1:]}
@@ -312,12 +326,12 @@ class Plan:
     @property
     def dwells(self) -> NDArray[np.bool_]:
         """(n,) the rows at which the ball-bar is read."""
-        return np.asarray(self.move == "dwell")
+        return np.asarray(self.move == Move.DWELL)
 
     @property
     def lines(self) -> NDArray[np.bool_]:
         """(n,) the rows on the way to which the line device is read."""
-        return np.asarray(self.move == "line")
+        return np.asarray(self.move == Move.LINE)
 
     def select(self, rows: NDArray[Any]) -> Plan:
         """The rows of a boolean mask or an index array."""

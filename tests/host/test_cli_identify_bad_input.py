@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from command_line import Outcome, Run, process, told
 
-from truearm.estimate.solvers import LOSSES, SOLVERS
+from truearm.estimate.solvers import SOLVERS, Loss
 from truearm.model.builtin import builtin_names
 
 HEADER = "kind,q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad,length_mm,bar,chuck,sphere"
@@ -86,7 +86,7 @@ def test_help_and_version_and_no_command_are_no_errors(run: Run) -> None:
 
 def test_help_names_what_there_is(run: Run) -> None:
     words = set(re.findall(r"[\w-]+", run("identify", "--help").out))
-    assert {*builtin_names(), *SOLVERS, *LOSSES} <= words
+    assert {*builtin_names(), *SOLVERS, *Loss} <= words
 
 
 def test_help_imports_nothing_slow() -> None:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from truearm.correct.correction import Configuration, correct
 from truearm.correct.inverse import inverse, search, singular_value, turned, within
-from truearm.correct.methods import METHODS
+from truearm.correct.methods import Method, entry
 from truearm.correct.model_pair import Pair
 from truearm.model import joint_law
 from truearm.model.builtin import builtin_names
@@ -105,7 +105,7 @@ class Wave(Term):
         return out
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", Method)
 def test_every_method_corrects_the_whole_joint_law_and_links_if_it_says_so(q, method, monkeypatch):
     monkeypatch.setattr(joint_law, "TERMS", (*joint_law.TERMS, Wave))
     waves = tuple(Parameter(f"joint{i}.wave", "rad", 0.0, "wave", i - 1) for i in (1, 2, 4))
@@ -120,7 +120,7 @@ def test_every_method_corrects_the_whole_joint_law_and_links_if_it_says_so(q, me
     assert not any(law.problem + links.problem)
     assert law.before[:, 0].max() > 1e-3
     assert law.after[:, 0].max() < 2e-9
-    if METHODS[method].links:
+    if entry(method).links:
         assert links.after[:, 0].max() < 2e-9
     else:
         np.testing.assert_allclose(links.after, links.before, atol=1e-12)
@@ -159,7 +159,7 @@ def test_positions_alone_move_the_joints_least(q):
     assert (moved_by[0] < moved_by[1]).all()
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", Method)
 def test_a_singular_target_is_refused_and_never_a_wild_number(method):
     q = good_poses(5)
     q[:, 4] = np.radians([0.0, 0.01, 0.5, -1.0, 2.0])  # the wrist's axes nearly aligned

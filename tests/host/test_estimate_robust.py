@@ -8,7 +8,7 @@ from scipy import integrate, stats
 from truearm.errors import ProblemError
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.information import covariance, spectrum
-from truearm.estimate.robust import Moments, sandwich, tuning, weigh
+from truearm.estimate.robust import CAUCHY, HUBER, Moments, sandwich, tuning, weigh
 
 
 @pytest.mark.parametrize("loss", ["linear", "huber", "cauchy"])
@@ -29,9 +29,9 @@ def test_small_residuals_count_as_in_least_squares():
 
 
 def test_tuning_keeps_its_share_of_clean_rows():
-    assert (tuning("huber", 1), tuning("cauchy", 1)) == pytest.approx((1.345, 2.385))
+    assert (tuning(HUBER, 1), tuning(CAUCHY, 1)) == pytest.approx((1.345, 2.385))
     for width in (1, 3, 6):
-        assert stats.chi.cdf(tuning("huber", width), width) == pytest.approx(2 * stats.norm.cdf(1.345) - 1)
+        assert stats.chi.cdf(tuning(HUBER, width), width) == pytest.approx(2 * stats.norm.cdf(1.345) - 1)
 
 
 @pytest.mark.parametrize(("loss", "efficiency"), [("huber", 0.95), ("cauchy", 0.95)])

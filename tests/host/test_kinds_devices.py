@@ -9,13 +9,12 @@ from puma_bench import CHAIN, TRUTH, random_poses
 
 from truearm.estimate.information import observe, spectrum
 from truearm.estimate.problem import blocks, build_problem
-from truearm.kinds.line import PLACEMENTS
 from truearm.kinds.plane import frame_of
 from truearm.kinds.pose import PoseRows
 from truearm.kinds.position import place
 from truearm.model.chain import about, joint_jacobian, point_jacobians, trace_point
 from truearm.model.rotation import rotation, rotation_vector, skew
-from truearm.types import Device, Plane, Point, Rig
+from truearm.types import Device, LinePlacement, Plane, Point, Rig
 
 COV = ((1e-8, 1e-9, 0.0), (1e-9, 2e-8, 0.0), (0.0, 0.0, 3e-8))
 FLAT = Plane("table", (0.45, 0.0, 0.2), (0.1, 0.2, 1.0), 1e-5)
@@ -221,7 +220,7 @@ def started(t, device, rule):
     return start[:3], start[3:], rotation(start[3:]) @ rotation(np.array(device.rotation))
 
 
-@pytest.mark.parametrize("rule", PLACEMENTS)
+@pytest.mark.parametrize("rule", LinePlacement)
 def test_a_line_of_known_orientation_keeps_its_roll(rule):
     """Through a robot that errs by millimetres the points seem to say something of the roll; it is not listened to."""
     t, bent, device = set_up_by_hand(np.random.default_rng(12))
@@ -239,7 +238,7 @@ def test_a_line_of_known_orientation_keeps_its_roll(rule):
 def test_the_two_point_rule_lays_a_line_through_its_first_two_points():
     t, bent, device = set_up_by_hand(np.random.default_rng(12))
     left = {}
-    for rule in PLACEMENTS:
+    for rule in LinePlacement:
         at, _, rot = started(t, device, rule)
         left[rule] = bent - (at + t.xyz @ rot.T)
     chord = bent[1] - bent[0]

@@ -9,7 +9,7 @@ from tests.host import plan_bench as bench
 from truearm.errors import PlanError
 from truearm.model.chain import point_forward
 from truearm.plan.choose import as_blocks, choose, condensed, value
-from truearm.plan.criteria import CRITERIA
+from truearm.plan.criteria import Criterion
 from truearm.plan.forecast import Aim, bar_table, candidate_rows, region_root
 from truearm.plan.measurement_limits import Pairing
 from truearm.plan.region import around, poses_in
@@ -51,7 +51,7 @@ def test_after_the_exchange_no_single_swap_helps(criterion):
             assert value(information(rows, swapped), criterion, region) >= best - 1e-8 * abs(best)
 
 
-@pytest.mark.parametrize("criterion", CRITERIA)
+@pytest.mark.parametrize("criterion", Criterion)
 def test_exchange_never_makes_it_worse_and_nothing_is_taken_twice(criterion):
     rows, region = problem(n=60)
     greedy = choose(rows, np.eye(3), 20, criterion, region, passes=0)

@@ -10,7 +10,6 @@ import pytest
 
 from truearm.cli.main import main
 from truearm.cli.reproduce import planned_bench, write
-from truearm.kinds.line import PLACEMENTS
 from truearm.model.chain import forward, point_forward
 from truearm.model.robot import builtin_robot
 from truearm.report.reproduce_page import (
@@ -26,6 +25,7 @@ from truearm.report.reproduce_page import (
 )
 from truearm.reproduce import goswami, renders
 from truearm.reproduce.line_bench import ANGLE_SIGMA, line_rig, measured_lines
+from truearm.types import LinePlacement
 
 PAPERS = ("goswami", "renders")
 ULB = builtin_robot("ulb")
@@ -226,7 +226,7 @@ def test_a_perfect_robot_finds_its_lines():
     """With the nominal robot as truth only noise is left, whatever rule places the lines."""
     chain = ULB.chain
     session = measured_lines(chain, chain.params_nominal, 3, 12, np.random.default_rng(0))
-    for rule in PLACEMENTS:
+    for rule in LinePlacement:
         before = renders.before(chain, session, rule)
         # Roll about the line is set up to 3°, off-axis points are some micrometres: it costs nothing here.
         assert before < (5e-3 if rule == "two_point" else 1e-3)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, assert_never
 
 import typer
 
@@ -33,11 +33,17 @@ class DemoRig(StrEnum):
     both = "both"
 
 
-WHAT = {
-    DemoRig.ballbar: "{poses} poses on the shells of each bar",
-    DemoRig.line: "lines where the design errs",
-    DemoRig.both: "{poses} poses with each bar, and lines",
-}
+def what_is_planned(rig: DemoRig, poses: int) -> str:
+    """What the robot visits, in words."""
+    match rig:
+        case DemoRig.ballbar:
+            return f"{poses} poses on the shells of each bar"
+        case DemoRig.line:
+            return "lines where the design errs"
+        case DemoRig.both:
+            return f"{poses} poses with each bar, and lines"
+        case _:
+            assert_never(rig)
 
 
 def demo(
@@ -77,11 +83,14 @@ def demo(
     else:
         typer.echo(f"Firmware in {interpreter}")
     steps = Steps(typer.echo)
-    with steps.step(f"plan {WHAT[rig].format(poses=poses)}"):
-        if rig is DemoRig.ballbar:
-            world = World(seed, standard_plan(poses, seed))
-        else:
-            world = demo_lines.world_of(rig.value, poses, seed)
+    with steps.step(f"plan {what_is_planned(rig, poses)}"):
+        match rig:
+            case DemoRig.ballbar:
+                world = World(seed, standard_plan(poses, seed))
+            case DemoRig.line | DemoRig.both:
+                world = demo_lines.world_of(rig is DemoRig.both, poses, seed)
+            case _:
+                assert_never(rig)
         write_setup(out, world)
     plan = world.controller.plan
     box = SimulatedBox(world, interpreter, seed=seed)
@@ -94,19 +103,21 @@ def demo(
         truth = clock_truth(result, box)
     finally:
         box.close()
-    if rig is not DemoRig.ballbar:
-        with steps.step("identify, validate"):
-            lines = demo_lines.calibrate(rig.value, out, result.table)
-        with steps.step("report"):
-            page = demo_lines.write_page(out, lines, result, truth, steps)
-        said = demo_text.line_lines(lines)
-    else:
-        with steps.step("identify, validate"):
-            found = demo_ball_bar.calibrate(out, result.table)
-        with steps.step("report"):
-            page = demo_ball_bar.write_page(out, found, result, truth, steps)
-        said = demo_text.ball_bar_lines(found)
-    used = f"{len(result.table)} dwells used" if rig is DemoRig.ballbar else demo_text.used(result.table)
+    match rig:
+        case DemoRig.ballbar:
+            with steps.step("identify, validate"):
+                found = demo_ball_bar.calibrate(out, result.table)
+            with steps.step("report"):
+                page = demo_ball_bar.write_page(out, found, result, truth, steps)
+            said, used = demo_text.ball_bar_lines(found), f"{len(result.table)} dwells used"
+        case DemoRig.line | DemoRig.both:
+            with steps.step("identify, validate"):
+                lines = demo_lines.calibrate(rig is DemoRig.both, out, result.table)
+            with steps.step("report"):
+                page = demo_lines.write_page(out, lines, result, truth, steps)
+            said, used = demo_text.line_lines(lines), demo_text.used(result.table)
+        case _:
+            assert_never(rig)
     for line in [*demo_text.recording_lines(result, truth, steps, used), *said, f"\nreport          {page}"]:
         typer.echo(line)
 

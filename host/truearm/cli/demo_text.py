@@ -60,12 +60,12 @@ def line_lines(found: LineCalibration) -> list[str]:
     ]
     is_line, fitted = table.kind == "line", estimate.fitted
     sensors = MM.of(float(np.linalg.norm(found.rig.line_sigma)))
-    if found.kind == "both":
+    if found.with_bar:
         said += _group("46 cm shells", found, ~is_line & fitted, "")
         said += _group("61 cm shells", found, ~is_line & ~fitted, ", not fitted")
     said += _group(f"{N_LINES} lines", found, is_line & fitted, f"; the sensors alone would leave {sensors:.4f}")
     said += _group("validation line", found, is_line & ~fitted, ", not fitted")
-    if found.kind == "line":
+    if not found.with_bar:
         steps_of = " → ".join(f"{MM.of(rms):.3f}" for rms in estimate.rms_history["m"][:4])
         said.append(f"by iteration    {steps_of} mm RMS on the {N_LINES} lines")
         robot = slice(estimate.n_robot_parameters)

@@ -4,23 +4,14 @@ from __future__ import annotations
 
 import shlex
 import sys
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from truearm.cli.options import ROBOT_HELP, choices, one_of, rigs_of, warn
-from truearm.estimate.solvers import LOSSES, SOLVERS, with_loss
+from truearm.estimate.solvers import SOLVERS, Loss, Prior, with_loss
 from truearm.units import tolerances
-
-
-class Prior(StrEnum):
-    """What is believed of the robot before it is measured."""
-
-    none = "none"
-    weak = "weak"
-    wide = "wide"
 
 
 def identify(
@@ -100,8 +91,8 @@ def identify(
     loss: Annotated[
         str,
         typer.Option(
-            metavar=choices(LOSSES),
-            callback=one_of(LOSSES),
+            metavar=choices(tuple(Loss)),
+            callback=one_of(tuple(Loss)),
             help=f"huber and cauchy tolerate outliers; with the solvers {' and '.join(with_loss())}.",
         ),
     ] = "linear",

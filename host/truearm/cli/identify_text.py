@@ -15,6 +15,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from truearm.estimate.solvers import SOLVERS, Loss, Prior
 from truearm.kinds.registry import kinds
 from truearm.report.parameter_cells import parameter_cells
 from truearm.report.words import drawing, kind_name, proposal, time_offset
@@ -97,8 +98,8 @@ def headline(document: Document) -> str:
 
 def how(document: Document) -> str:
     """One line: the solver and what it believed."""
-    prior = "without a prior" if document["prior"] == "none" else f"with a {document['prior']} prior of the robot"
-    loss = "" if document["loss"] == "linear" else f", {document['loss']} loss"
+    prior = "without a prior" if document["prior"] == Prior.NONE else f"with a {document['prior']} prior of the robot"
+    loss = "" if document["loss"] == Loss.LINEAR else f", {document['loss']} loss"
     return f"Solved by {document['solver']} {prior}{loss}."
 
 
@@ -254,15 +255,16 @@ def _cell(value: float | None, decimals: int = UNITS["m"].decimals) -> str:
 def advice(document: Document, out: Path | None) -> list[str]:
     """What to do next, a line each."""
     lines = []
-    if document["solver"] == "renders-1991":
+    solver = SOLVERS[document["solver"]]
+    if solver.ends_by_recipe:
         lines.append(f"The solver {one_line(document['message'])}.")
     elif document["status"] != "converged":
         lines.append(_stopped(document))
     if document["chi2_reduced"] is not None and document["chi2_reduced"] > CHI2_DOUBTFUL:
         factor = math.sqrt(document["chi2_reduced"])
         # Least squares and robust losses read the noise from the residuals.
-        read_off = document["solver"] == "ls" or document["loss"] != "linear"
-        prior = ", or the prior is too tight" * (document["prior"] != "none")
+        read_off = solver.reads_noise or document["loss"] != Loss.LINEAR
+        prior = ", or the prior is too tight" * (document["prior"] != Prior.NONE)
         lines.append(
             f"Residuals are {factor:.1f} times what the declared sigmas allow: the robot has errors that these parameters "
             f"do not model, or the sigmas are too small{prior}."
@@ -293,7 +295,7 @@ def _stopped(document: Document) -> str:
     line = f"The fit stopped early: {one_line(document['message'])}. {raised} the units."
     if any(re.fullmatch(r"(.*\.)?line\.[^.]*\.rx", parameter["name"]) for parameter in document["parameters"]):
         line += " A straight line hardly shows its device's roll: give it in the rig, with turn_sigma_deg."
-    if document["hardly_seen"] and document["prior"] == "none":
+    if document["hardly_seen"] and document["prior"] == Prior.NONE:
         line += " What is hardly seen makes a fit creep: a prior holds it, as --solver map has."
     return line
 

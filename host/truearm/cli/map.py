@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, assert_never
 
 import typer
 
@@ -75,12 +75,22 @@ def map_(
     files = MapFiles(result, RobotChoice(robot, base, tip), out, picture)
     calibration = read_calibration(files.result, files.robot)
     stand = joints_of("--at", shown, calibration.joint_units)
-    section = Section(varied, stand, elbow is Elbow.up, MM.to_si(cell), own_frames)
+    section = Section(varied, stand, _is_up(elbow), MM.to_si(cell), own_frames)
     for line in lines(map_files(calibration, files, section, wanted), section.cell, task):
         typer.echo(line)
     for path in (out, picture):
         if path is not None:
             typer.echo(f"Written: {one_line(str(path))}")
+
+
+def _is_up(elbow: Elbow) -> bool:
+    match elbow:
+        case Elbow.up:
+            return True
+        case Elbow.down:
+            return False
+        case _:
+            assert_never(elbow)
 
 
 def _joints_of(text: str) -> tuple[int, int]:

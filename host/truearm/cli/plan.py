@@ -10,7 +10,7 @@ import typer
 from truearm.cli.options import ROBOT_HELP, check_finite, choices, one_of, planning, silent, spans_of
 from truearm.errors import InputError
 from truearm.model.builtin import names_with_branch
-from truearm.plan.criteria import CRITERIA
+from truearm.plan.criteria import Criterion, criterion_summary
 from truearm.plan.route_program import dialects_help
 from truearm.units import DEG, MM, MM_S
 
@@ -47,9 +47,9 @@ MinutesOption = Annotated[
 CriterionOption = Annotated[
     str,
     typer.Option(
-        metavar=choices(CRITERIA),
-        callback=one_of(CRITERIA),
-        help=". ".join(f"{name}: {what}" for name, what in CRITERIA.items()) + ".",
+        metavar=choices(tuple(Criterion)),
+        callback=one_of(tuple(Criterion)),
+        help=". ".join(f"{name}: {criterion_summary(name)}" for name in Criterion) + ".",
     ),
 ]
 RegionOption = Annotated[

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, assert_never
 
 import typer
 
@@ -73,14 +73,18 @@ def reproduced(paper: Paper, quick: bool, seed: int, command: str) -> ReproduceP
     from truearm.reproduce import goswami_page, renders_page
 
     steps = _Steps()
-    if paper is Paper.goswami:
-        with steps("plan of the poses on the shells"):
-            made = planned_bench(800, seed)
-        title, source = goswami_page.TITLE, goswami_page.SOURCE
-        chapters: tuple[Chapter, ...] = tuple(goswami_page.chapters(made, quick, seed, steps))
-    else:
-        title, source = renders_page.TITLE, renders_page.SOURCE
-        chapters = tuple(renders_page.chapters(quick, seed, steps))
+    chapters: tuple[Chapter, ...]
+    match paper:
+        case Paper.goswami:
+            with steps("plan of the poses on the shells"):
+                made = planned_bench(800, seed)
+            title, source = goswami_page.TITLE, goswami_page.SOURCE
+            chapters = tuple(goswami_page.chapters(made, quick, seed, steps))
+        case Paper.renders:
+            title, source = renders_page.TITLE, renders_page.SOURCE
+            chapters = tuple(renders_page.chapters(quick, seed, steps))
+        case _:
+            assert_never(paper)
     return ReproducePage(title, source, chapters, tuple(steps.done), command)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import NamedTuple
+from typing import NamedTuple, assert_never
 
 
 class Method(StrEnum):
@@ -27,19 +27,27 @@ class MethodEntry(NamedTuple):
     steps: bool = False
 
 
-METHODS = {
-    Method.NEWTON: MethodEntry("full inverse of the identified robot"),
-    Method.FALSE_TARGET: MethodEntry("the mirror image of the error is told, Renders 1991 (32)", steps=True),
-    Method.JOINTS: MethodEntry("the error through the nominal Jacobian, (34)", steps=True),
-    Method.OFFSETS: MethodEntry("the joints alone: offsets, gains and what else the joint law has, (35)", links=False),
-}
+def entry(method: Method) -> MethodEntry:
+    """Return what is declared of a method."""
+    match method:
+        case Method.NEWTON:
+            return MethodEntry("full inverse of the identified robot")
+        case Method.FALSE_TARGET:
+            return MethodEntry("the mirror image of the error is told, Renders 1991 (32)", steps=True)
+        case Method.JOINTS:
+            return MethodEntry("the error through the nominal Jacobian, (34)", steps=True)
+        case Method.OFFSETS:
+            summary = "the joints alone: offsets, gains and what else the joint law has, (35)"
+            return MethodEntry(summary, links=False)
+        case _:
+            assert_never(method)
 
 
 def methods_help() -> str:
     """Return one sentence a method."""
-    return " ".join(f"{method}: {entry.summary}." for method, entry in METHODS.items())
+    return " ".join(f"{method}: {entry(method).summary}." for method in Method)
 
 
 def with_steps() -> tuple[str, ...]:
     """Return the names of the methods that can be applied several times."""
-    return tuple(method.value for method, entry in METHODS.items() if entry.steps)
+    return tuple(method.value for method in Method if entry(method).steps)

@@ -16,8 +16,9 @@ from truearm.estimate import lm
 from truearm.estimate.information import Information, covariance, observe, spectrum, weighed, with_prior
 from truearm.estimate.parameter_update import stepper
 from truearm.estimate.problem import Problem
-from truearm.estimate.robust import STAGES, sandwich
+from truearm.estimate.robust import sandwich, stages
 from truearm.estimate.solution import Options, Solution, prior_error, whole
+from truearm.estimate.solvers import Loss
 from truearm.estimate.whitened_rows import observe_robustly
 from truearm.types import Floats
 
@@ -27,7 +28,7 @@ def fit(
 ) -> Solution:
     """Minimise from x (P,) over x[columns], beginning with ``damping``; the prior's mean is the problem's start."""
     part, iterations, prior = x[columns], 0, problem.prior_sigma[columns]
-    for loss in STAGES[options.loss]:
+    for loss in stages(options.loss):
         linearise, cost = _callbacks(problem, columns, x, loss)
         minimum = lm.minimise(
             linearise,
@@ -42,7 +43,7 @@ def fit(
         part, iterations = minimum.x, iterations + minimum.iterations
     x = whole(x, columns, part)
     message = minimum.message.replace(f"after {minimum.iterations} ", f"after {iterations} ")
-    if options.loss == "linear":
+    if options.loss is Loss.LINEAR:
         claimed = covariance(spectrum(minimum.information.root))
         weights, information = np.ones(problem.n_rows), minimum.information
         return Solution(x, minimum.status, message, iterations, information, claimed, weights, prior)
@@ -69,13 +70,13 @@ def _counted(before: int, options: Options) -> Callable[[int, Information], None
 
 
 def _callbacks(
-    problem: Problem, columns: NDArray[np.bool_], x: Floats, loss: str
+    problem: Problem, columns: NDArray[np.bool_], x: Floats, loss: Loss
 ) -> tuple[Callable[[Floats], Information], Callable[[Floats, Floats], float] | None]:
     """``linearise`` and ``cost`` for ``lm.minimise``."""
 
     def at(of: Problem, part: Floats) -> Information:
         here = whole(x, columns, part)
-        data = observe(of, here, columns) if loss == "linear" else observe_robustly(of, here, columns, loss)[0]
+        data = observe(of, here, columns) if loss is Loss.LINEAR else observe_robustly(of, here, columns, loss)[0]
         return with_prior(data, *prior_error(problem, columns, here))
 
     if problem.joint_cov is None:

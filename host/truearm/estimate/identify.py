@@ -26,7 +26,7 @@ from truearm.estimate.label_search import relabellings
 from truearm.estimate.prior import weak_prior
 from truearm.estimate.problem import Problem, Rigs, build_problem, settled, without_knowledge
 from truearm.estimate.solution import Options, Solution, of_data
-from truearm.estimate.solvers import LOSSES, SOLVERS, with_loss
+from truearm.estimate.solvers import SOLVERS, Loss, with_loss
 from truearm.estimate.solvers import solver as solver_of
 from truearm.estimate.uncertainty import goodness, prior_shares
 from truearm.estimate.validation import has_freedom
@@ -100,7 +100,7 @@ def identify(
             options.progress(iteration, history[-1])
 
     x_before, before = _before(problem, options.max_iterations)
-    how = Options(options.max_iterations, options.loss, options.damping == "plain", on_step)
+    how = Options(options.max_iterations, Loss(options.loss), options.damping == "plain", on_step)
     # To find the robot and a far-off rig at once is a curved valley; from a rig that has a prior the mode is nearer (decision 19).
     start = x_before if SOLVERS[options.solver].starts_from_rig else problem.start
     found = solver_of(options.solver)(problem, columns, start, how)
@@ -175,10 +175,14 @@ def _untimed(root: Floats, names: Sequence[str]) -> list[str]:
 
 
 def _check_choice(solver: str, loss: str, damping: str) -> None:
-    for what, given, known in (("solver", solver, SOLVERS), ("loss", loss, LOSSES), ("damping", damping, DAMPINGS)):
+    for what, given, known in (
+        ("solver", solver, SOLVERS),
+        ("loss", loss, tuple(Loss)),
+        ("damping", damping, DAMPINGS),
+    ):
         if given not in known:
             raise ProblemError(f"{what} {given!r} is not known; use {', '.join(known)}")
-    if loss != "linear" and not SOLVERS[solver].has_loss:
+    if loss != Loss.LINEAR and not SOLVERS[solver].has_loss:
         raise ProblemError(f"solver {solver} has no robust loss; use {' or '.join(with_loss())}, or loss linear")
     if damping != "scaled" and solver != "lm":
         raise ProblemError(f"solver {solver} has no damping to choose; use lm")

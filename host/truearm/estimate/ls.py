@@ -16,6 +16,7 @@ from truearm.estimate.fit import fit
 from truearm.estimate.information import observe, seen, spectrum
 from truearm.estimate.problem import Problem
 from truearm.estimate.solution import Options, Solution
+from truearm.estimate.solvers import Loss
 from truearm.types import Floats
 
 P0 = 1e6  # m² and rad², "an arbitrary large number"
@@ -23,7 +24,7 @@ P0 = 1e6  # m² and rad², "an arbitrary large number"
 
 def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Options) -> Solution:
     """Least squares over x[columns] from x (P,)."""
-    found = fit(unweighted(problem), columns, x, options._replace(loss="linear", plain=False), 0.0)
+    found = fit(unweighted(problem), columns, x, options._replace(loss=Loss.LINEAR, plain=False), 0.0)
     data = observe(problem, found.x, columns)
     rank = int(seen(spectrum(data.root)).sum())
     square = found.information.chi2 - float((((problem.start - found.x)[columns]) ** 2).sum()) / P0

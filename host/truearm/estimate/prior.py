@@ -19,11 +19,13 @@ the 3° that Renders (1991, III-C) grants a hand and a lathe. Under it the same 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import assert_never
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
+from truearm.estimate.solvers import Prior
 from truearm.model.chain import Chain
 from truearm.model.joint_terms.gain import Gain
 from truearm.types import Floats
@@ -38,6 +40,19 @@ def weak_prior(chain: Chain) -> Floats:
 def wide_prior(chain: Chain) -> Floats:
     """(p,) standard deviations by unit: 10 mm, 52 mrad, 1e-2 of a gain."""
     return np.array([UNITS[p.unit].wide_sigma for p in chain.parameters])
+
+
+def prior_named(chain: Chain, prior: Prior) -> Floats | None:
+    """(p,) standard deviations of a prior, None for none."""
+    match prior:
+        case Prior.NONE:
+            return None
+        case Prior.WEAK:
+            return weak_prior(chain)
+        case Prior.WIDE:
+            return wide_prior(chain)
+        case _:
+            assert_never(prior)
 
 
 def free_without_gains(chain: Chain) -> NDArray[np.bool_]:

@@ -22,16 +22,17 @@ The robust cost has several minima: the fit starts where least squares ended, Ca
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, assert_never
 
 import numpy as np
 from scipy import special
 
 from truearm.estimate.information import covariance, fold, spectrum
+from truearm.estimate.solvers import Loss
 from truearm.types import Floats
 
-TUNING = {"huber": 1.345, "cauchy": 2.385}
-STAGES = {"linear": ("linear",), "huber": ("linear", "huber"), "cauchy": ("linear", "huber", "cauchy")}
+HUBER, CAUCHY = 1.345, 2.385  # c of one residual
+STAGES = (Loss.LINEAR, Loss.HUBER, Loss.CAUCHY)  # of a fit; the last is the loss that was asked for
 
 
 class Weighted(NamedTuple):
@@ -42,23 +43,34 @@ class Weighted(NamedTuple):
     slope: Floats
 
 
-def weigh(loss: str, length: Floats, width: int) -> Weighted:
+def stages(loss: Loss) -> tuple[Loss, ...]:
+    """The losses of a fit's stages, ``loss`` the last."""
+    return STAGES[: STAGES.index(loss) + 1]
+
+
+def weigh(loss: Loss, length: Floats, width: int) -> Weighted:
     """The loss of n observations of ``width`` whitened residuals, from their lengths s (n,)."""
-    if loss == "linear":
-        return Weighted(length**2, np.ones_like(length), np.zeros_like(length))
-    c = tuning(loss, width)
-    if loss == "huber":
-        weight = c / np.maximum(length, c)
-        inside = length <= c
-        return Weighted(np.where(inside, length**2, 2.0 * c * length - c**2), weight, np.where(inside, 0.0, -weight))
-    ratio = (length / c) ** 2
-    weight = 1.0 / (1.0 + ratio)
-    return Weighted(c**2 * np.log1p(ratio), weight, -2.0 * ratio * weight**2)
+    match loss:
+        case Loss.LINEAR:
+            return Weighted(length**2, np.ones_like(length), np.zeros_like(length))
+        case Loss.HUBER:
+            c = tuning(HUBER, width)
+            weight = c / np.maximum(length, c)
+            inside = length <= c
+            cost = np.where(inside, length**2, 2.0 * c * length - c**2)
+            return Weighted(cost, weight, np.where(inside, 0.0, -weight))
+        case Loss.CAUCHY:
+            c = tuning(CAUCHY, width)
+            ratio = (length / c) ** 2
+            weight = 1.0 / (1.0 + ratio)
+            return Weighted(c**2 * np.log1p(ratio), weight, -2.0 * ratio * weight**2)
+        case _:
+            assert_never(loss)
 
 
-def tuning(loss: str, width: int) -> float:
-    """c of a loss: the quantile of χ_width that TUNING is of χ_1."""
-    inside = special.gammainc(0.5, TUNING[loss] ** 2 / 2.0)
+def tuning(of_one: float, width: int) -> float:
+    """c for observations of ``width`` residuals: the quantile of χ_width that ``of_one``, HUBER or CAUCHY, is of χ_1."""
+    inside = special.gammainc(0.5, of_one**2 / 2.0)
     return float(np.sqrt(2.0 * special.gammaincinv(width / 2.0, inside)))
 
 

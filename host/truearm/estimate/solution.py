@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from truearm.estimate.information import Information
 from truearm.estimate.problem import Problem
+from truearm.estimate.solvers import Loss
 from truearm.types import Floats, Residuals
 
 
@@ -17,7 +18,7 @@ class Options(NamedTuple):
     """How to solve; a solver ignores what it has no use for."""
 
     max_iterations: int = 50
-    loss: str = "linear"  # one of solvers.LOSSES, for lm and map
+    loss: Loss = Loss.LINEAR  # for lm and map
     plain: bool = False  # damp by λI, for lm
     on_step: Callable[[int, Residuals], None] | None = None  # hears the iteration and the residuals
 

@@ -7,39 +7,67 @@ line to ``SOLVERS``. The module is imported when it is used.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from enum import StrEnum
 from importlib import import_module
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, assert_never
 
 if TYPE_CHECKING:
     from truearm.estimate.solution import Solver
+
+
+class Prior(StrEnum):
+    """What is believed of the robot before it is measured."""
+
+    NONE = "none"
+    WEAK = "weak"
+    WIDE = "wide"
 
 
 class SolverEntry(NamedTuple):
     """A solver: its module in this package, and what ``--help`` says of it.
 
     ``has_loss``: it knows the robust losses. ``prior``: the robot's prior that it needs by default; None: it knows no prior.
-    ``starts_from_rig``: it begins with the rig fitted to the nominal robot.
+    ``starts_from_rig``: it begins with the rig fitted to the nominal robot. ``reads_noise``: its sigmas follow the residuals, not the
+    declared noise. ``ends_by_recipe``: how it ended says no more than its message.
     """
 
     module: str
     summary: str
     has_loss: bool = False
-    prior: str | None = "none"
+    prior: Prior | None = Prior.NONE
     starts_from_rig: bool = False
+    reads_noise: bool = False
+    ends_by_recipe: bool = False
 
 
 SOLVERS: Mapping[str, SolverEntry] = {
     "lm": SolverEntry("fit", "Levenberg-Marquardt", has_loss=True, starts_from_rig=True),
-    "map": SolverEntry("map", "maximum a posteriori", has_loss=True, prior="wide"),
+    "map": SolverEntry("map", "maximum a posteriori", has_loss=True, prior=Prior.WIDE),
     "recursive": SolverEntry("recursive", "row by row, leaves outliers out"),
-    "renders-1991": SolverEntry("renders1991", "the paper's, for comparison"),
-    "ls": SolverEntry("ls", "least squares without a prior, for comparison", prior=None),
+    "renders-1991": SolverEntry("renders1991", "the paper's, for comparison", ends_by_recipe=True),
+    "ls": SolverEntry("ls", "least squares without a prior, for comparison", prior=None, reads_noise=True),
 }
-LOSSES: Mapping[str, str] = {
-    "linear": "every row counts as its σ says",
-    "huber": "rows far from all others count less",
-    "cauchy": "rows far from all others hardly count",
-}
+
+
+class Loss(StrEnum):
+    """What a residual costs."""
+
+    LINEAR = "linear"
+    HUBER = "huber"
+    CAUCHY = "cauchy"
+
+
+def loss_summary(loss: Loss) -> str:
+    """Return what the report says of a loss."""
+    match loss:
+        case Loss.LINEAR:
+            return "every row counts as its σ says"
+        case Loss.HUBER:
+            return "rows far from all others count less"
+        case Loss.CAUCHY:
+            return "rows far from all others hardly count"
+        case _:
+            assert_never(loss)
 
 
 def solver(name: str) -> Solver:

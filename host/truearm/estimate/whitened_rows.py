@@ -19,6 +19,7 @@ from truearm.estimate.information import Information, fold
 from truearm.estimate.problem import Problem, blocks, note
 from truearm.estimate.residual_noise import residual_cov, whiten
 from truearm.estimate.robust import Moments, weigh
+from truearm.estimate.solvers import Loss
 from truearm.kinds.linearised import Indices
 from truearm.types import Floats, Residuals
 
@@ -52,7 +53,7 @@ def whitened_blocks(
 
 
 def observe_robustly(
-    problem: Problem, x: Floats, columns: NDArray[np.bool_], loss: str
+    problem: Problem, x: Floats, columns: NDArray[np.bool_], loss: Loss
 ) -> tuple[Information, Moments, Floats]:
     """Like ``information.observe``, each observation weighted by √w(s) of the loss; χ² is then Σρ(s).
 
@@ -64,7 +65,7 @@ def observe_robustly(
     moments, chi2, count = Moments(), 0.0, 0
     for block in whitened_blocks(problem, x, columns, residual):
         length, width = np.linalg.norm(block.residual, axis=1), block.residual.shape[1]
-        seen = weigh("linear" if block.row is None else loss, length, width)
+        seen = weigh(Loss.LINEAR if block.row is None else loss, length, width)
         if block.row is not None:
             weights[block.row] = seen.weight
         moments = moments.plus(seen, length, width)

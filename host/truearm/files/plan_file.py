@@ -11,6 +11,7 @@ import csv
 import io
 import math
 from pathlib import Path
+from typing import assert_never
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from truearm.errors import PlanError
 from truearm.files.csv_cells import NUMBER
 from truearm.files.disk import read_text, write_atomic
 from truearm.schema import NAME
-from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Plan, Rig
+from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Move, Plan, Rig
 from truearm.units import MM_S, UNITS
 
 MAX_BYTES = 16 * 2**20
@@ -66,8 +67,8 @@ def parse_plan(text: str, name: str) -> Plan:
     ids = {name: columns[name] for name in IDS}
     if not moving:
         return Plan(q, **ids)
-    move = np.where(columns["move"] == "", "dwell", columns["move"])
-    if (move == "via").all():
+    move = np.where(columns["move"] == "", Move.DWELL.value, columns["move"])
+    if (move == Move.VIA).all():
         raise PlanError(f"{name}: holds nothing to measure, only places to pass")
     speed = np.array([MM_S.to_si(float(cell)) if cell else np.nan for cell in columns["speed_mm_s"]])
     return Plan(q, **ids, move=move, line=columns["line"], target=columns["target"], speed=speed)
@@ -100,15 +101,15 @@ def _check_row(cells: list[str], pose: int, width: int, where: str) -> None:
 
 def _check_names(cells: dict[str, str], pose: int, where: str) -> None:
     """The names of one row and its kind of move against each other."""
-    move = cells.get("move") or "dwell"
-    if move not in Plan.MOVES:
-        raise PlanError(f"{where} column move: {move[:40]!r} is none of {', '.join(Plan.MOVES)}")
+    move = cells.get("move") or Move.DWELL
+    if move not in tuple(Move):
+        raise PlanError(f"{where} column move: {move[:40]!r} is none of {', '.join(Move)}")
     for name in (*IDS, *LINE_MOUNTED):
         cell = cells.get(name, "")
-        if not NAME.fullmatch(cell) and (cell or _required(name, move)):
+        if not NAME.fullmatch(cell) and (cell or name in _required(Move(move))):
             raise PlanError(f"{where} column {name}: {cell[:40]!r} is no identifier (letters, digits, '-', '_')")
     fitted = [name for name in BAR_MOUNTED if cells[name]]
-    if move == "line":
+    if move == Move.LINE:
         if pose == 0:
             raise PlanError(f"{where}: a line is driven from the row before it, and there is none")
         if fitted:
@@ -122,8 +123,17 @@ def _check_names(cells: dict[str, str], pose: int, where: str) -> None:
             raise PlanError(f"{where} column {name}: only lines have one; leave it empty")
 
 
-def _required(name: str, move: str) -> bool:
-    return name in {"dwell": BAR_MOUNTED, "via": (), "line": ("line",)}[move]
+def _required(move: Move) -> tuple[str, ...]:
+    """The columns that a row must fill in."""
+    match move:
+        case Move.DWELL:
+            return BAR_MOUNTED
+        case Move.VIA:
+            return ()
+        case Move.LINE:
+            return ("line",)
+        case _:
+            assert_never(move)
 
 
 def _speed(cell: str, where: str) -> None:
@@ -147,7 +157,7 @@ def check_against_rig(plan: Plan, rig: Rig, name: str) -> None:
     known_names = {"bar": rig.bars, "chuck": rig.chucks, "sphere": rig.spheres, "line": lines, "target": rig.targets}
     for column, known in known_names.items():
         for pose, identifier in enumerate(getattr(plan, column)):
-            chosen = column == "target" and plan.move[pose] == "line" and len(known) > 1
+            chosen = column == "target" and plan.move[pose] == Move.LINE and len(known) > 1
             if identifier not in known and (identifier or chosen):
                 names = ", ".join(sorted(known)) or "none"
                 raise PlanError(

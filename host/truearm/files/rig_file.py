@@ -15,7 +15,7 @@ from truearm.kinds.registry import entries
 from truearm.kinds.rig_entries import SIZE
 from truearm.kinds.seat import Socket
 from truearm.schema import Choice, Covariance, Key, List, Number, Sigmas, Table, read, sigma
-from truearm.types import Rig
+from truearm.types import LinePlacement, Rig
 
 MAX_BYTES = 2**20
 JOINT_COVARIANCE = (
@@ -38,7 +38,7 @@ RIG = Table(
     (
         Key("seat_sigma", SIZE, optional=True),
         Key("line_sigma", List(SIZE, 3), optional=True),
-        Key("line_placement", Choice(("least_squares", "two_point")), optional=True),
+        Key("line_placement", Choice(tuple(LinePlacement)), optional=True),
         Key("time_offset", Number("s"), optional=True),
         Key("time_offset_sigma", sigma("s", unknown=True), optional=True),
         Key("line_travel", SIZE, optional=True),

@@ -7,7 +7,7 @@ millimetres). Each placement of the device is a line with six unknowns of its ow
 Points exactly on a line (transverse readings 0) do not see the device's roll about it: one direction less a line.
 
 The line stands in the room by hand, so it is first placed by its own readings through the nominal robot
-(``PLACEMENTS``): by least squares of all its points, or, as Renders III-G 5 a, by its first two points alone. Least
+(``LinePlacement``): by least squares of all its points, or, as Renders III-G 5 a, by its first two points alone. Least
 squares starts nearer: two neighbours lie some centimetres apart, and by as many millimetres as the nominal robot errs
 between them the far end is off by a multiple. Both fits end at the same place. The paper then leaves the two points out
 of the identification; here they stay in, for a placement is a start and what is known of the device's pose is said by
@@ -24,6 +24,8 @@ device's longitudinal place.
 
 from __future__ import annotations
 
+from typing import assert_never
+
 import numpy as np
 
 from truearm.errors import ProblemError
@@ -36,21 +38,26 @@ from truearm.kinds.quantities import POINT, SPREAD
 from truearm.kinds.rig_entries import DEVICE, TARGET, by_name
 from truearm.model.rotation import rotation
 from truearm.schema import Entries
-from truearm.types import Device, Floats
-
-PLACEMENTS = ("least_squares", "two_point")
+from truearm.types import Device, Floats, LinePlacement
 
 
-def place(xyz: Floats, p_base: Floats, declared: Floats, rule: str, roll_known: bool) -> tuple[Floats, Floats]:
-    """Position (3,) and rotation (3, 3) of a line device by one of PLACEMENTS.
+def place(
+    xyz: Floats, p_base: Floats, declared: Floats, rule: LinePlacement, roll_known: bool
+) -> tuple[Floats, Floats]:
+    """Position (3,) and rotation (3, 3) of a line device.
 
     ``xyz`` (n, 3) are its readings in the order in which they were taken, ``p_base`` (n, 3) where the nominal robot has
     them, ``declared`` (3, 3) the orientation that the rig declares. Unless ``roll_known`` the roll about the line is
     that of the best fit of all points.
     """
     about = declared if roll_known else position.place(xyz, p_base, declared)[1]
-    used = slice(2) if rule == "two_point" else slice(None)
-    xyz, p_base = xyz[used], p_base[used]
+    match rule:
+        case LinePlacement.LEAST_SQUARES:
+            pass
+        case LinePlacement.TWO_POINT:
+            xyz, p_base = xyz[:2], p_base[:2]
+        case _:
+            assert_never(rule)
     middle_device, middle_base = xyz.mean(axis=0), p_base.mean(axis=0)
     rot = nearest_rotation((p_base - middle_base).T @ (xyz - middle_device), about, most=1)
     return middle_base - rot @ middle_device, rot
@@ -59,8 +66,8 @@ def place(xyz: Floats, p_base: Floats, declared: Floats, rule: str, roll_known: 
 def draft(scope: Scope, rows: Indices) -> Draft:
     """Targets and line devices that the rows use; a rig that lists no lines takes any that a row names."""
     rig = scope.rig
-    if rig.line_placement not in PLACEMENTS:
-        raise ProblemError(f"line_placement {rig.line_placement!r} is not known; use {' or '.join(PLACEMENTS)}")
+    if rig.line_placement not in tuple(LinePlacement):
+        raise ProblemError(f"line_placement {rig.line_placement!r} is not known; use {' or '.join(LinePlacement)}")
     cov = tuple(tuple(sigma**2 * (i == k) for k in range(3)) for i, sigma in enumerate(rig.line_sigma))
     known = rig.lines or {name: Device(name, cov) for name in scope.table.line[rows].tolist()}
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Floats
+from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Floats, Move
 
 MOUNTABLE = (*BAR_MOUNTED, "shell", *LINE_MOUNTED)
 CHANGED = (*BAR_MOUNTED, *LINE_MOUNTED)  # by hand; a shell is a place of the robot
@@ -30,7 +30,7 @@ class SessionProgress:
     next: int = 0
 
     def __post_init__(self) -> None:
-        self._dwells = [k for k, row in enumerate(self.rows) if row.get("move", "dwell") == "dwell"]
+        self._dwells = [k for k, row in enumerate(self.rows) if row.get("move", Move.DWELL) == Move.DWELL]
         self._q = np.array([self.rows[k]["q"] for k in self._dwells])
         if not self.mounted and self.rows:
             self.mounted = self.wanted() or {}

@@ -21,12 +21,13 @@ Measured, one core, with one exchange pass: 400 of 5000 candidates of one row an
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import assert_never
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import PlanError
-from truearm.plan.criteria import CRITERIA
+from truearm.plan.criteria import Criterion
 from truearm.types import Floats
 
 GAIN = 1e-9  # of the criterion, relative: a swap that brings less is rounding
@@ -49,14 +50,14 @@ def choose(
     ``group`` (N,): what needs a setup of its own, ``setup`` times as dear as a candidate.
     Raises PlanError for an unknown criterion, I without a region, and more candidates wanted than there are.
     """
-    _check(rows, n, criterion, region)
+    wanted = _checked(rows, n, criterion, region)
     information, chosen = known.copy(), list[int]()
     left = np.ones(len(rows), dtype=bool)
     group = np.zeros(len(rows), dtype=np.intp) if group is None else group
     here = np.zeros(len(rows), dtype=bool)  # of a group that was begun
     for _ in range(n):
         worth = np.where(here, 1.0, 1.0 / (1.0 + setup)) * left
-        best = _best(rows, information, worth, criterion, region)
+        best = _best(rows, information, worth, wanted, region)
         information += rows[best].T @ rows[best]
         chosen.append(best)
         left[best] = False
@@ -64,20 +65,25 @@ def choose(
     if setup > 0.0:
         left &= here
     for _ in range(passes):
-        if not _exchange(rows, information, chosen, left, criterion, region):
+        if not _exchange(rows, information, chosen, left, wanted, region):
             break
     return np.array(chosen, dtype=np.intp)
 
 
-def value(information: Floats, criterion: str, region: Floats | None = None) -> float:
+def value(information: Floats, criterion: Criterion, region: Floats | None = None) -> float:
     """What the criterion makes smaller: −log det M, tr P, the largest eigenvalue of P, or tr(LᵀPL)."""
-    if criterion == "D":
-        return -float(np.linalg.slogdet(information)[1])
-    covariance = _inverse(information)
-    if criterion == "E":
-        return float(np.linalg.eigvalsh(covariance)[-1])
-    weighed = covariance if region is None or criterion == "A" else region @ covariance @ region.T
-    return float(np.trace(weighed))
+    match criterion:
+        case Criterion.D:
+            return -float(np.linalg.slogdet(information)[1])
+        case Criterion.E:
+            return float(np.linalg.eigvalsh(_inverse(information))[-1])
+        case Criterion.A:
+            return float(np.trace(_inverse(information)))
+        case Criterion.I:
+            covariance = _inverse(information)
+            return float(np.trace(covariance if region is None else region @ covariance @ region.T))
+        case _:
+            assert_never(criterion)
 
 
 def _exchange(
@@ -85,7 +91,7 @@ def _exchange(
     information: Floats,
     chosen: list[int],
     left: NDArray[np.bool_],
-    criterion: str,
+    criterion: Criterion,
     region: Floats | None,
 ) -> bool:
     """One pass over all chosen; whether any was exchanged. ``information``, ``chosen`` and ``left`` follow."""
@@ -103,41 +109,45 @@ def _exchange(
     return changed
 
 
-def _best(rows: Floats, information: Floats, worth: Floats, criterion: str, region: Floats | None) -> int:
+def _best(rows: Floats, information: Floats, worth: Floats, criterion: Criterion, region: Floats | None) -> int:
     """The candidate that brings most, times what it is ``worth`` (N,), 0 for none."""
     covariance = _inverse(information)
     gain = (_gain_of_single_rows if rows.shape[1] == 1 else _gain)(rows, covariance, criterion, region)
     return int(np.argmax(np.where(worth > 0.0, gain * worth, -np.inf)))
 
 
-def _gain_of_single_rows(rows: Floats, covariance: Floats, criterion: str, region: Floats | None) -> Floats:
+def _gain_of_single_rows(rows: Floats, covariance: Floats, criterion: Criterion, region: Floats | None) -> Floats:
     """``_gain`` where w is 1: S is a number, and a division does what a solution of N systems of one equation would."""
     single = rows[:, 0]
     through = single @ covariance  # (N, k)
     total = np.einsum("nk,nk->n", through, single) + 1.0
-    if criterion == "D":
+    if criterion is Criterion.D:
         return np.asarray(np.log(total))
-    toward = through if criterion == "A" else through @ _directions(covariance, criterion, region)
+    toward = through if criterion is Criterion.A else through @ _directions(covariance, criterion, region)
     return np.asarray(np.einsum("nk,nk->n", toward, toward) / total)
 
 
-def _gain(rows: Floats, covariance: Floats, criterion: str, region: Floats | None) -> Floats:
+def _gain(rows: Floats, covariance: Floats, criterion: Criterion, region: Floats | None) -> Floats:
     """(N,) by how much a candidate makes the criterion smaller."""
     through = rows @ covariance  # (N, w, k)
     total = np.einsum("nwk,nvk->nwv", through, rows) + np.eye(rows.shape[1])
-    if criterion == "D":
+    if criterion is Criterion.D:
         return np.asarray(np.linalg.slogdet(total)[1])
     toward = through @ _directions(covariance, criterion, region)
     return np.asarray(np.sum(toward * np.linalg.solve(total, toward), axis=(1, 2)))
 
 
-def _directions(covariance: Floats, criterion: str, region: Floats | None) -> Floats:
+def _directions(covariance: Floats, criterion: Criterion, region: Floats | None) -> Floats:
     """L (k, ·)."""
-    if criterion == "I" and region is not None:
-        return np.asarray(region.T)
-    if criterion == "E":
-        return np.asarray(np.linalg.eigh(covariance)[1][:, -1:])
-    return np.eye(len(covariance))
+    match criterion:
+        case Criterion.I if region is not None:
+            return np.asarray(region.T)
+        case Criterion.E:
+            return np.asarray(np.linalg.eigh(covariance)[1][:, -1:])
+        case Criterion.I | Criterion.A | Criterion.D:
+            return np.eye(len(covariance))
+        case _:
+            assert_never(criterion)
 
 
 def _inverse(information: Floats) -> Floats:
@@ -145,13 +155,14 @@ def _inverse(information: Floats) -> Floats:
     return np.asarray(0.5 * (inverse + inverse.T))
 
 
-def _check(rows: Floats, n: int, criterion: str, region: Floats | None) -> None:
-    if criterion not in CRITERIA:
-        raise PlanError(f"criterion {criterion!r} is not known; use {', '.join(CRITERIA)}")
-    if criterion == "I" and region is None:
+def _checked(rows: Floats, n: int, criterion: str, region: Floats | None) -> Criterion:
+    if criterion not in tuple(Criterion):
+        raise PlanError(f"criterion {criterion!r} is not known; use {', '.join(Criterion)}")
+    if criterion == Criterion.I and region is None:
         raise PlanError("I-optimal choice needs a region in which the error is to be small")
     if not 1 <= n <= len(rows):
         raise PlanError(f"{n} of {len(rows)} candidates cannot be chosen; ask for fewer poses or more candidates")
+    return Criterion(criterion)
 
 
 def condensed(jacobian: Floats, own: Floats | None = None) -> Floats:

@@ -1,12 +1,30 @@
-"""What a choice of poses can be good for, by name. Imports nothing, so that ``--help`` can list them (``choose`` uses them)."""
+"""What a choice of poses can be good for. Imports nothing slow, so that ``--help`` can list them (``choose`` uses them)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from enum import StrEnum
+from typing import assert_never
 
-CRITERIA: Mapping[str, str] = {
-    "I": "the error in the region",
-    "D": "all parameters at once",
-    "A": "their mean",
-    "E": "the worst of them",
-}
+
+class Criterion(StrEnum):
+    """What a choice makes small."""
+
+    I = "I"  # noqa: E741  # the criterion's name in the literature
+    D = "D"
+    A = "A"
+    E = "E"
+
+
+def criterion_summary(criterion: Criterion) -> str:
+    """Return what ``--help`` says of a criterion."""
+    match criterion:
+        case Criterion.I:
+            return "the error in the region"
+        case Criterion.D:
+            return "all parameters at once"
+        case Criterion.A:
+            return "their mean"
+        case Criterion.E:
+            return "the worst of them"
+        case _:
+            assert_never(criterion)

@@ -30,7 +30,7 @@ from truearm.plan.forecast import Aim, Forecast, Known, compiled, forecast, plan
 from truearm.plan.measurement_limits import Site
 from truearm.plan.region import Region, around, poses_in
 from truearm.plan.route_stops import SETTLE, Stop, plain
-from truearm.types import Device, Floats, ObservationTable, Plan, Rig
+from truearm.types import Device, Floats, Move, ObservationTable, Plan, Rig
 
 SETUP = 180.0  # s to place the device
 BY_HAND = 0.052  # rad about each axis to which a device is set up as planned (Renders III-C)
@@ -227,17 +227,17 @@ def _stops(site: Site, lines: Lines, names: list[str], wanted: LinesWanted, pace
         first = len(stops)
         for place in way:
             seconds = move_seconds(site, stops[-1].q, place, point, pace) if stops else 0.0
-            stops.append(Stop(place, seconds, "via"))
+            stops.append(Stop(place, seconds, Move.VIA))
         stops[first] = stops[first]._replace(before=plain(f"Line device away. Next: line {name}"))
         stops[-1] = stops[-1]._replace(there=plain(f"Put the line device along line {name}"))
-        stops += [Stop(place, 0.0, "line", speed=wanted.shape.speed) for place in (q[-1], q[0]) * wanted.passes]
+        stops += [Stop(place, 0.0, Move.LINE, speed=wanted.shape.speed) for place in (q[-1], q[0]) * wanted.passes]
     return stops
 
 
 def _visits(stops: list[Stop], names: list[str], passes: int, target: str) -> Plan:
     """The stops as a plan, row by row."""
     move = np.array([stop.move for stop in stops])
-    driven, blank = move == "line", np.full(len(stops), "")
+    driven, blank = move == Move.LINE, np.full(len(stops), "")
     line = np.full(len(stops), "", dtype=np.array(names).dtype)
     line[driven] = np.repeat(names, 2 * passes)
     return Plan(

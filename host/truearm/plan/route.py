@@ -15,7 +15,7 @@ from truearm.plan.roadmap import Roadmap, make_roadmap, passable
 from truearm.plan.route_stops import Stop, plain
 from truearm.plan.shells import move_costs
 from truearm.plan.visit_order import short_tour
-from truearm.types import BAR_MOUNTED, Floats, Plan
+from truearm.types import BAR_MOUNTED, Floats, Move, Plan
 
 NEAR = 12  # poses to which the way is looked at before the order is chosen
 
@@ -53,7 +53,7 @@ class Route(NamedTuple):
         names = {
             name: np.where(is_via & mounts[to], "", getattr(self.plan, name)[to]) for name in (*BAR_MOUNTED, "shell")
         }
-        return Plan(self.q, **names, move=np.where(is_via, "via", "dwell"))
+        return Plan(self.q, **names, move=np.where(is_via, Move.VIA.value, Move.DWELL.value))
 
     @property
     def stops(self) -> list[Stop]:
@@ -61,7 +61,7 @@ class Route(NamedTuple):
         out: list[Stop] = []
         left = 0  # the stop that the way to the next pose begins with
         for i, (q, seconds, pose) in enumerate(zip(self.q, self.seconds.tolist(), self.pose.tolist(), strict=True)):
-            out.append(Stop(q, seconds, "dwell" if pose >= 0 else "via"))
+            out.append(Stop(q, seconds, Move.DWELL if pose >= 0 else Move.VIA))
             if pose < 0:
                 continue
             if self.mount[i]:

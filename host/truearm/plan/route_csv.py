@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import assert_never
 
 from truearm.plan.route_stops import Stop, Task
+from truearm.types import Move
 from truearm.units import MM_S
 
 
@@ -17,10 +19,21 @@ def text(stops: Sequence[Stop], task: Task) -> str:
     rows = [["pose", "move", "before", "there", "move_s", "dwell_s", "speed_mm_s"]]
     rows[0] += [f"q{i + 1}_rad" for i in range(len(stops[0].q))]
     for number, stop in enumerate(stops):
-        rest = f"{task.dwell if stop.move == 'dwell' else 0.0:g}"
-        pace = ("", rest, f"{MM_S.of(stop.speed):g}") if stop.move == "line" else (f"{stop.seconds:.3f}", rest, "")
-        rows.append([str(number), stop.move, stop.before, stop.there, *pace, *map(repr, stop.q.tolist())])
+        rows.append([str(number), stop.move, stop.before, stop.there, *_pace(stop, task), *map(repr, stop.q.tolist())])
     return csv_of(rows)
+
+
+def _pace(stop: Stop, task: Task) -> tuple[str, str, str]:
+    """Seconds of the move, seconds of the rest, speed of a line [mm/s]."""
+    match stop.move:
+        case Move.DWELL:
+            return f"{stop.seconds:.3f}", f"{task.dwell:g}", ""
+        case Move.VIA:
+            return f"{stop.seconds:.3f}", "0", ""
+        case Move.LINE:
+            return "", "0", f"{MM_S.of(stop.speed):g}"
+        case _:
+            assert_never(stop.move)
 
 
 def csv_of(rows: Iterable[Iterable[str]]) -> str:

@@ -7,8 +7,10 @@ controller computes of the joints planned, ``CalcRobT``: so in the configuration
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import assert_never
 
 from truearm.plan.route_stops import SETTLE, TIMEOUT, Stop, Task, identifier
+from truearm.types import Move
 from truearm.units import DEG, MM, MM_S
 
 TOOL = "toTruearm"
@@ -16,18 +18,23 @@ TOOL = "toTruearm"
 
 def text(stops: Sequence[Stop], task: Task) -> str:
     """A module; joints in degrees."""
-    lines_too = any(stop.move == "line" for stop in stops)
+    lines_too = any(stop.move is Move.LINE for stop in stops)
     tool = TOOL if lines_too else "tool0"
     lines = [f"MODULE {identifier(task.name)}", *_data(task, lines_too), "  PROC main()", *_begin(lines_too)]
     for number, stop in enumerate(stops):
         lines.append(f"    ! row {number}: {stop.move}")
         if stop.before:
             lines += _ask(stop.before)
-        lines += _line(stop, task) if stop.move == "line" else [_move(stop, tool)]
-        if stop.there:
-            lines += _ask(stop.there)
-        if stop.move == "dwell":
-            lines += [*_at_rest(task), f"    WaitTime {task.dwell:.3f};", *_switched(task, 0)]
+        there = _ask(stop.there) if stop.there else []
+        match stop.move:
+            case Move.LINE:
+                lines += [*_line(stop, task), *there]
+            case Move.VIA:
+                lines += [_move(stop, tool), *there]
+            case Move.DWELL:
+                lines += [_move(stop, tool), *there, *_at_pose(task)]
+            case _:
+                assert_never(stop.move)
     return "\n".join([*lines, "  ENDPROC", "ENDMODULE", ""])
 
 
@@ -61,6 +68,10 @@ def _joints(stop: Stop) -> str:
 
 def _ask(text: str) -> list[str]:
     return [f'    TPWrite "{text}";', "    Stop;"]
+
+
+def _at_pose(task: Task) -> list[str]:
+    return [*_at_rest(task), f"    WaitTime {task.dwell:.3f};", *_switched(task, 0)]
 
 
 def _at_rest(task: Task) -> list[str]:

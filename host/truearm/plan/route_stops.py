@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import NamedTuple
 
-from truearm.types import Floats
+from truearm.types import Floats, Move
 
 TIMEOUT = 5.0  # s that the box has to answer
 SETTLE = 0.3  # s between arriving and saying so
@@ -16,14 +16,14 @@ LONGEST = 72  # characters of a text: RAPID's strings have 80, of which a progra
 class Stop(NamedTuple):
     """One stop of a program, one row of the plan file.
 
-    Joints (j,); seconds of the move there (0 for the first); what is measured there or on the way (one of ``Plan.MOVES``);
+    Joints (j,); seconds of the move there (0 for the first); what is measured there or on the way (``Move``);
     what the operator has to do before the arm sets out and when it is there ("" nothing, else as ``plain`` leaves it); the
     speed [m/s] of a line.
     """
 
     q: Floats
     seconds: float
-    move: str = "dwell"
+    move: Move = Move.DWELL
     before: str = ""
     there: str = ""
     speed: float = float("nan")

@@ -8,8 +8,10 @@ where the controller's own model has them: in the configuration that was planned
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import assert_never
 
 from truearm.plan.route_stops import SETTLE, SLOW, TIMEOUT, Stop, Task, identifier
+from truearm.types import Move
 
 ACCELERATION = 0.5  # m/s² at a line's ends
 
@@ -23,11 +25,16 @@ def text(stops: Sequence[Stop], task: Task) -> str:
         lines.append(f"  # row {number}: {stop.move}")
         if stop.before:
             lines.append(_ask(stop.before))
-        lines += _line(stop, task) if stop.move == "line" else [_move(stop)]
-        if stop.there:
-            lines.append(_ask(stop.there))
-        if stop.move == "dwell":
-            lines += [*_at_rest(task), f"  sleep({task.dwell:.3f})", *_switched(task, False)]
+        there = [_ask(stop.there)] if stop.there else []
+        match stop.move:
+            case Move.LINE:
+                lines += [*_line(stop, task), *there]
+            case Move.VIA:
+                lines += [_move(stop), *there]
+            case Move.DWELL:
+                lines += [_move(stop), *there, *_at_pose(task)]
+            case _:
+                assert_never(stop.move)
     return "\n".join([*lines, "end", ""])
 
 
@@ -47,6 +54,10 @@ def _joints(stop: Stop) -> str:
 
 def _ask(text: str) -> str:
     return f'  popup("{text}", title="truearm", blocking=True)'
+
+
+def _at_pose(task: Task) -> list[str]:
+    return [*_at_rest(task), f"  sleep({task.dwell:.3f})", *_switched(task, False)]
 
 
 def _at_rest(task: Task) -> list[str]:

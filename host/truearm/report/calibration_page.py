@@ -14,7 +14,7 @@ from importlib.resources import files
 
 import numpy as np
 
-from truearm.estimate.solvers import LOSSES
+from truearm.estimate.solvers import Loss, Prior, loss_summary
 from truearm.report.correlation import correlation
 from truearm.report.figures import Figure, convergences, figures_of
 from truearm.report.findings import (
@@ -36,10 +36,6 @@ from truearm.units import symbol, tolerances
 
 CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
 HELD_OUT_DOUBTFUL = 1.5  # held-out RMS over fitted RMS
-PRIORS = {
-    "none": "none",
-    **{prior: f"{prior}: nominal to {', '.join(tolerances(prior))}" for prior in ("weak", "wide")},
-}
 POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 
 
@@ -251,12 +247,16 @@ def _parameters(e: Estimate) -> str:
     return _section("Parameters", "".join(parts) + (_figure(picture) if picture else ""))
 
 
+def _prior(name: str) -> str:
+    return name if name == Prior.NONE else f"{name}: nominal to {', '.join(tolerances(name))}"
+
+
 def _making(page: CalibrationPage) -> str:
     e = page.estimate
     facts = [
         ("solver", e.solver),
-        ("loss", f"{e.loss}: {LOSSES[e.loss]}"),
-        ("prior of the robot", PRIORS.get(page.prior, page.prior)),
+        ("loss", f"{e.loss}: {loss_summary(Loss(e.loss))}"),
+        ("prior of the robot", _prior(page.prior)),
         ("iterations", str(e.iterations)),
         ("status", f"{e.status}: {e.message}" if e.message else e.status),
         ("χ² per degree of freedom", figures(e.chi2_reduced)),

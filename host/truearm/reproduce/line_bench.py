@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from truearm.model.chain import Chain, point_forward, point_jacobians
 from truearm.model.rotation import rotation, rotation_vector
-from truearm.types import Device, Floats, Matrix, ObservationTable, Point, Rig
+from truearm.types import Device, Floats, LinePlacement, Matrix, ObservationTable, Point, Rig
 
 SENSOR_VARIANCE = (3.84e-9, 10e-9, 3.84e-9)  # m², III-C, y is the longitudinal sensor
 # rad², III-C prints five of six entries; 21 stands in for the missing fifth, as for its neighbours.
@@ -39,8 +39,8 @@ class Session(NamedTuple):
     by_hand: Mapping[str, Floats]  # (3, 3) by line: the device's orientation as set up by hand, to ANGLE_SIGMA
 
 
-def line_rig(session: Session, rule: str, device_sigma: float, joint_noise: bool = True) -> Rig:
-    """The paper's covariances, the devices to be placed through the nominal robot by a rule of ``line.PLACEMENTS``.
+def line_rig(session: Session, rule: LinePlacement, device_sigma: float, joint_noise: bool = True) -> Rig:
+    """The paper's covariances, the devices to be placed through the nominal robot by a ``rule``.
 
     ``device_sigma`` [m] is how well the place is believed to be known.
     """

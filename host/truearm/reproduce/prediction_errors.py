@@ -44,7 +44,7 @@ from truearm.estimate.whitened_rows import only
 from truearm.model.chain import Chain
 from truearm.model.robot import Robot
 from truearm.reproduce.line_bench import Session, line_rig, measured_lines, prior_of
-from truearm.types import Floats
+from truearm.types import Floats, LinePlacement
 
 N_LINES = 4
 PLACING = 2  # points that place a line (III-G 5 a) and are not identified with
@@ -75,7 +75,7 @@ def convergence(
     sigma = np.array([prior.get(name, np.inf) for name in chain.parameter_names])
     truth = chain.params_nominal + np.where(free, sigma, 0.0) * rng.standard_normal(free.size)
     session = measured_lines(chain, truth, N_LINES, n_points + PLACING, rng)
-    problem = build_problem(chain, line_rig(session, "two_point", DEVICE_SIGMA), session.table, sigma)
+    problem = build_problem(chain, line_rig(session, LinePlacement.TWO_POINT, DEVICE_SIGMA), session.table, sigma)
     steps = last or N_LINES * n_points
     plain = [predictions(ls.unweighted(problem, p0), session, free, steps) for p0 in p0s]
     return Convergence(predictions(problem, session, free, steps), np.array(plain))
@@ -115,5 +115,5 @@ def placed(chain: Chain, x: Floats, session: Session, rows: NDArray[np.intp]) ->
     """(6,) the device's parameters as ``rows`` of one line place it through the robot of x (P,)."""
     known = zip(chain.parameters, x[: len(chain.parameters)].tolist(), strict=True)
     as_known = replace(chain, parameters=tuple(replace(p, nominal=value) for p, value in known))
-    rig = line_rig(session, "two_point", DEVICE_SIGMA)
+    rig = line_rig(session, LinePlacement.TWO_POINT, DEVICE_SIGMA)
     return build_problem(as_known, rig, session.table.select(rows)).start[-6:]

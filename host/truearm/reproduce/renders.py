@@ -22,7 +22,7 @@ from truearm.estimate.solvers import solver as solver_of
 from truearm.estimate.uncertainty import CartesianError, tolerance_error
 from truearm.model.chain import Chain, point_forward, point_jacobians
 from truearm.reproduce.line_bench import ANGLE_SIGMA, Session, line_rig, measured_lines, prior_of
-from truearm.types import Figures, Floats, Residuals
+from truearm.types import Figures, Floats, LinePlacement, Residuals
 
 # III-E and III-F, errors identified [rad, m]; III-F prints its lengths as Δα2, Δα4, Δα6, Δα6: a2, d4, a6, d6.
 OFFSETS = {"joint2": 0.0236, "joint3": -0.1277, "joint4": -0.0341, "joint5": 0.2585, "joint6": -0.0109}
@@ -60,7 +60,7 @@ def case(
     free: Iterable[str],
     solver: str,
     *,
-    rule: str = "least_squares",
+    rule: LinePlacement = LinePlacement.LEAST_SQUARES,
     runs: int = 50,
     joint_noise: bool = True,
 ) -> Case:
@@ -86,7 +86,7 @@ def _on_other_line(problem: Problem, params: Floats) -> float:
     return _mean(fit(problem, columns, x, Options(), 0.0).information.residual)
 
 
-def before(chain: Chain, session: Session, rule: str) -> float:
+def before(chain: Chain, session: Session, rule: LinePlacement) -> float:
     """Mean error [m] of the identification lines as the nominal robot and a placement rule have them."""
     table = session.table
     problem = build_problem(chain, line_rig(session, rule, WIDE), table.select(table.line != table.line[-1]))
@@ -161,7 +161,7 @@ def error_map(chain: Chain, where: Section, errors: Mapping[str, float]) -> Floa
 
 def batch_against_recursive(chain: Chain, session: Session) -> tuple[float, float]:
     """Largest relative difference of (12) in one step and (18), (20) point by point: of Δ, and of P."""
-    rig = line_rig(session, "least_squares", WIDE)
+    rig = line_rig(session, LinePlacement.LEAST_SQUARES, WIDE)
     problem = build_problem(chain, rig, session.table, prior_of(chain))
     columns = np.array([name in CASE_E or name.startswith("line.") for name in problem.names])
     sigma = problem.prior_sigma[columns]

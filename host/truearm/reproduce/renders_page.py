@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import assert_never
 
 import numpy as np
 
-from truearm.kinds.line import PLACEMENTS
 from truearm.model.chain import Chain
 from truearm.model.robot import builtin_robot
 from truearm.report.page_text import figures, number
@@ -17,7 +17,7 @@ from truearm.reproduce.line_bench import ANGLE_SIGMA, LENGTH_SIGMA, measured_lin
 from truearm.reproduce.prediction_errors import Convergence, convergence
 from truearm.reproduce.renders import CASE_E, CASE_F, GEAR, N_LINES, N_POINTS, WIDE, Case
 from truearm.reproduce.renders_plots import map_figure, prediction_figure, runs_figure
-from truearm.types import Floats
+from truearm.types import Floats, LinePlacement
 from truearm.units import MM
 
 TITLE = "Straight-line calibration of the ULB robot"
@@ -109,11 +109,11 @@ def _identified(chain: Chain, name: str, sets: int, seed: int) -> Chapter:
     errors, runs = (CASE_E, RUNS_E) if name == "E" else (CASE_F, RUNS_F)
     truth = renders.errors_added(chain, errors)
     found: dict[str, list[Case]] = {"paper": [], "map": [], "gears": []}
-    starts: dict[str, list[float]] = {rule: [] for rule in PLACEMENTS}
+    starts: dict[LinePlacement, list[float]] = {rule: [] for rule in LinePlacement}
     for k in range(sets):
         clean = measured_lines(chain, truth, N_LINES, N_POINTS, np.random.default_rng([seed, k]))
         rough = measured_lines(chain, truth, N_LINES, N_POINTS, np.random.default_rng([seed, k]), GEAR)
-        for rule in PLACEMENTS:
+        for rule in LinePlacement:
             starts[rule].append(renders.before(chain, clean, rule))
         found["paper"].append(renders.case(chain, clean, truth, errors, "renders-1991", runs=runs))
         found["map"].append(renders.case(chain, clean, truth, errors, "map"))
@@ -128,17 +128,26 @@ def _identified(chain: Chain, name: str, sets: int, seed: int) -> Chapter:
     )
     title = "III-E: errors of the joint encoders' zeroes" if name == "E" else "III-F: offsets and four lengths"
     head = ("placement of a line", "mean error before [mm]")
-    words = {"least_squares": "least squares", "two_point": "its first two points"}
     table = Table(
-        "What “before” depends on", head, tuple((words[rule], number(value, 2)) for rule, value in placed.items())
+        "What “before” depends on", head, tuple((_placed_by(rule), number(value, 2)) for rule, value in placed.items())
     )
     paper = np.array(PAPER_E if name == "E" else [PAPER_E[0], *PAPER_F.values()])
     at = np.array([0.0, 1.0, 2.0, 3.0] if name == "E" else [0.0, *map(float, PAPER_F)])
     return Chapter(title, text, claims, (table,), (runs_figure(histories, paper, at),))
 
 
+def _placed_by(rule: LinePlacement) -> str:
+    match rule:
+        case LinePlacement.LEAST_SQUARES:
+            return "least squares"
+        case LinePlacement.TWO_POINT:
+            return "its first two points"
+        case _:
+            assert_never(rule)
+
+
 def _case_claims(
-    name: str, placed: dict[str, float], found: dict[str, list[Case]], histories: dict[str, Floats], runs: int
+    name: str, placed: dict[LinePlacement, float], found: dict[str, list[Case]], histories: dict[str, Floats], runs: int
 ) -> tuple[Claim, ...]:
     paper = dict(enumerate(PAPER_E)) if name == "E" else {0: PAPER_E[0], **PAPER_F}
     claims = [
@@ -146,10 +155,10 @@ def _case_claims(
             "mean error before, lines placed by their first two points",
             "mm",
             PAPER_E[0],
-            placed["two_point"],
+            placed[LinePlacement.TWO_POINT],
             None,
             None,
-            f"{UNSTATED} III-G places lines by two points; by least squares it is {figures(placed['least_squares'])} mm.",
+            f"{UNSTATED} III-G places lines by two points; by least squares it is {figures(placed[LinePlacement.LEAST_SQUARES])} mm.",
         )
     ]
     for run, value in list(paper.items())[1:]:

@@ -26,12 +26,10 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from truearm.session.joint_line import MAX_JOINTS
-from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Floats
-from truearm.types import Plan as PlanFile
+from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Floats, Move
 
 NAMED = (*BAR_MOUNTED, *LINE_MOUNTED)
 FITTINGS = (*NAMED, "shell")
-MOVES = PlanFile.MOVES
 MAX_NAME = 64
 REPEAT = 0.25
 BACK = 1.125
@@ -82,8 +80,8 @@ class Marks:
         q = document.get("q")
         numbers = isinstance(q, list) and 1 <= len(q) <= MAX_JOINTS
         numbers = numbers and all(type(value) in (int, float) and abs(value) < 1e6 for value in q or [])
-        move = document.get("move", "dwell")
-        if not numbers or move not in MOVES or (self.rows and len(self.rows[0].q) != len(q or [])):
+        move = document.get("move", Move.DWELL)
+        if not numbers or move not in tuple(Move) or (self.rows and len(self.rows[0].q) != len(q or [])):
             self.malformed += 1
             return
         self.rows.append(Row([float(value) for value in q or []], _fittings(document), move))
@@ -91,7 +89,7 @@ class Marks:
     @property
     def dwells(self) -> list[int]:
         """The rows at which the ball-bar is read."""
-        return [number for number, row in enumerate(self.rows) if row.move == "dwell"]
+        return [number for number, row in enumerate(self.rows) if row.move == Move.DWELL]
 
     def plan(self) -> Plan | None:
         """The poses of ``dwells``, None without any."""
@@ -103,7 +101,7 @@ class Marks:
     @property
     def names_lines(self) -> bool:
         """Whether a line was planned or said to be mounted."""
-        return any(row.move == "line" for row in self.rows) or any("line" in said for _, said in self.mountings)
+        return any(row.move == Move.LINE for row in self.rows) or any("line" in said for _, said in self.mountings)
 
     def mounted_at(self, t_host_ns: int) -> dict[str, str]:
         """What was said to be mounted at a time; empty before the first word."""

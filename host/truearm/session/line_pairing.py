@@ -11,7 +11,7 @@ from truearm.errors import RigError
 from truearm.session.dwell_pairing import Marks, Plan, match_plan
 from truearm.session.legs import Leg
 from truearm.session.line_passes import LONGEST_S, Pass
-from truearm.types import LINE_MOUNTED, Rig
+from truearm.types import LINE_MOUNTED, Move, Rig
 
 
 def passes_of(legs: Sequence[Leg], marks: Marks, rig: Rig, tolerance: float) -> list[Pass]:
@@ -34,7 +34,7 @@ def passes_of(legs: Sequence[Leg], marks: Marks, rig: Rig, tolerance: float) -> 
 
 def planned_lines(marks: Marks) -> tuple[Plan | None, list[int]]:
     """The lines of the plan, q (p, 2j) being the joints at both ends, and their rows; None without any."""
-    rows = [k for k, row in enumerate(marks.rows) if row.move == "line" and k > 0 and "line" in row.mounted]
+    rows = [k for k, row in enumerate(marks.rows) if row.move == Move.LINE and k > 0 and "line" in row.mounted]
     if not rows:
         return None, rows
     ends = np.array([[*marks.rows[k - 1].q, *marks.rows[k].q] for k in rows])

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from truearm.estimate.solvers import Prior
 from truearm.units import MS, NS
 from truearm.workflows.demo_steps import FITTED, VALIDATED, ClockTruth, Steps, recording_facts
 
@@ -26,11 +27,11 @@ CANDIDATES = 30
 DRAW = 1000  # of the line that judges: beside the planner's own
 SPEED = 0.1  # m/s
 ROBOT_DELAY_S = 8e-3
-RATES_HZ = {"line": 125.0, "both": 50.0}  # joint readings a second; an hour and a half at 125 would be recorded longer
+RATE_HZ, RATE_OF_BOTH_HZ = 125.0, 50.0  # joint readings a second; an hour and a half at 125 would be recorded longer
 
 
-def world_of(kind: str, poses: int, seed: int) -> World:
-    """The robot that drives planned lines, after ``poses`` dwells with each bar where both are measured."""
+def world_of(with_bar: bool, poses: int, seed: int) -> World:
+    """The robot that drives planned lines, after ``poses`` dwells with each bar if ``with_bar``."""
     from dataclasses import replace
 
     from truearm.files.plan_file import concatenate
@@ -38,10 +39,10 @@ def world_of(kind: str, poses: int, seed: int) -> World:
     from truearm_sim.world import World, standard_plan, standard_rig
 
     plan, rig = planned_lines(seed), line_rig()
-    if kind == "both":
+    if with_bar:
         plan, rig = concatenate(standard_plan(poses, seed), plan), line_rig(standard_rig())
     rig = replace(rig, time_offset_sigma=None)
-    return World(seed, plan, rig, robot_rate=RATES_HZ[kind], robot_delay_s=ROBOT_DELAY_S)
+    return World(seed, plan, rig, robot_rate=RATE_OF_BOTH_HZ if with_bar else RATE_HZ, robot_delay_s=ROBOT_DELAY_S)
 
 
 def planned_lines(seed: int) -> Plan:
@@ -73,7 +74,7 @@ def planned_lines(seed: int) -> Plan:
 class LineCalibration:
     """What was identified of lines, and by what else it is judged."""
 
-    kind: str
+    with_bar: bool
     robot: Robot
     rig: Rig
     table: ObservationTable
@@ -84,12 +85,12 @@ class LineCalibration:
     hold_out: tuple[str, ...]
 
     @property
-    def prior(self) -> str:
+    def prior(self) -> Prior:
         """Lines alone do not see all that is free; beside a ball-bar nothing but the rows speaks."""
-        return "wide" if self.kind == "line" else "none"
+        return Prior.NONE if self.with_bar else Prior.WIDE
 
 
-def calibrate(kind: str, out: Path, table: ObservationTable) -> LineCalibration:
+def calibrate(with_bar: bool, out: Path, table: ObservationTable) -> LineCalibration:
     """Fit four lines, with them the 46 cm shells, and judge by the rest; writes result.json."""
     import numpy as np
 
@@ -105,7 +106,7 @@ def calibrate(kind: str, out: Path, table: ObservationTable) -> LineCalibration:
     robot, rig = load_robot("puma560"), read_rig(out / "rig.toml")
     chain = robot.chain
     judges = (table.line == CHECK) | (table.bar == VALIDATED)
-    if kind == "line":
+    if not with_bar:
         prior = wide_prior(chain)
         estimate, other = (
             identify(
@@ -122,10 +123,10 @@ def calibrate(kind: str, out: Path, table: ObservationTable) -> LineCalibration:
     else:
         estimate = identify(chain, rig, table, free=robot.free, hold_out=judges)
         other = identify(chain, rig, table, free=robot.free, hold_out=np.asarray(table.bar != FITTED))
-    hold_out = (f"line={CHECK}", *[f"bar={VALIDATED}"] * (kind == "both"))
+    hold_out = (f"line={CHECK}", *[f"bar={VALIDATED}"] * with_bar)
     predicted = predicted_point_error(chain, rig, table, estimate)
     found = LineCalibration(
-        kind, robot, rig, table, estimate, other, longitudes(chain, rig, table, estimate), predicted, hold_out
+        with_bar, robot, rig, table, estimate, other, longitudes(chain, rig, table, estimate), predicted, hold_out
     )
     frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, chain.joint_units)
     inputs = hashed_inputs(Sources((out / "session.mcap",), {"": out / "rig.toml"}), RobotChoice("puma560"))
@@ -139,7 +140,7 @@ def write_page(out: Path, found: LineCalibration, result: SyncResult, truth: Clo
     """report.html: pictures and tables, everything inline."""
     from truearm.report.calibration_page import CalibrationPage, render
 
-    with_bar = " and ball-bar" * (found.kind == "both")
+    with_bar = " and ball-bar" * found.with_bar
     page = CalibrationPage(
         title=f"PUMA 560, calibration by lines{with_bar}",
         subtitle="simulated robot, real firmware, wire, recorder and estimator",
@@ -148,7 +149,7 @@ def write_page(out: Path, found: LineCalibration, result: SyncResult, truth: Clo
         longitude=found.longitude,
         facts=(*recording_facts(result, truth), ("delay of the robot's readings", delay_words(found.estimate))),
         steps=tuple(steps.done),
-        command=f"truearm demo --rig {found.kind} --out {out}",
+        command=f"truearm demo --rig {'both' if found.with_bar else 'line'} --out {out}",
         prior=found.prior,
         predicted=found.predicted,
     )

@@ -13,15 +13,14 @@ from truearm.errors import Argument, InputError
 from truearm.estimate.identify import SolverOptions
 from truearm.estimate.identify import identify as estimate_parameters
 from truearm.estimate.prediction import predicted_point_error
-from truearm.estimate.prior import free_without_gains, weak_prior, wide_prior
+from truearm.estimate.prior import free_without_gains, prior_named
 from truearm.estimate.problem import Rigs
-from truearm.estimate.solvers import LOSSES, SOLVERS, with_loss
+from truearm.estimate.solvers import SOLVERS, Loss, Prior, with_loss
 from truearm.files.observation_table import looks_like_table, write_table
 from truearm.files.result_file import Input, RobotFrames, document_of, looks_like_result, stored_result, write_result
 from truearm.files.robot_file import RobotChoice, load_robot
-from truearm.model.chain import Chain
 from truearm.model.robot import Robot
-from truearm.types import Estimate, Floats, ObservationTable, PredictedError
+from truearm.types import Estimate, ObservationTable, PredictedError
 from truearm.workflows.calibration import Calibration, calibration_of
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.inputs import Sources, check_files, hashed_inputs, observed
@@ -30,9 +29,6 @@ from truearm.workflows.session_parts import with_parts
 
 Mask = NDArray[np.bool_]
 Progress = Callable[[int, Mapping[str, float]], None]  # iteration, RMS of the residuals by SI unit
-
-NO_PRIOR = "none"
-PRIORS: Mapping[str, Callable[[Chain], Floats]] = {"weak": weak_prior, "wide": wide_prior}
 
 
 @dataclass(frozen=True)
@@ -153,7 +149,7 @@ def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: Ident
 def check_options(options: IdentifyOptions) -> None:
     """Raise InputError for a choice that does not exist, and for one that would silently be ignored or misread."""
     solver, loss, prior = options.solver, options.loss, options.prior
-    known = {"solver": tuple(SOLVERS), "loss": tuple(LOSSES), "prior": (NO_PRIOR, *PRIORS)}
+    known = {"solver": tuple(SOLVERS), "loss": tuple(Loss), "prior": tuple(Prior)}
     for what, given in (("solver", solver), ("loss", loss), ("prior", prior)):
         if given is not None and given not in known[what]:
             raise InputError(Argument(what), f" {given!r} is not known; use {', '.join(known[what])}")
@@ -163,11 +159,11 @@ def check_options(options: IdentifyOptions) -> None:
             raise InputError(Argument(option), f": must be a tuple of patterns, is the text {patterns!r}")
     if options.max_iterations < 1:
         raise InputError(Argument("max_iterations"), f": must be 1 or more, is {options.max_iterations}")
-    if loss != "linear" and not SOLVERS[solver].has_loss:
+    if loss != Loss.LINEAR and not SOLVERS[solver].has_loss:
         raise InputError(
             Argument("loss"), f" {loss} goes with the solvers {' and '.join(with_loss())}; {solver} has no robust loss"
         )
-    if prior in PRIORS and SOLVERS[solver].prior is None:
+    if prior not in (None, Prior.NONE) and SOLVERS[solver].prior is None:
         raise InputError(
             Argument("prior"),
             f" {prior} is nothing to ",
@@ -181,12 +177,12 @@ def default_free(robot: Robot) -> Mask:
     return free_without_gains(robot.chain) if robot.is_urdf else robot.free
 
 
-def default_prior(robot: Robot, solver: str) -> str:
+def default_prior(robot: Robot, solver: str) -> Prior:
     """The prior that robot or solver needs: the weak one settles the redundant constants of a URDF."""
     needed = SOLVERS[solver].prior
     if needed is None:
-        return NO_PRIOR
-    return "weak" if robot.is_urdf else needed
+        return Prior.NONE
+    return Prior.WEAK if robot.is_urdf else needed
 
 
 def selected(robot: Robot, table: ObservationTable, hold_out: Sequence[str], options: IdentifyOptions) -> Selection:
@@ -212,14 +208,14 @@ def identified(
     Raises ProblemError where observations and robot make no problem that can be solved.
     """
     chain = robot.chain
-    prior = options.prior or default_prior(robot, options.solver)
+    prior = Prior(options.prior or default_prior(robot, options.solver))
     estimate = estimate_parameters(
         chain,
         rig,
         table,
         free=selection.free,
         hold_out=selection.held_out,
-        prior_sigma=PRIORS[prior](chain) if prior in PRIORS else None,
+        prior_sigma=prior_named(chain, prior),
         options=SolverOptions(
             solver=options.solver, loss=options.loss, max_iterations=options.max_iterations, progress=progress
         ),

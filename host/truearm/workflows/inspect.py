@@ -11,6 +11,7 @@ from truearm.errors import InputError, SessionError
 from truearm.files.strict_json import without_nan
 from truearm.session.joint_line import parse_reading
 from truearm.text import one_line
+from truearm.types import Move
 from truearm.units import PPM
 
 if TYPE_CHECKING:
@@ -176,7 +177,7 @@ def _measured(session: Session, found: Survey, ident: Ident | None) -> dict[str,
         "not_paired": None,
         "table": _dwell_rows(found.dwells),
     }
-    planned = sum(row.move == "line" for row in found.marks.rows)
+    planned = sum(row.move == Move.LINE for row in found.marks.rows)
     passes: dict[str, Any] = {"planned": planned, "found": None, "rejected": {}, "points": None, "table": []}
     document = {"dwells": dwells, "passes": passes}
     attached = session.attachments.get("rig.toml")

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from truearm.errors import Argument, InputError
+from truearm.estimate.prior import weak_prior
 from truearm.files.disk import check_writable, write_atomic
 from truearm.files.plan_file import write_plan
 from truearm.files.rig_file import read_rig, write_rig
@@ -32,7 +33,7 @@ from truearm.plan.route_stops import Signals, Stop, Task
 from truearm.types import Floats, Rig
 from truearm.units import MM
 from truearm.workflows.calibration import Calibration, read_calibration
-from truearm.workflows.identify import PRIORS, default_free
+from truearm.workflows.identify import default_free
 from truearm.workflows.inputs import Sources, observed
 from truearm.workflows.session_observations import Say, silent
 from truearm.workflows.session_parts import with_parts
@@ -81,7 +82,7 @@ class Budget(NamedTuple):
 class BallBarOptions:
     """How ball-bar poses are chosen.
 
-    ``criterion`` is one of ``plan.choose.CRITERIA``, "I" for the error in the ``region`` (default: around the poses). ``bars``:
+    ``criterion`` is one of ``plan.criteria.Criterion``, "I" for the error in the ``region`` (default: around the poses). ``bars``:
     only these. ``reserve`` [m] of the bar's travel is kept for what the model does not know (default 22 mm on the design, 3 mm
     on a result); ``spread`` [m] varies the bar's length about mid-travel. ``dwell`` [s]: rest at a pose.
 
@@ -224,7 +225,7 @@ def known_of(robot: Robot, rig: Rig, result: Calibration | None = None) -> Known
     if result is not None:
         estimates = zip(result.stored.parameter_names, result.stored.value.tolist(), strict=True)
         params, values = result.identified, {name: value for name, value in estimates if np.isfinite(value)}
-    prior = PRIORS["weak"](robot.chain) if robot.is_urdf else None  # as identify does
+    prior = weak_prior(robot.chain) if robot.is_urdf else None  # as identify does
     known = Known.design(robot, with_rig_values(rig, values))
     return replace(known, params=params, rig_values=values, free=default_free(robot), prior_sigma=prior)
 

@@ -16,6 +16,7 @@ from truearm.live.mounted_parts import check_mounted, parse_mounted
 from truearm.live.progress import SessionProgress
 from truearm.live.state import LiveState
 from truearm.live.view import View, showing
+from truearm.types import Move
 from truearm.workflows.session_parts import SETUP, Earlier, earlier, gone_on
 
 if TYPE_CHECKING:
@@ -222,9 +223,9 @@ def _going_on(work: Work, request: Request, before: Earlier) -> Work:
 
 def _purpose(work: Work) -> Purpose:
     """By the plan, else by what is mounted, else by the rig."""
-    moves = {row.get("move", "dwell") for row in work.rows}
+    moves = {row.get("move", Move.DWELL) for row in work.rows}
     if work.rows:
-        ball_bar, line = "dwell" in moves, "line" in moves
+        ball_bar, line = Move.DWELL in moves, Move.LINE in moves
     elif work.mounted:
         ball_bar, line = "bar" in work.mounted, "line" in work.mounted
     else:
@@ -239,7 +240,7 @@ def plan_rows(plan: Plan) -> list[dict[str, Any]]:
 
 def _plan_row(plan: Plan, pose: int) -> dict[str, Any]:
     row: dict[str, Any] = {"pose": pose, **{name: str(getattr(plan, name)[pose]) for name in plan.IDS}}
-    if plan.move[pose] != "dwell":
+    if plan.move[pose] != Move.DWELL:
         row["move"] = str(plan.move[pose])
     if plan.lines[pose]:
         row |= {"line": str(plan.line[pose]), "target": str(plan.target[pose]), "speed_m_s": float(plan.speed[pose])}

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import dataclass
+from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple, assert_never
 
 from truearm.errors import Argument, InputError, LinkError
 from truearm.workflows.session_observations import Say
@@ -25,11 +26,25 @@ if TYPE_CHECKING:
     from truearm_sim.simbox import Fault
 
 
+class Level(StrEnum):
+    """What the simulated box runs in."""
+
+    VM = "vm"
+    CHIP = "chip"
+
+
+class Hardware(NamedTuple):
+    """What runs behind the box, and the longest step of its time [ns] (None: any)."""
+
+    power_on: PowerOn
+    longest_step_ns: int | None
+
+
 @dataclass(frozen=True)
 class SimulateOptions:
     """What is simulated, and where it listens.
 
-    ``robot`` is one of ROBOTS, ``level`` "vm" or "chip". ``plan`` and ``rig`` are files that stand in for ``poses`` with each bar, or
+    ``robot`` is one of ROBOTS, ``level`` a Level. ``plan`` and ``rig`` are files that stand in for ``poses`` with each bar, or
     for ``lines``. ``faults`` are written SECONDS:KIND. A port of 0 is any free one.
     """
 
@@ -82,10 +97,10 @@ def simulate_box_and_robot(options: SimulateOptions, say: Say) -> None:
         robot_input=options.trigger,
     )
     own_folder(folder, MARK)
-    power_on = hardware(options.level, say)
+    of_box = hardware(options.level, say)
     write_plan(folder / "plan.csv", plan)
     write_rig(folder / "rig.toml", world.rig)
-    box = SimulatedBox(world, power_on=power_on, faults=faults, seed=seed)
+    box = SimulatedBox(world, power_on=of_box.power_on, faults=faults, seed=seed)
     try:
         box_port = Terminal() if options.pty else Port.listen("127.0.0.1", options.port)
         listener = Port.listen("127.0.0.1", usual_port if options.robot_port is None else options.robot_port)
@@ -103,7 +118,6 @@ def simulate_box_and_robot(options: SimulateOptions, say: Say) -> None:
         f"--out {shlex.quote(str(folder / 'session.mcap'))}\n"
     )
     try:
-        slow = CHIP_STEP_NS if options.level == "chip" else None
         goes_on = "; its controller goes on, so end the recording with q" if options.robot == "rtde" else ""
         serve(
             world,
@@ -112,7 +126,7 @@ def simulate_box_and_robot(options: SimulateOptions, say: Say) -> None:
             robot_end,
             started=lambda: say("connected: time starts"),
             ended=lambda: say(f"the robot's program has ended{goes_on}"),
-            longest_step_ns=slow,
+            longest_step_ns=of_box.longest_step_ns,
         )
     finally:
         box.close()
@@ -143,21 +157,25 @@ def visits(options: SimulateOptions) -> tuple[Plan, Rig]:
     return plan, rig
 
 
-def hardware(level: str, say: Say) -> PowerOn:
+def hardware(level: str, say: Say) -> Hardware:
     """What runs behind the box; says what it is. Raises InputError, and LinkError where the emulator is missing."""
     from truearm_sim import micropython, node
     from truearm_sim.chip import ChipBox
     from truearm_sim.vmbox import VmBox
 
-    if level == "vm":
-        interpreter = find_interpreter()
-        say(f"firmware: {interpreter or 'CPython; no MicroPython was found (' + micropython.BY_HAND + ')'}")
-        return partial(VmBox, interpreter)
-    if level != "chip":
-        raise InputError(Argument("level"), f" {level!r}: there are vm and chip")
-    node.ready()
-    say(f"firmware: {node.image()} in an emulated RP2040")
-    return ChipBox
+    if level not in tuple(Level):
+        raise InputError(Argument("level"), f" {level!r}: there are {' and '.join(Level)}")
+    match wanted := Level(level):
+        case Level.VM:
+            interpreter = find_interpreter()
+            say(f"firmware: {interpreter or 'CPython; no MicroPython was found (' + micropython.BY_HAND + ')'}")
+            return Hardware(partial(VmBox, interpreter), None)
+        case Level.CHIP:
+            node.ready()
+            say(f"firmware: {node.image()} in an emulated RP2040")
+            return Hardware(ChipBox, CHIP_STEP_NS)
+        case _:
+            assert_never(wanted)
 
 
 def find_interpreter() -> Interpreter | None:
