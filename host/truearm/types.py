@@ -423,6 +423,62 @@ class Relabelling(NamedTuple):
     rms_after: float  # m, with this label and all others found beside it put right
 
 
+@dataclass(frozen=True)
+class Effect:
+    """A systematic error: ``what`` is off in the rows ``first`` to before ``last`` (None: to the end), counted from 0.
+
+    ``what`` is a thing of a rig ("chuck.c2", "bar.b46.zero"), a joint, or "base". It is off by an offset in these rows or, if
+    it ``drifts``, by a part that grows linearly over them.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> str(truearm.Effect("chuck.c2", first=182))
+    'chuck.c2@183'
+    """
+
+    what: str
+    first: int = 0
+    last: int | None = None
+    drifts: bool = False
+
+    def __str__(self) -> str:
+        return self.parameter(self.what)
+
+    def parameter(self, number: str) -> str:
+        """The name of the parameter that says by how much a ``number`` of the thing is off; rows count from 1 there."""
+        end = "" if self.last is None else f":{self.last}"
+        rows = f"@{self.first + 1}{end}" if self.first or end else ""
+        return f"{number}{'.drift' * self.drifts}{rows}"
+
+
+class OffBy(NamedTuple):
+    """By how much a number is off: the rig's, a joint's or the base's; NaN where the observations cannot tell."""
+
+    name: str
+    unit: str
+    value: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class SystematicError:
+    """Something that is off beyond chance in the rows of a fit (``estimate.systematic``).
+
+    ``effect`` is None where a block of rows does not fit the rest, whatever the cause. ``rows``: the first, and the one after the
+    last. ``drop`` is by how much χ² falls if it is a parameter (or these rows are left out), with ``freedom`` degrees of freedom;
+    ``chance`` that clean data give such a finding anywhere. ``rivals`` explain the same nearly as well.
+    """
+
+    effect: Effect | None
+    rows: tuple[int, int]
+    off_by: tuple[OffBy, ...]
+    drop: float
+    freedom: int
+    chance: float
+    rivals: tuple[str, ...] = ()
+
+
 class PredictedError(NamedTuple):
     """How far the measured point of the robot's end errs by the parameters' covariance, over poses that were measured.
 
@@ -495,3 +551,4 @@ class Estimate:
     additions: tuple[Addition, ...] = ()  # where something free is unseen, else where it is hardly seen
     relabellings: tuple[Relabelling, ...] = ()
     relabelling_search: str = "not needed"  # | "done" | "too many groups" (estimate.relabel)
+    systematic: tuple[SystematicError, ...] = ()  # what is off beyond chance (estimate.systematic)

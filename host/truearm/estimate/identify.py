@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
+from truearm.estimate.effects import Modelled, modelled_effects
 from truearm.estimate.fit import fit
 from truearm.estimate.further_measurements import additions
 from truearm.estimate.identifiability import (
@@ -23,16 +24,18 @@ from truearm.estimate.identifiability import (
 )
 from truearm.estimate.information import Information, half, observe, spectrum, with_prior
 from truearm.estimate.label_search import relabellings
+from truearm.estimate.measured_order import measured_order
 from truearm.estimate.prior import weak_prior
 from truearm.estimate.problem import Problem, Rigs, build_problem, settled, without_knowledge
 from truearm.estimate.solution import Options, Solution, of_data
 from truearm.estimate.solvers import SOLVERS, Loss, with_loss
 from truearm.estimate.solvers import solver as solver_of
+from truearm.estimate.systematic import FitChi2, systematic_errors
 from truearm.estimate.uncertainty import goodness, prior_shares
 from truearm.estimate.validation import has_freedom
 from truearm.estimate.whitened_rows import only, standardised
 from truearm.model.chain import Chain
-from truearm.types import Estimate, Figures, Floats, HeldOut, NullDirection, ObservationTable, Residuals
+from truearm.types import Effect, Estimate, Figures, Floats, HeldOut, NullDirection, ObservationTable, Residuals
 from truearm.units import UNITS
 
 TIME_OFFSET = "time_offset"
@@ -48,6 +51,7 @@ class SolverOptions:
     loss : "linear", "huber" or "cauchy" (robust.py), for the solvers lm and map.
     damping : of lm: "scaled" columns (Marquardt) or "plain" λI (Goswami's (10)).
     progress : called with (iteration, RMS by SI unit) after each step.
+    effects : systematic errors that are estimated too, their rows counted in the table.
     """
 
     solver: str = "lm"
@@ -55,6 +59,7 @@ class SolverOptions:
     damping: str = "scaled"
     max_iterations: int = 50
     progress: Progress | None = None
+    effects: tuple[Effect, ...] = ()
 
 
 DEFAULTS = SolverOptions()
@@ -90,7 +95,8 @@ def identify(
     _check_choice(options.solver, options.loss, options.damping)
     if held.all():
         raise ProblemError("no observations are left to fit; hold out less")
-    problem = build_problem(chain, rig, table.select(~held), prior_sigma)
+    modelled = _modelled(chain, rig, table, options.effects)
+    problem = build_problem(chain, rig, table.select(~held), prior_sigma, [one.select(~held) for one in modelled])
     columns = np.concatenate([free, np.ones(len(problem.names) - free.size, dtype=bool)])
     history: list[dict[str, float]] = []
 
@@ -100,10 +106,10 @@ def identify(
             options.progress(iteration, history[-1])
 
     x_before, before = _before(problem, options.max_iterations)
-    how = Options(options.max_iterations, Loss(options.loss), options.damping == "plain", on_step)
+    how_to = Options(options.max_iterations, Loss(options.loss), options.damping == "plain", on_step)
     # To find the robot and a far-off rig at once is a curved valley; from a rig that has a prior the mode is nearer (decision 19).
     start = x_before if SOLVERS[options.solver].starts_from_rig else problem.start
-    found = solver_of(options.solver)(problem, columns, start, how)
+    found = solver_of(options.solver)(problem, columns, start, how_to)
     x, information = found.x, found.information
     parts = spectrum(information.root)
     fit_quality = goodness(*of_data(problem, columns, found), prior_shares(half(parts), found.prior_sigma))
@@ -118,12 +124,17 @@ def identify(
     untimed = _untimed(data.root, names)
     known = dict(zip(problem.names, x, strict=True))
     labels = relabellings(chain, rig, table, ~held, free, prior_sigma, _rms(information.residual).get("m", math.nan))
+    how = measured_order(table, ~held)
+    chi2, freedom = fit_quality.reduced * fit_quality.freedom, fit_quality.freedom
+    explained = not fit_quality.reduced > fit_quality.band[1]
+    used = only(problem, found.weight > 0.0)
+    wrong = systematic_errors(used, x, columns, information, FitChi2(chi2, freedom, explained), how)
     distance, beyond = standardised(problem, x, columns, half(parts), found.weight)
     identifiable = _spread(sight.identifiable & ~np.isin(names, untimed), columns)
     matrix = np.zeros((x.size, x.size))
     matrix[np.ix_(columns, columns)] = found.covariance
-    held_before, error_before = _judge(problem, x_before, rig, table, held)
-    held_after, error_after = _judge(problem, x, rig, table, held)
+    held_before, error_before = _judge(problem, x_before, rig, table, held, modelled)
+    held_after, error_after = _judge(problem, x, rig, table, held, modelled)
     estimate = Estimate(
         status=found.status,
         message=found.message,
@@ -164,8 +175,14 @@ def identify(
         additions=additions(chain, rig, table.select(~held), names, data.root, known, *wanting),
         relabellings=labels.found,
         relabelling_search=labels.status,
+        systematic=wrong,
     )
     return replace(estimate, seconds=time.perf_counter() - started)
+
+
+def _modelled(chain: Chain, rig: Rigs, table: ObservationTable, effects: Sequence[Effect]) -> list[Modelled]:
+    """The parameters of effects, by what the whole table uses."""
+    return modelled_effects(build_problem(chain, rig, table).causes, effects, len(table)) if effects else []
 
 
 def _untimed(root: Floats, names: Sequence[str]) -> list[str]:
@@ -212,13 +229,20 @@ def _data_root(problem: Problem, columns: NDArray[np.bool_], found: Solution) ->
 
 
 def _judge(
-    fitted: Problem, x_fit: Floats, rig: Rigs, table: ObservationTable, held: NDArray[np.bool_]
+    fitted: Problem,
+    x_fit: Floats,
+    rig: Rigs,
+    table: ObservationTable,
+    held: NDArray[np.bool_],
+    modelled: Sequence[Modelled],
 ) -> tuple[HeldOut | None, Residuals]:
     """Errors on the held-out rows with the robot of x_fit; the rig's unknowns from x_fit, or else from these rows."""
     if not held.any():
         return None, {}
     # The known distance between sockets must not help to place them: the error is the spread about each socket.
-    problem = without_knowledge(build_problem(fitted.chain, rig, table.select(held)))
+    problem = without_knowledge(
+        build_problem(fitted.chain, rig, table.select(held), None, [m.select(held) for m in modelled])
+    )
     known = dict(zip(fitted.names, x_fit, strict=True))
     columns = np.array([name not in known for name in problem.names])
     x = np.array([known.get(name, value) for name, value in zip(problem.names, problem.start, strict=True)])

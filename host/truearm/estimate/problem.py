@@ -12,13 +12,14 @@ unknowns carry its name in front (``monday.chuck.c1.x``).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from truearm.errors import ProblemError
 from truearm.estimate.backlash import Backlash
+from truearm.estimate.effects import BASE, JUMPED, MOVED_BASE, Cause, Errors, Modelled, with_effects
 from truearm.estimate.prior import robot_prior
 from truearm.estimate.residual_noise import checked_joint_cov, residual_cov
 from truearm.kinds.draft import Draft, Scope
@@ -30,6 +31,7 @@ from truearm.types import Floats, ObservationTable, Residuals, Rig
 from truearm.units import UNITS
 
 BLOCK = 4096  # observations evaluated at once: a Jacobian of 54 columns fills 1.8 MB, about the second-level cache
+NO_ERRORS = Errors((), ())
 Rigs = Rig | Mapping[str, Rig]
 
 
@@ -45,6 +47,8 @@ class Problem:
     groups: tuple[Group, ...]
     n_rows: int  # of the table
     joint_cov: Floats | None = None  # (j, j) of the joint readings; None: exact
+    errors: Errors = NO_ERRORS  # by what the predictions can be off, in the order of ``effects.error_columns``
+    causes: tuple[Cause, ...] = ()  # how things can be off, as their kinds declare it
 
     @property
     def n_robot(self) -> int:
@@ -57,11 +61,16 @@ class Problem:
 
 
 def build_problem(
-    chain: Chain, rig: Rigs, table: ObservationTable, prior_sigma: Mapping[str, float] | Floats | None = None
+    chain: Chain,
+    rig: Rigs,
+    table: ObservationTable,
+    prior_sigma: Mapping[str, float] | Floats | None = None,
+    effects: Sequence[Modelled] = (),
 ) -> Problem:
     """Compile a table. ``prior_sigma``: σ of robot parameters by name, or (p,) with inf for none.
 
-    ``rig`` is one rig for all rows, or rigs by the name that the table's ``rig`` column has.
+    ``rig`` is one rig for all rows, or rigs by the name that the table's ``rig`` column has. ``effects`` are systematic
+    errors that are parameters too, the last of x.
 
     Raises ProblemError for joint readings that do not fit the robot, for unknown kinds, chucks, spheres or bars (naming
     the row), for missing readings, for σ that are not positive and for rigs that differ in the joints' noise.
@@ -92,8 +101,62 @@ def build_problem(
     names = (*chain.parameter_names, *(u.name for u in free))
     units = (*(p.unit for p in chain.parameters), *(u.unit for u in free))
     groups = tuple(group for draft in drafts for group in draft.make(layout))
-    problem = Problem(chain, names, units, start, prior, groups, len(table), joint_cov)
-    return problem if backlash is None else _with_unknown_sides(problem, backlash.unknown(table))
+    errors, causes = _errors(chain, layout, drafts)
+    problem = Problem(chain, names, units, start, prior, groups, len(table), joint_cov, errors, causes)
+    if backlash is not None:
+        problem = _with_unknown_sides(problem, backlash.unknown(table))
+    return _with_effects(problem, effects) if effects else problem
+
+
+def _errors(chain: Chain, layout: Layout, drafts: Sequence[Draft]) -> tuple[Errors, tuple[Cause, ...]]:
+    """By what predictions can be off, and by which things: the rig's, each joint, the base."""
+    rig = [*layout.unknown, *layout.known]
+    joints = [joint.name for joint in chain.joints]
+    names = (*(number.name for number in rig), *joints, *(name for name, _ in BASE))
+    units = (*(number.unit for number in rig), *chain.joint_units, *(unit for _, unit in BASE))
+    causes = {}
+    for used in (used for draft in drafts for used in draft.used):
+        for thing in used.numbers:
+            for fault in used.faults:
+                some = tuple(number.name for number in thing[fault.numbers])
+                name = some[0] if len(some) == 1 else some[0].rpartition(".")[0]
+                causes[name] = Cause(name, some, fault)
+    turned = (Cause(name, (name,), JUMPED) for name in joints)
+    every = (*causes.values(), *turned, Cause("base", tuple(name for name, _ in BASE), MOVED_BASE))
+    return Errors(names, units), every
+
+
+def _with_effects(problem: Problem, effects: Sequence[Modelled]) -> Problem:
+    """The problem with effects as its last parameters, with the weak prior: of a chuck that moved some direction may be unseen.
+
+    An offset in all rows of what is a parameter already is that parameter with a prior so weak.
+    """
+    named = {one.effect.parameter(one.column): one for one in effects}
+    weak = np.array([UNITS[unit].weak_sigma for unit in problem.units])
+    wider = np.isin(problem.names, list(named)) & (problem.prior_sigma < weak)
+    problem = replace(problem, prior_sigma=np.where(wider, weak, problem.prior_sigma))
+    effects = [one for name, one in named.items() if name not in problem.names]
+    if not effects:
+        return problem
+    at = problem.errors.indices([one.column for one in effects])
+    profiles = np.stack([one.profile for one in effects], axis=1)
+    names = tuple(one.effect.parameter(one.column) for one in effects)
+    units = tuple(problem.errors.units[i] for i in at)
+    unknown = len(problem.names) - problem.n_robot
+    before, of = slice(unknown), slice(unknown, None)
+    errors = Errors(
+        (*problem.errors.names[before], *names, *problem.errors.names[of]),
+        (*problem.errors.units[before], *units, *problem.errors.units[of]),
+    )
+    return replace(
+        problem,
+        errors=errors,
+        names=(*problem.names, *names),
+        units=(*problem.units, *units),
+        start=np.concatenate([problem.start, np.zeros(at.size)]),
+        prior_sigma=np.concatenate([problem.prior_sigma, [UNITS[unit].weak_sigma for unit in units]]),
+        groups=with_effects(problem.groups, at, profiles),
+    )
 
 
 def _with_unknown_sides(problem: Problem, sigma: Floats) -> Problem:

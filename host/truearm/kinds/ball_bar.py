@@ -21,10 +21,13 @@ from truearm.kinds.kind import Kind
 from truearm.kinds.linearised import Indices, Linearised, gather, no_columns, scatter
 from truearm.kinds.quantities import LENGTH
 from truearm.kinds.rig_entries import NAME, POINT, SIZE, SPHERE, by_name
-from truearm.kinds.unknowns import Layout, Number, point_numbers
+from truearm.kinds.unknowns import Fault, Layout, Number, point_numbers
 from truearm.model.chain import Chain, along, trace_point
 from truearm.schema import Entries, Key, Table
 from truearm.types import BallBar, Floats
+
+# The sensor's zero drifts and jumps, its gain may be wrong; the bar itself stands nowhere.
+BAR_FAULTS = (Fault(slice(0, 1), drift=True), Fault(slice(1, 2), step=False))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +76,7 @@ def draft(scope: Scope, rows: Indices) -> Draft:
     table, rig = scope.table, scope.rig
     chucks = use(scope, rows, "chuck", rig.chucks, point_numbers)
     spheres = use(scope, rows, "sphere", rig.spheres, point_numbers)
-    bars = use(scope, rows, "bar", rig.bars, bar_numbers)
+    bars = use(scope, rows, "bar", rig.bars, bar_numbers, BAR_FAULTS)
     length = measured(scope, rows, LENGTH)
     declared = np.array([[number.value for number in bar] for bar in bars.numbers])[bars.which]
     sigma = np.array([rig.bars[str(label)].sigma for label in bars.labels])[bars.which]

@@ -14,7 +14,7 @@ from truearm.errors import ProblemError
 from truearm.kinds.group import Group
 from truearm.kinds.linearised import Indices
 from truearm.kinds.quantities import Quantity
-from truearm.kinds.unknowns import Layout, Number, Used, enumerate_labels, point_numbers
+from truearm.kinds.unknowns import MOVED, Fault, Layout, Number, Used, enumerate_labels, point_numbers
 from truearm.model.chain import Chain, point_forward
 from truearm.text import with_article
 from truearm.types import Floats, ObservationTable, Point, Rig
@@ -58,11 +58,17 @@ def look_up(scope: Scope, rows: Indices, what: str, known: Mapping[str, Any]) ->
 
 
 def use(
-    scope: Scope, rows: Indices, what: str, known: Mapping[str, Thing], numbers: Callable[[str, Thing], list[Number]]
+    scope: Scope,
+    rows: Indices,
+    what: str,
+    known: Mapping[str, Thing],
+    numbers: Callable[[str, Thing], list[Number]],
+    faults: tuple[Fault, ...] = MOVED,
 ) -> Used:
     """Look a column's names up in the rig (``look_up``); ``numbers`` of a name and a thing stand for the thing."""
     labels, which = look_up(scope, rows, what, known)
-    return Used(labels, [numbers(f"{scope.prefix}{what}.{label}", known[str(label)]) for label in labels], which)
+    every = [numbers(f"{scope.prefix}{what}.{label}", known[str(label)]) for label in labels]
+    return Used(labels, every, which, faults)
 
 
 def use_points(scope: Scope, rows: Indices, what: str, known: Mapping[str, Point]) -> Used:

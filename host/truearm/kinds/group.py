@@ -36,6 +36,10 @@ class Group(ABC):
     def evaluate(self, chain: Chain, x: Floats) -> Linearised:
         """Residuals (n·w,), measured − predicted, and their derivatives at x (P,)."""
 
+    def opened(self, chain: Chain, x: Floats) -> Linearised:
+        """As ``evaluate``, with ``by_rig`` by the known constants too, after the unknowns."""
+        return replace(self, constants=np.zeros(0)).evaluate(chain, np.concatenate([x, self.constants]))
+
     def settle(self, chain: Chain, x: Floats) -> Self:
         """The group as a rank test at x needs it (``SeatRows.settle``)."""
         return self

@@ -30,7 +30,7 @@ from truearm.kinds.kind import Kind
 from truearm.kinds.linearised import Indices, Linearised, gather, no_columns, scatter
 from truearm.kinds.quantities import POINT, SPREAD
 from truearm.kinds.rig_entries import DEVICE, TARGET, by_name
-from truearm.kinds.unknowns import XYZ, Layout, Number, Used, or_inf
+from truearm.kinds.unknowns import XYZ, Fault, Layout, Number, Used, or_inf
 from truearm.model.chain import Chain, PointTrace, along, trace_point
 from truearm.model.rotation import left_jacobian, rotation, rotation_vector
 from truearm.model.transforms import cross
@@ -158,7 +158,8 @@ def points_of(
     ]
     poses = Used(labels, numbers, which)
     offset = Number(f"{scope.prefix}time_offset", "s", scope.rig.time_offset, or_inf(scope.rig.time_offset_sigma))
-    clock = Used([""], [[offset if _moving(scope) else offset._replace(sigma=0.0)]], np.zeros(len(rows), dtype=np.intp))
+    number = offset if _moving(scope) else offset._replace(sigma=0.0)
+    clock = Used([""], [[number]], np.zeros(len(rows), dtype=np.intp), (Fault(slice(None), step=False),))
     declared = [rotation(np.array(d.rotation)) for d in devices]
     cov = _device_cov(scope, rows, devices, which)
 

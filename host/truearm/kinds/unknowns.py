@@ -23,12 +23,30 @@ class Number(NamedTuple):
     sigma: float
 
 
+class Fault(NamedTuple):
+    """How a thing of a rig can differ from its description: in some of its numbers together.
+
+    ``constant``: by an offset in all rows; ``step``: by one from some row on; ``window``: by one from some row to some other;
+    ``drift``: by a part that grows linearly over a session.
+    """
+
+    numbers: slice  # of the thing's list
+    constant: bool = True
+    step: bool = True
+    window: bool = False
+    drift: bool = False
+
+
+MOVED = (Fault(slice(None)),)  # all of a thing's numbers say where it stands
+
+
 class Used(NamedTuple):
     """The distinct things that some rows use (chucks, bars, …), their numbers, and which of them each row uses."""
 
     labels: list[Hashable]
     numbers: list[list[Number]]  # one inner list a thing
     which: Indices  # (n,)
+    faults: tuple[Fault, ...] = MOVED  # of each of the things
 
 
 class Layout:
@@ -45,9 +63,9 @@ class Layout:
                     f"{number.name} is {number.value:g} ± {number.sigma:g}; it must be finite, sigma ≥ 0"
                 )
         self.unknown = [number for number in every.values() if number.sigma > 0.0]
-        known = [number for number in every.values() if number.sigma == 0.0]
-        self.constants = np.array([number.value for number in known])
-        self._at = {number.name: n_robot + i for i, number in enumerate([*self.unknown, *known])}
+        self.known = [number for number in every.values() if number.sigma == 0.0]
+        self.constants = np.array([number.value for number in self.known])
+        self._at = {number.name: n_robot + i for i, number in enumerate([*self.unknown, *self.known])}
 
     def index(self, used: Used) -> Indices:
         """(n, c) indices of what each row uses."""

@@ -1,0 +1,43 @@
+"""In which order rows were measured, and which belong together: one session, one mounting, one pose."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.estimate.systematic import Measured
+from truearm.kinds.linearised import Indices
+from truearm.kinds.registry import kinds
+from truearm.types import ObservationTable
+
+SAME_POSE = 1e-3  # rad or m: joint readings that differ by less are of one pose
+
+
+def measured_order(table: ObservationTable, rows: NDArray[np.bool_]) -> Measured:
+    """How the ``rows`` (n,) of a table were measured; rows of a table stand in the order of measurement."""
+    some = table.select(rows)
+    _, pose = np.unique(np.round(some.q / SAME_POSE), axis=0, return_inverse=True)
+    return Measured(np.flatnonzero(rows), len(table), sessions(some), mountings(some), pose.ravel())
+
+
+def sessions(table: ObservationTable) -> Indices:
+    """(n,) numbers of the files that rows came from, in order: rows that follow each other with one name and rig."""
+    # Sources are "poses.csv row 17", "monday.mcap dwell 3", "monday.mcap pass 2.7".
+    names = [re.sub(r"\s*\w+ [\d.]+$", "", str(source)) for source in table.source]
+    return _runs(np.array(names, dtype=np.str_), table.rig)
+
+
+def mountings(table: ObservationTable) -> Indices:
+    """(n,) numbers of the runs of rows with one thing mounted, as each kind groups its rows."""
+    columns = dict.fromkeys(column for kind in kinds().values() for column in kind.grouped_by)
+    return _runs(table.kind, table.rig, table.shell, *(table.column(column) for column in columns))
+
+
+def _runs(*columns: NDArray[np.str_]) -> Indices:
+    """(n,) how often any of the columns has changed before each row."""
+    changed = np.zeros(max(len(columns[0]) - 1, 0), dtype=bool)
+    for column in columns:
+        changed |= column[1:] != column[:-1]
+    return np.concatenate([[0], np.cumsum(changed)])[: len(columns[0])]

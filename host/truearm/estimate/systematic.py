@@ -1,0 +1,413 @@
+"""Systematic errors in the residuals of a finished fit: what was off, from which row on, by how much.
+
+**Score test.** Let e (m,) be the whitened residuals, J their derivatives by all free parameters and Q an orthonormal basis
+of J's columns, the prior being rows of their own. A thing that is off has the whitened derivatives C (m, d): a chuck's
+coordinates, a bar's zero, a joint's reading, a motion of the base, each times a profile over the rows. With C⊥ = (I − QQᵀ)C,
+
+    V = C⊥ᵀC⊥ = CᵀC − (QᵀC)ᵀ(QᵀC) ,  β̂ = V⁺ Cᵀe⊥ ,  drop of χ² = eᵀC⊥ V⁺ C⊥ᵀe ~ χ²(rank V) without the error.
+
+The drop is exactly that of the refitted linear problem with β free (added variables; Cook and Weisberg 1982, Rao 1948). What
+the parameters can follow, such as a motion of all chucks that the base's parameters undo, has no part in C⊥.
+
+**Change points.** A step that begins at row k needs the sums of CᵀC, QᵀC and Cᵀe over the rows from k on: differences of one
+cumulative sum. All steps of a thing cost as much as one. A joint that is off from some row to another is sought between every two
+of WINDOW_KNOTS.
+
+**Blocks.** Rows that do not fit the rest: each first or last part of a run of rows with one thing mounted. Left out, e_B takes
+e_BᵀQ_B(I − Q_BᵀQ_B)⁻¹Q_Bᵀe_B + e_Bᵀe_B away, χ² of as many degrees of freedom as it has residuals.
+
+**Multiplicity.** A family is all candidates of one thing and form: "a step of chuck c2". By Bonferroni's inequality, first within
+the family and then over the families, P(max over k > u) ≤ Σ P(χ²_k > u), the chance that a clean data set gives any finding
+is at most LEVEL, however the candidates depend on each other.
+
+**Which of several.** A step of a chuck, of a sphere and of a joint explain much of each other. Of those beyond chance the most
+probable is named: each number of a thing is off by the weak prior of its unit (``units``), a step may begin at any row alike, so
+the logarithm of the evidence is ½ drop − ½ Σ log(1 + λ) − log(candidates), λ the eigenvalues of V in units of that prior
+(Kass and Raftery 1995). What is a hundredth as probable or more is named beside it.
+
+**Several errors.** The best finding's columns join Q and the rest is searched again, until nothing is left beyond chance.
+
+**Where the model is wrong anyway.** With χ²/ν outside its band the noise is unknown. A drop of d degrees of freedom is then
+held against the unexplained variance that it leaves, F(d, ν − d), and again with the sum of squares of each pose's score in
+the place of V, since residuals of one pose are wrong together. Smooth model errors mimic much in the order of measurement, so a
+finding must also lower the error on rows that are held out, in whole stretches of the order.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from truearm.estimate.effects import Cause, Errors, error_columns, profile
+from truearm.estimate.information import Information, half, spectrum
+from truearm.estimate.problem import Problem, blocks
+from truearm.estimate.residual_noise import residual_cov, whiten
+from truearm.kinds.linearised import Indices
+from truearm.types import Effect, Floats, OffBy, SystematicError
+from truearm.units import UNITS
+
+LEVEL = 1e-3  # chance that a clean data set gives any finding
+MOST_FINDINGS = 6
+MOST_STEPS = 400  # rows at which a step is sought; of more an even choice
+WINDOW_KNOTS = 36
+LEAST_ROWS = 5  # that a step concerns, and that it leaves: fewer are outliers, which are judged one by one
+MOST_BLOCK = 300  # rows: each of their residuals is a column
+SEEN = 1e-8  # share of a column's square that the parameters must leave of it
+AS_LIKELY = math.log(100.0)  # of explanations whose evidence differs by less none is ruled out
+BLOCK_SIGMA = 10.0  # σ of the noise: how far a row that does not fit is off
+STRETCHES, FOLDS = 40, 8  # of the order of measurement, to hold out
+LOWER = 2.0 * AS_LIKELY  # variances by which a finding must lower the sum of squares of the held-out residuals
+
+
+class Measured(NamedTuple):
+    """How n rows were measured, in their order."""
+
+    row: Indices  # (n,) in the user's table
+    total: int  # rows of that table
+    session: Indices  # (n,) numbers; within one a thing may drift
+    run: Indices  # (n,) numbers; while one lasts the same is mounted
+    pose: Indices  # (n,) numbers; residuals of one pose are wrong together
+
+
+class FitChi2(NamedTuple):
+    """χ² of the fit, its degrees of freedom, and whether the declared noise explains it."""
+
+    chi2: float
+    freedom: float
+    explained: bool
+
+
+class _Whitened(NamedTuple):
+    """The rows' m scalar residuals in the order of measurement, the parameters' part taken off."""
+
+    row: Indices  # (m,) of the n fitted rows
+    basis: Floats  # (m, r) Q
+    residual: Floats  # (m,) e⊥
+    errors: Floats  # (m, c) whitened ``error_columns``
+
+
+class _Family(NamedTuple):
+    """Candidates of one thing and form: effects in the rows from ``first`` to before ``last`` (w,), of fitted rows."""
+
+    cause: Cause | None  # None: blocks of rows
+    first: Indices
+    last: Indices
+    drifts: bool = False
+
+
+class _Best(NamedTuple):
+    """A family's most probable candidate, with the logarithms of its chance among the family and of its evidence."""
+
+    family: _Family
+    at: int
+    drop: float
+    freedom: int
+    log_p: float
+    evidence: float
+
+
+def systematic_errors(
+    problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Information, goodness: FitChi2, how: Measured
+) -> tuple[SystematicError, ...]:
+    """What is off beyond chance in a fit of the problem's ``columns`` that ended at x (P,), in the order of how sure it is.
+
+    ``fit`` is the information there, priors included. See the module for the tests. Nothing is off in a fit without a degree of
+    freedom, or with residuals that are not finite.
+    """
+    rows = _whitened(problem, x, columns, fit)
+    if not (rows.row.size and goodness.freedom >= 1.0 and np.isfinite([goodness.chi2, *rows.residual]).all()):
+        return ()
+    every = list(_families(problem.causes, problem.errors, rows, how))
+    found: list[_Best] = []
+    rivals: list[tuple[str, ...]] = []
+    state, families = goodness, len(every)
+    while len(found) < MOST_FINDINGS:
+        searched = (_search(family, problem.errors, rows, how, state) for family in every)
+        beyond_chance = [of for of in searched if of is not None and of.log_p + math.log(families) <= math.log(LEVEL)]
+        if not beyond_chance:
+            break
+        best = max(beyond_chance, key=lambda of: of.evidence)
+        added = _directions(_effect_columns(best, problem.errors, rows, how), rows.basis)
+        more = rows._replace(
+            basis=np.concatenate([rows.basis, added], axis=1),
+            residual=rows.residual - added @ (added.T @ rows.residual),
+        )
+        if not (goodness.explained or _survives(best, added, rows, more, how, math.log(families))):
+            every = [family for family in every if family is not best.family]
+            continue
+        near = sorted((of for of in beyond_chance if of is not best), key=lambda of: -of.evidence)
+        rivals.append(tuple(_label(of, how) for of in near if of.evidence > best.evidence - AS_LIKELY))
+        found.append(best)
+        rows, state = more, FitChi2(state.chi2 - best.drop, state.freedom - best.freedom, state.explained)
+    return _described(found, rivals, problem, _whitened(problem, x, columns, fit), how, state, families)
+
+
+def _whitened(problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Information) -> _Whitened:
+    """The rows at x, in their order."""
+    parts: list[tuple[Indices, Floats, Floats]] = []
+    k = int(columns.sum())
+    for block in blocks(problem):
+        if block.row is None:
+            continue
+        lin = block.opened(problem.chain, x)
+        p, size = problem.n_robot, x.size
+        by_x = np.concatenate([lin.wrenches @ lin.twists, lin.by_rig[:, :, : size - p]], axis=2)
+        stacked = (
+            np.concatenate(
+                [by_x[:, :, columns], error_columns(lin), lin.residual.reshape(len(block.row), -1).T[:, :, None]],
+                axis=2,
+            )
+            .transpose(2, 0, 1)
+            .copy()
+        )
+        whiten(stacked, residual_cov(block.sensor_cov, lin.jac_joints, problem.joint_cov))
+        whole = stacked.transpose(2, 1, 0)
+        parts.append((block.row, whole[:, :, :k], whole[:, :, k:]))
+    row = np.concatenate([np.repeat(of, jac.shape[1]) for of, jac, _ in parts]) if parts else np.zeros(0, dtype=np.intp)
+    if not row.size:
+        return _Whitened(row, np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)))
+    order = np.argsort(row, kind="stable")
+    jac, errors = (np.concatenate([np.concatenate(list(part[i])) for part in parts])[order] for i in (1, 2))
+    root = half(spectrum(fit.root))
+    basis = jac @ root
+    residual = errors[:, -1] - basis @ (root.T @ (fit.root.T @ fit.rhs))
+    return _Whitened(row[order], basis, residual, errors[:, :-1])
+
+
+def _families(causes: Sequence[Cause], errors: Errors, rows: _Whitened, how: Measured) -> Iterator[_Family]:
+    """Every thing in every form in which it can be off."""
+    n = how.row.size
+    for cause in causes:
+        used = np.unique(rows.row[rows.errors[:, errors.indices(cause.numbers)].any(axis=1)])
+        if used.size < 2 * LEAST_ROWS:
+            continue
+        if cause.fault.constant:
+            yield _Family(cause, np.array([0]), np.array([n]))
+        if cause.fault.step:
+            first = _even(used[LEAST_ROWS : 1 - LEAST_ROWS], MOST_STEPS)
+            yield _Family(cause, first, np.full(first.size, n))
+        if cause.fault.window:
+            knots = np.append(_even(used, WINDOW_KNOTS), n)
+            first, last = (knots[of] for of in np.triu_indices(knots.size, 1))
+            enough = (np.searchsorted(used, last) - np.searchsorted(used, first) >= LEAST_ROWS) & (last - first < n)
+            yield _Family(cause, first[enough], last[enough])
+        if cause.fault.drift:
+            for number in np.unique(how.session[used]):
+                mine = np.flatnonzero(how.session == number)
+                yield _Family(cause, mine[:1], mine[-1:] + 1, drifts=True)
+    yield from _blocks(how)
+
+
+def _blocks(how: Measured) -> Iterator[_Family]:
+    """First and last parts of the runs, and whole ones, of no more than half the rows."""
+    n = how.row.size
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(how.run)) + 1, [n]])
+    spans = set[tuple[int, int]]()
+    for a, b in zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True):
+        for cut in _even(np.arange(a, b + 1), max(MOST_STEPS // (starts.size - 1), 8)).tolist():
+            spans |= {(a, cut), (cut, b)}
+    kept = sorted((a, b) for a, b in spans if LEAST_ROWS <= b - a <= min(n // 2, MOST_BLOCK))
+    if kept:
+        first, last = np.array(kept).T
+        yield _Family(None, first, last)
+
+
+def _even(values: Indices, most: int) -> Indices:
+    """At most so many of them, first and last included."""
+    return values if values.size <= most else values[np.linspace(0, values.size - 1, most).astype(np.intp)]
+
+
+def _search(family: _Family, errors: Errors, rows: _Whitened, how: Measured, state: FitChi2) -> _Best | None:
+    """The family's best candidate, None where the parameters can follow every one of them."""
+    if family.cause is None:
+        drop, freedom, known = _block_drops(family, rows)
+    else:
+        by = _columns(family.cause, errors, rows)
+        if family.drifts:
+            by = by * _profile(family, 0, how)[rows.row, None]
+        drop, freedom, known = _drops(by, family, rows)
+    if not freedom.any():
+        return None
+    half_drop, variance = drop / 2.0, np.ones(1)
+    if not state.explained:
+        left = np.maximum(state.chi2 - drop, 1e-9 * state.chi2)
+        half_drop, variance = np.log(state.chi2 / left) * state.freedom / 2.0, left / max(state.freedom, 1.0)
+    log_count = math.log((freedom > 0).sum())
+    evidence = half_drop - np.log1p(known / variance[:, None]).sum(axis=1) / 2.0 - log_count
+    at = int(np.argmax(np.where(freedom > 0, evidence, -np.inf)))
+    log_p = float(_log_chance(drop[[at]], freedom[[at]], state)[0]) + log_count
+    return _Best(family, at, float(drop[at]), int(freedom[at]), log_p, float(evidence[at]))
+
+
+def _columns(cause: Cause, errors: Errors, rows: _Whitened) -> Floats:
+    """(m, d) what a thing adds to the whitened predictions, each number off by the weak prior of its unit."""
+    weak = [UNITS[errors.unit(number)].weak_sigma for number in cause.numbers]
+    return np.asarray(rows.errors[:, errors.indices(cause.numbers)] * weak)
+
+
+def _drops(by: Floats, family: _Family, rows: _Whitened) -> tuple[Floats, Indices, Floats]:
+    """Drop of χ² (w,), degrees of freedom (w,) and eigenvalues of V (w, d) of offsets along ``by`` (m, d) in the family's spans."""
+    edges, at = np.unique(np.concatenate([family.first, family.last]), return_inverse=True)
+    cuts = np.searchsorted(rows.row, edges)
+    beside = np.concatenate([by, rows.basis, rows.residual[:, None]], axis=1)
+    sums = np.zeros((edges.size, by.shape[1], beside.shape[1]))
+    for i, (a, b) in enumerate(pairwise(cuts)):
+        sums[i + 1] = sums[i] + by[a:b].T @ beside[a:b]
+    w, d = family.first.size, by.shape[1]
+    of = sums[at[w:]] - sums[at[:w]]
+    values, vectors, seen = _left(of[:, :, :d], of[:, :, d:-1])
+    along = np.einsum("wij,wi->wj", vectors, of[:, :, -1])
+    drop = np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
+    return drop, seen.sum(axis=1), np.where(seen, values, 0.0)
+
+
+def _left(square: Floats, by_basis: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Eigenvalues (…, d) and vectors of V = CᵀC − (QᵀC)ᵀ(QᵀC), and which of them count."""
+    values, vectors = np.linalg.eigh(square - by_basis @ np.swapaxes(by_basis, -1, -2))
+    return values, vectors, values > SEEN * np.trace(square, axis1=-2, axis2=-1)[..., None]
+
+
+def _block_drops(family: _Family, rows: _Whitened) -> tuple[Floats, Indices, Floats]:
+    """As ``_drops``, of leaving out each of the spans."""
+    edges, at = np.unique(np.concatenate([family.first, family.last]), return_inverse=True)
+    cuts, r = np.searchsorted(rows.row, edges), rows.basis.shape[1]
+    beside = np.concatenate([rows.basis, rows.residual[:, None]], axis=1)
+    sums = np.zeros((edges.size, r + 1, r + 1))
+    for i, (a, b) in enumerate(pairwise(cuts)):
+        sums[i + 1] = sums[i] + beside[a:b].T @ beside[a:b]
+    w = family.first.size
+    of = sums[at[w:]] - sums[at[:w]]
+    rest = np.eye(r) * (1.0 + SEEN) - of[:, :r, :r]
+    follows = np.linalg.solve(rest, of[:, :r, r:])[..., 0]
+    freedom = cuts[at[w:]] - cuts[at[:w]]
+    known = np.where(np.arange(freedom.max()) < freedom[:, None], BLOCK_SIGMA**2, 0.0)
+    return of[:, r, r] + (of[:, r, :r] * follows).sum(axis=1), freedom, known
+
+
+def _log_chance(drop: Floats, freedom: Indices, state: FitChi2) -> Floats:
+    """Logarithm of the chance of such a drop; 0 without a degree of freedom."""
+    d = np.maximum(freedom, 1).astype(float)
+    if state.explained:
+        p, half_drop = special.chdtrc(d, drop), np.maximum(drop, 1e-300) / 2.0
+        tail = (d / 2.0 - 1.0) * np.log(half_drop) - half_drop - special.gammaln(d / 2.0)
+    else:
+        # F(d, ν − d) of drop/d over the variance that is left; its tail is an incomplete beta function of what is left of χ².
+        a = np.maximum(state.freedom - d, 0.5) / 2.0
+        left = np.clip(1.0 - drop / state.chi2, 1e-300, 1.0)
+        p = special.betainc(a, d / 2.0, left)
+        tail = a * np.log(left) + (d / 2.0 - 1.0) * np.log1p(-left) - np.log(a) - special.betaln(a, d / 2.0)
+    deep = p < 1e-280
+    return np.where(freedom == 0, 0.0, np.where(deep, tail, np.log(np.where(deep, 1.0, p))))
+
+
+def _effect(best: _Best, how: Measured) -> Effect | None:
+    """As rows of the user's table."""
+    if best.family.cause is None:
+        return None
+    first, last = _span(best.family, best.at, how)
+    return Effect(best.family.cause.name, first, None if last == how.total else last, best.family.drifts)
+
+
+def _span(family: _Family, at: int, how: Measured) -> tuple[int, int]:
+    """First row and the one after the last in the user's table."""
+    n, first, last = how.row.size, int(family.first[at]), int(family.last[at])
+    return (int(how.row[first]) if first else 0), (how.total if last == n else int(how.row[last]))
+
+
+def _profile(family: _Family, at: int, how: Measured) -> Floats:
+    """(n,) of the fitted rows."""
+    first, last = _span(family, at, how)
+    return profile(Effect("", first, last, family.drifts), how.total)[how.row]
+
+
+def _effect_columns(best: _Best, errors: Errors, rows: _Whitened, how: Measured) -> Floats:
+    """(m, d) what the effect adds to the whitened predictions; of a block a column for each of its residuals."""
+    if best.family.cause is None:
+        a, b = np.searchsorted(rows.row, [best.family.first[best.at], best.family.last[best.at]])
+        return np.eye(rows.row.size, b - a, -a)
+    by = _columns(best.family.cause, errors, rows)
+    return np.asarray(by * _profile(best.family, best.at, how)[rows.row, None])
+
+
+def _directions(by: Floats, basis: Floats) -> Floats:
+    """(m, d') an orthonormal basis of what the parameters leave of the columns (m, d)."""
+    left = by - basis @ (basis.T @ by)
+    left -= basis @ (basis.T @ left)
+    values, vectors, seen = _left(by.T @ by, by.T @ basis)
+    return np.asarray(left @ (vectors[:, seen] / np.sqrt(values[seen])))
+
+
+def _survives(best: _Best, added: Floats, rows: _Whitened, more: _Whitened, how: Measured, log_families: float) -> bool:
+    """Whether a finding stands where the noise is unknown: by pose, and on rows that were held out."""
+    scores = np.zeros((int(how.pose.max()) + 1, added.shape[1]))
+    np.add.at(scores, how.pose[rows.row], added * more.residual[:, None])
+    found = added.T @ rows.residual
+    if best.family.cause is not None:
+        values, vectors = np.linalg.eigh(scores.T @ scores)
+        if values[0] <= 0.0:
+            return False
+        robust = (vectors.T @ found) ** 2 / values
+        chance = _log_chance(robust.sum(keepdims=True), np.array([found.size]), FitChi2(0.0, 0.0, True))
+        if chance[0] + math.log(best.family.first.size) + log_families > math.log(LEVEL):
+            return False
+    variance = float(more.residual @ more.residual) / max(more.residual.size - more.basis.shape[1], 1)
+    stretch = (np.arange(how.row.size) * STRETCHES) // how.row.size
+    judging = (more.basis**2).sum(axis=1) < 1.0 - SEEN  # not the rows of a block, which were left out
+    gain = _held_out(rows, stretch) - _held_out(more, stretch)
+    return bool(gain[judging].sum() > LOWER * variance)
+
+
+def _held_out(rows: _Whitened, stretch: Indices) -> Floats:
+    """(m,) squared residuals of each row by the fit without its fold, linearised: (I − Q_F Q_Fᵀ)⁻¹ e_F."""
+    out, fold = np.empty(rows.row.size), stretch[rows.row] % FOLDS
+    for number in range(FOLDS):
+        mine = fold == number
+        q, e = rows.basis[mine], rows.residual[mine]
+        rest = np.eye(q.shape[1]) * (1.0 + SEEN) - q.T @ q
+        out[mine] = (e + q @ np.linalg.solve(rest, q.T @ e)) ** 2
+    return out
+
+
+def _label(best: _Best, how: Measured) -> str:
+    effect = _effect(best, how)
+    first, last = _span(best.family, best.at, how)
+    return f"rows {first + 1} to {last}" if effect is None else str(effect)
+
+
+def _described(
+    found: Sequence[_Best],
+    rivals: Sequence[tuple[str, ...]],
+    problem: Problem,
+    rows: _Whitened,
+    how: Measured,
+    state: FitChi2,
+    families: int,
+) -> tuple[SystematicError, ...]:
+    """The findings, their sizes by a fit of all of them together."""
+    parts = [_effect_columns(best, problem.errors, rows, how) for best in found]
+    if not parts:
+        return ()
+    by = np.concatenate(parts, axis=1)
+    values, vectors, seen = _left(by.T @ by, by.T @ rows.basis)
+    root = vectors[:, seen] / np.sqrt(values[seen])
+    scale = 1.0 if state.explained else max(math.sqrt(state.chi2 / max(state.freedom, 1.0)), 1.0)
+    size, sigma = root @ (root.T @ (by.T @ rows.residual)), scale * np.sqrt((root**2).sum(axis=1))
+    sigma[np.abs(vectors[:, ~seen]).max(axis=1, initial=0.0) > 1e-6 * np.abs(vectors).max(axis=1)] = math.nan
+    size[np.isnan(sigma)] = math.nan
+    out, at = [], 0
+    for best, part, near in zip(found, parts, rivals, strict=True):
+        numbers = () if best.family.cause is None else best.family.cause.numbers
+        mine, units = slice(at, at + len(numbers)), [problem.errors.unit(number) for number in numbers]
+        weak = np.array([UNITS[unit].weak_sigma for unit in units])
+        off_by = map(OffBy, numbers, units, (size[mine] * weak).tolist(), (sigma[mine] * weak).tolist())
+        at += part.shape[1]
+        chance = min(math.exp(min(best.log_p + math.log(families), 0.0)), 1.0)
+        span = _span(best.family, best.at, how)
+        out.append(SystematicError(_effect(best, how), span, tuple(off_by), best.drop, best.freedom, chance, near))
+    return tuple(out)

@@ -1,0 +1,119 @@
+"""Worlds in which something is off: a planned session of 360 ball-bar poses with one bar, nine mounts and a known fault.
+
+The plan is the planner's own; the true arm is the paper's optimised PUMA, the noise that of its bar. Faults are put into
+the world (chuck, reading, joint), not into what is estimated.
+"""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import plan_bench
+from puma_bench import CHAIN, FREE, SIGMA, TRUTH
+
+from truearm.estimate.identify import SolverOptions, identify
+from truearm.model.chain import point_forward
+from truearm.model.robot import builtin_robot
+from truearm.plan.ball_bar_plan import Wanted, all_pairings, make_site, plan_ballbar
+from truearm.plan.bar_paths import Pace
+from truearm.plan.forecast import Known
+from truearm.types import ObservationTable
+
+STANDARD = plan_bench.RIGS["puma560"]
+RIG = replace(STANDARD, bars={"bar46": STANDARD.bars["bar46"]})
+TOOL = np.array([0.0, 0.0, 0.04])  # m, between the spheres: where the true tool error is taken
+
+
+@cache
+def plan():
+    known = Known.design(builtin_robot("puma560"), RIG)
+    site = make_site(known, plan_bench.LIMITS, plan_bench.SIZES)
+    return plan_ballbar(site, known, all_pairings(RIG), Wanted(n_poses=360, n_candidates=800), Pace()).route.plan
+
+
+@cache
+def plan_of_two_visits():
+    """Every mount twice: every other pose of each, then the rest."""
+    once = plan()
+    mounts = [
+        np.flatnonzero((once.chuck == c) & (once.sphere == s)) for c, s in dict.fromkeys(zip(once.chuck, once.sphere))
+    ]
+    return once.select(np.concatenate([rows[i::2] for i in (0, 1) for rows in mounts]))
+
+
+def lengths(plan, chuck_off=0.0, q_off=0.0, sphere=None):
+    """(n,) true lengths [m] with chucks off by (n, 3), joints off by (n, j), and other spheres than the plan names."""
+    chucks = np.array([RIG.chucks[name].xyz for name in plan.chuck]) + chuck_off
+    spheres = np.array([RIG.spheres[name].xyz for name in (plan.sphere if sphere is None else sphere)])
+    return np.linalg.norm(point_forward(CHAIN, TRUTH, plan.q + q_off, spheres) - chucks, axis=1)
+
+
+def table(plan, length, sphere=None):
+    n = len(plan)
+    return ObservationTable(
+        q=plan.q,
+        kind=np.full(n, "ball_bar"),
+        value=length,
+        bar=plan.bar,
+        chuck=plan.chuck,
+        sphere=plan.sphere if sphere is None else sphere,
+        source=np.array([f"poses.csv row {i + 2}" for i in range(n)]),
+    )
+
+
+def clean(plan, rng):
+    return table(plan, lengths(plan) + SIGMA * rng.normal(size=len(plan)))
+
+
+def slipped(plan, rng, size=0.3e-3):
+    """A chuck that moves in a direction at random while it is in use; also its name and the row."""
+    chuck = rng.choice(list(RIG.chucks))
+    mine = np.flatnonzero(plan.chuck == chuck)
+    at = int(mine[rng.integers(len(mine) // 5, 4 * len(mine) // 5)])
+    off = np.zeros((len(plan), 3))
+    off[at:][plan.chuck[at:] == chuck] = size * direction(rng)
+    return table(plan, lengths(plan, off) + SIGMA * rng.normal(size=len(plan))), (chuck, at)
+
+
+def direction(rng):
+    u = rng.normal(size=3)
+    return u / np.linalg.norm(u)
+
+
+def wrong_bar(plan, rng, size=0.3e-3):
+    return table(plan, lengths(plan) + size + SIGMA * rng.normal(size=len(plan)))
+
+
+def drifting(plan, rng, size):
+    """The sensor's zero moves linearly from 0 to ``size`` over the session."""
+    return table(plan, lengths(plan) + np.linspace(0.0, size, len(plan)) + SIGMA * rng.normal(size=len(plan)))
+
+
+def encoder_off(plan, rng, size=0.3e-3):
+    """One of joints 1 to 3 is off in the middle half; also its number, from 0."""
+    joint, n = int(rng.integers(3)), len(plan)
+    off = np.zeros(plan.q.shape)
+    off[n // 4 : 3 * n // 4, joint] = size
+    return table(plan, lengths(plan, q_off=off) + SIGMA * rng.normal(size=n)), joint
+
+
+def mislabelled(plan, rng):
+    """Half of a mount measured with another sphere than it names; also the first row and the one after the last."""
+    sphere = plan.sphere.copy()
+    mounts = np.flatnonzero(np.r_[True, (plan.chuck[1:] != plan.chuck[:-1]) | (plan.sphere[1:] != plan.sphere[:-1])])
+    which = int(rng.integers(len(mounts)))
+    first, end = mounts[which], np.r_[mounts, len(plan)][which + 1]
+    last = first + (end - first) // 2
+    sphere[first:last] = rng.choice([name for name in RIG.spheres if name != sphere[first]])
+    return table(plan, lengths(plan) + SIGMA * rng.normal(size=len(plan)), sphere), (first, last)
+
+
+def identified(table, effects=()):
+    return identify(CHAIN, RIG, table, free=FREE, prefer=FREE, options=SolverOptions(effects=tuple(effects)))
+
+
+def tool_error(estimate, plan):
+    """True RMS error [m] of the tool over the planned poses."""
+    params = estimate.value[: estimate.n_robot_parameters]
+    apart = point_forward(CHAIN, params, plan.q, TOOL) - point_forward(CHAIN, TRUTH, plan.q, TOOL)
+    return float(np.sqrt((apart**2).sum(axis=1).mean()))
