@@ -7,27 +7,34 @@ from typing import Annotated
 
 import typer
 
-from truearm.cli.options import say_parts
+from truearm.cli.options import (
+    AllowDamagedOption,
+    BaseOption,
+    ForceOption,
+    OptionalRobotOption,
+    SessionArgument,
+    TipOption,
+    out_file,
+)
+from truearm.cli.output import warn_of_further_parts
 from truearm.record.robots.sources import FileOptions, files_help
 from truearm.text import one_line
 
 
 def add_joints(
-    session: Annotated[Path, typer.Argument(metavar="SESSION", help="Session file (.mcap) of truearm record.")],
-    source: Annotated[
-        Path,
-        typer.Argument(metavar="FILE", help=f"Joint readings: {files_help()}."),
-    ],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="The session file to write (.mcap).")],
+    session: SessionArgument,
+    source: Annotated[Path, typer.Argument(metavar="FILE", help=f"Joint readings: {files_help()}.")],
+    out: Annotated[Path, out_file("a session (.mcap)")],
     topic: Annotated[str, typer.Option(metavar="NAME", help="Of the joint states in a bag.")] = "/joint_states",
     joints: Annotated[
-        str | None, typer.Option(metavar="LIST", help="Names of a bag's joints from the base on: a,b,c.")
+        str | None,
+        typer.Option(
+            metavar="LIST", help="Names of a bag's joints from the base on: a,b,c. Default: those of --robot."
+        ),
     ] = None,
-    robot: Annotated[
-        str | None, typer.Option(metavar="ROBOT", help="Takes the names from a robot: a name, a .toml or a .urdf file.")
-    ] = None,
-    base: Annotated[str | None, typer.Option(metavar="LINK", help="First link of a URDF.")] = None,
-    tip: Annotated[str | None, typer.Option(metavar="LINK", help="Last link of a URDF.")] = None,
+    robot: OptionalRobotOption = None,
+    base: BaseOption = None,
+    tip: TipOption = None,
     zero: Annotated[
         float | None,
         typer.Option(
@@ -35,10 +42,8 @@ def add_joints(
         ),
     ] = None,
     replace: Annotated[bool, typer.Option("--replace", help="Leave out the readings that the session has.")] = False,
-    allow_damaged: Annotated[
-        bool, typer.Option("--allow-damaged", help="Use what is whole of a damaged session or bag (.mcap).")
-    ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite the file to write.")] = False,
+    allow_damaged: AllowDamagedOption = False,
+    force: ForceOption = False,
 ) -> None:
     """Add joint readings from a table or a ROS 2 bag to a session, as a new file.
 
@@ -65,4 +70,6 @@ def add_joints(
     typer.echo(
         f"{out}: {count} joint readings added; their times are {'UTC' if zero is None else 'from --zero'}, not arrivals"
     )
-    say_parts(session, f"add the joints to each by itself, and name the files one by one beside {one_line(out.name)}")
+    warn_of_further_parts(
+        session, f"add the joints to each by itself, and name the files one by one beside {one_line(out.name)}"
+    )

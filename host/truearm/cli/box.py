@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Annotated, Any
 
 import typer
@@ -12,25 +11,17 @@ from truearm.cli.box_config import config
 from truearm.cli.box_flash import flash
 from truearm.cli.box_gauge import gauge
 from truearm.cli.box_monitor import monitor
-from truearm.cli.options import DeviceOption, StopOption
+from truearm.cli.options import DeviceOption, JsonOption, StopOption
+from truearm.cli.output import command_group, print_json, print_lines
 from truearm.errors import InputError, TruearmError
 
-Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 _LIST_RETRIES = 6  # 3 s: a box that was just plugged in waits 2 s before it runs
 
-app = typer.Typer(
-    name="box",
-    help="A sensor box: find, flash, ask, test, set up, calibrate and watch it.",
-    epilog="Example: truearm box test --device /dev/ttyACM0",
-    rich_markup_mode=None,
-    add_completion=False,
+app = command_group(
+    "box",
+    "A sensor box: find, flash, ask, test, set up, calibrate and watch it.",
+    "Example: truearm box test --device /dev/ttyACM0",
 )
-
-
-@app.callback(invoke_without_command=True)
-def _box(context: typer.Context) -> None:
-    if context.invoked_subcommand is None:
-        typer.echo(context.get_help())
 
 
 @app.command("list")
@@ -39,7 +30,7 @@ def list_boxes(
         list[str] | None, typer.Option(metavar="DEVICE", help="Ask there too, socket://127.0.0.1:7007 say; repeatable.")
     ] = None,
     every: Annotated[bool, typer.Option("--all", help="Ask every serial port, not only those of a Pico.")] = False,
-    as_json: Json = False,
+    as_json: JsonOption = False,
 ) -> None:
     """List the boxes that are plugged in.
 
@@ -59,10 +50,9 @@ def list_boxes(
     rows = [_asked(port) for port in ports]
     drives = [str(drive) for chip in CHIPS.values() for drive in find_drives(chip.board)]
     if as_json:
-        typer.echo(json.dumps({"ports": rows, "boot_drives": drives}, indent=2))
-        return
-    for line in port_lines(rows, drives):
-        typer.echo(line)
+        print_json({"ports": rows, "boot_drives": drives})
+    else:
+        print_lines(port_lines(rows, drives))
 
 
 def _asked(port: Any) -> dict[str, Any]:
@@ -80,7 +70,7 @@ def _asked(port: Any) -> dict[str, Any]:
 
 
 @app.command()
-def info(device: DeviceOption, as_json: Json = False) -> None:
+def info(device: DeviceOption, as_json: JsonOption = False) -> None:
     """Print what a box says of itself: firmware, streams, channels, calibrations, faults.
 
     Example: truearm box info --device /dev/ttyACM0
@@ -90,14 +80,13 @@ def info(device: DeviceOption, as_json: Json = False) -> None:
     with conversation(device) as box:
         ident = ident_of(box)
     if as_json:
-        typer.echo(json.dumps(ident.document, indent=2))
-        return
-    for line in ident_lines(ident):
-        typer.echo(line)
+        print_json(ident.document)
+    else:
+        print_lines(ident_lines(ident))
 
 
 @app.command("test")
-def self_test(device: DeviceOption, stop: StopOption = False, as_json: Json = False) -> None:
+def self_test(device: DeviceOption, stop: StopOption = False, as_json: JsonOption = False) -> None:
     """Have a box test itself, and print each result with what to do about it.
 
     Exit code 1 if something failed. A warning is something that was not measured or is near its limit.
@@ -113,11 +102,9 @@ def self_test(device: DeviceOption, stop: StopOption = False, as_json: Json = Fa
     found = findings(results)
     failed, warned = (sum(f.verdict == verdict for f in found) for verdict in (FAIL, WARN))
     if as_json:
-        typer.echo(json.dumps([vars(f) for f in found], indent=2))
+        print_json([vars(f) for f in found])
     else:
-        typer.echo(one_line_of(ident))
-        for line in finding_lines(found):
-            typer.echo(line)
+        print_lines([one_line_of(ident), *finding_lines(found)])
         for fault in ident.faults:
             if not fault.startswith("the box says 'self-test"):
                 typer.echo(f"warning: {fault}")

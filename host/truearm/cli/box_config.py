@@ -8,30 +8,22 @@ from typing import Annotated, Any
 import typer
 
 from truearm.box.conversation import conversation
-from truearm.cli.options import DeviceOption, StopOption
+from truearm.cli.options import DeviceOption, ForceOption, StopOption, out_file
+from truearm.cli.output import command_group, print_lines
 from truearm.errors import ConfigError
 
-config = typer.Typer(
-    help="What a box is told: rates, channels, calibrations, its magnetostrictive sensor.",
-    epilog="Example: truearm box config get --device /dev/ttyACM0 --out box.toml",
-    rich_markup_mode=None,
-    add_completion=False,
+config = command_group(
+    "config",
+    "What a box is told: rates, channels, calibrations, its magnetostrictive sensor.",
+    "Example: truearm box config get --device /dev/ttyACM0 --out box.toml",
 )
-
-
-@config.callback(invoke_without_command=True)
-def _config(context: typer.Context) -> None:
-    if context.invoked_subcommand is None:
-        typer.echo(context.get_help())
 
 
 @config.command()
 def get(
     device: DeviceOption,
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write it there (.toml) instead of printing it.")
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
+    out: Annotated[Path | None, out_file("the configuration (.toml), instead of printing it")] = None,
+    force: ForceOption = False,
     stop: StopOption = False,
 ) -> None:
     """Print a box's configuration as TOML, in units for people.
@@ -76,10 +68,9 @@ def put(
     with conversation(device, stop=stop) as box:
         before = checked_config(box)
         after = _changed(before, texts)
-        changes_said = change_lines(before, after)
-        for line in changes_said:
-            typer.echo(line)
-        if not changes_said:
+        changed = change_lines(before, after)
+        print_lines(changed)
+        if not changed:
             typer.echo(f"{device}: nothing changes")
         elif dry_run:
             typer.echo(f"{device}: unchanged (--dry-run)")

@@ -7,12 +7,13 @@ from typing import Annotated
 
 import typer
 
-from truearm.cli.options import DEVICE_HELP
+from truearm.cli.options import OptionalDeviceOption, StopOption
+from truearm.cli.output import print_lines
 
 
 def flash(
     image: Annotated[Path | None, typer.Argument(metavar="IMAGE.uf2", help="The image, as make uf2 makes it.")] = None,
-    device: Annotated[str | None, typer.Option(metavar="DEVICE", help=DEVICE_HELP)] = None,
+    device: OptionalDeviceOption = None,
     drive: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Where the boot drive is or will be mounted; default: found.")
     ] = None,
@@ -23,7 +24,7 @@ def flash(
     timeout: Annotated[
         float, typer.Option(metavar="S", min=0, max=600, help="How long to wait for drive and box.")
     ] = 30,
-    stop: Annotated[bool, typer.Option("--stop", help="Stop the box first if it streams.")] = False,
+    stop: StopOption = False,
     no_check: Annotated[bool, typer.Option("--no-check", help="Do not wait for the box to answer.")] = False,
 ) -> None:
     """Flash a box, then check that it answers.
@@ -40,5 +41,4 @@ def flash(
     """
     from truearm.box.flash import FlashOptions, flash_box
 
-    for line in flash_box(FlashOptions(image, device, drive, stock, timeout, stop, not no_check)):
-        typer.echo(line)
+    print_lines(flash_box(FlashOptions(image, device, drive, stock, timeout, stop, not no_check)))

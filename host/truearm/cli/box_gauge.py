@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from truearm.cli.options import DeviceOption, StopOption
+from truearm.cli.options import DeviceOption, StopOption, out_file
 
 
 def gauge(
@@ -23,7 +23,7 @@ def gauge(
         int | None, typer.Option(metavar="N", min=1, max=7, help="Of the polynomial; default: by the left-out error.")
     ] = None,
     serial: Annotated[str | None, typer.Option(metavar="TEXT", help="Of the sensor; default: as before.")] = None,
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="The page; default gauge-CHANNEL.html.")] = None,
+    out: Annotated[Path | None, out_file("the page (.html); default: gauge-CHANNEL.html")] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Store the calibration without asking.")] = False,
     stop: StopOption = False,
 ) -> None:

@@ -5,11 +5,9 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
-from typing import Annotated
 
-import typer
-
-from truearm.cli.options import DeviceOption
+from truearm.cli.options import DeviceOption, DurationOption, PlainOption
+from truearm.cli.output import print_lines
 
 SHOW_S = 0.5
 PLAIN_S = 1.0
@@ -17,10 +15,8 @@ PLAIN_S = 1.0
 
 def monitor(
     device: DeviceOption,
-    duration: Annotated[
-        float | None, typer.Option(metavar="S", help="End after so many seconds; default: Ctrl-C.")
-    ] = None,
-    plain: Annotated[bool, typer.Option("--plain", help="A line a second, as when the output is no terminal.")] = False,
+    duration: DurationOption = None,
+    plain: PlainOption = False,
 ) -> None:
     """Show what a box measures: values in physical units with their noise, rates, losses, clock, temperature.
 
@@ -33,8 +29,7 @@ def monitor(
     with ExitStack() as stack:
         plain = plain or not sys.stdout.isatty()
         show = _plain if plain else _live(stack)
-        for line in monitor_box(device, duration, PLAIN_S if plain else SHOW_S, show):
-            typer.echo(line)
+        print_lines(monitor_box(device, duration, PLAIN_S if plain else SHOW_S, show))
 
 
 def _plain(rows: list[tuple[str, str]]) -> None:

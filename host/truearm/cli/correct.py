@@ -8,14 +8,17 @@ from typing import Annotated
 import typer
 
 from truearm.cli.options import (
-    IdentifiedBaseOption,
+    BaseOption,
     IdentifiedRobotOption,
-    IdentifiedTipOption,
+    OwnFramesOption,
     ResultArgument,
+    TipOption,
     frame_of,
     joints_of,
     numbers_of,
+    out_file,
 )
+from truearm.cli.output import print_lines
 from truearm.correct.methods import Method, methods_help, with_steps
 
 MOST_STEPS = 50
@@ -27,24 +30,15 @@ def correct(
         Path,
         typer.Argument(metavar="TARGETS", help="Targets (.csv), a RAPID module (.mod, .prg) or a URScript (.script)."),
     ],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Write the corrected table or program here.")],
+    out: Annotated[Path, out_file("the corrected table or program")],
     robot: IdentifiedRobotOption = None,
-    base: IdentifiedBaseOption = None,
-    tip: IdentifiedTipOption = None,
-    method: Annotated[
-        Method,
-        typer.Option(help=methods_help()),
-    ] = Method.NEWTON,
+    base: BaseOption = None,
+    tip: TipOption = None,
+    method: Annotated[Method, typer.Option(help=methods_help())] = Method.NEWTON,
     steps: Annotated[
         int, typer.Option(min=1, max=MOST_STEPS, metavar="N", help=f"Apply {' or '.join(with_steps())} so often.")
     ] = 1,
-    own_frames: Annotated[
-        bool,
-        typer.Option(
-            "--own-frames",
-            help="Targets lie in the robot's own base and flange frames: do not correct how base and tool were mounted.",
-        ),
-    ] = False,
+    own_frames: OwnFramesOption = False,
     work: Annotated[
         str | None,
         typer.Option(metavar="X,Y,Z,RX,RY,RZ", help="Frame that the targets are in, in the base frame [mm, deg]."),
@@ -90,5 +84,4 @@ def correct(
         tool=tool_frame,
         home=joints_of("--home", shown, calibration.joint_units),
     )
-    for line in lines(correct_file(calibration, files, options)):
-        typer.echo(line)
+    print_lines(lines(correct_file(calibration, files, options)))

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Annotated, assert_never
 
 import typer
 
-from truearm.cli.options import SeedOption
+from truearm.cli.options import SeedOption, out_folder
+from truearm.cli.output import print_lines
 from truearm.workflows.demo_steps import Steps, clock_truth, observe, record_virtually, visits_in_words, write_setup
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def what_is_planned(rig: DemoRig, poses: int) -> str:
 
 
 def demo(
-    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where everything is written.")] = Path("out/demo"),
+    out: Annotated[Path, out_folder("session, tables, result and report")] = Path("out/demo"),
     poses: Annotated[
         int, typer.Option(metavar="N", min=90, max=5000, help="Dwells with each bar: 46 cm to fit, 61 cm to validate.")
     ] = 800,
@@ -118,8 +119,7 @@ def demo(
             said, used = demo_text.line_lines(lines), demo_text.used(result.table)
         case _:
             assert_never(rig)
-    for line in [*demo_text.recording_lines(result, truth, steps, used), *said, f"\nreport          {page}"]:
-        typer.echo(line)
+    print_lines([*demo_text.recording_lines(result, truth, steps, used), *said, f"\nreport          {page}"])
 
 
 @contextmanager

@@ -8,30 +8,29 @@ from typing import Annotated
 import typer
 
 from truearm.cli.options import (
-    IdentifiedBaseOption,
+    BaseOption,
     IdentifiedRobotOption,
-    IdentifiedTipOption,
+    OwnFramesOption,
     ResultArgument,
+    TipOption,
     choices,
     one_of,
+    out_file,
 )
+from truearm.cli.output import print_lines
 from truearm.export.formats import FORMATS, formats_help
 
 
 def export(
     result: ResultArgument,
     form: Annotated[
-        str,
-        typer.Option("--format", metavar=choices(FORMATS), callback=one_of(FORMATS), help=formats_help()),
+        str, typer.Option("--format", metavar=choices(FORMATS), callback=one_of(FORMATS), help=formats_help())
     ],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Write it here.")],
+    out: Annotated[Path, out_file("the robot")],
     robot: IdentifiedRobotOption = None,
-    base: IdentifiedBaseOption = None,
-    tip: IdentifiedTipOption = None,
-    own_frames: Annotated[
-        bool,
-        typer.Option("--own-frames", help="Leave out how base and tool were mounted; the ends stay as described."),
-    ] = False,
+    base: BaseOption = None,
+    tip: TipOption = None,
+    own_frames: OwnFramesOption = False,
     adjust: Annotated[
         list[str] | None,
         typer.Option(
@@ -60,5 +59,4 @@ def export(
     from truearm.workflows.export import ExportOptions, export_file
 
     options = ExportOptions(form, own_frames, tuple(adjust or ()))
-    for line in lines(export_file(result, RobotChoice(robot, base, tip), out, options, over), out, over):
-        typer.echo(line)
+    print_lines(lines(export_file(result, RobotChoice(robot, base, tip), out, options, over), out, over))

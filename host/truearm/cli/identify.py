@@ -3,43 +3,37 @@
 from __future__ import annotations
 
 import shlex
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from truearm.cli.options import ROBOT_HELP, choices, one_of, rigs_of, warn
+from truearm.cli.options import (
+    AllowDamagedOption,
+    BaseOption,
+    InputsArgument,
+    JsonOption,
+    NamedRigsOption,
+    RobotOption,
+    SeedOption,
+    TipOption,
+    choices,
+    one_of,
+    out_file,
+    rigs_of,
+)
+from truearm.cli.output import warn
 from truearm.estimate.solvers import SOLVERS, Loss, Prior, with_loss
 from truearm.units import tolerances
 
 
 def identify(
     context: typer.Context,
-    inputs: Annotated[
-        list[Path], typer.Argument(metavar="INPUT", help="Sessions (.mcap) and tables (.csv); all are read as one.")
-    ],
-    robot: Annotated[
-        str,
-        typer.Option(
-            metavar="ROBOT",
-            help=ROBOT_HELP,
-        ),
-    ],
-    base: Annotated[
-        str | None, typer.Option(metavar="LINK", help="Link of the URDF where the chain begins; default: its root.")
-    ] = None,
-    tip: Annotated[
-        str | None, typer.Option(metavar="LINK", help="Link of the URDF where the chain ends; default: its only leaf.")
-    ] = None,
-    rig: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="[NAME=]FILE",
-            help="Chucks, spheres, bars, sockets, devices (.toml). With a name: for the rows that have it in their "
-            "column rig, and for the session of that name, a.mcap's being a (repeatable). Default: each session's own.",
-        ),
-    ] = None,
+    inputs: InputsArgument,
+    robot: RobotOption,
+    base: BaseOption = None,
+    tip: TipOption = None,
+    rig: NamedRigsOption = None,
     noise: Annotated[
         Path | None,
         typer.Option(
@@ -52,10 +46,10 @@ def identify(
         typer.Option(
             metavar="GROUP|FRACTION",
             help="Rows to judge by and not to fit: bar=bar61, shell=s1, place=front or any other name in a column of "
-            "names (repeatable), or a fraction such as 0.2.",
+            "names (repeatable), or a fraction such as 0.2, drawn by --seed.",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Draws the rows of a held-out fraction.")] = 0,
+    seed: SeedOption = 0,
     free: Annotated[
         list[str] | None,
         typer.Option(metavar="PATTERN", help="Identify only parameters that match, as 'joint*.offset' (repeatable)."),
@@ -99,8 +93,8 @@ def identify(
     max_iterations: Annotated[
         int, typer.Option(min=1, max=10_000, metavar="N", help="Stop there, converged or not.")
     ] = 50,
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the result here (JSON).")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON and nothing else.")] = False,
+    out: Annotated[Path | None, out_file("the result (.json)")] = None,
+    as_json: JsonOption = False,
     save_table: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write all observations as one table (CSV).")
     ] = None,
@@ -115,14 +109,7 @@ def identify(
             help="Points of each pass along a line at most. Default: as many as the noise tells apart.",
         ),
     ] = None,
-    allow_damaged: Annotated[
-        bool,
-        typer.Option(
-            "--allow-damaged",
-            "--allow-truncated",
-            help="Use what is whole of a session that is damaged, or whose recorder was killed.",
-        ),
-    ] = False,
+    allow_damaged: AllowDamagedOption = False,
 ) -> None:
     """Identify a robot's parameters from observations.
 
@@ -154,6 +141,6 @@ def identify(
     )
     document = identify_files(files, hold_out or [], options).document
     if as_json:
-        sys.stdout.write(format_document(document) + "\n")
+        typer.echo(format_document(document))
     else:
         show_result(document, out)

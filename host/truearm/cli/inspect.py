@@ -2,27 +2,18 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-from typing import Annotated
-
 import typer
 
+from truearm.cli.options import AllowDamagedOption, JsonOption, SessionArgument
+from truearm.cli.output import print_json, print_lines
 from truearm.text import one_line
 from truearm.workflows.session_parts import session_parts
 
 
 def inspect(
-    session: Annotated[Path, typer.Argument(metavar="SESSION", help="Session file (.mcap) of truearm record.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON and nothing else.")] = False,
-    allow_damaged: Annotated[
-        bool,
-        typer.Option(
-            "--allow-damaged",
-            "--allow-truncated",
-            help="Read what is whole of a file that is damaged, or whose recorder was killed.",
-        ),
-    ] = False,
+    session: SessionArgument,
+    as_json: JsonOption = False,
+    allow_damaged: AllowDamagedOption = False,
 ) -> None:
     """Say what is in a session: rates, gaps, losses, clock quality, dwells.
 
@@ -34,11 +25,9 @@ def inspect(
 
     first, *more = [describe(open_session(part, allow_damaged)) for part in session_parts(session)]
     if as_json:
-        typer.echo(json.dumps({**first, "parts": more}, indent=2, allow_nan=False))
+        print_json({**first, "parts": more})
         return
-    for line in lines(first):
-        typer.echo(line)
+    print_lines(lines(first))
     for document in more:
         typer.echo(f"\n{one_line(document['file'])} goes on with it:")
-        for line in lines(document):
-            typer.echo(line)
+        print_lines(lines(document))

@@ -10,13 +10,16 @@ from typing import Annotated, assert_never
 import typer
 
 from truearm.cli.options import (
-    IdentifiedBaseOption,
+    BaseOption,
     IdentifiedRobotOption,
-    IdentifiedTipOption,
+    OwnFramesOption,
     ResultArgument,
+    TipOption,
     joints_of,
     numbers_of,
+    out_file,
 )
+from truearm.cli.output import print_lines
 from truearm.errors import InputError
 from truearm.text import one_line
 from truearm.units import MM
@@ -31,11 +34,11 @@ class Elbow(StrEnum):
 
 def map_(
     result: ResultArgument,
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the cells as a table (.csv).")] = None,
+    out: Annotated[Path | None, out_file("the cells as a table (.csv)")] = None,
     picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the map as a picture (.svg).")] = None,
     robot: IdentifiedRobotOption = None,
-    base: IdentifiedBaseOption = None,
-    tip: IdentifiedTipOption = None,
+    base: BaseOption = None,
+    tip: TipOption = None,
     joints: Annotated[
         str,
         typer.Option("--vary", metavar="I,J", help="The two joints that span the section; their axes are parallel."),
@@ -55,7 +58,7 @@ def map_(
             help="Look for that place only here, along the section's axes [mm]; default: all of it.",
         ),
     ] = None,
-    own_frames: Annotated[bool, typer.Option("--own-frames", help="Leave out how base and tool were mounted.")] = False,
+    own_frames: OwnFramesOption = False,
 ) -> None:
     """Map the robot's error without calibration over a section of its workspace, with the map's own uncertainty.
 
@@ -76,11 +79,8 @@ def map_(
     calibration = read_calibration(files.result, files.robot)
     stand = joints_of("--at", shown, calibration.joint_units)
     section = Section(varied, stand, _is_up(elbow), MM.to_si(cell), own_frames)
-    for line in lines(map_files(calibration, files, section, wanted), section.cell, task):
-        typer.echo(line)
-    for path in (out, picture):
-        if path is not None:
-            typer.echo(f"Written: {one_line(str(path))}")
+    print_lines(lines(map_files(calibration, files, section, wanted), section.cell, task))
+    print_lines(f"Written: {one_line(str(path))}" for path in (out, picture) if path is not None)
 
 
 def _is_up(elbow: Elbow) -> bool:

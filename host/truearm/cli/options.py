@@ -1,4 +1,4 @@
-"""Arguments and options that several commands share. --help reads this, so it imports nothing slow."""
+"""Arguments and options that several commands share, each declared once. --help reads this, so it imports nothing slow."""
 
 from __future__ import annotations
 
@@ -6,61 +6,105 @@ import math
 import re
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from truearm.errors import InputError
 from truearm.model.builtin import builtin_names
-from truearm.text import one_line
 from truearm.units import DEG, MM, Scale, from_shown
 
-ROBOT_HELP = f"Built-in robot ({', '.join(builtin_names())}), robot file (.toml) or URDF (.urdf)."
-DEVICE_HELP = "The box: /dev/ttyACM0, COM3 or socket://127.0.0.1:7007."
-DeviceOption = Annotated[str, typer.Option(metavar="DEVICE", help=DEVICE_HELP)]
-StopOption = Annotated[
-    bool, typer.Option("--stop", help="Stop the box first if it streams, as a recorder that was killed leaves it.")
-]
 LARGEST_MM, LARGEST_DEG = 1e5, 720.0  # of a frame
 LONGEST_NAME = 64  # letters of a rig's name, as of a table's identifiers
 
+# What is read
+SessionArgument = Annotated[Path, typer.Argument(metavar="SESSION", help="Session file (.mcap) of truearm record.")]
+InputsArgument = Annotated[
+    list[Path], typer.Argument(metavar="INPUT", help="Sessions (.mcap) and tables (.csv); all are read as one.")
+]
 ResultArgument = Annotated[Path, typer.Argument(metavar="RESULT", help="What truearm identify --out wrote (.json).")]
-IdentifiedRobotOption = Annotated[
-    str | None,
+AllowDamagedOption = Annotated[
+    bool,
     typer.Option(
-        "--robot", metavar="ROBOT", help="The robot that was identified; default: the built-in one of that name."
+        "--allow-damaged",
+        "--allow-truncated",
+        help="Use what is whole of a file that is damaged, or whose recorder was killed.",
     ),
 ]
-IdentifiedBaseOption = Annotated[
-    str | None, typer.Option("--base", metavar="LINK", help="Of a URDF; default: as identified.")
+
+
+# The robot
+def _robot(default: str = "") -> Any:
+    names = ", ".join(builtin_names())
+    return typer.Option(
+        "--robot", metavar="ROBOT", help=f"Built-in robot ({names}), robot file (.toml) or URDF (.urdf).{default}"
+    )
+
+
+RobotOption = Annotated[str, _robot()]
+OptionalRobotOption = Annotated[str | None, _robot()]
+IdentifiedRobotOption = Annotated[str | None, _robot(" Default: the built-in one that was identified.")]
+BaseOption = Annotated[
+    str | None,
+    typer.Option("--base", metavar="LINK", help="First link of a URDF. Default: as identified, or its root."),
 ]
-IdentifiedTipOption = Annotated[
-    str | None, typer.Option("--tip", metavar="LINK", help="Of a URDF; default: as identified.")
+TipOption = Annotated[
+    str | None,
+    typer.Option("--tip", metavar="LINK", help="Last link of a URDF. Default: as identified, or its only leaf."),
 ]
+OwnFramesOption = Annotated[
+    bool,
+    typer.Option(
+        "--own-frames",
+        help="Use the robot's own base and flange frames: leave out how base and tool were mounted.",
+    ),
+]
+
+# Rig and plan
+_RIG = "Rig: chucks, spheres, bars, sockets, devices (.toml)."
+RigOption = Annotated[Path, typer.Option("--rig", metavar="FILE", help=_RIG)]
+SessionRigOption = Annotated[
+    Path | None, typer.Option("--rig", metavar="FILE", help=f"{_RIG} Default: the session's own.")
+]
+NamedRigsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--rig",
+        metavar="[NAME=]FILE",
+        help=f"{_RIG} With a name: for the rows that have it in their column rig, and for the session of that name, "
+        "a.mcap's being a (repeatable). Default: each session's own.",
+    ),
+]
+PlanOption = Annotated[Path | None, typer.Option("--plan", metavar="FILE", help="Plan: what the robot visits (.csv).")]
+
+# The box
+_BOX = "The box: /dev/ttyACM0, COM3 or socket://127.0.0.1:7007."
+DeviceOption = Annotated[str, typer.Option("--device", metavar="DEVICE", help=_BOX)]
+OptionalDeviceOption = Annotated[str | None, typer.Option("--device", metavar="DEVICE", help=_BOX)]
+StopOption = Annotated[
+    bool, typer.Option("--stop", help="Stop the box first if it streams, as a recorder that was killed leaves it.")
+]
+DurationOption = Annotated[
+    float | None, typer.Option("--duration", metavar="S", help="End after so many seconds; Ctrl-C ends it before.")
+]
+PlainOption = Annotated[
+    bool, typer.Option("--plain", help="Print lines in place of a live view, as when the output is no terminal.")
+]
+
+# What is written
+ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite the file to write.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON and nothing else.")]
 SeedOption = Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Random seed.")]
 
 
-def warn(text: str) -> None:
-    """Print a warning on standard error."""
-    typer.echo(f"warning: {text}", err=True)
+def out_file(what: str) -> Any:
+    """Return ``--out FILE`` of a command; ``what`` it writes there."""
+    return typer.Option("--out", metavar="FILE", help=f"File to write: {what}.")
 
 
-def planning(text: str) -> None:
-    """Print a step of a plan on standard error."""
-    typer.echo(f"planning: {text}", err=True)
-
-
-def say_parts(path: Path, what: str) -> None:
-    """Print on standard error which further parts of a session a command leaves out: ``what`` to do with them. Raises SessionError."""
-    from truearm.workflows.session_parts import session_parts
-
-    parts = [one_line(part.name) for part in session_parts(path)[1:]]
-    if parts:
-        typer.echo(f"{one_line(path.name)} goes on in {', '.join(parts)}: {what}", err=True)
-
-
-def silent(_: str) -> None:
-    """Print nothing: what --json prints stands alone."""
+def out_folder(what: str) -> Any:
+    """Return ``--out FOLDER`` of a command; ``what`` it writes there."""
+    return typer.Option("--out", metavar="FOLDER", help=f"Folder to write: {what}.")
 
 
 def rigs_of(given: list[str] | None) -> dict[str, Path]:

@@ -2,12 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from truearm.cli.options import ROBOT_HELP, check_finite, choices, one_of, planning, silent, spans_of
+from truearm.cli.options import (
+    BaseOption,
+    JsonOption,
+    RigOption,
+    RobotOption,
+    SeedOption,
+    TipOption,
+    check_finite,
+    choices,
+    one_of,
+    out_file,
+    spans_of,
+)
+from truearm.cli.output import command_group, print_json, print_lines
 from truearm.errors import InputError
 from truearm.model.builtin import names_with_branch
 from truearm.plan.criteria import Criterion, criterion_summary
@@ -18,23 +32,12 @@ if TYPE_CHECKING:
     from truearm.model.workspace import Branch
     from truearm.plan.region import Region
 
-app = typer.Typer(
-    name="plan",
-    help="Plan what to measure; say what it will tell before anything is measured.",
-    epilog="Example: truearm plan ballbar --robot puma560 --rig rig.toml --minutes 40 --out plan.csv",
-    rich_markup_mode=None,
-    no_args_is_help=False,
+app = command_group(
+    "plan",
+    "Plan what to measure; say what it will tell before anything is measured.",
+    "Example: truearm plan ballbar --robot puma560 --rig rig.toml --minutes 40 --out plan.csv",
 )
 
-
-RobotOption = Annotated[str, typer.Option(metavar="ROBOT", help=ROBOT_HELP)]
-BaseOption = Annotated[
-    str | None, typer.Option(metavar="LINK", help="Base link of a URDF; default: as in --result, or its only root.")
-]
-TipOption = Annotated[
-    str | None, typer.Option(metavar="LINK", help="End link of a URDF; default: as in --result, or its only one.")
-]
-RigOption = Annotated[Path, typer.Option(metavar="FILE", help="Chucks, spheres, bars, targets (.toml).")]
 MinutesOption = Annotated[
     float | None,
     typer.Option(
@@ -74,8 +77,7 @@ BranchOption = Annotated[
         f"{', '.join(names_with_branch())} have.",
     ),
 ]
-SeedOption = Annotated[int, typer.Option(min=0, metavar="N", help="Random seed.")]
-OutOption = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the plan that record follows (CSV).")]
+OutOption = Annotated[Path | None, out_file("the plan that record follows (.csv)")]
 ProgramOption = Annotated[
     list[Path] | None,
     typer.Option(metavar="FILE", help=f"Write the program: {dialects_help()} (repeatable)."),
@@ -96,7 +98,6 @@ ReserveOption = Annotated[
         help="Travel kept for what the model does not know; default 22, 3 with --result.",
     ),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print the forecast as JSON and nothing else.")]
 
 
 def _region_of(text: str | None) -> Region | None:
@@ -163,7 +164,7 @@ def ballbar(
     Example:
       truearm plan ballbar --robot puma560 --rig rig.toml --minutes 40 --out plan.csv --program plan.script
     """
-    from truearm.cli.plan_text import show
+    from truearm.cli.plan_text import forecast_lines
     from truearm.files.robot_file import RobotChoice
     from truearm.plan.route_stops import Signals
     from truearm.workflows.plan import BallBarOptions, Budget, PlanFiles, plan_ball_bar_files
@@ -189,7 +190,7 @@ def ballbar(
         dwell=dwell_s,
         seed=seed,
     )
-    show(plan_ball_bar_files(files, Budget(poses, minutes), options, silent if as_json else planning), as_json)
+    _print(plan_ball_bar_files(files, Budget(poses, minutes), options, _progress(as_json)), forecast_lines, as_json)
 
 
 @app.command("line")
@@ -239,7 +240,7 @@ def line(
     Example:
       truearm plan line --robot ur5e --rig rig.toml --lines 6 --out lines.csv --rig-out lines.toml --program lines.script
     """
-    from truearm.cli.plan_text import show
+    from truearm.cli.plan_text import forecast_lines
     from truearm.files.robot_file import RobotChoice
     from truearm.plan.cartesian_lines import Shape
     from truearm.plan.route_stops import Signals
@@ -266,7 +267,7 @@ def line(
         candidates=candidates,
         seed=seed,
     )
-    show(plan_line_files(files, Budget(lines, minutes), options), as_json)
+    _print(plan_line_files(files, Budget(lines, minutes), options), forecast_lines, as_json)
 
 
 @app.command("characterize")
@@ -294,7 +295,7 @@ def characterize(
     program: ProgramOption = None,
     output_line: OutputOption = 0,
     input_line: InputOption = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print what is planned as JSON and nothing else.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Plan a short run that tells how well the robot repeats: a few poses, reached from both sides of every joint.
 
@@ -304,7 +305,7 @@ def characterize(
     Example:
       truearm plan characterize --robot puma560 --rig rig.toml --out approaches.csv --program approaches.script
     """
-    from truearm.cli.plan_text import show_approaches
+    from truearm.cli.plan_text import approach_lines
     from truearm.files.robot_file import RobotChoice
     from truearm.plan.route_stops import Signals
     from truearm.workflows.plan import ApproachOptions, PlanFiles, plan_approaches_files
@@ -330,4 +331,16 @@ def characterize(
         reserve=None if reserve is None else MM.to_si(reserve),
         seed=seed,
     )
-    show_approaches(plan_approaches_files(files, options, silent if as_json else planning), as_json)
+    _print(plan_approaches_files(files, options, _progress(as_json)), approach_lines, as_json)
+
+
+def _progress(as_json: bool) -> Callable[[str], None]:
+    """What prints a step of a plan on standard error; nothing beside JSON."""
+    return lambda text: None if as_json else typer.echo(f"planning: {text}", err=True)
+
+
+def _print(document: dict[str, Any], lines: Callable[[dict[str, Any]], list[str]], as_json: bool) -> None:
+    if as_json:
+        print_json(document)
+    else:
+        print_lines(lines(document))

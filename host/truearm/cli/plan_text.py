@@ -2,38 +2,29 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import Any
-
-import typer
 
 from truearm.cli.identify_text import MAX_TERMS
 from truearm.units import UNITS
 
 
-def show(document: Mapping[str, Any], as_json: bool) -> None:
-    """Print it."""
-    if as_json:
-        typer.echo(json.dumps(document, indent=1))
-        return
-    for line in [*_visits(document), *_known_after(document), *_region(document)]:
-        typer.echo(line)
-    for path in document["written"]:
-        typer.echo(f"written: {path}")
+def forecast_lines(document: Mapping[str, Any]) -> list[str]:
+    """What ``plan ballbar`` and ``plan line`` planned, what will be known after it, and the error to be expected."""
+    return [*_visits(document), *_known_after(document), *_region(document), *_written(document)]
 
 
-def show_approaches(document: Mapping[str, Any], as_json: bool) -> None:
+def approach_lines(document: Mapping[str, Any]) -> list[str]:
     """What ``plan characterize`` planned."""
-    if as_json:
-        typer.echo(json.dumps(document, indent=1))
-        return
-    typer.echo(
+    return [
         f"{document['poses']} poses of bar {document['bar']} from {document['chuck']} to {document['sphere']}, "
-        f"{document['via_points']} places to come from, {document['minutes']:.0f} minutes"
-    )
-    for path in document["written"]:
-        typer.echo(f"written: {path}")
+        f"{document['via_points']} places to come from, {document['minutes']:.0f} minutes",
+        *_written(document),
+    ]
+
+
+def _written(document: Mapping[str, Any]) -> list[str]:
+    return [f"written: {path}" for path in document["written"]]
 
 
 def _visits(document: Mapping[str, Any]) -> list[str]:

@@ -8,6 +8,16 @@ from typing import Annotated
 
 import typer
 
+from truearm.cli.options import (
+    DurationOption,
+    ForceOption,
+    OptionalDeviceOption,
+    PlainOption,
+    PlanOption,
+    SessionRigOption,
+    out_file,
+)
+from truearm.cli.output import print_lines
 from truearm.errors import InputError, LinkError
 from truearm.record.robots.sources import sources_help
 
@@ -16,17 +26,8 @@ INTERRUPTED = 130
 
 
 def record(
-    device: Annotated[
-        str | None,
-        typer.Option(
-            metavar="DEVICE",
-            help="The box: /dev/ttyACM0, COM3 or socket://127.0.0.1:7007. Default: the one that is plugged in.",
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="The session file to write (.mcap). --resume names its own."),
-    ] = None,
+    device: OptionalDeviceOption = None,
+    out: Annotated[Path | None, out_file("a session (.mcap); --resume names its own")] = None,
     resume: Annotated[
         Path | None,
         typer.Option(
@@ -42,8 +43,8 @@ def record(
             help=f"The robot's joint readings: {sources_help()}; see docs/robots.md. None: the sensor alone tells the dwells.",
         ),
     ] = None,
-    plan: Annotated[Path | None, typer.Option(metavar="FILE", help="The poses that the robot visits (.csv).")] = None,
-    rig: Annotated[Path | None, typer.Option(metavar="FILE", help="Chucks, spheres, bars (.toml).")] = None,
+    plan: PlanOption = None,
+    rig: SessionRigOption = None,
     mounted: Annotated[
         str | None,
         typer.Option(metavar="LIST", help="What is mounted: bar=bar46,chuck=c1,sphere=s1 or line=l1,target=t1."),
@@ -51,22 +52,19 @@ def record(
     rate: Annotated[
         float | None, typer.Option(metavar="HZ", help="Samples a second (1000); the nearest of the box's rates.")
     ] = None,
-    duration: Annotated[
-        float | None, typer.Option(metavar="S", help="End after so many seconds; default: as above.")
-    ] = None,
+    duration: DurationOption = None,
     patience: Annotated[
         float, typer.Option(metavar="S", help="How long to wait for a box or robot whose link was lost; 0: not.")
     ] = _PATIENCE_S,
-    plain: Annotated[
-        bool, typer.Option("--plain", help="A line an event and one a second, as when there is no terminal.")
-    ] = False,
+    plain: PlainOption = False,
     unchecked: Annotated[
         bool, typer.Option("--unchecked", help="Record even if the box cannot measure what the plan or the rig is for.")
     ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite the session file.")] = False,
+    force: ForceOption = False,
 ) -> None:
     """Record a sensor box and a robot into a session file.
 
+    Without --device the box is the one that is plugged in.
     Ends with Ctrl-C, with q and Enter, after --duration, when the robot says that it has ended (docs/robots.md), or when a box or a
     robot that was lost or closed its stream did not come back in --patience; each completes the file. An earlier file is overwritten
     (--force) only once the box has started. On a terminal lines may be typed meanwhile: Enter confirms
@@ -88,8 +86,7 @@ def record(
     recorded = record_request(
         Request(device, out, resume, robot, plan, rig, mounted, osr, duration, patience, plain, unchecked, force)
     )
-    for line in lines(recorded):
-        typer.echo(line)
+    print_lines(lines(recorded))
     if recorded.trouble:
         typer.echo(recorded.trouble, err=True)
     if recorded.summary.reason == "interrupted":

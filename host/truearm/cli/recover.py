@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from truearm.cli.options import say_parts
+from truearm.cli.options import ForceOption, SessionArgument, out_file
+from truearm.cli.output import print_lines, warn_of_further_parts
 from truearm.text import one_line
 
 if TYPE_CHECKING:
@@ -17,12 +18,9 @@ SHOWN = 10  # damaged places that are listed
 
 
 def recover(
-    session: Annotated[Path, typer.Argument(metavar="SESSION", help="A damaged or unfinished session file (.mcap).")],
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="The session to write; default: SESSION's name, -recovered.mcap."),
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite the file to write.")] = False,
+    session: SessionArgument,
+    out: Annotated[Path | None, out_file("a session; default: SESSION's name, -recovered.mcap")] = None,
+    force: ForceOption = False,
 ) -> None:
     """Write a new, complete session with all that is whole of a damaged or unfinished one.
 
@@ -41,10 +39,9 @@ def recover(
     if found is None:
         typer.echo(f"{one_line(str(session))}: is whole; there is nothing to recover, and nothing was written")
         return
-    for line in lines(found):
-        typer.echo(line)
+    print_lines(lines(found))
     typer.echo(f"{one_line(str(out))}: written, a complete session")
-    say_parts(session, f"name them beside {one_line(out.name)}, they are not found by its name")
+    warn_of_further_parts(session, f"name them beside {one_line(out.name)}, they are not found by its name")
 
 
 def lines(found: Recovered) -> list[str]:

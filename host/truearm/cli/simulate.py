@@ -7,14 +7,12 @@ from typing import Annotated
 
 import typer
 
-from truearm.cli.options import SeedOption
+from truearm.cli.options import PlanOption, SeedOption, out_folder
 from truearm.units import MS
 
 
 def simulate(
-    folder: Annotated[
-        Path, typer.Option("--out", metavar="FOLDER", help="Where plan.csv and rig.toml are written.")
-    ] = Path("out/simulated"),
+    out: Annotated[Path, out_folder("plan.csv and rig.toml")] = Path("out/simulated"),
     port: Annotated[
         int, typer.Option(metavar="PORT", min=0, max=65535, help="TCP port of the box; 0 takes a free one.")
     ] = 7007,
@@ -35,12 +33,9 @@ def simulate(
             metavar="N", min=0, max=50, help="Lines past a line device, there and back; 0: a ball-bar instead."
         ),
     ] = 0,
-    plan_file: Annotated[
-        Path | None, typer.Option("--plan", metavar="FILE", help="What the robot visits instead (.csv).")
-    ] = None,
+    plan: PlanOption = None,
     rig_file: Annotated[
-        Path | None,
-        typer.Option("--rig-file", metavar="FILE", help="The rig of that plan (.toml); default: the simulator's own."),
+        Path | None, typer.Option(metavar="FILE", help="The rig of --plan (.toml); default: the simulator's own.")
     ] = None,
     robot_delay_ms: Annotated[
         float, typer.Option(min=0.0, max=1000.0, metavar="MS", help="How late the robot's readings are.")
@@ -76,14 +71,14 @@ def simulate(
     from truearm.workflows.simulate import SimulateOptions, simulate_box_and_robot
 
     options = SimulateOptions(
-        folder=folder,
+        folder=out,
         port=port,
         robot=robot,
         robot_port=robot_port,
         pty=pty,
         poses=poses,
         lines=lines,
-        plan=plan_file,
+        plan=plan,
         rig=rig_file,
         robot_delay_s=MS.to_si(robot_delay_ms),
         trigger=trigger,

@@ -2,40 +2,31 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-from typing import Annotated
-
 import typer
 
 from truearm.cli.options import (
-    IdentifiedBaseOption,
+    AllowDamagedOption,
+    BaseOption,
     IdentifiedRobotOption,
-    IdentifiedTipOption,
+    InputsArgument,
+    JsonOption,
+    NamedRigsOption,
     ResultArgument,
+    TipOption,
     rigs_of,
-    warn,
 )
+from truearm.cli.output import print_lines, warn
 
 
 def validate(
     result: ResultArgument,
-    inputs: Annotated[
-        list[Path], typer.Argument(metavar="INPUT", help="Sessions (.mcap) and tables (.csv) to judge by.")
-    ],
+    inputs: InputsArgument,
     robot: IdentifiedRobotOption = None,
-    base: IdentifiedBaseOption = None,
-    tip: IdentifiedTipOption = None,
-    rig: Annotated[
-        list[str] | None,
-        typer.Option(metavar="[NAME=]FILE", help="As of truearm identify; default: each session's own."),
-    ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print numbers and verdict as JSON and nothing else.")
-    ] = False,
-    allow_damaged: Annotated[
-        bool, typer.Option("--allow-damaged", help="Use what is whole of a session that is damaged.")
-    ] = False,
+    base: BaseOption = None,
+    tip: TipOption = None,
+    rig: NamedRigsOption = None,
+    as_json: JsonOption = False,
+    allow_damaged: AllowDamagedOption = False,
 ) -> None:
     """Judge a calibration by other measurements: errors with and without it, by region, and a verdict.
 
@@ -53,7 +44,6 @@ def validate(
     sources = Sources(tuple(inputs), rigs_of(rig), allow_damaged=allow_damaged, say=warn)
     document = validate_files(result, RobotChoice(robot, base, tip), sources)
     if as_json:
-        sys.stdout.write(format_document(document) + "\n")
-        return
-    for line in validation_lines(document):
-        typer.echo(line)
+        typer.echo(format_document(document))
+    else:
+        print_lines(validation_lines(document))

@@ -1,0 +1,49 @@
+"""What several commands print, and the help that a group of commands prints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from truearm.files.strict_json import strict_json
+from truearm.text import one_line
+
+
+def command_group(name: str, text: str, epilog: str) -> typer.Typer:
+    """Return an app without commands; called without one it prints its help."""
+    app = typer.Typer(name=name, help=text, epilog=epilog, rich_markup_mode=None, add_completion=False)
+
+    @app.callback(invoke_without_command=True)
+    def print_help(context: typer.Context) -> None:
+        if context.invoked_subcommand is None:
+            typer.echo(context.get_help())
+
+    return app
+
+
+def print_lines(lines: Iterable[str]) -> None:
+    """Print lines on standard output."""
+    for line in lines:
+        typer.echo(line)
+
+
+def print_json(document: Any) -> None:
+    """Print a document as JSON on standard output; a number that is not finite is null."""
+    typer.echo(strict_json(document, indent=2))
+
+
+def warn(text: str) -> None:
+    """Print a warning on standard error."""
+    typer.echo(f"warning: {text}", err=True)
+
+
+def warn_of_further_parts(session: Path, what: str) -> None:
+    """Print on standard error which further parts of a session a command leaves out: ``what`` to do with them. Raises SessionError."""
+    from truearm.workflows.session_parts import session_parts
+
+    parts = [one_line(part.name) for part in session_parts(session)[1:]]
+    if parts:
+        typer.echo(f"{one_line(session.name)} goes on in {', '.join(parts)}: {what}", err=True)
