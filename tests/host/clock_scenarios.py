@@ -4,6 +4,8 @@ A crystal is within 100 ppm and drifts with its temperature: by at most 1 ppm a 
 fro, which is faster but stays near its mean. Links have a shortest latency, another one each way, tails, stalls, losses. Boxes reboot; their time passes 2^30 and
 2^32 µs.
 
+Clocks also step, are slewed, change their rate for good; exchanges are rare, lost, wrong (``CHANGES``).
+
     python -m tests.host.clock_scenarios 200    prints how errors compare with bounds
 """
 
@@ -12,10 +14,12 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from truearm.session.device_clock import fit_clock
+from truearm.session.box_messages import Exchange
+from truearm.session.device_clock import ClockReport, fit_clock
 from truearm.session.robot_clock import Arrivals, fit_robot_clock
 from truearm.session.sample_blocks import BoxReader
 from truearm.types import Message
@@ -154,6 +158,132 @@ def _judged_box(reader, lives, ends):
     return Outcome(np.concatenate(errors), np.concatenate(bounds), 0.0)
 
 
+APART_S = 5.0  # between changes: more than SPAN exchanges at 4 Hz of which one in five is lost
+
+
+def times_apart(rng, n, begin, end, apart=APART_S):
+    """n random times, ascending, with at least so much between them."""
+    return np.sort(rng.uniform(begin, end - (n - 1) * apart, n)) + apart * np.arange(n)
+
+
+@dataclass(frozen=True)
+class HostClock:
+    """Steps by ``by`` at ``at``, and changes its rate by ``rate`` from ``begin`` to ``end`` (true times, s)."""
+
+    at: np.ndarray
+    by: np.ndarray
+    begin: np.ndarray
+    end: np.ndarray
+    rate: np.ndarray
+
+    def reading(self, t):
+        t = np.asarray(t)[..., None]
+        return (
+            t[..., 0]
+            + np.sum((t >= self.at) * self.by, -1)
+            + np.sum(self.rate * (np.clip(t, self.begin, self.end) - self.begin), -1)
+        )
+
+
+def host_clock(rng, seconds, steps=0, slews=0, rates=0, apart=APART_S):
+    """Steps of 50 µs to 10 ms, slews by 50 to 500 ppm for 1 to 20 s, lasting changes of the rate by 20 to 400 ppm in all."""
+    at = times_apart(rng, steps, apart, seconds - apart, apart)
+    begin = times_apart(rng, slews, apart, seconds - 20.0 - apart, 20.0 + apart)
+    lasting = times_apart(rng, rates, apart, seconds - apart, apart)
+    size = np.concatenate([rng.uniform(50.0, 500.0, slews), 10.0 ** rng.uniform(1.3, 2.3, rates)]) * PPM
+    return HostClock(
+        at,
+        rng.choice([-1.0, 1.0], steps) * 10.0 ** rng.uniform(-4.3, -2.0, steps),
+        np.concatenate([begin, lasting]),
+        np.concatenate([begin + rng.uniform(1.0, 20.0, slews), np.full(rates, np.inf)]),
+        rng.choice([-1.0, 1.0], slews + rates) * size,
+    )
+
+
+@dataclass(frozen=True)
+class Change:
+    """What happens in a scenario besides crystals and links."""
+
+    steps: int = 0
+    slews: int = 0
+    rates: int = 0
+    spacing: float = 0.25  # s between exchanges
+    seconds: float = 240.0
+    asymmetry: float = 0.0  # s that the way there takes longer
+    lost: float = 0.2  # at most this share of the exchanges
+    wrong: int = 0  # exchanges of which the box's stamps are off by up to 50 ms
+    apart: float = APART_S
+
+
+CHANGES = {
+    "steady": Change(),
+    "steps": Change(steps=5),
+    "slews": Change(slews=3),
+    "rates": Change(rates=2),
+    "asymmetry": Change(steps=2, asymmetry=2e-3),
+    "sparse": Change(steps=3, spacing=60.0, seconds=10_800.0, apart=1200.0),
+    "lost": Change(steps=3, lost=0.7, apart=15.0),
+    "wrong": Change(wrong=8),
+    "all": Change(steps=3, slews=1, rates=1, wrong=0, asymmetry=0.5e-3, seconds=480.0),
+}
+
+
+class Exchanged(NamedTuple):
+    """What was recorded of a box that was asked for its time, and the truth beside it."""
+
+    rows: np.ndarray  # (n, 4) t0 ns, t1 µs, t2 µs, t3 ns
+    crystal: Crystal
+    host: HostClock
+
+    def truth_ns(self, device_us):
+        """Host time less HOST_NS."""
+        return 1e9 * self.host.reading(self.crystal.true(1e-6 * device_us))
+
+
+def exchanged(seed, change):
+    """Exchanges of one life of a box."""
+    rng = np.random.default_rng([seed, 0xC10C])
+    there, back = way(rng), way(rng)
+    life = crystal(rng, 0.0, 2.0, fast=rng.random() < 0.25)
+    host = host_clock(rng, change.seconds, change.steps, change.slews, change.rates, change.apart)
+    n = round(change.seconds / change.spacing)
+    t0 = np.arange(n) * change.spacing + rng.uniform(0.0, 0.01, n)
+    arrive = np.maximum.accumulate(t0 + there.draw(rng, n) + change.asymmetry)
+    leave = arrive + rng.uniform(20e-6, 600e-6, n)
+    t3 = np.maximum.accumulate(leave + back.draw(rng, n))
+    stamps = (np.floor(1e9 * host.reading(t0)), np.floor(1e6 * life.reading(arrive)))
+    stamps += (np.floor(1e6 * life.reading(leave)), np.ceil(1e9 * host.reading(t3)))
+    rows = np.stack(stamps, axis=1).astype(np.int64) + np.array([HOST_NS, 0, 0, HOST_NS])
+    at = np.searchsorted(t0, times_apart(rng, change.wrong, 5.0, change.seconds - 5.0))
+    off = rng.choice([-1.0, 1.0], change.wrong) * 10.0 ** rng.uniform(2.0, 4.7, change.wrong)
+    rows[at, 1:3] += np.rint(off).astype(np.int64)[:, None]
+    return Exchanged(rows[rng.random(n) >= rng.uniform(0.0, change.lost)], life, host)
+
+
+class Changing(NamedTuple):
+    """Errors against bounds of a scenario with changes, what was reported of it, and the largest bound [µs] within 50 ms of each step."""
+
+    outcome: Outcome
+    report: ClockReport
+    known: Exchanged
+    at_step: np.ndarray
+
+
+def changing_scenario(seed, change):
+    """A box whose clock or whose host's clock changes."""
+    known = exchanged(seed, change)
+    clock, report = fit_clock(0, [Exchange(*row) for row in known.rows.tolist()])
+    t = np.sort(
+        np.concatenate([np.linspace(0.5, change.seconds - 0.5, 3000), *(known.host.at + dt for dt in (-1e-5, 1e-5))])
+    )
+    device_us = np.floor(1e6 * known.crystal.reading(t)).astype(np.int64)
+    host, bound = clock.to_host_ns(device_us)
+    error = (host - HOST_NS) - known.truth_ns(device_us)
+    near = np.abs(t - known.host.at[:, None]) < 0.05
+    at_step = np.max(np.where(near, 1e-3 * bound, 0.0), axis=1)
+    return Changing(Outcome(1e-3 * error, 1e-3 * bound, 0.0), report, known, at_step)
+
+
 def robot_scenario(seed, seconds=240.0):
     """A controller whose readings arrive over a network; the error is that beside the shortest latency."""
     rng = np.random.default_rng([seed, 0x20B])
@@ -187,6 +317,8 @@ def table(outcomes):
 
 if __name__ == "__main__":
     n = int(sys.argv[1])
+    for name, change in CHANGES.items():
+        print(f"{name}, " + table([changing_scenario(seed, change).outcome for seed in range(n)]))
     print("box, " + table([box_scenario(seed) for seed in range(n)]))
     print("robot, " + table([robot_scenario(seed) for seed in range(n)]))
     nominal = [box_scenario(seed, nominal=True) for seed in range(n // 4)]

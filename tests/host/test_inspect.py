@@ -67,6 +67,24 @@ def test_json_says_what_was_put_in(stream, tmp_path, run):
     assert (said["dwells"]["found"], said["dwells"]["observations"], said["dwells"]["rejected"]) == (5, 5, {})
 
 
+def test_a_host_clock_that_stepped_is_said(stream, tmp_path, run):
+    """5 ms ahead from the middle on: far beyond the round trip."""
+
+    def stepped(message):
+        row = json.loads(message.data)
+        ahead = 5_000_000 if row["t0_ns"] > middle_ns else 0
+        return message._replace(data=json.dumps(row | {key: row[key] + ahead for key in ("t0_ns", "t3_ns")}).encode())
+
+    times = [json.loads(m.data)["t0_ns"] for m in stream if m.topic == "/sync"]
+    middle_ns = (min(times) + max(times)) // 2
+    path = write(tmp_path / "s.mcap", [stepped(m) if m.topic == "/sync" else m for m in stream], rig_toml(tmp_path))
+    (change,) = json.loads(run("inspect", path, "--json")[1])["clock"][0]["changes"]
+    assert change["by_ns"] == pytest.approx(5e6, abs=5e5)  # a round trip
+    code, out, _ = run("inspect", path)
+    assert code == 0
+    assert f"host − device changed by {1e-3 * change['by_ns']:+.1f} µs between" in out
+
+
 def test_text_has_no_control_characters_of_the_file(stream, tmp_path, run):
     names = [Message("/odd\x1b[31m\x07topic", 1, b"x"), Message("/events", 2, b'{"kind":"a\\u001b[2Jb"}')]
     console = [Message("/box/console", 3, EVIL)] * 12

@@ -286,7 +286,7 @@ def test_a_clock_that_is_not_steady_gets_shorter_windows():
 
 
 def test_windows_that_contradict_each_other_say_so():
-    """The host's clock jumps by a second: whichever window is right, the bound reaches the truth."""
+    """The host's clock jumps by a second: whichever side is right, the bound reaches the truth, and the report says when and by how much."""
     true = True_(31.0)
     every = exchanges(np.random.default_rng(13), true)
     jumped = [e if e.t0_ns < 100e9 else e._replace(t0_ns=e.t0_ns + 10**9, t3_ns=e.t3_ns + 10**9) for e in every]
@@ -298,7 +298,9 @@ def test_windows_that_contradict_each_other_say_so():
     assert np.all(np.abs(error) <= bound + 1.0)
     assert np.max(bound) > 0.5e9
     assert np.median(bound) < 2e5
-    assert report.spread_ns > 1e6
+    (change,) = report.changes
+    assert change.device_us[0] <= true.device_us(100e9) <= change.device_us[1]
+    assert change.by_ns == pytest.approx(1e9, abs=2 * np.median(bound))
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])

@@ -140,6 +140,12 @@ def _clock(reports: list[Mapping[str, Any]]) -> Iterator[str]:
             f"exchange can show; spread {_of_ns(report['spread_ns'], '.2f')} µs; round trip "
             f"{_of_ns(report['rtt_min_ns'], '.1f')} µs at least, median {_of_ns(report['rtt_median_ns'], '.1f')}"
         )
+        for change in report["changes"]:
+            begin, end = (US.to_si(at) for at in change["device_us"])
+            yield (
+                f"  host − device changed by {_of_ns(change['by_ns'], '+.1f')} µs between {begin:.3f} s and {end:.3f} s of "
+                "the box's clock: a clock stepped or was slewed"
+            )
 
 
 def _robot(robot: Mapping[str, Any], added: Mapping[str, str]) -> Iterator[str]:
