@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from typing import Any, ClassVar, NamedTuple
 
@@ -172,6 +172,11 @@ class Rig:
     def things(self, field: str) -> Any:
         """The entries of a type, by the name of the field that they stand in: a field of this class, or one of ``entries``."""
         return getattr(self, field) if field in self.__dataclass_fields__ else self.entries.get(field, {})
+
+    def with_things(self, field: str, things: Mapping[str, Any]) -> Rig:
+        """The rig with other entries of a type."""
+        own: dict[str, Any] = {field: things}
+        return replace(self, **(own if field in self.__dataclass_fields__ else {"entries": {**self.entries, **own}}))
 
 
 def _absent() -> Any:
@@ -392,25 +397,14 @@ class Observability(NamedTuple):
     o4: float
 
 
-class AdditionKind(StrEnum):
-    """What may be measured in addition."""
-
-    POSES = "poses"  # others, with what is mounted
-    PAIRING = "pairing"  # a chuck and a sphere of the rig that were not measured together
-    CHUCK = "chuck"  # one more
-    SPHERE = "sphere"
-    BALL_BAR = "ball_bar"  # with three chucks and three spheres
-    LINE = "line"  # one more of the line device
-    PLACE = "place"  # one more to seat the ball at
-
-
 class Addition(NamedTuple):
     """Something more to measure, and what of the robot would be seen then."""
 
-    kind: AdditionKind
-    names: tuple[str, ...]  # the pairing's chuck and sphere; empty for what is new
+    kind: str  # as the kind of observation calls it that proposes it: "poses", "pairing"
+    names: tuple[str, ...]  # identifiers of the rig that it is about; empty for what is new
     rank: int  # of the robot's free parameters, with it
     parameters: tuple[str, ...]  # those that could be told apart in addition
+    text: str  # what to do, as a command to a person
 
 
 class Relabelling(NamedTuple):

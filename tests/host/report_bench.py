@@ -14,7 +14,6 @@ from truearm.kinds.registry import NAMES, kinds
 from truearm.report.calibration_page import CalibrationPage
 from truearm.types import (
     Addition,
-    AdditionKind,
     Estimate,
     Figures,
     HeldOut,
@@ -225,7 +224,10 @@ def full_page():
         chi2_band=(0.9, 1.1),
         observability=Observability(2.5, 1.25e-7, 0.75, 0.009),
         suggested_free=e.free & (np.arange(54) > 9),
-        additions=(Addition(AdditionKind.PAIRING, ("c3", "s2"), 35, LINK), Addition(AdditionKind.LINE, (), 34, LINK)),
+        additions=(
+            Addition("pairing", ("c3", "s2"), 35, LINK, "measure both"),
+            Addition("line", (), 34, LINK, "measure a line"),
+        ),
         relabellings=(Relabelling((4, 5, 9), ("c1", "s1"), ("c2", "s1"), 8e-3, 9e-5),),
         null_space=(NullDirection(("link1.x", "link2.x"), (1.0, -1.0)),),
         hardly_seen=(NullDirection(("link2.z",), (1.0,)),),

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from truearm.errors import InputError
 from truearm.files.observation_table import parse_table
 from truearm.files.result_file import RobotFrames, document_of, format_document, input_of, parse_result, write_result
-from truearm.types import Addition, AdditionKind, Estimate, Figures, HeldOut, NullDirection, Observability, Relabelling
+from truearm.types import Addition, Estimate, Figures, HeldOut, NullDirection, Observability, Relabelling
 
 ROBOT = RobotFrames("arm", "base", "tip", ("rad",))
 TABLE = parse_table("kind,q1_rad,place,socket\nseat,0,a,0\nseat,1,a,0\nseat,2,b,0\n", "t.csv")
@@ -69,7 +69,7 @@ def estimates(draw: st.DrawFn) -> Estimate:
         suspect=np.array([*draw(st.tuples(st.booleans(), st.booleans())), False]),
         observability=draw(st.none() | st.builds(Observability, numbers, numbers, numbers, numbers)),
         suggested_free=np.zeros(0, dtype=bool),
-        additions=(Addition(AdditionKind.PAIRING, ("c0", "s1"), 2, ("link0.x",)),),
+        additions=(Addition("pairing", ("c0", "s1"), 2, ("link0.x",), "measure both"),),
         relabellings=(Relabelling((0, 2), ("c0", "s0"), ("c1", "s0"), draw(numbers), draw(numbers)),),
     )
 
@@ -100,7 +100,8 @@ def test_any_estimate_is_strict_json_and_comes_back(estimate: Estimate) -> None:
 def test_rows_are_named_by_their_source(estimate: Estimate) -> None:
     document = document_of(estimate, TABLE, ROBOT, [])
     assert document["relabellings"][0]["rows"] == ["t.csv row 2", "t.csv row 4"]
-    assert document["additions"] == [{"kind": "pairing", "names": ["c0", "s1"], "rank": 2, "parameters": ["link0.x"]}]
+    addition = {"kind": "pairing", "names": ["c0", "s1"], "rank": 2, "parameters": ["link0.x"], "text": "measure both"}
+    assert document["additions"] == [addition]
     named = {f"t.csv row {row + 2}" for row in np.flatnonzero(estimate.suspect)}
     assert {entry["source"] for entry in document["suspect"]} == named
     far = [entry["distance"] for entry in document["suspect"]]

@@ -18,7 +18,6 @@ from truearm.report.page_text import figures, number
 from truearm.report.residual_rows import law_of, rows_by_kind, summaries
 from truearm.types import (
     Addition,
-    AdditionKind,
     Figures,
     HeldOut,
     NullDirection,
@@ -217,8 +216,8 @@ def test_observability_and_the_set_that_can_be_told_apart():
 def test_what_to_measure_next():
     page = make_page(20)
     additions = (
-        Addition(AdditionKind.PAIRING, ("c3", "s2"), 35, ("link2.x",)),
-        Addition(AdditionKind.PLACE, (), 34, tuple(f"p{i}" for i in range(15))),
+        Addition("pairing", ("c3", "s2"), 35, ("link2.x",), "measure with chuck c3, sphere s2 too"),
+        Addition("place", (), 34, tuple(f"p{i}" for i in range(15)), "seat the ball at a new place"),
     )
     text = render(replace(page, estimate=replace(page.estimate, additions=additions)))
     assert "<li>Measure with chuck c3, sphere s2 too to tell 1 more parameter: link2.x.</li>" in text

@@ -89,6 +89,17 @@ def test_it_is_identified_judged_and_reported(copy):
     page = (copy.folder / "page.html").read_text()
     assert "Residual of an inclinometer observation: measured less predicted inclination." in page
     assert "By inclinometer" in page
+    assert "<dt>inclinometers</dt><dd>i1, i2</dd>" in page
+
+
+def test_it_is_proposed_where_it_would_show_more(copy):
+    """A target on the axis of joint 6 does not show how far that joint turns; an inclinometer's axis turns with it."""
+    lines = (copy.folder / "poses.csv").read_text().splitlines()
+    (copy.folder / "points.csv").write_text(
+        "\n".join([lines[0], *(line for line in lines if line[:9] == "position,")]) + "\n"
+    )
+    said = copy.run("identify", "points.csv", *COMMAND, "--also-free", "joint6.offset", "--free", "joint6.offset")
+    assert "Next: measure with an inclinometer on the end to tell 1 more parameter: joint6.offset." in said
 
 
 def test_a_saved_table_gives_the_same_result(copy):

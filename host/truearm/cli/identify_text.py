@@ -18,9 +18,8 @@ from rich.table import Table
 from truearm.estimate.solvers import SOLVERS, Loss, Prior
 from truearm.kinds.registry import kinds
 from truearm.report.parameter_cells import parameter_cells
-from truearm.report.words import drawing, kind_name, proposal, time_offset
+from truearm.report.words import drawing, kind_name, time_offset
 from truearm.text import counted, one_line
-from truearm.types import AdditionKind
 from truearm.units import SUFFIXES, UNITS, title
 
 Document = Mapping[str, Any]
@@ -306,13 +305,9 @@ def further_measurements(document: Document) -> list[str]:
     for addition in document["additions"]:  # the most useful first
         best.setdefault(addition["kind"], addition)
     return [
-        f"Next: {_proposal(a)} to tell {counted(len(a['parameters']), 'more parameter')}: {_few(a)}."
+        f"Next: {one_line(a['text'])} to tell {counted(len(a['parameters']), 'more parameter')}: {_few(a)}."
         for a in best.values()
     ]
-
-
-def _proposal(addition: Mapping[str, Any]) -> str:
-    return proposal(AdditionKind(addition["kind"]), [one_line(name) for name in addition["names"]])
 
 
 def _few(addition: Mapping[str, Any]) -> str:

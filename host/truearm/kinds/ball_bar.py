@@ -10,7 +10,8 @@ which is d itself while zero and gain are as declared. ∂d/∂x is the derivati
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,12 +20,15 @@ from truearm.kinds.draft import Draft, Scope, measured, sigmas, use
 from truearm.kinds.group import Group
 from truearm.kinds.kind import Kind
 from truearm.kinds.linearised import Indices, Linearised, gather, no_columns, scatter
+from truearm.kinds.proposals import NEW, TRIAL_SIGMA, TRIES, Proposal, anywhere, trial_rows
 from truearm.kinds.quantities import LENGTH
 from truearm.kinds.rig_entries import NAME, POINT, SIZE, SPHERE, by_name
 from truearm.kinds.unknowns import Fault, Layout, Number, point_numbers
-from truearm.model.chain import Chain, along, trace_point
+from truearm.model.chain import Chain, along, point_forward, trace_point
 from truearm.schema import Entries, Key, Table
-from truearm.types import BallBar, Floats
+from truearm.types import BAR_MOUNTED, BallBar, Floats, ObservationTable, Point, Rig
+
+AWAY = np.array([0.11, -0.17, 0.07])  # m: a new chuck or sphere stands off the middle of the others, in line with none
 
 # The sensor's zero drifts and jumps, its gain may be wrong; the bar itself stands nowhere.
 BAR_FAULTS = (Fault(slice(0, 1), drift=True), Fault(slice(1, 2), step=False))
@@ -100,6 +104,66 @@ def draft(scope: Scope, rows: Indices) -> Draft:
     return Draft((chucks, spheres, bars), make)
 
 
+def longitude(chain: Chain, params: Floats, rig: Rig, rows: ObservationTable) -> Floats:
+    """(n,) [rad] longitude of the sphere about its chuck."""
+    spheres, chucks = (
+        np.array([known[str(name)].xyz for name in names])
+        for known, names in ((rig.spheres, rows.sphere), (rig.chucks, rows.chuck))
+    )
+    apart = point_forward(chain, params, rows.q, spheres) - chucks
+    return np.asarray(np.arctan2(apart[:, 1], apart[:, 0]))
+
+
+def proposals(here: Chain, rig: Rig, table: ObservationTable, rng: np.random.Generator) -> Iterator[Proposal]:
+    """Other poses, each pairing that was not measured, one more chuck or sphere; a ball-bar where there is none."""
+    bars = table.select(table.kind == "ball_bar")
+    if not len(bars):
+        yield _first_bar(here, rig, rng)
+        return
+    bar = str(bars.bar[0])
+    used = list(dict.fromkeys(zip(bars.chuck.tolist(), bars.sphere.tolist(), strict=True)))
+    chucks, spheres = list(dict.fromkeys(c for c, _ in used)), list(dict.fromkeys(s for _, s in used))
+    few = bars.q[:: max(len(bars) // TRIES, 1)][:TRIES]
+
+    def rows(q: Floats, pairs: Sequence[tuple[str, str]]) -> ObservationTable:
+        return _trial(np.tile(q, (len(pairs), 1)), bar, [pair for pair in pairs for _ in range(len(q))])
+
+    others = rows(anywhere(here, TRIES, rng), used)
+    yield Proposal("poses", "measure with what is mounted in poses that differ more", rig, others)
+    for chuck in rig.chucks:
+        for sphere in rig.spheres:
+            if (chuck, sphere) not in used:
+                text = f"measure with chuck {chuck}, sphere {sphere} too"
+                yield Proposal("pairing", text, rig, rows(few, [(chuck, sphere)]), (chuck, sphere))
+    more_chucks = replace(rig, chucks={**rig.chucks, NEW: _another([p.xyz for p in rig.chucks.values()])})
+    more_spheres = replace(rig, spheres={**rig.spheres, NEW: _another([p.xyz for p in rig.spheres.values()])})
+    text = "measure with one more {}, not in line with the others,"
+    yield Proposal("chuck", text.format("chuck"), more_chucks, rows(few, [(NEW, s) for s in spheres]))
+    yield Proposal("sphere", text.format("sphere"), more_spheres, rows(few, [(c, NEW) for c in chucks]))
+
+
+def _first_bar(here: Chain, rig: Rig, rng: np.random.Generator) -> Proposal:
+    """Three chucks at known places, three spheres on the end, a bar between them."""
+    corners = {
+        f"{NEW}{i}": Point(f"{NEW}{i}", (float(x), float(y), float(z))) for i, (x, y, z) in enumerate(np.diag(AWAY))
+    }
+    more = replace(rig, chucks=corners, spheres=corners, bars={NEW: BallBar(NEW, 1.0, 1.0, 0.1, TRIAL_SIGMA)})
+    pairs = [(chuck, sphere) for chuck in corners for sphere in corners for _ in range(TRIES)]
+    rows = _trial(anywhere(here, len(pairs), rng), NEW, pairs)
+    return Proposal("ball_bar", "measure with a ball-bar, three chucks and three spheres,", more, rows)
+
+
+def _trial(q: Floats, bar: str, pairs: Sequence[tuple[str, str]]) -> ObservationTable:
+    """Rows at q (n, j) with n pairs of chuck and sphere; of any length, since the derivatives do not depend on what was read."""
+    chuck, sphere = (np.array([pair[k] for pair in pairs]) for k in (0, 1))
+    return trial_rows(q, "ball_bar", value=np.ones(len(q)), bar=bar, chuck=chuck, sphere=sphere)
+
+
+def _another(points: Sequence[tuple[float, float, float]]) -> Point:
+    middle = np.mean(points, axis=0) + AWAY
+    return Point(NEW, (float(middle[0]), float(middle[1]), float(middle[2])))
+
+
 CHUCK = Entries("chuck", POINT, "chucks", by_name)
 BAR = Entries(
     "bar",
@@ -121,7 +185,7 @@ BAR = Entries(
 KIND = Kind(
     group=BallBarRows,
     draft=draft,
-    needs=("bar", "chuck", "sphere", LENGTH),
+    needs=(*BAR_MOUNTED, LENGTH),
     entries=(CHUCK, SPHERE, BAR),
     point="sphere",
     grouped_by=("chuck", "sphere"),
@@ -129,4 +193,6 @@ KIND = Kind(
     name="ball-bar",
     residual={"m": "measured less predicted length of the bar"},
     groups="pairing of chuck and sphere",
+    proposals=proposals,
+    longitude=longitude,
 )

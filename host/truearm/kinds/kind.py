@@ -9,9 +9,11 @@ from typing import Any
 from truearm.kinds.draft import Draft, Scope
 from truearm.kinds.group import Group
 from truearm.kinds.linearised import Indices
+from truearm.kinds.proposals import Proposing
 from truearm.kinds.quantities import Quantity
+from truearm.model.chain import Chain
 from truearm.schema import Entries
-from truearm.types import ObservationTable, Point, Rig
+from truearm.types import Floats, ObservationTable, Point, Rig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +40,13 @@ class Kind:
     name: str  # for a person: "ball-bar"
     residual: Mapping[str, str]  # for a person, by SI unit: what the residual is
     groups: str  # for a person: what ``grouped_by`` makes
+    proposals: Proposing | None = None  # what more of it could be measured
+    facts: Callable[[ObservationTable], tuple[tuple[str, str], ...]] | None = (
+        None  # of its rows, for a report: label, value
+    )
+    longitude: Callable[[Chain, Floats, Rig, ObservationTable], Floats] | None = (
+        None  # (n,) [rad] at params, for a picture
+    )
     check: Callable[[ObservationTable, Rig], None] | None = None  # raises TableError where rows and rig do not fit
 
     @property

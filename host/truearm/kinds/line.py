@@ -24,21 +24,25 @@ device's longitudinal place.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import assert_never
 
 import numpy as np
 
 from truearm.errors import ProblemError
 from truearm.kinds import position
-from truearm.kinds.draft import Draft, Scope
+from truearm.kinds.draft import ORIGIN, Draft, Scope
 from truearm.kinds.kind import Kind
 from truearm.kinds.linearised import Indices
 from truearm.kinds.position import nearest_rotation, points_of
+from truearm.kinds.proposals import NEW, TRIAL_SIGMA, Proposal, about_one_point, trial_rows
 from truearm.kinds.quantities import POINT, SPREAD
 from truearm.kinds.rig_entries import DEVICE, TARGET, by_name
+from truearm.model.chain import Chain, point_forward
 from truearm.model.rotation import rotation
 from truearm.schema import Entries
-from truearm.types import Device, Floats, LinePlacement
+from truearm.types import Device, Floats, LinePlacement, ObservationTable, Rig
 
 
 def place(
@@ -79,6 +83,32 @@ def draft(scope: Scope, rows: Indices) -> Draft:
     return Draft(used, lambda layout: [make(layout)])
 
 
+def proposals(here: Chain, rig: Rig, table: ObservationTable, rng: np.random.Generator) -> Iterator[Proposal]:
+    """One more line."""
+    ball = next(iter(rig.targets.values()), ORIGIN[""])
+    q = about_one_point(here, table.q[len(table) // 2], np.array(ball.xyz), rng, reach=0.1)
+    if len(q):
+        p_base = point_forward(here, here.params_nominal, q, np.array(ball.xyz))
+        cov = tuple(tuple(TRIAL_SIGMA**2 * (i == k) for k in range(3)) for i in range(3))
+        more = replace(rig, lines={**rig.lines, NEW: Device(NEW, cov)} if rig.lines else rig.lines)
+        rows = trial_rows(q, "line", xyz=p_base, line=NEW, target=ball.name)
+        yield Proposal("line", "measure a new line with the line device", more, rows)
+
+
+def facts(rows: ObservationTable) -> tuple[tuple[str, str], ...]:
+    """What was measured in motion."""
+    moving = np.isfinite(rows.q_rate).all(axis=1)
+    if not moving.any():
+        return ()
+    ways = {(name, group) for name, group in zip(rows.line[moving], rows.shell[moving], strict=True)}
+    names = sorted({str(name) for name, _ in ways})
+    both = sum(sum(name == one for name, _ in ways) > 1 for one in names)
+    return (
+        ("lines driven", f"{', '.join(names[:20])}; {both} of {len(names)} there and back"),
+        ("points on lines", f"{int(moving.sum())} in motion, {int((~moving).sum())} at rest"),
+    )
+
+
 LINE = Entries("line", DEVICE, "lines", by_name)
 KIND = Kind(
     group=position.PositionRows,
@@ -94,4 +124,6 @@ KIND = Kind(
     name="line",
     residual={"m": "distance of the measured from the predicted point, along and across the line"},
     groups="line",
+    proposals=proposals,
+    facts=facts,
 )

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from truearm.kinds.kind import Kind
     from truearm.kinds.quantities import Quantity
     from truearm.schema import Entries
-    from truearm.types import Rig
+    from truearm.types import Point, Rig
 
 NAMES = (  # their unknowns stand in this order in a parameter vector
     "ball_bar",
@@ -24,7 +24,8 @@ NAMES = (  # their unknowns stand in this order in a parameter vector
     "pose",
     "plane",
 )
-ANYWHERE = ("place", "shell", "rig")  # identifiers that a row of any kind may have
+GROUPS = ("place", "shell")  # identifiers of groups that a row of any kind may belong to
+ANYWHERE = (*GROUPS, "rig")  # identifiers that a row of any kind may have
 T = TypeVar("T")
 
 
@@ -64,6 +65,18 @@ def things(rig: Rig) -> Mapping[str, Mapping[str, Any]]:
     }
 
 
+def points() -> Mapping[str, str]:
+    """The columns that name points of the rig, and the rig's field that holds each."""
+    from truearm.kinds.rig_entries import POINT
+
+    return {entry.name: entry.field for entry in entries() if entry.table is POINT}
+
+
+def end_points(rig: Rig) -> Mapping[str, Mapping[str, Point]]:
+    """The points of the robot's end that a rig has, by the column that names them."""
+    return {kind.point: kind.points(rig) for kind in kinds().values() if kind.point}
+
+
 def units() -> tuple[str, ...]:
     """The SI units in which rows may say how uncertain they are: the first of each kind's residuals."""
     return _distinct(kind.components[0] for kind in kinds().values())
@@ -71,12 +84,12 @@ def units() -> tuple[str, ...]:
 
 def regions() -> tuple[str, ...]:
     """The columns of identifiers that name places to judge by themselves."""
-    return _distinct(("rig", "place", "shell", *(column for kind in kinds().values() for column in kind.regions)))
+    return _distinct(("rig", *GROUPS, *(column for kind in kinds().values() for column in kind.regions)))
 
 
 def drawn_from() -> tuple[str, ...]:
     """The columns of identifiers of which a random choice of rows takes its share each."""
-    return _distinct(("place", "shell", *(column for kind in kinds().values() for column in kind.drawn_from)))
+    return _distinct((*GROUPS, *(column for kind in kinds().values() for column in kind.drawn_from)))
 
 
 def _distinct(items: Iterable[T]) -> tuple[T, ...]:

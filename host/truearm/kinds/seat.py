@@ -6,16 +6,18 @@ parameters per place and socket, so only the spread of the predicted ball about 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from truearm.errors import ProblemError, TableError
-from truearm.kinds.draft import Draft, Scope, nominal_points, sigmas, use_points
+from truearm.kinds.draft import ORIGIN, Draft, Scope, nominal_points, sigmas, use_points
 from truearm.kinds.group import Group
 from truearm.kinds.kind import Kind
 from truearm.kinds.linearised import Indices, Linearised, gather, no_columns, scatter
+from truearm.kinds.proposals import NEW, Proposal, about_one_point, trial_rows
 from truearm.kinds.rig_entries import POINT, SIZE, SPHERE
 from truearm.kinds.socket_distance import known_distances
 from truearm.kinds.unknowns import Layout, Used, enumerate_labels, point_numbers
@@ -118,6 +120,14 @@ def check(table: ObservationTable, rig: Rig) -> None:
             )
 
 
+def proposals(here: Chain, rig: Rig, table: ObservationTable, rng: np.random.Generator) -> Iterator[Proposal]:
+    """One more place to seat the ball at."""
+    ball = next(iter(rig.spheres.values()), ORIGIN[""])
+    q = about_one_point(here, table.q[len(table) // 2], np.array(ball.xyz), rng, reach=0.0)
+    if len(q):
+        yield Proposal("place", "seat the ball at a new place", rig, trial_rows(q, "seat", sphere=ball.name, place=NEW))
+
+
 class Socket(NamedTuple):
     """A socket, and the place that it stands at."""
 
@@ -162,5 +172,6 @@ KIND = Kind(
     name="ball-in-socket",
     residual={"m": "distance of the ball's predicted centre from its socket"},
     groups="place",
+    proposals=proposals,
     check=check,
 )

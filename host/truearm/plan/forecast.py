@@ -22,11 +22,13 @@ from truearm.estimate.prediction import MOVES, body_motion
 from truearm.estimate.prior import weak_prior, wide_prior
 from truearm.estimate.problem import Problem, build_problem, settled
 from truearm.estimate.whitened_rows import whitened_blocks
+from truearm.kinds.registry import end_points
+from truearm.kinds.registry import points as points_of_rig
 from truearm.model.chain import Chain, point_forward, point_jacobians
 from truearm.model.robot import Robot
 from truearm.model.workspace import Branch, Capsules
 from truearm.plan.branch_inverse import Arm, make_arm
-from truearm.types import Floats, NullDirection, ObservationTable, Plan, Point, Rig
+from truearm.types import Floats, NullDirection, ObservationTable, Plan, Rig
 from truearm.units import UNITS
 
 
@@ -238,7 +240,7 @@ def _aim_jacobian(known: Known, problem: Problem, x: Floats, aim: Aim) -> tuple[
 def _point_jacobian(known: Known, problem: Problem, x: Floats, q: Floats, name: str) -> tuple[Floats, Floats]:
     """Those of one point; by its own coordinates too where they are unknowns. "": the end's origin."""
     point, at = np.zeros(3), [-1, -1, -1]
-    for what, some in (("sphere", known.rig.spheres), ("target", known.rig.targets)):
+    for what, some in end_points(known.rig).items():
         if name in some:
             names = [f"{what}.{name}.{k}" for k in "xyz"]
             at = [problem.names.index(own) if own in problem.names else -1 for own in names]
@@ -254,18 +256,12 @@ def _point_jacobian(known: Known, problem: Problem, x: Floats, q: Floats, name: 
 
 
 def with_rig_values(rig: Rig, values: Mapping[str, float]) -> Rig:
-    """The rig with chucks, spheres and targets where an earlier result found them; their sigmas stay."""
+    """The rig with its points where an earlier result found them; their sigmas stay."""
 
-    def moved(what: str, points: Mapping[str, Point]) -> dict[str, Point]:
-        out = {}
-        for name, point in points.items():
-            x, y, z = (values.get(f"{what}.{name}.{k}", v) for k, v in zip("xyz", point.xyz, strict=True))
-            out[name] = replace(point, xyz=(x, y, z))
-        return out
-
-    return replace(
-        rig,
-        chucks=moved("chuck", rig.chucks),
-        spheres=moved("sphere", rig.spheres),
-        targets=moved("target", rig.targets),
-    )
+    for column, field in points_of_rig().items():
+        moved = {}
+        for name, point in rig.things(field).items():
+            x, y, z = (values.get(f"{column}.{name}.{k}", v) for k, v in zip("xyz", point.xyz, strict=True))
+            moved[name] = replace(point, xyz=(x, y, z))
+        rig = rig.with_things(field, moved)
+    return rig

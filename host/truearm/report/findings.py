@@ -12,7 +12,7 @@ import numpy as np
 from truearm.kinds.registry import NAMES
 from truearm.report.page_text import ABSENT, escape, figures, number, size
 from truearm.report.residual_rows import Summary, row_name
-from truearm.report.words import OBSERVABILITY, kind_name, proposal, residual_words
+from truearm.report.words import OBSERVABILITY, kind_name, residual_words
 from truearm.text import counted
 from truearm.types import Addition, Estimate, Figures, ObservationTable, PredictedError, Relabelling
 from truearm.units import shown, symbol, title, tolerances
@@ -149,8 +149,9 @@ def addition_list(additions: Sequence[Addition]) -> str:
     for a in additions:
         names = ", ".join(a.parameters[:MAX_NAMES])
         more = f" and {len(a.parameters) - MAX_NAMES} others" if len(a.parameters) > MAX_NAMES else ""
-        what = proposal(a.kind, a.names)
-        words = f"{what[0].upper()}{what[1:]} to tell {counted(len(a.parameters), 'more parameter')}: {names}{more}."
+        words = (
+            f"{a.text[0].upper()}{a.text[1:]} to tell {counted(len(a.parameters), 'more parameter')}: {names}{more}."
+        )
         items.append(f"<li>{escape(words, 900)}</li>")
     return f'<h3>What to measure next</h3><ul class="directions">{"".join(items)}</ul>'
 

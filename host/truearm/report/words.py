@@ -1,13 +1,9 @@
-"""What the kinds of observation, the observability indices and the proposals are called where people read of them."""
+"""What the kinds of observation, the observability indices are called where people read of them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import assert_never
-
 from truearm.kinds.registry import NAMES, kinds
 from truearm.text import with_article
-from truearm.types import AdditionKind
 from truearm.units import MS, UNITS, tolerances
 
 PARTS = {"m": "position", "rad": "rotation"}  # of a kind that has residuals of both units
@@ -50,22 +46,3 @@ def residual_words(kind: str) -> str:
     of = kinds()[kind]
     parts = [f"{PARTS.get(si, si)}: {text}" if len(of.residual) > 1 else text for si, text in of.residual.items()]
     return f"Residual of {with_article(of.name)} observation: {'; '.join(parts)}."
-
-
-def proposal(kind: AdditionKind, names: Sequence[str]) -> str:
-    """What more to measure, as a command to a person; ``names`` are those of a pairing."""
-    match kind:
-        case AdditionKind.PAIRING:
-            return f"measure with chuck {names[0]}, sphere {names[1]} too"
-        case AdditionKind.POSES:
-            return "measure with what is mounted in poses that differ more"
-        case AdditionKind.CHUCK | AdditionKind.SPHERE:
-            return f"measure with one more {kind}, not in line with the others,"
-        case AdditionKind.BALL_BAR:
-            return "measure with a ball-bar, three chucks and three spheres,"
-        case AdditionKind.LINE:
-            return "measure a new line with the line device"
-        case AdditionKind.PLACE:
-            return "seat the ball at a new place"
-        case _:
-            assert_never(kind)

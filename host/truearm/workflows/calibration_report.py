@@ -10,7 +10,8 @@ import numpy as np
 
 from truearm.estimate.problem import Rigs
 from truearm.files.disk import write_atomic
-from truearm.model.chain import Chain, point_forward
+from truearm.kinds.registry import kinds
+from truearm.model.chain import Chain
 from truearm.types import Estimate, Floats, ObservationTable, Rig
 
 if TYPE_CHECKING:
@@ -38,25 +39,16 @@ def write_page(path: Path, found: Identification, command: str = "") -> None:
         command=command,
         prior=found.prior,
         predicted=found.predicted,
-        facts=_driven(table),
+        facts=_facts(table),
         notes=(*_timing(estimate), *(() if found.predicted else (UNPREDICTED,))),
     )
     write_atomic(path, render(page))
 
 
-def _driven(table: ObservationTable) -> tuple[tuple[str, str], ...]:
-    """What was measured in motion, as label and value; nothing without lines."""
-    lines = table.kind == "line"
-    moving = lines & np.isfinite(table.q_rate).all(axis=1)
-    if not moving.any():
-        return ()
-    ways = {(name, group) for name, group in zip(table.line[moving], table.shell[moving], strict=True)}
-    names = sorted({str(name) for name, _ in ways})
-    both = sum(sum(name == one for name, _ in ways) > 1 for one in names)
-    return (
-        ("lines driven", f"{', '.join(names[:20])}; {both} of {len(names)} there and back"),
-        ("points on lines", f"{int(moving.sum())} in motion, {int((lines & ~moving).sum())} at rest"),
-    )
+def _facts(table: ObservationTable) -> tuple[tuple[str, str], ...]:
+    """What each kind says of its rows, as label and value."""
+    every = ((kind, table.select(table.kind == name)) for name, kind in kinds().items())
+    return tuple(fact for kind, rows in every if kind.facts and len(rows) for fact in kind.facts(rows))
 
 
 def _timing(estimate: Estimate) -> list[str]:
@@ -73,14 +65,12 @@ def _timing(estimate: Estimate) -> list[str]:
 
 
 def longitudes(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Floats:
-    """(n,) [rad] longitude of the sphere about its chuck with the identified robot; NaN where a row has none."""
+    """(n,) [rad] longitude of the rows of each kind that has one, a sphere's about its chuck, with the identified robot; else NaN."""
     rigs: Mapping[str, Rig] = {"": rig} if isinstance(rig, Rig) else rig
-    out = np.full(len(table), np.nan)
-    bars = np.flatnonzero(table.kind == "ball_bar")
-    if bars.size:
-        of = [rigs[str(name)] for name in table.rig[bars]]
-        spheres = np.array([one.spheres[str(name)].xyz for one, name in zip(of, table.sphere[bars], strict=True)])
-        chucks = np.array([one.chucks[str(name)].xyz for one, name in zip(of, table.chuck[bars], strict=True)])
-        apart = point_forward(chain, estimate.value[: estimate.n_robot_parameters], table.q[bars], spheres) - chucks
-        out[bars] = np.arctan2(apart[:, 1], apart[:, 0])
+    out, params = np.full(len(table), np.nan), estimate.value[: estimate.n_robot_parameters]
+    for name, kind in kinds().items():
+        for of, one in rigs.items():
+            rows = np.flatnonzero((table.kind == name) & (table.rig == of))
+            if kind.longitude and rows.size:
+                out[rows] = kind.longitude(chain, params, one, table.select(rows))
     return out

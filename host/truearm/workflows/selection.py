@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import Argument, InputError
-from truearm.kinds.registry import drawn_from, identifiers
+from truearm.kinds.registry import GROUPS, drawn_from, identifiers
 from truearm.text import listed
 from truearm.types import ObservationTable
 
 Mask = NDArray[np.bool_]
 
 HOLD_OUT = Argument("hold_out")
-GROUPS = ("place", "shell")  # what a bare identifier may mean
 
 
 def held_out_rows(table: ObservationTable, wanted: Sequence[str], seed: int) -> Mask | None:
