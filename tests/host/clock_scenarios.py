@@ -158,6 +158,7 @@ def _judged_box(reader, lives, ends):
     return Outcome(np.concatenate(errors), np.concatenate(bounds), 0.0)
 
 
+ROBOT_APART_S = 15.0
 APART_S = 5.0  # between changes: more than SPAN exchanges at 4 Hz of which one in five is lost
 
 
@@ -284,7 +285,7 @@ def changing_scenario(seed, change):
     return Changing(Outcome(1e-3 * error, 1e-3 * bound, 0.0), report, known, at_step)
 
 
-def robot_scenario(seed, seconds=240.0):
+def robot_scenario(seed, seconds=240.0, host_steps=0, robot_steps=0, slews=0):
     """A controller whose readings arrive over a network; the error is that beside the shortest latency."""
     rng = np.random.default_rng([seed, 0x20B])
     clock, link = crystal(rng, begin=rng.uniform(0.0, 1e5)), way(rng)
@@ -292,15 +293,24 @@ def robot_scenario(seed, seconds=240.0):
     ticks = np.arange(np.ceil(clock.begin * rate), np.floor(float(clock.reading(seconds)) * rate)) / rate
     ticks = ticks[rng.random(ticks.size) > rng.uniform(0.0, 0.05)]
     sent = clock.true(ticks)
-    arrival = HOST_NS + np.ceil(1e9 * np.maximum.accumulate(sent + link.draw(rng, sent.size))).astype(np.int64)
-    stamps = np.round(ticks, 6)
-    gathered = Arrivals(float(stamps[0]), int(arrival[0]))
-    for part in np.array_split(np.arange(stamps.size), max(1, stamps.size // 2048)):
-        gathered.add(stamps[part], arrival[part])
+    arrival = np.maximum.accumulate(sent + link.draw(rng, sent.size))
+    host = host_clock(rng, seconds, host_steps, slews, apart=ROBOT_APART_S)
+    robot = host_clock(rng, seconds, robot_steps, apart=ROBOT_APART_S)
+    arrival_ns = HOST_NS + np.ceil(1e9 * host.reading(arrival)).astype(np.int64)
+    stamps = np.round(ticks + (robot.reading(sent) - sent), 6)
+    kept = (
+        np.diff(np.maximum.accumulate(stamps), prepend=-np.inf) > 0.0
+    )  # the reader drops what runs back by less than a second
+    gathered = Arrivals(float(stamps[0]), int(arrival_ns[0]))
+    for part in np.array_split(np.flatnonzero(kept), max(1, stamps.size // 2048)):
+        gathered.add(stamps[part], arrival_ns[part])
     fitted, _ = fit_robot_clock(0, gathered)
-    at = np.linspace(ticks[0], ticks[-1], 2000)
-    late = 1e-3 * (fitted.to_host_ns(at) - HOST_NS - 1e9 * clock.true(at))
-    return Outcome(late - 1e6 * link.least, 1e-3 * fitted.bound_at(at), 1e6 * link.least)
+    at = np.linspace(0.0, seconds, 2000)
+    shown = clock.reading(at) + (robot.reading(at) - at)
+    late = 1e-3 * (fitted.to_host_ns(shown) - HOST_NS - 1e9 * host.reading(at))
+    # Where its clock goes back the controller shows one time twice.
+    once = (shown >= np.maximum.accumulate(shown)) & (shown <= np.minimum.accumulate(shown[::-1])[::-1])
+    return Outcome((late - 1e6 * link.least)[once], 1e-3 * fitted.bound_at(shown)[once], 1e6 * link.least)
 
 
 def table(outcomes):

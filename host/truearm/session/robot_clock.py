@@ -2,7 +2,7 @@
 
 A reading stamped t by the controller arrives at h(t) + latency, and no latency is negative. The line under all arrivals that
 is nearest to them on average (the lower hull's edge at their middle) follows the fastest packets; queues and a busy host only
-push arrivals up. Windows of 60 s overlap by half and are blended as in ``clock``.
+push arrivals up. Windows of 60 s overlap by half and are blended as in ``clock_windows``.
 
 **The shortest latency itself cannot be seen**: a constant one is part of the offset. Here it is left in; what remains is the
 parameter τ of the identification. A robot at rest does not care. Edges of a trigger line (``edges``) do see it.
@@ -13,6 +13,10 @@ seconds' fastest the very fastest lies about a sixtieth of that above the shorte
 their density vanishes linearly there, a quarter where quadratically; at a window's ends the line may be off by a few times as much. To that comes what a rate that drifts
 by 1 ppm a minute bends away from a line, and what neighbouring windows disagree about.
 
+**Where a clock steps or is slewed** the line follows what lies lowest, and the rest of the window stands above it. So the bound is also at least 1.5 times the height that all
+packets of any eight seconds in succession keep above the line. It holds if in every eight seconds some packet comes nearly as fast as packets can, and if the clocks change one way
+within any eight seconds. The windows about a step are as wide as the step.
+
 Controller time that runs backward is a restart of the controller: another segment, with a clock of its own.
 """
 
@@ -22,6 +26,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from truearm.session.clock_windows import slack_ns
@@ -33,6 +38,8 @@ Ints = NDArray[np.int64]
 
 HALF_WINDOW_S = 30.0
 BLOCK_S = 1.0  # whose fastest packet counts for the bound
+RUN = 8  # seconds in which some packet comes nearly as fast as packets can
+TILTED = 1.5  # of a run's height: a step tilts its window's line, by up to a third of it in a run
 LEAST_BLOCKS = 16  # with fewer the bound grows in proportion
 ROUNDING_NS = 1000.0  # stamps are printed to the microsecond
 MAX_RATE = 0.01  # a controller's clock may be poor, but 1 % off it is another unit of time
@@ -177,7 +184,8 @@ def _line(
     if len(each) < 3:
         height = (latency_sum - count * offset - per_second * dt_sum) / count
     reach_ns = 0.5e9 * (dt.max() - dt.min())
-    bound = 2.0 * height + float(slack_ns(np.array(reach_ns))) + ROUNDING_NS
+    runs = np.min(sliding_window_view(np.array(fastest), min(RUN, len(fastest))), axis=1)
+    bound = max(2.0 * height, TILTED * float(np.max(runs))) + float(slack_ns(np.array(reach_ns))) + ROUNDING_NS
     return float(0.5 * (dt.min() + dt.max())), offset, 1e-9 * per_second, bound
 
 
