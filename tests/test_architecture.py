@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 HOST = ROOT / "host" / "truearm"
 
 # modules that every room may use
-COMMON = {"types", "errors", "text", "units", "schema", "interrupt", "__version__"}
+COMMON = {"types", "arguments", "errors", "text", "units", "schema", "interrupt", "__version__"}
 # room of truearm → rooms it may import besides itself and COMMON; imports run downwards
 ROOMS = {
     "model": set(),
@@ -42,6 +42,7 @@ ROOMS = {
     "api": {"workflows", "files", "plan", "correct", "export", "estimate", "model"},
     "__main__": {"cli"},
     "types": set(),
+    "arguments": set(),
     "errors": set(),
     "text": set(),
     "interrupt": set(),

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     )
     from truearm.errors import InputError, TruearmError
     from truearm.model.robot import Robot
+    from truearm.plan.region import Region
     from truearm.types import Estimate, ObservationTable, Rig
     from truearm.workflows.calibration import Calibration
     from truearm.workflows.identify import Identification, IdentifyOptions
@@ -45,6 +46,7 @@ __all__ = [
     "IdentifyOptions",
     "InputError",
     "ObservationTable",
+    "Region",
     "Rig",
     "Robot",
     "SessionObservations",
@@ -76,6 +78,7 @@ _MODULES = {
     "IdentifyOptions": "workflows.identify",
     "InputError": "errors",
     "ObservationTable": "types",
+    "Region": "plan.region",
     "Rig": "types",
     "Robot": "model.robot",
     "TruearmError": "errors",

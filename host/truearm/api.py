@@ -7,14 +7,15 @@ or InputError with one line that names it. Lengths are in metres, angles in radi
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from truearm.arguments import OneOf, Within, checked, floats
 from truearm.correct.correction import Correction
 from truearm.correct.error_map import ErrorMap
 from truearm.correct.methods import Method
@@ -41,9 +42,15 @@ from truearm.workflows.validate import Validation, validated
 PathLike = str | os.PathLike[str]
 HoldOut = str | float | Sequence[str] | NDArray[np.bool_]
 RIGID = 1e-6  # how far a rotation matrix of few digits may be from orthonormal
-R = TypeVar("R")
+RobotArgument = Annotated[Robot, "load_robot"]
+TableArgument = Annotated[ObservationTable, "read_table"]
+ResultArgument = Annotated[Calibration, "identify", "read_result"]
+RigArgument = Annotated[Rig, "read_rig"]
+RigsArgument = Annotated[Rigs, "read_rig"]
+Joints = Sequence[float] | NDArray[np.float64]
 
 
+@checked
 def load_robot(robot: PathLike, base: str | None = None, tip: str | None = None) -> Robot:
     """Load a robot: one that comes with truearm, a robot file or a URDF.
 
@@ -71,7 +78,7 @@ def load_robot(robot: PathLike, base: str | None = None, tip: str | None = None)
     >>> print(robot)
     puma560: 6 joints, chuck_fixture to sphere_fixture, 54 parameters, 36 free
     """
-    return robot_file.load_robot(str(_path("robot", robot)), base, tip)
+    return robot_file.load_robot(str(robot), base, tip)
 
 
 def builtin_robots() -> tuple[str, ...]:
@@ -86,7 +93,8 @@ def builtin_robots() -> tuple[str, ...]:
     return builtin_names()
 
 
-def read_table(path: PathLike, robot: Robot) -> ObservationTable:
+@checked
+def read_table(path: PathLike, robot: RobotArgument) -> ObservationTable:
     """Read a table of observations (docs/table-format.md).
 
     Parameters
@@ -113,10 +121,11 @@ def read_table(path: PathLike, robot: Robot) -> ObservationTable:
     >>> len(table), table.q.shape
     (90, (90, 6))
     """
-    return observation_table.read_table(_path("path", path), _robot(robot).chain.joint_units)
+    return observation_table.read_table(Path(path), robot.chain.joint_units)
 
 
-def write_table(path: PathLike, table: ObservationTable, robot: Robot) -> None:
+@checked
+def write_table(path: PathLike, table: TableArgument, robot: RobotArgument) -> None:
     """Write observations as a table that ``read_table`` reads. An existing file is replaced.
 
     Parameters
@@ -140,10 +149,11 @@ def write_table(path: PathLike, table: ObservationTable, robot: Robot) -> None:
     >>> table = truearm.read_table("poses.csv", robot)
     >>> truearm.write_table("inner.csv", table.select(table.shell == "inner"), robot)
     """
-    rows = _table("table", table, _robot(robot))
-    observation_table.write_table(_path("path", path), rows, robot.chain.joint_units)
+    rows = _table("table", table, robot)
+    observation_table.write_table(Path(path), rows, robot.chain.joint_units)
 
 
+@checked
 def read_rig(path: PathLike) -> Rig:
     """Read a rig file: chucks, spheres, bars, sockets and devices (docs/rig.md).
 
@@ -169,7 +179,7 @@ def read_rig(path: PathLike) -> Rig:
     >>> sorted(rig.chucks)
     ['c0', 'c1', 'c2']
     """
-    return rig_file.read_rig(_path("path", path))
+    return rig_file.read_rig(Path(path))
 
 
 @dataclass(frozen=True)
@@ -190,13 +200,14 @@ class SessionObservations:
     lost: tuple[str, ...] = ()
 
 
+@checked
 def read_session(
     path: PathLike,
     *,
     rig: PathLike | None = None,
     noise: PathLike | None = None,
     allow_damaged: bool = False,
-    line_points: int | None = None,
+    line_points: Annotated[int, Within(5)] | None = None,
 ) -> SessionObservations:
     """Make observations of a recorded session: synchronise the clocks, find dwells and lines.
 
@@ -232,14 +243,14 @@ def read_session(
     >>> set(session.table.kind.tolist())
     {'ball_bar'}
     """
-    file = _path("path", path)
+    file = Path(path)
     if not is_session(file):
         raise SessionError(f"{file}: is no session (.mcap); read_table reads tables")
     lost: list[str] = []
     sources = Sources(
         inputs=tuple(session_parts(file)),
-        rigs={} if rig is None else {"": _path("rig", rig)},
-        noise=None if noise is None else _path("noise", noise),
+        rigs={} if rig is None else {"": Path(rig)},
+        noise=None if noise is None else Path(noise),
         allow_damaged=allow_damaged,
         line_points=line_points,
         say=lost.append,
@@ -248,10 +259,11 @@ def read_session(
     return SessionObservations(table, around, tuple(lost))
 
 
+@checked
 def identify(
-    robot: Robot,
-    table: ObservationTable,
-    rig: Rigs | None = None,
+    robot: RobotArgument,
+    table: TableArgument,
+    rig: RigsArgument | None = None,
     *,
     hold_out: HoldOut = (),
     options: IdentifyOptions | None = None,
@@ -299,21 +311,20 @@ def identify(
     >>> length.unit, length.seen
     ('m', True)
     """
-    rows = _table("table", table, _robot(robot))
+    rows = _table("table", table, robot)
     rigs = _rigs(rig, rows)
-    chosen = _checked("options", options, IdentifyOptions) or identification.DEFAULTS
-    identification.check_options(chosen)
-    mask = hold_out if isinstance(hold_out, np.ndarray) and hold_out.dtype == np.bool_ else None
-    if mask is not None and mask.shape != (len(rows),):
-        raise InputError(f"hold_out: must be one bool a row, {len(rows)} in all; its shape is {mask.shape}")
-    names = () if mask is not None else _hold_out(hold_out)
-    selection = identification.selected(robot, rows, names, chosen)
-    if mask is not None:
-        selection = replace(selection, held_out=mask, held_out_by=("a mask",))
+    chosen = options or identification.DEFAULTS
+    if isinstance(hold_out, np.ndarray):
+        selection = identification.selected(robot, rows, (), chosen)
+        selection = replace(selection, held_out=_mask(hold_out, rows), held_out_by=("a mask",))
+    else:
+        names = _texts(hold_out) if isinstance(hold_out, str | Sequence) else (str(float(hold_out)),)
+        selection = identification.selected(robot, rows, names, chosen)
     return identification.identified(robot, rigs, rows, selection, chosen, progress=progress)
 
 
-def validate(result: Calibration, table: ObservationTable, rig: Rigs | None = None) -> Validation:
+@checked
+def validate(result: ResultArgument, table: TableArgument, rig: RigsArgument | None = None) -> Validation:
     """Judge a calibration by other observations than it was identified from.
 
     Parameters
@@ -344,11 +355,11 @@ def validate(result: Calibration, table: ObservationTable, rig: Rigs | None = No
     >>> print(truearm.validate(result, truearm.read_table("friday.csv", robot), rig).verdict[:22])
     The calibration holds:
     """
-    calibration = _result(result)
-    rows = _table("table", table, calibration.robot)
-    return Validation(validated(calibration, _rigs(rig, rows), rows))
+    rows = _table("table", table, result.robot)
+    return Validation(validated(result, _rigs(rig, rows), rows))
 
 
+@checked
 def read_result(
     path: PathLike, robot: PathLike | None = None, base: str | None = None, tip: str | None = None
 ) -> Calibration:
@@ -379,11 +390,12 @@ def read_result(
     >>> truearm.read_result("result.json").parameters["link2.x"].unit
     'm'
     """
-    name = None if robot is None else str(_path("robot", robot))
-    return read_calibration(_path("path", path), robot_file.RobotChoice(name, base, tip))
+    name = None if robot is None else str(robot)
+    return read_calibration(Path(path), robot_file.RobotChoice(name, base, tip))
 
 
-def write_result(path: PathLike, result: Calibration) -> None:
+@checked
+def write_result(path: PathLike, result: ResultArgument) -> None:
     """Write a calibration as result.json, whole or not at all. An existing file is replaced.
 
     Parameters
@@ -403,16 +415,17 @@ def write_result(path: PathLike, result: Calibration) -> None:
     >>> import truearm
     >>> truearm.write_result("copy.json", truearm.read_result("result.json"))
     """
-    result_file.write_result(_path("path", path), _result(result).document)
+    result_file.write_result(Path(path), result.document)
 
 
+@checked
 def plan_ball_bar(
-    robot: Robot,
-    rig: Rig,
+    robot: RobotArgument,
+    rig: RigArgument,
     *,
-    poses: int | None = None,
-    minutes: float | None = None,
-    result: Calibration | None = None,
+    poses: Annotated[int, Within(1)] | None = None,
+    minutes: Annotated[float, Within(1.0, 100_000.0)] | None = None,
+    result: ResultArgument | None = None,
     options: BallBarOptions | None = None,
 ) -> BallBarPlan:
     """Plan ball-bar poses before anything is measured.
@@ -452,24 +465,23 @@ def plan_ball_bar(
     >>> len(planned.route.plan)
     8
     """
-    if not isinstance(rig, Rig):
-        raise TypeError(f"rig must be a Rig (see read_rig), is {type(rig).__name__}")
     if (poses is None) == (minutes is None):
         raise InputError("poses, minutes: give one of them as the budget")
-    chosen = _checked("options", options, BallBarOptions) or BallBarOptions()
+    chosen = options or BallBarOptions()
     if result is not None:
         chosen = replace(chosen, reserve=plan.RESULT_RESERVE if chosen.reserve is None else chosen.reserve)
-    known = plan.known_of(_robot(robot), rig, None if result is None else _result(result))
+    known = plan.known_of(robot, rig, None if result is None else result)
     return plan.planned_ball_bar(known, Budget(poses, minutes), chosen)
 
 
+@checked
 def correct_poses(
-    result: Calibration,
+    result: ResultArgument,
     poses: ArrayLike,
     *,
-    method: str = "newton",
+    method: Annotated[str, OneOf(tuple(Method))] = "newton",
     own_frames: bool = False,
-    home: Sequence[float] | None = None,
+    home: Joints | None = None,
 ) -> Correction:
     """Correct poses, so that the true robot reaches them when the controller uses its nominal model.
 
@@ -507,29 +519,21 @@ def correct_poses(
     >>> corrected.told.shape, bool(corrected.after[0, 0] < 1e-8)
     ((1, 4, 4), True)
     """
-    calibration = _result(result)
-    if method not in list(Method):
-        raise InputError(f"method: {method!r} is not one of {', '.join(Method)}")
-    try:
-        given = np.asarray(poses, dtype=float)
-    except (TypeError, ValueError) as exc:
-        raise TypeError(f"poses must be an array of numbers (n, 4, 4): {exc}") from exc
-    if given.shape[-2:] != (4, 4) or given.ndim not in (2, 3) or not np.isfinite(given).all():
-        raise InputError(f"poses: must be finite numbers of shape (n, 4, 4) or (4, 4), the shape is {given.shape}")
-    given = given.reshape(-1, 4, 4)
+    given = floats("poses", poses, None, 4, 4, or_one=True)
     _check_rigid("poses", given)
-    options = correct.CorrectOptions(method, own_frames=own_frames, home=None if home is None else tuple(home))
-    return correct.corrected_poses(calibration, given, options)
+    options = correct.CorrectOptions(method, own_frames=own_frames, home=_joints("home", home, result))
+    return correct.corrected_poses(result, given, options)
 
 
+@checked
 def export_robot(
-    result: Calibration,
-    format: str,
+    result: ResultArgument,
+    format: Annotated[str, OneOf(FORMATS)],
     path: PathLike | None = None,
     *,
     own_frames: bool = False,
-    adjust: Sequence[str] = (),
-    over: ArrayLike | None = None,
+    adjust: str | Sequence[str] = (),
+    over: NDArray[np.float64] | Sequence[Joints] | None = None,
 ) -> export.Exported:
     """Write a calibrated robot for another program.
 
@@ -566,27 +570,21 @@ def export_robot(
     >>> written.text.startswith("<?xml")
     True
     """
-    calibration = _result(result)
-    if format not in FORMATS:
-        raise InputError(f"format: {format!r} is not one of {', '.join(FORMATS)}")
-    poses = None if over is None else np.asarray(over, dtype=float)
-    if poses is not None and (poses.ndim != 2 or poses.shape[1] != len(calibration.chain.joints)):
-        raise InputError(
-            f"over: must be joint vectors (n, {len(calibration.chain.joints)}), the shape is {poses.shape}"
-        )
-    found = export.exported(calibration, export.ExportOptions(format, own_frames, _texts("adjust", adjust)), poses)
+    poses = None if over is None else floats("over", over, None, len(result.joint_units))
+    found = export.exported(result, export.ExportOptions(format, own_frames, _texts(adjust)), poses)
     if path is not None:
-        write_atomic(_path("path", path), found.text)
+        write_atomic(Path(path), found.text)
     return found
 
 
+@checked
 def error_map(
-    result: Calibration,
+    result: ResultArgument,
     joints: tuple[int, int] = (2, 3),
     *,
-    at: Sequence[float] | None = None,
+    at: Joints | None = None,
     elbow_up: bool = True,
-    cell: float = 0.025,
+    cell: Annotated[float, Within(1e-3, 1.0)] = 0.025,
     own_frames: bool = False,
 ) -> ErrorMap:
     """Map the error of the uncalibrated robot over a section of its workspace (Renders 1991, eq. 31).
@@ -623,16 +621,14 @@ def error_map(
     >>> found.error.shape == (found.v.size, found.u.size)
     True
     """
-    if not cell > 0.0:
-        raise InputError(f"cell: must be a size above 0 in metres, is {cell}")
-    section = maps.Section(joints, None if at is None else tuple(at), elbow_up, cell, own_frames)
+    a, b = joints
+    section = maps.Section((a, b), _joints("at", at, result), elbow_up, cell, own_frames)
     return maps.mapped(result, section)
 
 
-def _checked(name: str, value: R | None, kind: type[R]) -> R | None:
-    if value is not None and not isinstance(value, kind):
-        raise TypeError(f"{name} must be of type {kind.__name__}, is {type(value).__name__}")
-    return value
+def _joints(name: str, given: Joints | None, result: Calibration) -> tuple[float, ...] | None:
+    """Joint readings (j,) of the result's robot."""
+    return None if given is None else tuple(floats(name, given, len(result.joint_units)).tolist())
 
 
 def _check_rigid(name: str, poses: NDArray[np.float64]) -> None:
@@ -646,27 +642,7 @@ def _check_rigid(name: str, poses: NDArray[np.float64]) -> None:
         )
 
 
-def _path(name: str, value: PathLike) -> Path:
-    if not isinstance(value, str | os.PathLike):
-        raise TypeError(f"{name} must be a file name or a path, is {type(value).__name__}")
-    return Path(value)
-
-
-def _robot(value: Robot) -> Robot:
-    if not isinstance(value, Robot):
-        raise TypeError(f"robot must be a Robot (see load_robot), is {type(value).__name__}")
-    return value
-
-
-def _result(value: Calibration) -> Calibration:
-    if not isinstance(value, Calibration):
-        raise TypeError(f"result must come from identify or read_result, is {type(value).__name__}")
-    return value
-
-
 def _table(name: str, value: ObservationTable, robot: Robot) -> ObservationTable:
-    if not isinstance(value, ObservationTable):
-        raise TypeError(f"{name} must be an ObservationTable (see read_table), is {type(value).__name__}")
     joints = len(robot.chain.joints)
     if value.q.shape[1] != joints:
         raise InputError(f"{name}: has {value.q.shape[1]} joints, robot {robot.chain.name} has {joints}")
@@ -681,8 +657,6 @@ def _rigs(rig: Rigs | None, table: ObservationTable) -> Rigs:
         one = Rig() if rig is None else rig
         observation_table.check_against_rig(table, one)
         return one
-    if not isinstance(rig, Mapping) or not all(isinstance(one, Rig) for one in rig.values()):
-        raise TypeError(f"rig must be a Rig (see read_rig) or a mapping of names to rigs, is {type(rig).__name__}")
     missing = sorted(set(table.rig.tolist()) - set(rig))
     if missing:
         raise InputError(
@@ -693,17 +667,15 @@ def _rigs(rig: Rigs | None, table: ObservationTable) -> Rigs:
     return rig
 
 
-def _hold_out(value: HoldOut) -> tuple[str, ...]:
-    if isinstance(value, str):
-        return (value,)
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        return (str(value),)
-    return _texts("hold_out", value)
+def _mask(hold_out: NDArray[np.bool_], table: ObservationTable) -> NDArray[np.bool_]:
+    if hold_out.dtype != np.bool_:
+        raise TypeError(f"hold_out: must be an array of bool, is one of {hold_out.dtype}")
+    if hold_out.shape != (len(table),):
+        raise InputError(f"hold_out: must be one bool a row, {len(table)} in all; its shape is {hold_out.shape}")
+    if hold_out.all():
+        raise InputError("hold_out: names every row; nothing would be left to fit")
+    return hold_out
 
 
-def _texts(name: str, value: object) -> tuple[str, ...]:
-    if isinstance(value, str):
-        return (value,)
-    if not isinstance(value, Sequence) or not all(isinstance(text, str) for text in value):
-        raise TypeError(f"{name} must be a text or a sequence of texts, is {type(value).__name__}")
-    return tuple(value)
+def _texts(value: str | Sequence[str]) -> tuple[str, ...]:
+    return (value,) if isinstance(value, str) else tuple(value)

@@ -24,4 +24,4 @@ def listed(names: Sequence[str], most: int = 12) -> str:
 
 def with_article(noun: str) -> str:
     """A noun with its indefinite article: "a seat", "an inclinometer"."""
-    return f"{'an' if noun[:1] in 'aeiou' else 'a'} {noun}"
+    return f"{'an' if noun[:1] in 'aeiouAEIOU' else 'a'} {noun}"

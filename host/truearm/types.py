@@ -14,7 +14,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.errors import PlanError
+from truearm.arguments import check_fields
+from truearm.errors import Argument, InputError, PlanError
 
 Floats = NDArray[np.float64]
 Strings = NDArray[np.str_]
@@ -169,6 +170,9 @@ class Rig:
     sockets: Mapping[tuple[str, str], Point] = field(default_factory=dict)  # by place and socket
     entries: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # of other types that kinds declare, by name
 
+    def __post_init__(self) -> None:
+        check_fields(self)
+
     def things(self, field: str) -> Any:
         """The entries of a type, by the name of the field that they stand in: a field of this class, or one of ``entries``."""
         return getattr(self, field) if field in self.__dataclass_fields__ else self.entries.get(field, {})
@@ -197,7 +201,7 @@ class ObservationTable:
     noise along the device's axes, beside that figure, NaN for none. The identifier columns hold ""
     where a row has none. ``rig`` says which of several rigs a row belongs to, ``source`` where a row comes from, for
     messages ("poses.csv row 17"). ``more`` are the columns that only other kinds have, (n,) or (n, c), by the name that the kind
-    declares. Columns that are not given are filled with NaN or "".
+    declares. Columns that are not given are filled with NaN or "". Raises TypeError and InputError for a column that has another type or shape.
 
     Examples
     --------
@@ -231,8 +235,9 @@ class ObservationTable:
     more: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "q", _column("q", self.q, text=False))
         if self.q.ndim != 2:
-            raise ValueError(f"q must be (n, j), is {self.q.shape}")
+            raise InputError(Argument("q"), f" must be (n, j), is {self.q.shape}")
         n = self.q.shape[0]
         shapes = {
             **dict.fromkeys(self.fields(), (n,)),
@@ -243,11 +248,13 @@ class ObservationTable:
             if getattr(self, name) is None:
                 blank = np.nan if len(shape) == 2 or name in ("value", "sigma") else ""
                 object.__setattr__(self, name, np.broadcast_to(np.array(blank), shape))
+            is_text = len(shape) == 1 and name not in ("value", "sigma")
+            object.__setattr__(self, name, _column(name, getattr(self, name), is_text))
             if getattr(self, name).shape != shape:
-                raise ValueError(f"{name} must be {shape}, is {getattr(self, name).shape}")
+                raise InputError(Argument(name), f" must be {shape}, is {getattr(self, name).shape}")
         for name, column in self.more.items():
             if column.shape[:1] != (n,):
-                raise ValueError(f"{name} must have {n} rows, is {column.shape}")
+                raise InputError(Argument(name), f" must have {n} rows, is {column.shape}")
 
     def __len__(self) -> int:
         return int(self.q.shape[0])
@@ -279,6 +286,17 @@ class ObservationTable:
             for name, column in {name: column for table in tables for name, column in table.more.items()}.items()
         }
         return cls(**columns, more=more)
+
+
+def _column(name: str, given: Any, text: bool) -> NDArray[Any]:
+    """A column as an array of text or of floats. Raises TypeError."""
+    try:
+        array = np.asarray(given)
+    except ValueError:  # rows of different lengths
+        array = np.empty(0, dtype=object)
+    if array.dtype.kind not in ("U" if text else "fiu") and (array.size or array.dtype.kind == "O"):
+        raise TypeError(f"{name}: must be an array of {'text' if text else 'real numbers'}")
+    return array.astype(str if text else float) if array.dtype.kind != ("U" if text else "f") else array
 
 
 def _like(column: NDArray[Any], own: NDArray[Any] | None, n: int) -> NDArray[Any]:

@@ -2,10 +2,12 @@
 
 import doctest
 import inspect
+import re
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -159,12 +161,24 @@ def test_export_correct_and_map(folder, result):
 
 
 WRONG = {
-    "robot as text": (lambda f, r, t, g, c: truearm.read_table(f / "poses.csv", "puma560"), TypeError, "robot must be"),
+    "robot as text": (
+        lambda f, r, t, g, c: truearm.read_table(f / "poses.csv", "puma560"),
+        TypeError,
+        "robot: must be a Robot (see load_robot)",
+    ),
     "no robot": (lambda f, r, t, g, c: truearm.load_robot("nobody"), RobotError, "nobody"),
-    "no file name": (lambda f, r, t, g, c: truearm.read_rig(3), TypeError, "path must be a file name"),
+    "no file name": (lambda f, r, t, g, c: truearm.read_rig(3), TypeError, "path: must be a text or a path, is 3"),
     "no file": (lambda f, r, t, g, c: truearm.read_rig("missing.toml"), InputError, "missing.toml"),
-    "table as path": (lambda f, r, t, g, c: truearm.identify(r, "poses.csv", g), TypeError, "table must be"),
-    "rig as path": (lambda f, r, t, g, c: truearm.identify(r, t, "rig.toml"), TypeError, "rig must be"),
+    "table as path": (
+        lambda f, r, t, g, c: truearm.identify(r, "poses.csv", g),
+        TypeError,
+        "table: must be an ObservationTable (see read_table)",
+    ),
+    "rig as path": (
+        lambda f, r, t, g, c: truearm.identify(r, t, "rig.toml"),
+        TypeError,
+        "rig: must be a Rig or a mapping of names to Rigs (see read_rig)",
+    ),
     "rig without chucks": (lambda f, r, t, g, c: truearm.identify(r, t), TableError, "not in the rig"),
     "rig's name": (lambda f, r, t, g, c: truearm.identify(r, t, {"a": g}), InputError, "rig: has no rig ''"),
     "joints": (
@@ -173,17 +187,21 @@ WRONG = {
         "table: has 6 joints, robot",
     ),
     "hold-out": (lambda f, r, t, g, c: truearm.identify(r, t, g, hold_out="shell=x"), InputError, "hold_out shell=x"),
-    "hold-out's type": (lambda f, r, t, g, c: truearm.identify(r, t, g, hold_out=None), TypeError, "hold_out must be"),
+    "hold-out's type": (lambda f, r, t, g, c: truearm.identify(r, t, g, hold_out=None), TypeError, "hold_out: must be"),
     "hold-out's mask": (
         lambda f, r, t, g, c: truearm.identify(r, t, g, hold_out=np.zeros(3, bool)),
         InputError,
         "hold_out: must be one bool a row",
     ),
-    "options": (lambda f, r, t, g, c: truearm.identify(r, t, g, options="map"), TypeError, "options must be"),
+    "options": (
+        lambda f, r, t, g, c: truearm.identify(r, t, g, options="map"),
+        TypeError,
+        "options: must be an IdentifyOptions",
+    ),
     "solver": (
         lambda f, r, t, g, c: truearm.identify(r, t, g, options=truearm.IdentifyOptions(solver="newton")),
         InputError,
-        "solver 'newton' is not known",
+        "solver: 'newton' is not one of",
     ),
     "loss": (
         lambda f, r, t, g, c: truearm.identify(r, t, g, options=truearm.IdentifyOptions(solver="ls", loss="huber")),
@@ -195,10 +213,18 @@ WRONG = {
         InputError,
         "also_free nothing",
     ),
-    "result": (lambda f, r, t, g, c: truearm.validate("result.json", t, g), TypeError, "result must come from"),
+    "result": (
+        lambda f, r, t, g, c: truearm.validate("result.json", t, g),
+        TypeError,
+        "result: must be a Calibration (see identify or read_result)",
+    ),
     "result's file": (lambda f, r, t, g, c: truearm.read_result(f / "rig.toml"), InputError, "rig.toml"),
     "budget": (lambda f, r, t, g, c: truearm.plan_ball_bar(r, g), InputError, "poses, minutes: give one"),
-    "poses": (lambda f, r, t, g, c: truearm.correct_poses(c, [1.0, 2.0]), InputError, "poses: must be"),
+    "poses": (
+        lambda f, r, t, g, c: truearm.correct_poses(c, [1.0, 2.0]),
+        InputError,
+        "poses: must be an array (n, 4, 4), its shape is (2,)",
+    ),
     "poses that are no poses": (
         lambda f, r, t, g, c: truearm.correct_poses(c, [np.eye(4), 2.0 * np.eye(4)]),
         InputError,
@@ -211,16 +237,16 @@ WRONG = {
     ),
     "pattern as text": (
         lambda f, r, t, g, c: truearm.identify(r, t, g, options=truearm.IdentifyOptions(free="joint*.offset")),
-        InputError,
-        "free: must be a tuple of patterns",
+        TypeError,
+        "free: must be a tuple of texts, is 'joint*.offset'",
     ),
     "no iteration": (
         lambda f, r, t, g, c: truearm.identify(r, t, g, options=truearm.IdentifyOptions(max_iterations=0)),
         InputError,
-        "max_iterations: must be 1 or more, is 0",
+        "max_iterations: must be a number from 1 to 10000, is 0",
     ),
     "table as session": (lambda f, r, t, g, c: truearm.read_session(f / "poses.csv"), InputError, "is no session"),
-    "poses' type": (lambda f, r, t, g, c: truearm.correct_poses(c, "home"), TypeError, "poses must be"),
+    "poses' type": (lambda f, r, t, g, c: truearm.correct_poses(c, "home"), TypeError, "poses: must be"),
     "far pose": (
         lambda f, r, t, g, c: truearm.correct_poses(c, np.eye(4) + 9.0 * np.eye(4, k=3) * [0, 0, 0, 1]),
         TargetError,
@@ -231,7 +257,11 @@ WRONG = {
         InputError,
         "method: 'magic'",
     ),
-    "home": (lambda f, r, t, g, c: truearm.correct_poses(c, np.eye(4), home=[1.0]), InputError, "home: must be 6"),
+    "home": (
+        lambda f, r, t, g, c: truearm.correct_poses(c, np.eye(4), home=[1.0]),
+        InputError,
+        "home: must be an array (6,)",
+    ),
     "format": (lambda f, r, t, g, c: truearm.export_robot(c, "step"), InputError, "step"),
     "over": (lambda f, r, t, g, c: truearm.export_robot(c, "dh", over=[[1.0]]), InputError, "over: must be"),
     "cell": (lambda f, r, t, g, c: truearm.error_map(c, cell=0.0), InputError, "cell: must be"),
@@ -252,6 +282,118 @@ def test_a_wrong_argument_is_named_in_one_line(case, folder, robot, table, rig, 
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
     assert "--" not in str(caught.value)
+
+
+def options(**given):
+    return truearm.IdentifyOptions(**given)
+
+
+def planned(robot, rig, **given):
+    fields = {name: given.pop(name) for name in tuple(given) if name not in ("poses", "minutes", "result", "options")}
+    return truearm.plan_ball_bar(robot, rig, **given, options=truearm.BallBarOptions(**fields))
+
+
+# what a call is refused for: the argument that the message begins with, and whether its type or its value is wrong
+REFUSED = [
+    *((name, TypeError, lambda a, name=name, v=v: options(**{name: v})) for name in ("free", "also_free", "freeze") for v in ((3,), "x", None)),
+    *(("max_iterations", TypeError, lambda a, v=v: options(max_iterations=v)) for v in (2.5, "5", True, None)),
+    *(("max_iterations", InputError, lambda a, v=v: options(max_iterations=v)) for v in (0, 10_001)),
+    *(("seed", TypeError, lambda a, v=v: options(seed=v)) for v in ("a", 1.0)),
+    ("seed", InputError, lambda a: options(seed=-1)),
+    *((name, TypeError, lambda a, name=name: options(**{name: ["lm"]})) for name in ("solver", "loss", "prior")),
+    *((name, InputError, lambda a, name=name: options(**{name: "magic"})) for name in ("solver", "loss", "prior")),
+    ("progress", TypeError, lambda a: truearm.identify(a.robot, a.table, a.rig, progress=3)),
+    ("hold_out", TypeError, lambda a: truearm.identify(a.robot, a.table, a.rig, hold_out=[0.2])),
+    ("hold_out", TypeError, lambda a: truearm.identify(a.robot, a.table, a.rig, hold_out=np.zeros(90))),
+    ("hold_out", InputError, lambda a: truearm.identify(a.robot, a.table, a.rig, hold_out=np.ones(90, bool))),
+    *(("hold_out", InputError, lambda a, v=v: truearm.identify(a.robot, a.table, a.rig, hold_out=v)) for v in (5.0, -0.1, float("nan"))),
+    *(("poses", TypeError, lambda a, v=v: planned(a.robot, a.bench, poses=v)) for v in (2.5, "8", True)),
+    *(("poses", InputError, lambda a, v=v: planned(a.robot, a.bench, poses=v)) for v in (0, -1)),
+    *(("minutes", InputError, lambda a, v=v: planned(a.robot, a.bench, minutes=v)) for v in (float("nan"), float("inf"), 0.0)),
+    *(("region", TypeError, lambda a, v=v: planned(a.robot, a.bench, poses=8, region=v)) for v in ((1, 2), "foo")),
+    ("lower", InputError, lambda a: truearm.Region([0.0, 0.0], [1.0, 1.0, 1.0])),
+    ("lower", InputError, lambda a: truearm.Region([2.0, 0.0, 0.0], [1.0, 1.0, 1.0])),
+    ("upper", InputError, lambda a: truearm.Region([0.0, 0.0, 0.0], [1.0, 1.0, float("nan")])),
+    ("upper", TypeError, lambda a: truearm.Region([0.0, 0.0, 0.0], "abc")),
+    *((name, InputError, lambda a, name=name, v=v: planned(a.robot, a.bench, poses=8, **{name: v}))
+      for name, v in (("candidates", 0), ("candidates", 100_001), ("reserve", -1e-3), ("reserve", float("inf")), ("spread", float("nan")), ("dwell", 0.0), ("seed", -1), ("criterion", "Q"))),
+    *((name, TypeError, lambda a, name=name, v=v: planned(a.robot, a.bench, poses=8, **{name: v}))
+      for name, v in (("candidates", 60.0), ("reserve", "1"), ("spread", None), ("dwell", "long"), ("seed", 0.5), ("criterion", 1), ("bars", "b46"), ("bars", (1,)))),
+    *(("over", InputError, lambda a, v=v: truearm.export_robot(a.result, "dh", over=v)) for v in (np.full((4, 6), np.nan), np.zeros((0, 6)), np.zeros((3, 5)))),
+    *(("over", TypeError, lambda a, v=v: truearm.export_robot(a.result, "dh", over=v)) for v in ("poses.csv", np.zeros((2, 6), complex), [[0.0] * 6, [0.0] * 5])),
+    ("format", TypeError, lambda a: truearm.export_robot(a.result, ["urdf"])),
+    ("format", InputError, lambda a: truearm.export_robot(a.result, "step")),
+    ("adjust", TypeError, lambda a: truearm.export_robot(a.result, "dh", adjust=(1,))),
+    *(("joints", TypeError, lambda a, v=v: truearm.error_map(a.result, v)) for v in ((1,), 3, ("a", "b"), (2.5, 3), (1, 2, 3), "23")),
+    *(("joints", InputError, lambda a, v=v: truearm.error_map(a.result, v)) for v in ((0, 2), (2, 7), (2, 2))),
+    *(("cell", InputError, lambda a, v=v: truearm.error_map(a.result, cell=v)) for v in (float("inf"), float("nan"), 0.0, -0.1)),
+    ("cell", TypeError, lambda a: truearm.error_map(a.result, cell="a")),
+    *((name, TypeError, call) for name, call in (("at", lambda a: truearm.error_map(a.result, at=3)), ("home", lambda a: truearm.correct_poses(a.result, np.eye(4), home=3)), ("home", lambda a: truearm.correct_poses(a.result, np.eye(4), home="abcdef")))),
+    *(("home", InputError, lambda a, v=v: truearm.correct_poses(a.result, np.eye(4), home=v)) for v in ([0.0] * 5, [float("nan")] * 6, [1e3] * 6, np.zeros((1, 6)))),
+    ("poses", TypeError, lambda a: truearm.correct_poses(a.result, np.eye(4, dtype=complex))),
+    ("poses", TypeError, lambda a: truearm.correct_poses(a.result, [np.eye(4), [[1.0]]])),
+    ("poses", InputError, lambda a: truearm.correct_poses(a.result, np.zeros((0, 4, 4)))),
+    ("own_frames", TypeError, lambda a: truearm.correct_poses(a.result, np.eye(4), own_frames="no")),
+    ("own_frames", TypeError, lambda a: truearm.export_robot(a.result, "dh", own_frames=1)),
+    ("elbow_up", TypeError, lambda a: truearm.error_map(a.result, elbow_up="x")),
+    ("base", TypeError, lambda a: truearm.load_robot("puma560", base=3)),
+    ("base", InputError, lambda a: truearm.load_robot("puma560", base="link1")),
+    ("line_points", InputError, lambda a: truearm.read_session(a.folder / "session.mcap", line_points=1)),
+    ("allow_damaged", TypeError, lambda a: truearm.read_session(a.folder / "session.mcap", allow_damaged="yes")),
+    *((field, TypeError, lambda a, field=field: truearm.Rig(**{field: 3})) for field in ("chucks", "bars", "lines", "socket_distances", "joint_cov", "backlash")),
+    ("chucks", TypeError, lambda a: truearm.Rig(chucks={"c": (0.0, 0.0, 0.0)})),
+    ("kind", InputError, lambda a: truearm.ObservationTable(q=[[1.0, 2.0]], kind="a")),
+    ("q", InputError, lambda a: truearm.ObservationTable(q=[1, 2], kind="a")),
+    ("q", TypeError, lambda a: truearm.ObservationTable(q=[["a"]], kind=["seat"])),
+    ("q", TypeError, lambda a: truearm.ObservationTable(q=[[1.0], [1.0, 2.0]], kind=["seat"])),
+    ("kind", TypeError, lambda a: truearm.ObservationTable(q=[[1.0]], kind=[3])),
+    ("value", InputError, lambda a: truearm.ObservationTable(q=[[1.0]], kind=["seat"], value=[1.0, 2.0])),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("case", range(len(REFUSED)), ids=lambda i: f"{REFUSED[i][0]}-{i}")
+def test_a_message_begins_with_the_argument_that_is_wrong(case, folder, robot, table, rig, result):
+    name, error, call = REFUSED[case]
+    bench = truearm.read_rig(folder / "bench.toml")
+    given = SimpleNamespace(folder=folder, robot=robot, table=table, rig=rig, result=result, bench=bench)
+    with pytest.raises((TypeError, InputError)) as caught:
+        call(given)
+    assert isinstance(caught.value, error)
+    assert re.match(rf"{name}\b", str(caught.value)), str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 200
+
+
+def test_no_argument_and_no_option_takes_anything(folder, robot, table, rig, result):
+    """Each of every function, and each field of the options."""
+    right = {
+        **{"robot": robot, "path": folder / "poses.csv", "table": table, "rig": rig, "result": result},
+        **{"format": "dh", "poses": np.eye(4)},
+    }
+    tried = 0
+    for function in (getattr(truearm, name) for name in NAMES if inspect.isfunction(getattr(truearm, name))):
+        parameters = inspect.signature(function).parameters
+        needed = {name: right[name] for name, one in parameters.items() if one.default is one.empty}
+        if function is truearm.load_robot:
+            needed = {"robot": "puma560"}
+        for name in parameters:
+            with pytest.raises(TypeError, match=f"^{name}: must be "):
+                function(**{**needed, name: object()})
+            tried += 1
+    for record in (truearm.IdentifyOptions, truearm.BallBarOptions):
+        for name in (field.name for field in fields(record)):
+            with pytest.raises(TypeError, match=f"^{name}: must be "):
+                record(**{name: object()})
+            tried += 1
+    assert tried > 60
+
+
+def test_numpy_numbers_and_lists_are_taken():
+    chosen = truearm.IdentifyOptions(free=["*.offset"], max_iterations=np.int64(3))
+    assert (list(chosen.free), chosen.max_iterations) == (["*.offset"], 3)
+    assert truearm.BallBarOptions(dwell=np.float32(1.0), spread=0, candidates=np.int32(60)).dwell == 1.0
+    rows = truearm.ObservationTable(q=[[1, 2]], kind=["seat"], place=["p"], socket=["s"])
+    assert (rows.q.dtype, rows.q.shape, rows.kind.shape) == (np.dtype(float), (1, 2), (1,))
 
 
 def test_a_files_name_is_no_option(tmp_path):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from truearm.errors import Argument, PlanError
+from truearm.arguments import floats
+from truearm.errors import Argument, InputError, PlanError
 from truearm.model.chain import point_forward
 from truearm.plan.measurement_limits import Site, allowed
 from truearm.types import Floats
@@ -14,11 +16,36 @@ from truearm.types import Floats
 N_POSES = 300
 
 
-class Region(NamedTuple):
-    """A box of the base frame [m]."""
+@dataclass(frozen=True, init=False)
+class Region:
+    """A box of the base frame.
 
-    lower: Floats  # (3,)
-    upper: Floats  # (3,)
+    Parameters
+    ----------
+    lower, upper : array (3,)
+        Its corners [m], none of ``lower`` above ``upper``.
+
+    Raises
+    ------
+    TypeError, InputError
+        If one is not three finite numbers, or they are in the wrong order.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> region = truearm.Region([0.3, -0.2, 0.1], [0.6, 0.2, 0.4])
+    >>> truearm.BallBarOptions(region=region).criterion
+    'I'
+    """
+
+    lower: Floats
+    upper: Floats
+
+    def __init__(self, lower: ArrayLike, upper: ArrayLike) -> None:
+        object.__setattr__(self, "lower", floats("lower", lower, 3))
+        object.__setattr__(self, "upper", floats("upper", upper, 3))
+        if (self.lower > self.upper).any():
+            raise InputError(Argument("lower"), " of a region must not lie above ", Argument("upper"))
 
 
 def around(points: Floats) -> Region:

@@ -89,9 +89,9 @@ def mapped(calibration: Calibration, section: Section) -> ErrorMap:
     pair = Pair(chain, calibration.nominal, calibration.identified, chosen_mountings(calibration, section.own_frames))
     q = check_joints("at", section.at, calibration.joint_units)
     q = np.zeros(len(chain.joints)) if q is None else q
-    if min(section.joints) < 1 or max(section.joints) > q.size:
-        given = ",".join(map(str, section.joints))
-        raise InputError(Argument("joints"), f" {given}: must be two joints between 1 and {q.size}")
+    a, b = section.joints
+    if min(a, b) < 1 or max(a, b) > q.size or a == b:
+        raise InputError(Argument("joints"), f" {a},{b}: must be two joints between 1 and {q.size}")
     varied = section.joints[0] - 1, section.joints[1] - 1
     for i, joint in enumerate(chain.joints):
         if section.at and i not in varied and not joint.lower <= q[i] <= joint.upper:

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.arguments import OneOf, Within, check_fields
 from truearm.errors import Argument, InputError
 from truearm.estimate.identify import SolverOptions
 from truearm.estimate.identify import identify as estimate_parameters
@@ -52,9 +54,14 @@ class IdentifyOptions:
     loss : str
         "linear", "huber" or "cauchy"; the robust losses go with the solvers "lm" and "map".
     max_iterations : int
-        The solver stops there, whether it has converged or not.
+        The solver stops there, whether it has converged or not; at most 10000.
     seed : int
-        Draws the rows of a held-out fraction.
+        Draws the rows of a held-out fraction; 0 or more.
+
+    Raises
+    ------
+    TypeError, InputError
+        If a field is wrong, or the solver knows no such loss or prior.
 
     Examples
     --------
@@ -66,11 +73,21 @@ class IdentifyOptions:
     free: tuple[str, ...] = ()
     also_free: tuple[str, ...] = ()
     freeze: tuple[str, ...] = ()
-    prior: str | None = None
-    solver: str = "lm"
-    loss: str = "linear"
-    max_iterations: int = 50
-    seed: int = 0
+    prior: Annotated[str, OneOf(tuple(Prior))] | None = None
+    solver: Annotated[str, OneOf(SOLVERS)] = "lm"
+    loss: Annotated[str, OneOf(tuple(Loss))] = "linear"
+    max_iterations: Annotated[int, Within(1, 10_000)] = 50
+    seed: Annotated[int, Within(0)] = 0
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        solver, loss, prior = self.solver, self.loss, self.prior
+        if loss != Loss.LINEAR and not SOLVERS[solver].has_loss:
+            text = f" {loss} goes with the solvers {' and '.join(with_loss())}; {solver} has no robust loss"
+            raise InputError(Argument("loss"), text)
+        if prior not in (None, Prior.NONE) and SOLVERS[solver].prior is None:
+            text = f" {solver}, which knows no prior; use map"
+            raise InputError(Argument("prior"), f" {prior} is nothing to ", Argument("solver"), text)
 
 
 DEFAULTS = IdentifyOptions()
@@ -129,7 +146,6 @@ def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: Ident
     """
     from truearm.report.calibration_page import looks_like_page
 
-    check_options(options)
     sources = replace(files.sources, inputs=tuple(with_parts(list(files.sources.inputs))))
     wanted = (files.out, looks_like_result), (files.save_table, looks_like_table), (files.report, looks_like_page)
     check_files(sources, files.robot, [(path, ours) for path, ours in wanted if path is not None])
@@ -144,32 +160,6 @@ def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: Ident
     if files.out is not None:
         write_result(files.out, found.document)
     return found
-
-
-def check_options(options: IdentifyOptions) -> None:
-    """Raise InputError for a choice that does not exist, and for one that would silently be ignored or misread."""
-    solver, loss, prior = options.solver, options.loss, options.prior
-    known = {"solver": tuple(SOLVERS), "loss": tuple(Loss), "prior": tuple(Prior)}
-    for what, given in (("solver", solver), ("loss", loss), ("prior", prior)):
-        if given is not None and given not in known[what]:
-            raise InputError(Argument(what), f" {given!r} is not known; use {', '.join(known[what])}")
-    for option in ("free", "also_free", "freeze"):
-        patterns = getattr(options, option)
-        if isinstance(patterns, str):  # which would be read letter by letter
-            raise InputError(Argument(option), f": must be a tuple of patterns, is the text {patterns!r}")
-    if options.max_iterations < 1:
-        raise InputError(Argument("max_iterations"), f": must be 1 or more, is {options.max_iterations}")
-    if loss != Loss.LINEAR and not SOLVERS[solver].has_loss:
-        raise InputError(
-            Argument("loss"), f" {loss} goes with the solvers {' and '.join(with_loss())}; {solver} has no robust loss"
-        )
-    if prior not in (None, Prior.NONE) and SOLVERS[solver].prior is None:
-        raise InputError(
-            Argument("prior"),
-            f" {prior} is nothing to ",
-            Argument("solver"),
-            f" {solver}, which knows no prior; use map",
-        )
 
 
 def default_free(robot: Robot) -> Mask:

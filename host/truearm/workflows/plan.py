@@ -6,10 +6,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
+from truearm.arguments import OneOf, Within, check_fields
 from truearm.errors import Argument, InputError
 from truearm.estimate.prior import weak_prior
 from truearm.files.disk import check_writable, write_atomic
@@ -24,6 +25,7 @@ from truearm.plan.bar_paths import Pace
 from truearm.plan.branches import branch_of
 from truearm.plan.cartesian_lines import Shape
 from truearm.plan.collision_shapes import Sizes
+from truearm.plan.criteria import Criterion
 from truearm.plan.forecast import Forecast, Known, with_rig_values
 from truearm.plan.line_plan import LinePlan, LinesWanted, plan_lines
 from truearm.plan.measurement_limits import Limits, Pairing
@@ -82,9 +84,31 @@ class Budget(NamedTuple):
 class BallBarOptions:
     """How ball-bar poses are chosen.
 
-    ``criterion`` is one of ``plan.criteria.Criterion``, "I" for the error in the ``region`` (default: around the poses). ``bars``:
-    only these. ``reserve`` [m] of the bar's travel is kept for what the model does not know (default 22 mm on the design, 3 mm
-    on a result); ``spread`` [m] varies the bar's length about mid-travel. ``dwell`` [s]: rest at a pose.
+    Parameters
+    ----------
+    criterion : str
+        What the poses are good for: "I", the error in the region; "D", all parameters at once; "A", their mean; "E", the
+        worst of them.
+    region : Region, optional
+        Where accuracy is wanted. Default: around the poses.
+    candidates : int
+        Poses to choose from, 9 to 100000.
+    bars : tuple of str
+        Only these bars of the rig. Default: all.
+    reserve : float, optional
+        Travel of the bar [m] that is kept for what the model does not know. Default: 22 mm on the design, 3 mm on a
+        result.
+    spread : float
+        Varies the bar's length [m] about mid-travel.
+    dwell : float
+        Rest at a pose [s], 0.5 to 600.
+    seed : int
+        Random seed; 0 or more.
+
+    Raises
+    ------
+    TypeError, InputError
+        If a field is wrong.
 
     Examples
     --------
@@ -93,14 +117,17 @@ class BallBarOptions:
     5000
     """
 
-    criterion: str = "I"
+    criterion: Annotated[str, OneOf(tuple(Criterion))] = "I"
     region: Region | None = None
-    candidates: int = 5000
+    candidates: Annotated[int, Within(9, 100_000)] = 5000
     bars: tuple[str, ...] = ()
-    reserve: float | None = None
-    spread: float = 0.0
-    dwell: float = 2.0
-    seed: int = 0
+    reserve: Annotated[float, Within(0.0)] | None = None
+    spread: Annotated[float, Within(0.0)] = 0.0
+    dwell: Annotated[float, Within(0.5, 600.0)] = 2.0
+    seed: Annotated[int, Within(0)] = 0
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @dataclass(frozen=True)
