@@ -29,27 +29,55 @@ if TYPE_CHECKING:
         write_result,
         write_table,
     )
-    from truearm.errors import InputError, TruearmError
+    from truearm.correct.correction import Correction
+    from truearm.correct.error_map import ErrorMap
+    from truearm.errors import (
+        InputError,
+        PlanError,
+        ProblemError,
+        RigError,
+        RobotError,
+        SessionError,
+        TableError,
+        TargetError,
+        TruearmError,
+    )
     from truearm.model.robot import Robot
+    from truearm.plan.ball_bar_plan import BallBarPlan
     from truearm.plan.region import Region
-    from truearm.types import Estimate, ObservationTable, Rig
-    from truearm.workflows.calibration import Calibration
+    from truearm.types import Estimate, Figures, HeldOut, ObservationTable, Rig
+    from truearm.workflows.calibration import Calibration, ParameterEstimate
+    from truearm.workflows.export import ExportedRobot
     from truearm.workflows.identify import Identification, IdentifyOptions
     from truearm.workflows.plan import BallBarOptions
     from truearm.workflows.validate import Validation
 
 __all__ = [
     "BallBarOptions",
+    "BallBarPlan",
     "Calibration",
+    "Correction",
+    "ErrorMap",
     "Estimate",
+    "ExportedRobot",
+    "Figures",
+    "HeldOut",
     "Identification",
     "IdentifyOptions",
     "InputError",
     "ObservationTable",
+    "ParameterEstimate",
+    "PlanError",
+    "ProblemError",
     "Region",
     "Rig",
+    "RigError",
     "Robot",
+    "RobotError",
+    "SessionError",
     "SessionObservations",
+    "TableError",
+    "TargetError",
     "TruearmError",
     "Validation",
     "__version__",
@@ -72,15 +100,29 @@ __all__ = [
 # where the names are that truearm.api does not define
 _MODULES = {
     "BallBarOptions": "workflows.plan",
+    "BallBarPlan": "plan.ball_bar_plan",
     "Calibration": "workflows.calibration",
+    "Correction": "correct.correction",
+    "ErrorMap": "correct.error_map",
     "Estimate": "types",
+    "ExportedRobot": "workflows.export",
+    "Figures": "types",
+    "HeldOut": "types",
     "Identification": "workflows.identify",
     "IdentifyOptions": "workflows.identify",
     "InputError": "errors",
     "ObservationTable": "types",
+    "ParameterEstimate": "workflows.calibration",
+    "PlanError": "errors",
+    "ProblemError": "errors",
     "Region": "plan.region",
     "Rig": "types",
+    "RigError": "errors",
     "Robot": "model.robot",
+    "RobotError": "errors",
+    "SessionError": "errors",
+    "TableError": "errors",
+    "TargetError": "errors",
     "TruearmError": "errors",
     "Validation": "workflows.validate",
 }

@@ -76,23 +76,58 @@ class InputError(TruearmError):
 
 
 class TableError(InputError):
-    """A table of observations is wrong; the text names file, row and column."""
+    """A table of observations is wrong; the text names file, row and column.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> issubclass(truearm.TableError, truearm.InputError)
+    True
+    """
 
 
 class RigError(InputError):
-    """A rig file is wrong."""
+    """A rig file is wrong.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> issubclass(truearm.RigError, truearm.InputError)
+    True
+    """
 
 
 class RobotError(InputError):
-    """A robot description (TOML or URDF) is wrong or not supported."""
+    """A robot description (TOML or URDF) is wrong or not supported.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> issubclass(truearm.RobotError, truearm.InputError)
+    True
+    """
 
 
 class PlanError(InputError):
-    """A plan of poses is wrong."""
+    """A plan of poses is wrong.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> issubclass(truearm.PlanError, truearm.InputError)
+    True
+    """
 
 
 class TargetError(InputError):
-    """A table of targets is wrong, or a target cannot be corrected; the text names file and row."""
+    """A table of targets is wrong, or a target cannot be corrected; the text names file and row.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> issubclass(truearm.TargetError, truearm.InputError)
+    True
+    """
 
 
 class ProgramError(InputError):
@@ -100,7 +135,14 @@ class ProgramError(InputError):
 
 
 class SessionError(InputError):
-    """A session file cannot be read."""
+    """A session file cannot be read.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> issubclass(truearm.SessionError, truearm.InputError)
+    True
+    """
 
 
 class ConfigError(InputError):
@@ -120,7 +162,14 @@ class WriteError(TruearmError):
 
 
 class ProblemError(TruearmError):
-    """Observations and robot do not make a problem that can be solved (too few rows, unknown names)."""
+    """Observations and robot do not make a problem that can be solved (too few rows, unknown names).
+
+    Examples
+    --------
+    >>> import truearm
+    >>> issubclass(truearm.ProblemError, truearm.TruearmError)
+    True
+    """
 
     exit_code = 2
 

@@ -362,7 +362,18 @@ class Plan:
 
 
 class Figures(NamedTuple):
-    """RMS, mean and largest size of the residuals of n rows, in one SI unit; NaN of no rows."""
+    """RMS, mean and largest size of the residuals of n rows, in one SI unit; NaN of no rows.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> robot = truearm.load_robot("puma560")
+    >>> table, rig = truearm.read_table("poses.csv", robot), truearm.read_rig("rig.toml")
+    >>> held_out = truearm.identify(robot, table, rig, hold_out="shell=outer").estimate.held_out
+    >>> figures = held_out.figures["m"]
+    >>> figures.rms <= figures.max, figures.n
+    (True, 20)
+    """
 
     rms: float
     mean: float
@@ -390,6 +401,15 @@ class HeldOut:
 
     ``n_settled`` unknowns of the rig (the places of sockets that no fitted row touches) were estimated on these very rows;
     ``n_left_out`` rows are not among the ``n``, because they fit such unknowns whatever they say.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> robot = truearm.load_robot("puma560")
+    >>> table, rig = truearm.read_table("poses.csv", robot), truearm.read_rig("rig.toml")
+    >>> held_out = truearm.identify(robot, table, rig, hold_out="shell=outer").estimate.held_out
+    >>> held_out.n, list(held_out.figures)
+    (20, ['m'])
     """
 
     figures: Mapping[str, Figures]

@@ -8,6 +8,7 @@ import sys
 from dataclasses import fields, replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import get_type_hints
 
 import numpy as np
 import pytest
@@ -102,6 +103,27 @@ def test_every_name_is_there_and_in_the_page():
     assert dir(truearm) == sorted(truearm.__all__)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         truearm.nothing  # noqa: B018
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if inspect.isfunction(getattr(truearm, name))])
+def test_what_a_function_returns_and_raises_can_be_named(name):
+    function = getattr(truearm, name)
+    returned = get_type_hints(function)["return"]
+    assert not returned.__module__.startswith("truearm") or returned in [getattr(truearm, one) for one in NAMES]
+    raised = re.findall(r"^\w*Error\b", inspect.getdoc(function).partition("Raises\n------\n")[2], re.M)
+    assert set(raised) <= set(NAMES)
+
+
+def test_an_exported_robot_says_what_it_costs(result):
+    exact = truearm.export_robot(result, "sheth-uicker")
+    assert (exact.missing, exact.exact) == ((), True)
+    assert exact.largest < 1e-9
+    assert "the file holds all that was identified" in str(exact)
+    lossy = truearm.export_robot(result, "urdf")
+    gains = {name for name, one in result.parameters.items() if name.endswith(".gain") and one.value != one.nominal}
+    assert set(lossy.missing) == gains
+    assert not lossy.exact
+    assert f"{1e3 * lossy.rms:.3f} mm RMS ({1e3 * lossy.largest:.3f} at most)" in str(lossy)
 
 
 def test_importing_is_cheap():

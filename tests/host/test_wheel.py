@@ -43,15 +43,30 @@ import numpy as np
 import truearm
 from truearm import (
     BallBarOptions,
+    BallBarPlan,
     Calibration,
+    Correction,
+    ErrorMap,
     Estimate,
+    ExportedRobot,
+    Figures,
+    HeldOut,
     Identification,
     IdentifyOptions,
     InputError,
     ObservationTable,
+    ParameterEstimate,
+    PlanError,
+    ProblemError,
+    Region,
     Rig,
+    RigError,
     Robot,
+    RobotError,
+    SessionError,
     SessionObservations,
+    TableError,
+    TargetError,
     TruearmError,
     Validation,
 )
@@ -69,15 +84,21 @@ verdict: Validation = truearm.validate(found, session.table, session.rig)
 words: str = verdict.verdict
 truearm.write_result("result.json", found)
 result: Calibration = truearm.read_result("result.json")
-planned = truearm.plan_ball_bar(robot, rig, minutes=20.0, result=result, options=BallBarOptions(criterion="D"))
+planned: BallBarPlan = truearm.plan_ball_bar(robot, rig, minutes=20.0, result=result, options=BallBarOptions(criterion="D"))
 minutes: float = planned.route.minutes
-told = truearm.correct_poses(result, np.eye(4), home=[0.0] * 6).told
-text: str = truearm.export_robot(result, "urdf", over=table.q).text
-cells: int = truearm.error_map(result, (2, 3), cell=0.05).error.size
+told: Correction = truearm.correct_poses(result, np.eye(4), home=[0.0] * 6)
+written: ExportedRobot = truearm.export_robot(result, "urdf", over=table.q)
+cost: float = written.rms
+cells: ErrorMap = truearm.error_map(result, (2, 3), cell=0.05)
+area = Region([0.3, -0.2, 0.1], [0.6, 0.2, 0.4])
+length: ParameterEstimate = found.parameters["link2.x"]
+held_out: HeldOut | None = estimate.held_out
+figures: Figures | None = held_out.figures["m"] if held_out else None
+refused: list[type[InputError]] = [PlanError, RigError, RobotError, SessionError, TableError, TargetError]
 truearm.write_table("copy.csv", table, robot)
 try:
     truearm.load_robot(truearm.__version__)
-except InputError as error:
+except (InputError, ProblemError) as error:
     problem: TruearmError = error
 """
 

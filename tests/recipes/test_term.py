@@ -162,7 +162,7 @@ def test_a_format_refuses_or_says_what_its_file_costs(copy, said, name):
         assert (code, out, err.count("\n")) == (2, "", 1)
         assert not (copy.folder / name).exists()
         return
-    assert re.search(f"^--format {name} has no place for .*joint2.spring", out, re.M)
+    assert re.search(f"^The format {name} has no place for .*joint2.spring", out, re.M)
     text = (copy.folder / name).read_text(encoding="utf-8")
     chain = chain_from_urdf(text) if name == "urdf" else parse_robot(text).chain
     rng = np.random.default_rng(3)

@@ -45,7 +45,18 @@ SEARCHED = Configuration()
 
 
 class Correction(NamedTuple):
-    """n targets corrected; a row with a ``problem`` is not to be used."""
+    """n targets corrected; a row with a ``problem`` is not to be used.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import truearm
+    >>> result = truearm.read_result("result.json")
+    >>> pose = np.array([[0, 0, 1, 0.5], [0, 1, 0, 0.1], [-1, 0, 0, 0.2], [0, 0, 0, 1]])
+    >>> corrected = truearm.correct_poses(result, pose)
+    >>> corrected.q.shape, corrected.problem
+    ((1, 6), ('',))
+    """
 
     q_nominal: Floats  # (n, j) what the controller would have done
     q: Floats  # (n, j) what it shall do

@@ -35,7 +35,16 @@ STRETCHED = 1e-3  # m²/rad²: below, elbow up and down are hardly told apart
 
 
 class ErrorMap(NamedTuple):
-    """Cells (v, u) of a section; what no joint vector reaches is NaN."""
+    """Cells (v, u) of a section; what no joint vector reaches is NaN.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import truearm
+    >>> found = truearm.error_map(truearm.read_result("result.json"), cell=0.1)
+    >>> found.axes.shape, found.q.shape == (*found.error.shape, 6)
+    ((2, 3), True)
+    """
 
     u: Floats  # (k,) m, middles along ``axes[0]``
     v: Floats  # (l,) m, middles along ``axes[1]``

@@ -39,7 +39,19 @@ class Wanted(NamedTuple):
 
 
 class BallBarPlan(NamedTuple):
-    """A route and its forecast."""
+    """A route and its forecast.
+
+    ``route.plan`` are the poses, ``route.visits`` the plan with the places on the way, ``route.minutes`` its duration.
+    ``forecast`` has the ``names`` of the free parameters, their ``sigma`` and the ``rank`` that the plan will reach.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> robot, rig = truearm.load_robot("puma560"), truearm.read_rig("bench.toml")
+    >>> planned = truearm.plan_ball_bar(robot, rig, poses=8, options=truearm.BallBarOptions(candidates=60))
+    >>> len(planned.route.visits) >= 8, planned.route.minutes > 0.0
+    (True, True)
+    """
 
     route: Route
     forecast: Forecast

@@ -26,7 +26,15 @@ DEFAULT = RobotChoice()
 
 
 class ParameterEstimate(NamedTuple):
-    """A parameter in its SI unit; ``sigma`` is None where it was held, or the observations do not see it."""
+    """A parameter in its SI unit; ``sigma`` is None where it was held, or the observations do not see it.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> length = truearm.read_result("result.json").parameters["link2.x"]
+    >>> length.unit, length.free, length.of, length.sigma > 0.0
+    ('m', True, 'robot', True)
+    """
 
     name: str
     unit: str

@@ -10,7 +10,7 @@ import numpy as np
 
 from truearm.errors import Argument, InputError
 from truearm.export.formats import FORMATS
-from truearm.export.writing import Fitted, RobotToWrite, fit_to, held, written
+from truearm.export.writing import Fitted, RobotToWrite, fit_to, held, named, written
 from truearm.files.disk import check_writable, read_text, write_atomic
 from truearm.files.observation_table import read_table
 from truearm.files.plan_file import read_plan
@@ -18,6 +18,7 @@ from truearm.files.robot_file import MAX_BYTES, RobotChoice
 from truearm.model.chain import Chain
 from truearm.text import one_line
 from truearm.types import Floats
+from truearm.units import MM
 from truearm.workflows.calibration import Calibration, check_names, mounting_lines, read_calibration
 from truearm.workflows.selection import matching
 
@@ -34,18 +35,77 @@ class ExportOptions(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Exported:
-    """A calibrated robot as a file's text in a format, where its mountings are, and what the format costs."""
+class ExportedRobot:
+    """A calibrated robot as a file's text, and what the format cannot hold. Printing it shows that in mm.
+
+    ``form`` is the format, ``text`` that of the file, ``mountings`` say where base and tool are. ``fitted`` holds what was
+    written: its ``left`` (n,) is the file's position error [m] against the identified robot over n poses.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> written = truearm.export_robot(truearm.read_result("result.json"), "urdf")
+    >>> written.missing[0]
+    'joint1.gain'
+    >>> print(written)  # doctest: +ELLIPSIS
+    Mountings (written at both ends):
+    ...
+    The format urdf has no place for joint1.gain, ...
+    Refitted over 600 poses: ... costs ... mm RMS (... at most)
+    where it is simply left out, and ... mm RMS (... at most) after the rest has made up for it.
+    """
 
     form: str
     text: str
     mountings: tuple[str, ...]
     fitted: Fitted
 
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """The identified parameters that the format has no place for."""
+        return self.fitted.missing
+
+    @property
+    def exact(self) -> bool:
+        """Whether the file holds all that was identified."""
+        return self.fitted.exact
+
+    @property
+    def rms(self) -> float:
+        """RMS [m] of the file's position error against the identified robot."""
+        return float(np.sqrt(np.mean(self.fitted.left**2)))
+
+    @property
+    def largest(self) -> float:
+        """The largest position error [m] of the file against the identified robot."""
+        return float(self.fitted.left.max())
+
+    def __str__(self) -> str:
+        return "\n".join([*self.mountings, *cost_lines(self)])
+
+
+def cost_lines(found: ExportedRobot) -> list[str]:
+    """What the file does not hold, and how far it errs by that."""
+    fitted = found.fitted
+    lines = [f"The format {found.form} has no place for {named(found.missing)}."] if found.missing else []
+    if fitted.refitted:
+        return [
+            *lines,
+            f"Refitted over {fitted.left.size} poses: what the file cannot hold or you do not adjust costs {_of(fitted.dropped)}",
+            f"where it is simply left out, and {_of(fitted.left)} after the rest has made up for it.",
+        ]
+    if found.exact:
+        return ["Nothing was refitted: the file holds all that was identified."]
+    return [*lines, f"What the file cannot hold costs {_of(fitted.left)}."]
+
+
+def _of(error: Floats) -> str:
+    return f"{MM.text(np.sqrt(np.mean(error**2)), '.3f')} RMS ({MM.of(error.max()):.3f} at most)"
+
 
 def export_file(
     result: Path, robot: RobotChoice, out: Path, options: ExportOptions, over: Path | None = None
-) -> Exported:
+) -> ExportedRobot:
     """Write the calibrated robot; ``over``: a table or a plan of poses to refit over. Raises InputError, and writes nothing."""
     check_names(result, out, over)
     check_writable(out, inputs=[result, *robot.files, *filter(None, [over])], ours=looks_like_ours)
@@ -55,7 +115,7 @@ def export_file(
     return found
 
 
-def exported(calibration: Calibration, options: ExportOptions, over: Floats | None = None) -> Exported:
+def exported(calibration: Calibration, options: ExportOptions, over: Floats | None = None) -> ExportedRobot:
     """The calibrated robot in a format; ``over`` (n, j): where a refit shall be good, anywhere within the limits by default.
 
     Raises InputError where the format holds nothing of what may change, or nothing that is worth writing.
@@ -70,7 +130,7 @@ def exported(calibration: Calibration, options: ExportOptions, over: Floats | No
         comment="\n".join([MARK, *map(one_line, mountings)]),
         urdf=_urdf_text(calibration),
     )
-    return Exported(options.form, written(options.form, robot), mountings, fitted)
+    return ExportedRobot(options.form, written(options.form, robot), mountings, fitted)
 
 
 def _urdf_text(calibration: Calibration) -> str | None:
