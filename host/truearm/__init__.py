@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from truearm.workflows.export import ExportedRobot
     from truearm.workflows.identify import Identification, IdentifyOptions
     from truearm.workflows.plan import BallBarOptions
-    from truearm.workflows.validate import Validation
+    from truearm.workflows.validate import Validation, ValidationRegion
 
 __all__ = [
     "BallBarOptions",
@@ -80,6 +80,7 @@ __all__ = [
     "TargetError",
     "TruearmError",
     "Validation",
+    "ValidationRegion",
     "__version__",
     "builtin_robots",
     "correct_poses",
@@ -125,6 +126,7 @@ _MODULES = {
     "TargetError": "errors",
     "TruearmError": "errors",
     "Validation": "workflows.validate",
+    "ValidationRegion": "workflows.validate",
 }
 
 

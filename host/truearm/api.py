@@ -339,7 +339,8 @@ def validate(result: ResultArgument, table: TableArgument, rig: RigsArgument | N
     Returns
     -------
     Validation
-        Errors with and without the calibration, by region, and ``verdict`` in words. Printing it shows all.
+        ``before`` and ``after``, the errors without and with the calibration in m and rad, by ``regions`` too, what is
+        ``expected``, and the ``verdict`` in words. Printing it shows all, in mm and deg.
 
     Raises
     ------
@@ -356,7 +357,7 @@ def validate(result: ResultArgument, table: TableArgument, rig: RigsArgument | N
     The calibration holds:
     """
     rows = _table("table", table, result.robot)
-    return Validation(validated(result, _rigs(rig, rows), rows))
+    return validated(result, _rigs(rig, rows), rows)
 
 
 @checked

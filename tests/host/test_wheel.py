@@ -69,6 +69,7 @@ from truearm import (
     TargetError,
     TruearmError,
     Validation,
+    ValidationRegion,
 )
 
 names: tuple[str, ...] = truearm.builtin_robots()
@@ -82,6 +83,8 @@ estimate: Estimate = found.estimate
 sigma: float | None = found.parameters["link2.x"].sigma
 verdict: Validation = truearm.validate(found, session.table, session.rig)
 words: str = verdict.verdict
+region: ValidationRegion = verdict.regions[0]
+rms: float = region.after["m"].rms
 truearm.write_result("result.json", found)
 result: Calibration = truearm.read_result("result.json")
 planned: BallBarPlan = truearm.plan_ball_bar(robot, rig, minutes=20.0, result=result, options=BallBarOptions(criterion="D"))

@@ -42,7 +42,7 @@ def validate(
     from truearm.workflows.validate import validate_files, validation_lines
 
     sources = Sources(tuple(inputs), rigs_of(rig), allow_damaged=allow_damaged, say=warn)
-    document = validate_files(result, RobotChoice(robot, base, tip), sources)
+    document = validate_files(result, RobotChoice(robot, base, tip), sources).document
     if as_json:
         typer.echo(format_document(document))
     else:

@@ -36,9 +36,42 @@ AS_GOOD = 1.5  # times the error to be expected
 HELPS = 0.9  # of the error without it
 
 
+ByUnit = Mapping[str, Figures]
+
+
+@dataclass(frozen=True)
+class ValidationRegion:
+    """Errors of the rows in one part of the space, or of one group, without (``before``) and with the calibration.
+
+    By SI unit. ``expected`` is the RMS that declared noise and the calibration's own uncertainty explain, NaN where that is
+    not known.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> robot = truearm.load_robot("puma560")
+    >>> table, rig = truearm.read_table("friday.csv", robot), truearm.read_rig("rig.toml")
+    >>> region = truearm.validate(truearm.read_result("result.json"), table, rig).regions[0]
+    >>> region.n >= 5, region.after["m"].rms < region.before["m"].rms
+    (True, True)
+    """
+
+    name: str
+    n: int
+    before: ByUnit
+    after: ByUnit
+    expected: Mapping[str, float]
+
+
 @dataclass(frozen=True)
 class Validation:
-    """How a calibration does on other observations; ``document`` is what ``truearm validate --json`` prints.
+    """How a calibration does on ``n`` other observations. Printing it shows errors in mm and deg, and the verdict.
+
+    ``before`` and ``after`` are errors without and with the calibration, by SI unit; ``expected`` is the RMS that declared
+    noise and the calibration's own uncertainty explain in those rows that do not depend on what it did not see, empty
+    where there are none. ``n_unseen`` rows depend on that. ``n_left_out`` rows are not judged, since they fit the unknowns
+    of the rig whatever they say; ``n_settled`` such unknowns were estimated on these rows. ``regions`` are groups and
+    parts of the space. ``document`` is what ``truearm validate --json`` prints.
 
     Examples
     --------
@@ -46,23 +79,33 @@ class Validation:
     >>> robot = truearm.load_robot("puma560")
     >>> table, rig = truearm.read_table("friday.csv", robot), truearm.read_rig("rig.toml")
     >>> found = truearm.validate(truearm.read_result("result.json"), table, rig)
-    >>> found.document["rows"]
-    45
+    >>> found.n, found.after["m"].rms < 0.1 * found.before["m"].rms
+    (45, True)
+    >>> found.summary() == str(found)
+    True
     """
 
+    verdict: str
+    n: int
+    n_left_out: int
+    n_settled: int
+    n_unseen: int
+    before: ByUnit
+    after: ByUnit
+    expected: Mapping[str, float]
+    regions: tuple[ValidationRegion, ...]
     document: Mapping[str, Any]
 
     def __str__(self) -> str:
+        return self.summary()
+
+    def summary(self) -> str:
+        """Return errors, what is expected, and the verdict, as ``truearm validate`` prints them."""
         return "\n".join(validation_lines(self.document))
 
-    @property
-    def verdict(self) -> str:
-        """What the numbers mean, in words."""
-        return str(self.document["verdict"])
 
-
-def validate_files(result: Path, robot: RobotChoice, sources: Sources) -> dict[str, Any]:
-    """Read a result and the observations that judge it; numbers and verdict. Raises InputError in one line."""
+def validate_files(result: Path, robot: RobotChoice, sources: Sources) -> Validation:
+    """Read a result and the observations that judge it. Raises InputError in one line."""
     calibration = read_calibration(result, robot)
     sources = replace(sources, inputs=tuple(with_parts(list(sources.inputs))))
     check_files(sources, robot)
@@ -70,9 +113,7 @@ def validate_files(result: Path, robot: RobotChoice, sources: Sources) -> dict[s
     return validated(calibration, rig, table, hashed_inputs(sources, robot))
 
 
-def validated(
-    calibration: Calibration, rig: Rigs, table: ObservationTable, inputs: Sequence[Input] = ()
-) -> dict[str, Any]:
+def validated(calibration: Calibration, rig: Rigs, table: ObservationTable, inputs: Sequence[Input] = ()) -> Validation:
     """Numbers and verdict; ``inputs`` are the files that the rows were read from. Raises InputError where no row can judge."""
     before, after = (judge(calibration.chain, rig, table, p) for p in (calibration.nominal, calibration.identified))
     judging = before.judging & after.judging
@@ -92,6 +133,9 @@ def validated(
         if isinstance(entry, dict)
     }
     hashes = [entry for entry in inputs if entry.role == "observations"]
+    figures, regions = _figures(errors, judging), _regions(calibration, table, errors, judging)
+    unseen = int((judging & np.any([of.due.unseen for of in errors.values()], axis=0)).sum())
+    due_rms, due_entries = _expected(errors)
     document: dict[str, Any] = {
         "rows": int(judging.sum()),
         "left_out": int((~judging).sum()),
@@ -99,12 +143,14 @@ def validated(
         "identified_from": [entry.name for entry in hashes if entry.sha256 in seen],
         "residual_units": [UNITS[si].scale.suffix for si in errors],
         **{key("reference", si): _reference(calibration.stored.document, si) for si in errors},
-        **_figures(errors, judging),
-        "unseen": int((judging & np.any([of.due.unseen for of in errors.values()], axis=0)).sum()),
-        "expected": _expected(errors),
-        "regions": _regions(calibration, table, errors, judging),
+        **_figure_entries(*figures),
+        "unseen": unseen,
+        "expected": due_entries,
+        "regions": [_region_entry(region) for region in regions],
     }
-    return document | {"verdict": verdict(document)}
+    words = verdict(document)
+    counts = int(judging.sum()), int((~judging).sum()), after.n_settled, unseen
+    return Validation(words, *counts, *figures, due_rms, regions, document | {"verdict": words})
 
 
 class Errors(NamedTuple):
@@ -116,25 +162,34 @@ class Errors(NamedTuple):
     rows: Mask
 
 
-def _figures(errors: Mapping[str, Errors], rows: Mask) -> dict[str, float | None]:
-    """Figures of some rows in each unit; None where none of them has such an error."""
+def _figures(errors: Mapping[str, Errors], rows: Mask) -> tuple[ByUnit, ByUnit]:
+    """Figures of some rows in each unit, without and with the calibration."""
+    before = {si: Figures.of(of.before[rows & of.rows]) for si, of in errors.items()}
+    return before, {si: Figures.of(of.after[rows & of.rows]) for si, of in errors.items()}
+
+
+def _figure_entries(before: ByUnit, after: ByUnit) -> dict[str, float | None]:
+    """Figures as shown; None where no row has such an error."""
     out: dict[str, float | None] = {}
-    for si, of in errors.items():
-        mine = rows & of.rows
-        for name, error in (("before", of.before), ("after", of.after)):
-            found = Figures.of(error[mine])
+    for si in after:
+        for name, found in (("before", before[si]), ("after", after[si])):
             out |= {key(f"{what}_{name}", si): _shown(getattr(found, what), si) for what in ("rms", "mean", "max")}
-        out[key("n", si)] = int(mine.sum())
+        out[key("n", si)] = after[si].n
     return out
+
+
+def _region_entry(region: ValidationRegion) -> dict[str, Any]:
+    due = {key("rms_expected", si): _shown(rms, si) for si, rms in region.expected.items()}
+    return {"region": region.name, "rows": region.n, **_figure_entries(region.before, region.after), **due}
 
 
 def _shown(value: float, si: str) -> float | None:
     return None if math.isnan(value) else float(shown(value, si))
 
 
-def _root_mean(square: Floats, si: str) -> float | None:
-    """As shown; None of no rows, and where one of them has no such square."""
-    return _shown(float(np.sqrt(np.mean(square))), si) if square.size else None
+def _root_mean(square: Floats) -> float:
+    """NaN of no rows, and where one of them has no such square."""
+    return float(np.sqrt(np.mean(square))) if square.size else math.nan
 
 
 def _chi2_beyond(document: Mapping[str, Any]) -> float:
@@ -146,8 +201,12 @@ def _chi2_beyond(document: Mapping[str, Any]) -> float:
     return float(chi2) if beyond else 1.0
 
 
-def _expected(errors: Mapping[str, Errors]) -> dict[str, float | None] | None:
-    """What the rows should say if the robot is as identified, and what they say; None where there are none."""
+def _expected(errors: Mapping[str, Errors]) -> tuple[dict[str, float], dict[str, float | None] | None]:
+    """What the rows should say if the robot is as identified: the RMS of each unit, empty where there are no such rows.
+
+    And as shown, with its parts and what the rows say; None where there are none.
+    """
+    rms: dict[str, float] = {}
     out: dict[str, float | None] = {}
     for si, of in errors.items():
         rows = of.rows & ~of.due.unseen
@@ -157,8 +216,10 @@ def _expected(errors: Mapping[str, Errors]) -> dict[str, float | None] | None:
             "by_parameters": of.due.by_parameters,
             "rms_after": of.after**2,
         }
-        out |= {key(name, si): _root_mean(square[rows], si) for name, square in squares.items()}
-    return None if all(value is None for value in out.values()) else out
+        rms[si] = _root_mean(squares["rms"][rows])
+        out |= {key(name, si): _shown(_root_mean(square[rows]), si) for name, square in squares.items()}
+    known = {si: value for si, value in rms.items() if not math.isnan(value)}
+    return known, None if all(value is None for value in out.values()) else out
 
 
 def _reference(document: Mapping[str, Any], si: str) -> float | None:
@@ -170,7 +231,7 @@ def _reference(document: Mapping[str, Any], si: str) -> float | None:
 
 def _regions(
     calibration: Calibration, table: ObservationTable, errors: Mapping[str, Errors], judging: Mask
-) -> list[dict[str, Any]]:
+) -> tuple[ValidationRegion, ...]:
     """Groups that the rows name, and four parts of the space where the end was."""
     squares = {si: np.where(of.due.unseen, np.nan, of.due.by_noise + of.due.by_parameters) for si, of in errors.items()}
     regions = []
@@ -183,9 +244,9 @@ def _regions(
     for name, mine in regions:
         rows = mine & judging
         if rows.sum() >= LEAST_ROWS:
-            due = {key("rms_expected", si): _root_mean(squares[si][rows & of.rows], si) for si, of in errors.items()}
-            found.append({"region": name, "rows": int(rows.sum()), **_figures(errors, rows), **due})
-    return found
+            due = {si: _root_mean(squares[si][rows & of.rows]) for si, of in errors.items()}
+            found.append(ValidationRegion(name, int(rows.sum()), *_figures(errors, rows), due))
+    return tuple(found)
 
 
 def _parts(calibration: Calibration, table: ObservationTable) -> list[tuple[str, Mask]]:
