@@ -1,7 +1,7 @@
 """RAPID for tests: the part of the language that measuring and corrected programs use, executed; anything else is a fault.
 
 After ABB's technical reference manual (RAPID instructions, functions and data types): identifiers have at most 32 characters, strings 80;
-names in a module are unique. Independent of ``truearm.plan.route_rapid`` and of ``truearm.files.target_programs``.
+names in a module are unique. Independent of ``truearm.plan.route_rapid`` and of ``truearm.files.programs``.
 """
 
 import re

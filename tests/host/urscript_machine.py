@@ -2,7 +2,7 @@
 
 After Universal Robots' script manual: what is sent to the controller's port begins with a ``def`` in the first column, ends with
 its ``end`` there, all other lines are indented, and it runs when the ``end`` has arrived. Independent of ``truearm.plan.route_urscript`` and of
-``truearm.files.target_programs``: tokens, grammar and meaning are here once more.
+``truearm.files.programs``: tokens, grammar and meaning are here once more.
 """
 
 import re

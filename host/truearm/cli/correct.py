@@ -19,9 +19,12 @@ from truearm.cli.options import (
     out_file,
 )
 from truearm.cli.output import print_lines
+from truearm.correct.joint_moves import JointMoves
 from truearm.correct.methods import Method, methods_help, with_steps
+from truearm.errors import InputError
 
 MOST_STEPS = 50
+Frame = tuple[float, float, float, float, float, float]  # position [m], rotation vector [rad]
 
 
 def correct(
@@ -40,11 +43,50 @@ def correct(
     ] = 1,
     own_frames: OwnFramesOption = False,
     work: Annotated[
-        str | None,
-        typer.Option(metavar="X,Y,Z,RX,RY,RZ", help="Frame that the targets are in, in the base frame [mm, deg]."),
+        list[str] | None,
+        typer.Option(
+            metavar="[NAME=]X,Y,Z,RX,RY,RZ",
+            help="Frame that the targets are in, in the base frame [mm, deg]; for a program the controller's base, and NAME= for a work "
+            "object that it does not declare. Repeatable.",
+        ),
     ] = None,
     tool: Annotated[
-        str | None, typer.Option(metavar="X,Y,Z,RX,RY,RZ", help="The tool's pose in the end frame [mm, deg].")
+        list[str] | None,
+        typer.Option(
+            metavar="[NAME=]X,Y,Z,RX,RY,RZ",
+            help="The tool's pose in the end frame [mm, deg]; for a URScript the one in force before it sets one, and NAME= for a tool that a RAPID "
+            "program does not declare. Repeatable.",
+        ),
+    ] = None,
+    flange: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,Z,RX,RY,RZ",
+            help="The controller's flange in the calibration's end frame [mm, deg], where its name does not say.",
+        ),
+    ] = None,
+    joint_moves: Annotated[
+        JointMoves | None,
+        typer.Option(
+            help="Moves of a program to joint readings: keep them, or correct them too. Needed where it has some."
+        ),
+    ] = None,
+    split: Annotated[
+        bool,
+        typer.Option(
+            "--split",
+            help="Write a target of its own into a move that shares one but needs other numbers, as Offs(p1,0,0,50).",
+        ),
+    ] = False,
+    partial: Annotated[
+        bool, typer.Option("--partial", help="Correct the other moves of a program where some cannot be.")
+    ] = False,
+    mark: Annotated[
+        bool, typer.Option("--mark", help="With --partial: mark each move that is not corrected with a comment.")
+    ] = False,
+    harmless: Annotated[
+        list[str] | None,
+        typer.Option(metavar="ROUTINE", help="A routine from elsewhere that does not move the robot. Repeatable."),
     ] = None,
     home: Annotated[
         str | None,
@@ -61,18 +103,34 @@ def correct(
 ) -> None:
     """Correct targets, so that the true robot goes where they say.
 
-    Of a program only the numbers of its targets change. Nothing is written where one target cannot be corrected.
+    Of a program only the numbers of its targets change. Its moves are followed through names, lists, routines, features, tools and work objects to
+    the numbers that they go to. Nothing is written where one move cannot be corrected with certainty; each is then listed with its line and the reason.
 
     \b
     Example:
       truearm correct result.json program.mod --robot irb120 --out corrected.mod
     """
-    from truearm.cli.correct_text import lines
+    from truearm.cli.correct_text import lines, refused_lines
     from truearm.files.robot_file import RobotChoice
     from truearm.workflows.calibration import read_calibration
     from truearm.workflows.correct import CorrectFiles, CorrectOptions, correct_file
+    from truearm.workflows.correct_program import ProgramOptions, ProgramRefused
 
-    work_frame, tool_frame, shown = frame_of("--work", work), frame_of("--tool", tool), numbers_of("--home", home)
+    shown = numbers_of("--home", home)
+    works, tools = _named("--work", work), _named("--tool", tool)
+    own_work, own_tool = works.pop("", None), tools.pop("", None)
+    program = ProgramOptions(
+        joint_moves=joint_moves,
+        split=split,
+        partial=partial,
+        mark=mark,
+        base=own_work,
+        flange=None if flange is None else frame_of("--flange", flange),
+        tool=own_tool,
+        tools=tools,
+        works=works,
+        harmless=frozenset(harmless or ()),
+    )
     files = CorrectFiles(result, RobotChoice(robot, base, tip), targets, out, residuals)
     calibration = read_calibration(files.result, files.robot)
     options = CorrectOptions(
@@ -80,8 +138,28 @@ def correct(
         steps=steps,
         own_frames=own_frames,
         margin=margin,
-        work=work_frame,
-        tool=tool_frame,
+        work=own_work or frame_of("--work", None),
+        tool=own_tool or frame_of("--tool", None),
         home=joints_of("--home", shown, calibration.joint_units),
+        program=program,
     )
-    print_lines(lines(correct_file(calibration, files, options)))
+    try:
+        found = correct_file(calibration, files, options)
+    except ProgramRefused as exc:
+        for line in refused_lines(exc.refused):
+            typer.echo(line, err=True)
+        raise
+    print_lines(lines(found))
+
+
+def _named(option: str, given: list[str] | None) -> dict[str, Frame]:
+    """Poses by name, "" for the one without. Raises InputError."""
+    found: dict[str, Frame] = {}
+    for text in given or ():
+        name, equals, pose = text.rpartition("=")
+        if equals and not name.isidentifier():
+            raise InputError(f"{option} {text[:60]}: {name[:40]!r} is no name of a tool or work object")
+        if name.lower() in found:
+            raise InputError(f"{option} {text[:60]}: is given twice")
+        found[name.lower()] = frame_of(option, pose)
+    return found

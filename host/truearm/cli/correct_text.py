@@ -3,14 +3,26 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from truearm.text import one_line
+from truearm.files.programs.program import Refused
+from truearm.text import counted, one_line
 from truearm.types import Floats
 from truearm.units import DEG, MM
 from truearm.workflows.calibration import mounting_lines
 from truearm.workflows.correct import SHOWN, CorrectedFile
+
+MOST_REFUSED = 30  # shown one by one
+_REMEDIES = {
+    "": "",
+    "tool": "; give --tool X,Y,Z,RX,RY,RZ",
+    "tools": "; give --tool NAME=X,Y,Z,RX,RY,RZ",
+    "works": "; give --work NAME=X,Y,Z,RX,RY,RZ",
+    "split": "; --split writes numbers of its own into this move",
+    "harmless": "; --harmless says that it does not",
+}
 
 
 def lines(found: CorrectedFile) -> list[str]:
@@ -26,6 +38,7 @@ def lines(found: CorrectedFile) -> list[str]:
         one_line(frames),
         *(f"  {one_line(line)}" for line in mounting_lines(chain, calibration.nominal, calibration.identified)),
     ]
+    said += refused_lines(found.refused)
     said.append(f"{'target':<10}{'before [mm]':>14}{'after [mm]':>14}{'before [deg]':>14}{'after [deg]':>14}")
     rows = list(zip(found.places, done.before, done.after, strict=True))
     said += [f"{place:<10}{_cells(before, after)}" for place, before, after in rows[:SHOWN]]
@@ -34,6 +47,18 @@ def lines(found: CorrectedFile) -> list[str]:
     said.append(f"{'RMS':<10}{_cells(before, after)}")
     said.append("These errors are what the identified robot says; its own uncertainty comes on top.")
     return [*said, *found.notes, f"Written: {one_line(str(found.out))}"]
+
+
+def refused_lines(refused: Sequence[Refused]) -> list[str]:
+    """The moves of a program that are not corrected, the count first."""
+    if not refused:
+        return []
+    rows = [
+        f"  line {one.line}: {one_line(one.statement)}: {one_line(one.why)}{_REMEDIES[one.remedy]}"
+        for one in refused[:MOST_REFUSED]
+    ]
+    more = [f"  and {len(refused) - MOST_REFUSED} more"] * (len(refused) > MOST_REFUSED)
+    return [f"{counted(len(refused), 'move')} not corrected:", *rows, *more]
 
 
 def _cells(before: Floats, after: Floats) -> str:

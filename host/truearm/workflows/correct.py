@@ -13,10 +13,10 @@ import numpy as np
 from truearm.correct.correction import MARGIN, Configuration, Correction, correct
 from truearm.correct.methods import Method
 from truearm.correct.model_pair import Pair
-from truearm.errors import Argument, InputError, ProgramError, TargetError
+from truearm.errors import Argument, InputError, TargetError
 from truearm.files.disk import check_writable, write_atomic
-from truearm.files.robot_file import RobotChoice
-from truearm.files.target_programs import is_program, poses_of, quadrants_of, read_program, with_poses
+from truearm.files.programs.program import Refused, is_program
+from truearm.files.robot_file import RobotChoice, is_urdf
 from truearm.files.target_table import format_corrected, looks_like_targets, read_targets
 from truearm.model.chain import point_jacobians
 from truearm.model.poses import inverted, pose_of
@@ -29,16 +29,19 @@ from truearm.workflows.calibration import (
     check_names,
     chosen_mountings,
 )
+from truearm.workflows.correct_program import (
+    SEARCHED,
+    CalibrationFrames,
+    HowCorrected,
+    ProgramOptions,
+    correct_program,
+)
 
 Six = tuple[float, float, float, float, float, float]
 
 NO_FRAME: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 SHOWN = 12  # targets printed one by one
 MOVES = 1e-6  # m by a direction that was not seen, whose largest weight is 1
-SEARCHED = (
-    "The arm's configuration was searched for, each nearest to the one before. Where the controller "
-    "takes another, name joints near those of the first target (home), or give q1_deg … in a table."
-)
 
 
 class CorrectOptions(NamedTuple):
@@ -46,7 +49,8 @@ class CorrectOptions(NamedTuple):
 
     ``own_frames``: targets lie in the robot's own base and flange frames. ``margin``: targets with a smaller singular value
     are refused. ``work`` and ``tool``: the frame that the targets are in and the tool's pose, position [m] and rotation
-    vector [rad]. ``home``: joints (j,) [rad, m] near those of the first target.
+    vector [rad]. ``home``: joints (j,) [rad, m] near those of the first target. ``program``: how a program is corrected, whose frames
+    stand there.
     """
 
     method: Method | str = Method.NEWTON
@@ -56,6 +60,7 @@ class CorrectOptions(NamedTuple):
     work: Six = NO_FRAME
     tool: Six = NO_FRAME
     home: tuple[float, ...] | None = None
+    program: ProgramOptions = ProgramOptions()
 
 
 class CorrectFiles(NamedTuple):
@@ -88,6 +93,7 @@ class _Done(NamedTuple):
     correction: Correction
     places: tuple[str, ...]  # of each target: "row 3", "line 12"
     notes: tuple[str, ...]
+    refused: tuple[Refused, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -100,6 +106,7 @@ class CorrectedFile:
     correction: Correction
     places: tuple[str, ...]
     notes: tuple[str, ...]
+    refused: tuple[Refused, ...] = ()
 
 
 def correct_file(calibration: Calibration, files: CorrectFiles, options: CorrectOptions) -> CorrectedFile:
@@ -116,12 +123,16 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
     request = _request(calibration, options)
     if files.residuals is not None:
         check_writable(files.residuals, inputs=[*read, files.out], ours=looks_like_targets)
-    done = (_correct_program if program else _correct_table)(files.targets, files.out, request)
+    done = (
+        _correct_program(files, calibration, request, options)
+        if program
+        else _correct_table(files.targets, files.out, request)
+    )
     if files.residuals is not None:
         write_atomic(files.residuals, _residuals(done, "line" if program else "row"))
     doubts = _doubts(calibration, done.correction.q[:SHOWN], options.own_frames)
     return CorrectedFile(
-        calibration, options.own_frames, files.out, done.correction, done.places, (*doubts, *done.notes)
+        calibration, options.own_frames, files.out, done.correction, done.places, (*doubts, *done.notes), done.refused
     )
 
 
@@ -179,22 +190,20 @@ def _correct_table(path: Path, out: Path, request: _Request) -> _Done:
     return _Done(done, rows, (SEARCHED,) if targets.q_start is None else ())
 
 
-def _correct_program(path: Path, out: Path, request: _Request) -> _Done:
-    program = read_program(path)
-    quadrants = quadrants_of(program, len(request.units))
-    done = correct(
-        request.pair,
-        request.work @ poses_of(program) @ inverted(request.tool),
-        request.method,
-        request.steps,
-        configuration=Configuration(home=request.home, quadrants=quadrants),
-        margin=request.margin,
-    )
-    _refuse(done, [f"{path} line {target.line}" for target in program.targets], ProgramError)
-    write_atomic(out, with_poses(program, inverted(request.work) @ done.told @ request.tool))
-    lines = tuple(str(target.line) for target in program.targets)
-    searched = [SEARCHED] if quadrants is None else _other_quadrant(done, quadrants, lines)
-    return _Done(done, lines, (*_left(program.left), *searched))
+def _correct_program(
+    files: CorrectFiles, calibration: Calibration, request: _Request, options: CorrectOptions
+) -> _Done:
+    chain = calibration.chain
+    names = CalibrationFrames(chain.base_frame, chain.end_frame, not _is_urdf(files.robot), options.own_frames)
+    how = HowCorrected(request.pair, request.method, request.steps, request.home, request.margin)
+    done = correct_program(files.targets, how, names, options.program)
+    write_atomic(files.out, done.text)
+    return _Done(done.correction, tuple(map(str, done.lines)), done.notes, done.refused)
+
+
+def _is_urdf(robot: RobotChoice) -> bool:
+    """Whether the calibration's robot is described by a URDF, whose frames have ROS's names."""
+    return robot.robot is not None and is_urdf(robot.robot)
 
 
 def _refuse(
@@ -205,24 +214,6 @@ def _refuse(
     if bad:
         more = f" ({len(bad)} of {len(sources)} targets cannot be corrected)" if len(bad) > 1 else ""
         raise error(f"{sources[bad[0]]}: {done.problem[bad[0]]}{more}{then}")
-
-
-def _left(lines: Sequence[int]) -> list[str]:
-    return [f"Left as they are: {len(lines)} p[…] that no move goes to (lines {_listed(lines)})."] if lines else []
-
-
-def _other_quadrant(done: Correction, quadrants: Floats, lines: Sequence[str]) -> list[str]:
-    """Targets whose configuration data the corrected joints contradict."""
-    wrong = ((np.floor(done.q / (0.5 * np.pi)) != quadrants) & ~np.isnan(quadrants)).any(axis=1)
-    where = [line for line, is_wrong in zip(lines, wrong, strict=True) if is_wrong]
-    return [
-        f"Check the configuration data of {len(where)} robtargets (lines {_listed(where)}): by this model an axis is in another "
-        "quarter turn."
-    ] * bool(where)
-
-
-def _listed(lines: Sequence[object]) -> str:
-    return ", ".join(map(str, lines[:SHOWN])) + (", …" if len(lines) > SHOWN else "")
 
 
 def _doubts(calibration: Calibration, q: Floats, own_frames: bool) -> list[str]:

@@ -1,0 +1,485 @@
+"""Which values reach the moves of a program, on every way that it may take.
+
+The program is run with *possibilities* in place of values. Where it branches every block is run and what they leave is joined; a loop is run until
+its variables have no new possibilities, and what goes on changing is not known; a routine is run for each call. So a target that is found is one that
+the move can go to, and where one may be computed at run time the move says so. What a language's own functions mean is given by a ``Language``.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol, assert_never
+
+from truearm.errors import ProgramError
+from truearm.files.programs.syntax import (
+    Assign,
+    Block,
+    Call,
+    Do,
+    Element,
+    Expression,
+    If,
+    Items,
+    Jump,
+    Leave,
+    Loop,
+    Name,
+    Number,
+    Operation,
+    Return,
+    Routine,
+    Source,
+    Statement,
+    Taught,
+    Text,
+    Truth,
+)
+from truearm.files.programs.values import Listed, Pose, Solved, Unknown, Value, Values, combined, joined
+
+MAX_CALLS = 20  # of routines within each other
+MAX_TURNS = 4  # of a loop before what still changes is not known
+STEPS, STEPS_EACH = 200_000, 8  # statements that are run at most, and more for each statement of the program
+CALL = 10  # statements that a call costs
+
+UNDECLARED = "name"  # the remedy of a name that the file does not declare, until it is known what for
+
+GLOBAL = 0
+TOOL = "tool in force"  # no name of a variable has a space
+Key = tuple[int, str]
+
+
+class Goal(NamedTuple):
+    """What a move goes to: a pose of the tool in a frame, or joint readings."""
+
+    target: Pose | Taught
+    tool: Pose
+    frame: Pose
+    near: tuple[float, ...] | None  # joint readings [rad] that say which configuration
+    start: int  # of the argument that gives it
+    end: int
+
+
+@dataclass
+class Motion:
+    """A statement that moves the robot; ``problems`` say why it, or a part of it, cannot be corrected."""
+
+    name: str
+    start: int
+    end: int
+    goals: dict[Goal, None] = field(default_factory=dict)
+    problems: dict[tuple[str, str], None] = field(default_factory=dict)  # why, and the argument that would settle it
+
+
+class Language(Protocol):
+    """What the functions and operators of a language mean."""
+
+    def call(self, flow: Flow, call: Call, arguments: Sequence[Values], named: Mapping[str, Values]) -> Values | None:
+        """What a built-in function gives, after its effect; None where it is none."""
+
+    def item(self, of: Value, at: Value | str, place: int) -> Values:
+        """An element of a list, counted from 0, or a field; nothing where the list ends before it."""
+
+    def changed(self, of: Value, at: Value | str, new: Values, place: int) -> Value:
+        """A list or record with another item."""
+
+    def literal(self, of: Taught) -> Value:
+        """What a literal is by itself."""
+
+
+class Environment:
+    """Variables with their possibilities, in layers: a branch writes to its own, which is then taken off and joined."""
+
+    def __init__(self) -> None:
+        self.layers: list[dict[Key, Values]] = [{}]
+
+    def get(self, key: Key) -> Values | None:
+        for layer in reversed(self.layers):
+            if key in layer:
+                return layer[key]
+        return None
+
+    def set(self, key: Key, values: Values) -> None:
+        self.layers[-1][key] = values
+
+    def since(self, depth: int) -> dict[Key, Values]:
+        """What was written to the layers from ``depth`` on."""
+        out: dict[Key, Values] = {}
+        for layer in self.layers[depth:]:
+            out |= layer
+        return out
+
+    def join(self, ways: Sequence[Mapping[Key, Values]]) -> None:
+        """Go on from where several ways meet, each with what was written on it."""
+        for key in dict.fromkeys(key for way in ways for key in way):
+            before = self.get(key)
+            values: Values | None = None
+            for way in ways:
+                values = joined(values, way.get(key, before))
+            self.set(key, values or ())
+
+
+@dataclass
+class _Activation:
+    """A routine that is being run."""
+
+    routine: Routine | None
+    scope: int
+    parent: _Activation | None  # of the routine that it is written in
+    depth: int  # of the layer that is its own
+    returns: list[tuple[Values, dict[Key, Values]]] = field(default_factory=list)
+
+
+@dataclass
+class _Turn:
+    """A loop that is being run."""
+
+    depth: int
+    breaks: list[dict[Key, Values]] = field(default_factory=list)
+    continues: list[dict[Key, Values]] = field(default_factory=list)
+
+
+class Flow:
+    """A program that is followed; ``motions`` holds what was found, by place."""
+
+    def __init__(self, source: Source, language: Language, routines: Iterable[Routine]) -> None:
+        self.source, self.language = source, language
+        self.motions: dict[int, Motion] = {}
+        self.environment = Environment()
+        self.parents: dict[str, str | None] = {}
+        self.routines: dict[str, Routine] = {}
+        self.called: set[str] = set()
+        self.volatile: set[str] = set()
+        for routine in routines:
+            self._declare(routine, None, False)
+        self.steps = STEPS + STEPS_EACH * sum(1 for one in self.routines.values() for _ in _within(one.body))
+        self.scopes = GLOBAL
+        self.stack = [_Activation(None, GLOBAL, None, 0)]
+        self.turns: list[_Turn] = []
+
+    def _declare(self, routine: Routine, parent: str | None, beside: bool) -> None:
+        if routine.name in self.routines:
+            raise self.source.wrong(routine.start, f"{routine.name} is defined twice")
+        self.routines[routine.name], self.parents[routine.name] = routine, parent
+        beside |= routine.kind == "beside"
+        for statement in _within(routine.body):
+            if isinstance(statement, Routine):
+                continue
+            if beside and isinstance(statement, Assign):
+                self.volatile.add(_root(statement.target))
+            if beside and isinstance(statement, Do) and isinstance(statement.what, Call):
+                self.volatile |= {TOOL} if statement.what.function == "set_tcp" else set()
+        for inner in _routines(routine.body):
+            self._declare(inner, routine.name, beside)
+
+    # variables
+
+    def get(self, name: str) -> Values | None:
+        """What a name may stand for here; None where it is not known."""
+        if name in self.volatile and not any(one.routine and one.routine.kind == "beside" for one in self.stack):
+            return (Unknown(f"{name} is changed by what runs beside the program", 0),)
+        at: _Activation | None = self.stack[-1]
+        while at is not None:
+            if (found := self.environment.get((at.scope, name))) is not None:
+                return found
+            at = at.parent
+        return self.environment.get((GLOBAL, name))
+
+    def set(self, name: str, values: Values, scope: str = "") -> None:
+        """Assign to a name. Where a routine assigns to a name from outside without saying whose it is, both may be meant."""
+        own = (self.stack[-1].scope, name)
+        if scope == "global" or (not scope and name == TOOL):
+            self.environment.set((GLOBAL, name), values)
+            return
+        if not scope and self.environment.get(own) is None:
+            at = self.stack[-1].parent
+            outside = [(one.scope, name) for one in _upward(at)] + [(GLOBAL, name)]
+            for key in outside:
+                if key != own and (before := self.environment.get(key)) is not None:
+                    self.environment.set(key, joined(before, values))
+                    break
+        self.environment.set(own, values)
+
+    # statements
+
+    def run(self, block: Block) -> bool:
+        """Run a block; False where its end is never reached."""
+        return all(self._step(statement) for statement in block)
+
+    def _step(self, statement: Statement) -> bool:
+        self.steps -= 1
+        if self.steps < 0:
+            raise ProgramError(f"{self.source.name}: its routines and loops are too involved to be followed; split it")
+        match statement:
+            case Assign(target, value, scope):
+                self._assign(target, self.value(value), scope)
+            case Do(what):
+                self.value(what)
+            case If(conditions, blocks, whole):
+                for condition in conditions:
+                    self.value(condition)
+                return self._branch(blocks, whole)
+            case Loop():
+                self._loop(statement)
+            case Return(value):
+                found = () if value is None else self.value(value)
+                here = self.stack[-1]
+                here.returns.append((found, self.environment.since(here.depth)))
+                return False
+            case Leave(what):
+                return self._leave(what)
+            case Jump(start):
+                self.uncertain("GOTO", start, start + 4, "a GOTO or a label: the order of the moves is not followed")
+            case Routine():
+                pass
+            case _:
+                assert_never(statement)
+        return True
+
+    def _leave(self, what: str) -> bool:
+        if what != "halt" and self.turns:
+            turn = self.turns[-1]
+            (turn.breaks if what == "break" else turn.continues).append(self.environment.since(turn.depth))
+        return False
+
+    def _assign(self, target: Name | Element, values: Values, scope: str) -> None:
+        if isinstance(target, Name):
+            self.set(target.name, values, scope)
+            return
+        of = self.value(target.of)
+        places = (target.at,) if isinstance(target.at, str) else self.value(target.at)
+        changed: Values = ()
+        for place in places:
+            changed = joined(changed, tuple(self.language.changed(one, place, values, target.start) for one in of))
+        if isinstance(target.of, Name | Element):
+            self._assign(target.of, changed, scope)
+
+    def _branch(self, blocks: Sequence[Block], whole: bool) -> bool:
+        ways: list[Mapping[Key, Values]] = [] if whole else [{}]
+        for block in blocks:
+            self.environment.layers.append({})
+            reached = self.run(block)
+            way = self.environment.layers.pop()
+            if reached:
+                ways.append(way)
+        if ways:
+            self.environment.join(ways)
+        return bool(ways)
+
+    def _loop(self, loop: Loop) -> None:
+        environment = self.environment
+        for turns in range(MAX_TURNS + 2):
+            turn = _Turn(len(environment.layers))
+            environment.layers.append({})
+            self.turns.append(turn)
+            if loop.counter:
+                self.set(loop.counter, (Unknown(f"{loop.counter} counts", 0),), "local")
+            if loop.condition is not None:
+                self.value(loop.condition)
+            reached = self.run(loop.body)
+            self.turns.pop()
+            end = environment.layers.pop()
+            before = {key: environment.get(key) for way in (end, *turn.continues) for key in way}
+            environment.join([{}, *turn.continues, *([end] if reached else [])])
+            grown = [key for key, values in before.items() if environment.get(key) != values]
+            if not grown:
+                break
+            if turns >= MAX_TURNS:
+                for key in grown:
+                    environment.set(key, (Unknown(f"{key[1]} changes from turn to turn of a loop", 0),))
+        environment.join([{}, *turn.breaks])
+
+    # expressions
+
+    def value(self, expression: Expression) -> Values:
+        """What an expression may be."""
+        match expression:
+            case Number() | Text() | Truth():
+                return (expression,)
+            case Taught():
+                return (self.language.literal(expression),)
+            case Name(name, start):
+                return self.get(name) or (Unknown(f"{name} has no value that this file gives", start, UNDECLARED),)
+            case Items(items, pose):
+                return (Listed(tuple(self.value(item) for item in items), pose),)
+            case Element(of, at, start):
+                lists, places = self.value(of), (at,) if isinstance(at, str) else self.value(at)
+                found = (value for one in lists for place in places for value in self.language.item(one, place, start))
+                # beyond the end of a list the program would stop: a way that leads there leads no further
+                return tuple(dict.fromkeys(found)) or (Unknown("the list has no such element", start),)
+            case Operation(sign, operands, start):
+                return combined(start, _operator(sign, start), [self.value(operand) for operand in operands])
+            case Call():
+                return self._call(expression)
+            case _:
+                assert_never(expression)
+
+    def _call(self, call: Call) -> Values:
+        arguments = [self.value(argument) for argument in call.arguments]
+        named = {name: self.value(argument) for name, argument in call.named}
+        if (routine := self.routines.get(call.function)) is not None:
+            return self.enter(routine, call, arguments, named)
+        found = self.language.call(self, call, arguments, named)
+        if found is not None:
+            return found
+        self.uncertain(
+            call.function,
+            call.start,
+            call.end,
+            f"{call.function} is not defined in this file; it may move the robot",
+            "harmless",
+        )
+        return (Unknown(f"what {call.function} gives is known at run time only", call.start),)
+
+    def enter(
+        self, routine: Routine, call: Call | None, arguments: Sequence[Values], named: Mapping[str, Values]
+    ) -> Values:
+        """Run a routine with the possibilities of its arguments."""
+        self.called.add(routine.name)
+        self.steps -= CALL
+        if len(self.stack) > MAX_CALLS or any(one.routine is routine for one in self.stack):
+            at = call or Call(routine.name, (), (), routine.start, routine.start)
+            self.uncertain(
+                at.function, at.start, at.end, f"{routine.name} calls itself, or too deeply; that is not followed"
+            )
+            return (Unknown(f"{routine.name} calls itself", at.start),)
+        parent = next(
+            (one for one in reversed(self.stack) if one.routine and one.routine.name == self.parents[routine.name]),
+            None,
+        )
+        self.scopes += 1
+        here = _Activation(routine, self.scopes, parent, len(self.environment.layers))
+        self.environment.layers.append({})
+        self.stack.append(here)
+        required = [one for one in routine.parameters if not one.optional or one.default is not None]
+        given = dict(zip((one.name for one in required), arguments, strict=False)) | dict(named)
+        for parameter in routine.parameters:
+            value = given.get(parameter.name)
+            if value is None and parameter.default is not None:
+                value = self.value(parameter.default)
+            why = f"{parameter.name} is an argument of {routine.name} that nothing in this file gives"
+            self.set(parameter.name, value or (Unknown(why, routine.start),), "local")
+        outer, self.turns = self.turns, []
+        reached = self.run(routine.body)
+        self.turns = outer
+        self.stack.pop()
+        end = self.environment.layers.pop()
+        ways = [*(way for _, way in here.returns), *([end] if reached else [])]
+        results: Values = ()
+        for values, _ in here.returns:
+            results = joined(results, values)
+        after = [{name: values for (scope, name), values in way.items() if scope == here.scope} for way in ways]
+        self.environment.join([{key: v for key, v in way.items() if key[0] != here.scope} for way in ways])
+        if call is not None:  # an argument by reference may have been changed
+            places = dict(zip((one.name for one in required), call.arguments, strict=False)) | dict(call.named)
+            for name, place in places.items():
+                for way in after:
+                    if isinstance(place, Name) and way.get(name, given[name]) != given[name]:
+                        self.set(place.name, joined(self.get(place.name), way[name]))
+        return results or (Unknown(f"{routine.name} gives nothing", routine.start),)
+
+    # moves
+
+    def motion(self, name: str, start: int, end: int) -> Motion:
+        """The record of a statement that moves the robot."""
+        return self.motions.setdefault(start, Motion(name, start, end))
+
+    def uncertain(self, name: str, start: int, end: int, why: str, remedy: str = "") -> None:
+        """Record a statement that may move the robot and cannot be corrected; ``remedy``: the argument that would settle it."""
+        self.motion(name, start, end).problems[why, remedy] = None
+
+    def goes_to(self, call: Call, targets: Sequence[tuple[Values, Expression]], tools: Values, frames: Values) -> None:
+        """Record a move to every possibility of its targets; joints that were solved for a pose bring their own tool."""
+        motion = self.motion(call.function, call.start, call.end)
+        for tool in tools:
+            for frame in frames:
+                for values, argument in targets:
+                    for value in values:
+                        found = _goal(value, tool, frame, argument)
+                        if isinstance(found, Goal):
+                            motion.goals[found] = None
+                        else:
+                            motion.problems[found] = None
+
+
+def _goal(value: Value, tool: Value, frame: Value, argument: Expression) -> Goal | tuple[str, str]:
+    """The goal, or why there is none."""
+    place = (argument.start, argument.end) if not isinstance(argument, Text | Truth) else (-1, -1)
+    if isinstance(value, Unknown):
+        return value.why, "" if value.remedy == UNDECLARED else value.remedy
+    if isinstance(value, Taught):
+        return Goal(value, Pose(()), Pose(()), None, *place)
+    near = None
+    if isinstance(value, Solved):
+        near, tool = value.near, value.tool or tool
+        value = value.pose
+    if not isinstance(value, Pose):
+        return "its target is no pose and no joint readings of plain numbers", ""
+    for what in (tool, frame):
+        if isinstance(what, Unknown):
+            return what.why, what.remedy
+    if not isinstance(tool, Pose) or not isinstance(frame, Pose):
+        return "its tool or work object is none that is known", ""
+    return Goal(value, tool, frame, near, *place)
+
+
+_ARITHMETIC: Mapping[str, Callable[[float, float], float]] = {
+    "+": operator.add,
+    "-": operator.sub,
+    "*": operator.mul,
+    "/": operator.truediv,
+}
+
+
+def _operator(sign: str, at: int) -> Callable[..., Value]:
+    """What an operator makes of numbers; comparisons are left to the run."""
+
+    def result(*operands: Value) -> Value:
+        values = [one.value for one in operands if isinstance(one, Number)]
+        if len(values) == len(operands):
+            if len(values) == 1 and sign in "+-":
+                return Number(-values[0] if sign == "-" else values[0])
+            if len(values) == 2 and sign in _ARITHMETIC and not (sign == "/" and values[1] == 0.0):
+                return Number(_ARITHMETIC[sign](*values))
+        return next(
+            (one for one in operands if isinstance(one, Unknown)), Unknown(f"the result of {sign} is not followed", at)
+        )
+
+    return result
+
+
+def _root(target: Expression) -> str:
+    while isinstance(target, Element):
+        target = target.of
+    return target.name if isinstance(target, Name) else ""
+
+
+def _upward(at: _Activation | None) -> Iterator[_Activation]:
+    while at is not None:
+        yield at
+        at = at.parent
+
+
+def _routines(block: Block) -> Iterator[Routine]:
+    """The routines that are defined in a block, not those within them."""
+    for statement in block:
+        if isinstance(statement, Routine):
+            yield statement
+        for inner in _blocks(statement):
+            yield from _routines(inner)
+
+
+def _within(block: Block) -> Iterator[Statement]:
+    """The statements of a block and of the blocks in it, but for those of routines that are defined there."""
+    for statement in block:
+        yield statement
+        for inner in _blocks(statement):
+            yield from _within(inner)
+
+
+def _blocks(statement: Statement) -> Sequence[Block]:
+    """The blocks of a statement, but for a routine's."""
+    if isinstance(statement, If):
+        return statement.blocks
+    return (statement.body,) if isinstance(statement, Loop) else ()

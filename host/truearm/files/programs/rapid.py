@@ -1,0 +1,492 @@
+"""RAPID, read: the grammar of ABB's technical reference manual (RAPID kernel, IRC5 and OmniCore).
+
+Words are the same in upper and lower case; names are kept in lower case. Statements end with a semicolon, line ends mean nothing. A module
+gives its data, its routines, and the types of what it declares.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import NamedTuple
+
+from truearm.files.programs.syntax import (
+    END,
+    NUMBER,
+    Assign,
+    Block,
+    Call,
+    Do,
+    Element,
+    Expression,
+    Form,
+    If,
+    Items,
+    Jump,
+    Leave,
+    Loop,
+    Name,
+    Number,
+    Operation,
+    Parameter,
+    Reader,
+    Return,
+    Routine,
+    Source,
+    Statement,
+    Taught,
+    Text,
+    Truth,
+    numbers_in,
+    tokens_of,
+)
+
+_N = rf"\s*[+-]?{NUMBER}\s*"
+
+
+def _list(n: int) -> str:
+    return rf"\s*\[{_N}(?:,{_N}){{{n - 1}}}\]\s*"
+
+
+_TOKENS = re.compile(
+    rf"""(?P<skip>\s+|![^\r\n]*|\xef\xbb\xbf|%%%[^%]*%%%)
+    |(?P<robtarget>\[{_list(3)},{_list(4)},{_list(4)},{_list(6)}\])|(?P<jointtarget>\[{_list(6)},{_list(6)}\])
+    |(?P<number>0[xX][0-9A-Fa-f]+|0[bB][01]+|{NUMBER})|(?P<word>[A-Za-z]\w*)|(?P<string>"(?:[^"\r\n]|"")*")
+    |(?P<sign>:=|<>|<=|>=|[-+*/()\[\]{{}},:;=<>.\\?%|])""",
+    re.VERBOSE | re.ASCII,
+)
+_BINDS = {"or": 1, "xor": 1, "and": 2, "=": 4, "<>": 4, "<": 4, ">": 4, "<=": 4, ">=": 4}
+_BINDS |= {"+": 5, "-": 5, "*": 6, "/": 6, "div": 6, "mod": 6}
+_NOT, _MINUS = 3, 7
+_ENDS = {"proc": "endproc", "func": "endfunc", "trap": "endtrap"}
+_CLOSING = frozenset(
+    {*_ENDS.values(), "else", "elseif", "endif", "endfor", "endwhile", "endtest", "case", "default", "error", "undo", "backward"}
+)  # fmt: skip
+_NO_NAMES = _CLOSING | {
+    "module",
+    "endmodule",
+    "proc",
+    "func",
+    "trap",
+    "if",
+    "then",
+    "for",
+    "while",
+    "do",
+    "test",
+    "var",
+    "pers",
+    "const",
+}
+
+
+class Declared(NamedTuple):
+    """A datum of a module or a routine. ``kind``: "const", "pers" or "var"."""
+
+    name: str
+    kind: str
+    type: str
+    value: Expression | None
+    start: int
+
+
+class Module(NamedTuple):
+    """What a module declares."""
+
+    data: tuple[Declared, ...]
+    routines: tuple[Routine, ...]
+    records: dict[str, tuple[tuple[str, str], ...]]  # the type and name of each component
+
+
+def read_rapid(source: Source) -> tuple[Module, ...]:
+    """The modules of a program. Raises ProgramError with file and line."""
+    reader = _Reader(source, tokens_of(source, _TOKENS))
+    found = [reader.module()]
+    while reader.here.kind != END:
+        found.append(reader.module())
+    return tuple(found)
+
+
+class _Reader(Reader):
+    """The grammar by recursive descent."""
+
+    def is_word(self, *words: str) -> bool:
+        return self.here.kind == "word" and self.here.text.lower() in words
+
+    def take(self, text: str) -> None:
+        if self.here.text.lower() != text:
+            raise self.unexpected(text.upper() if text.isalpha() else quoted_sign(text))
+        self.step()
+
+    def word(self, wanted: str) -> str:
+        if self.here.kind != "word" or self.here.text.lower() in _NO_NAMES:
+            raise self.unexpected(wanted)
+        return self.step().text.lower()
+
+    def module(self) -> Module:
+        data: list[Declared] = []
+        routines: list[Routine] = []
+        records: dict[str, tuple[tuple[str, str], ...]] = {}
+        self.take("module")
+        self.word("the module's name")
+        if self.here.text == "(":
+            while self.here.text != ")":
+                if self.step().kind == END:
+                    raise self.unexpected(")")
+            self.step()
+        while not self.is_word("endmodule"):
+            self.declared(data, routines, records)
+        self.step()
+        return Module(tuple(data), tuple(routines), records)
+
+    def declared(
+        self, data: list[Declared], routines: list[Routine], records: dict[str, tuple[tuple[str, str], ...]]
+    ) -> None:
+        if self.is_word("local", "task"):
+            self.step()
+        if self.is_word("var", "pers", "const"):
+            data.append(self.datum())
+        elif self.is_word(*_ENDS):
+            routines.append(self.routine())
+        elif self.is_word("record"):
+            self.step()
+            name = self.word("a name")
+            parts = []
+            while not self.is_word("endrecord"):
+                parts.append((self.word("a type"), self.word("a component")))
+                self.take(";")
+            self.step()
+            records[name] = tuple(parts)
+        elif self.is_word("alias"):
+            self.step()
+            old, new = self.word("a type"), self.word("a name")
+            self.take(";")
+            records[new] = (("alias", old),)
+        else:
+            raise self.unexpected("a declaration or a routine")
+
+    def datum(self) -> Declared:
+        kind, start = self.step().text.lower(), self.before.start
+        type_of, name = self.word("a type"), self.word("a name")
+        if self.here.text == "{":
+            self.step()
+            self.bracketed("}")
+        value = None
+        if self.here.text == ":=":
+            self.step()
+            value = self.expression()
+        self.take(";")
+        return Declared(name, kind, type_of, value, start)
+
+    def routine(self) -> Routine:
+        kind, start = self.step().text.lower(), self.before.start
+        if kind == "func":
+            self.word("a type")
+        name = self.word("a name")
+        parameters = self.parameters() if self.here.text == "(" else ()
+        body: list[Statement] = []
+        while self.is_word("var", "pers", "const", "local"):
+            if self.is_word("local"):
+                self.step()
+            datum = self.datum()
+            if datum.value is not None:
+                at = Name(datum.name, datum.start, datum.start)
+                body.append(Assign(at, datum.value, "local", datum.start, self.before.end))
+            else:
+                body.append(
+                    Assign(Name(datum.name, datum.start, datum.start), Truth(False), "local", datum.start, datum.start)
+                )
+        body += self.block()
+        while self.is_word("error", "undo", "backward"):
+            self.step()
+            if self.here.text == "(":
+                self.step()
+                self.bracketed(")")
+            body.append(If((), (self.block(),), False))
+        self.take(_ENDS[kind])
+        return Routine(name, parameters, tuple(body), "beside" if kind == "trap" else "routine", start)
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        found: list[Parameter] = []
+        self.step()
+        while self.here.text != ")":
+            optional = self.here.text in ("\\", "|")
+            if optional:
+                self.step()
+            words = []
+            while self.here.kind == "word":
+                words.append(self.step().text.lower())
+            if not words:
+                raise self.unexpected("a parameter")
+            if self.here.text == "{":
+                while self.step().text != "}":
+                    if self.here.kind == END:
+                        raise self.unexpected("}")
+            found.append(Parameter(words[-1], None, optional))
+            if self.here.text == ",":
+                self.step()
+            elif self.here.text not in (")", "|", "\\"):
+                raise self.unexpected("a comma or )")
+        self.step()
+        return tuple(found)
+
+    def block(self) -> Block:
+        """Statements up to the word that closes them, which is left."""
+        self.deeper()
+        found: list[Statement] = []
+        while not (self.here.kind == END or self.is_word(*_CLOSING)):
+            found += self.statement()
+        self.depth -= 1
+        return tuple(found)
+
+    def statement(self) -> list[Statement]:
+        start = self.here
+        word = start.text.lower() if start.kind == "word" else ""
+        if word in _STATEMENTS:
+            return _STATEMENTS[word](self)
+        if start.text == "%":
+            self.step()
+            self.expression()
+            self.take("%")
+            arguments, named = self.arguments(";")
+            return [Do(Call("%", arguments, named, start.start, self.before.start), start.start, self.before.start)]
+        if self.ahead().text == ":":
+            self.step()
+            self.step()
+            return [Jump(start.start)]
+        return [self.simple()]
+
+    def counted_loop(self) -> list[Statement]:
+        self.step()
+        counter = self.word("a variable")
+        self.take("from")
+        self.expression()
+        self.take("to")
+        self.expression()
+        if self.is_word("step"):
+            self.step()
+            self.expression()
+        self.take("do")
+        body = self.block()
+        self.take("endfor")
+        return [Loop(None, body, counter)]
+
+    def loop(self) -> list[Statement]:
+        self.step()
+        condition = self.expression()
+        self.take("do")
+        body = self.block()
+        self.take("endwhile")
+        return [Loop(condition, body)]
+
+    def returned(self) -> list[Statement]:
+        self.step()
+        value = None if self.here.text == ";" else self.expression()
+        self.take(";")
+        return [Return(value)]
+
+    def goto(self) -> list[Statement]:
+        start = self.step().start
+        self.word("a label")
+        self.take(";")
+        return [Jump(start)]
+
+    def ended(self) -> list[Statement]:
+        self.step()
+        self.take(";")
+        return [Leave("halt")]
+
+    def raised(self) -> list[Statement]:
+        """RAISE, RETRY or TRYNEXT: an error handler, which may be entered from anywhere, is left."""
+        self.step()
+        if self.here.text != ";":
+            self.expression()
+        self.take(";")
+        return []
+
+    def connected(self) -> list[Statement]:
+        self.step()
+        self.expression()
+        self.take("with")
+        self.word("a trap")
+        self.take(";")
+        return []
+
+    def simple(self) -> Statement:
+        """An assignment, or an instruction or procedure with its arguments."""
+        start = self.here.start
+        if self.ahead().text in (":=", ".", "{"):
+            left = self.postfix()
+            self.take(":=")
+            value = self.expression()
+            if not isinstance(left, Name | Element):
+                raise self.source.wrong(start, "what stands left of := is no variable")
+            found: Statement = Assign(left, value, "", start, self.before.end)
+            self.take(";")
+            return found
+        name = self.word("a statement")
+        arguments, named = self.arguments(";")
+        return Do(Call(name, arguments, named, start, self.before.start), start, self.before.start)
+
+    def choice(self) -> list[Statement]:
+        self.step()
+        conditions, blocks, whole = [self.expression()], list[Block](), False
+        if not self.is_word("then"):
+            return [If(tuple(conditions), (tuple(self.statement()),), False)]
+        self.step()
+        blocks.append(self.block())
+        while self.is_word("elseif"):
+            self.step()
+            conditions.append(self.expression())
+            self.take("then")
+            blocks.append(self.block())
+        if self.is_word("else"):
+            self.step()
+            blocks.append(self.block())
+            whole = True
+        self.take("endif")
+        return [If(tuple(conditions), tuple(blocks), whole)]
+
+    def test(self) -> list[Statement]:
+        self.step()
+        conditions, blocks, whole = [self.expression()], list[Block](), False
+        while self.is_word("case"):
+            self.step()
+            conditions.append(self.expression())
+            while self.here.text == ",":
+                self.step()
+                conditions.append(self.expression())
+            self.take(":")
+            blocks.append(self.block())
+        if self.is_word("default"):
+            self.step()
+            self.take(":")
+            blocks.append(self.block())
+            whole = True
+        self.take("endtest")
+        return [If(tuple(conditions), tuple(blocks), whole)]
+
+    def arguments(self, closing: str) -> tuple[tuple[Expression, ...], tuple[tuple[str, Expression], ...]]:
+        r"""Arguments in order, and those after a \\, up to a sign that is taken. A switch is True."""
+        values: list[Expression] = []
+        named: list[tuple[str, Expression]] = []
+        self.deeper()
+        while self.here.text != closing:
+            if self.here.text == "\\":
+                self.step()
+                name = self.word("an argument's name")
+                value: Expression = Truth(True)
+                if self.here.text == ":=":
+                    self.step()
+                    value = self.expression()
+                elif self.here.text == "?":
+                    self.step()
+                    self.word("a parameter")
+                named.append((name, value))
+            else:
+                values.append(self.expression())
+            if self.here.text == ",":
+                self.step()
+            elif self.here.text not in (closing, "\\"):
+                raise self.unexpected(f"a comma or {closing}")
+        self.step()
+        self.depth -= 1
+        return tuple(values), tuple(named)
+
+    def expression(self, least: int = 0) -> Expression:
+        """An expression whose operators bind at least so strongly."""
+        start, text = self.here.start, self.here.text.lower()
+        if text == "not" or text in ("-", "+"):
+            self.step()
+            inner = self.expression(_NOT if text == "not" else _MINUS)
+            if isinstance(inner, Number):
+                left: Expression = Number(-inner.value if text == "-" else inner.value, start, inner.end)
+            else:
+                left = Operation(text, (inner,), start, self.before.end)
+        else:
+            left = self.postfix()
+        while (binds := _BINDS.get(self.here.text.lower(), -1)) > least and self.here.kind in ("sign", "word"):
+            sign = self.step().text.lower()
+            left = Operation(sign, (left, self.expression(binds)), start, self.before.end)
+        return left
+
+    def postfix(self) -> Expression:
+        found = self.atom()
+        while self.here.kind == "sign" and self.here.text in "{.":
+            start = self.here.start
+            if self.step().text == ".":
+                found = Element(found, self.word("a component"), start, self.before.end)
+                continue
+            for item in self.bracketed("}"):
+                counted = Operation("-", (item, Number(1.0)), start, self.before.end)  # counted from 1
+                found = Element(found, counted, start, self.before.end)
+        return found
+
+    def atom(self) -> Expression:
+        token = self.here
+        word = token.text.lower()
+        if token.kind == "number":
+            self.step()
+            plain = not word.startswith(("0x", "0b"))
+            return Number(float(word) if plain else float(int(word, 0)), token.start, token.end)
+        if token.kind in ("robtarget", "jointtarget"):
+            self.step()
+            form = Form.ROBTARGET if token.kind == "robtarget" else Form.JOINTTARGET
+            return Taught(form, numbers_in(self.source.text, token.start, token.end), token.start, token.end)
+        if token.kind == "string":
+            self.step()
+            return Text(token.text[1:-1])
+        if token.kind == "word" and word in ("true", "false"):
+            self.step()
+            return Truth(word == "true")
+        if token.kind == "word" and word not in _NO_NAMES:
+            self.step()
+            if self.here.text == "(":
+                self.step()
+                arguments, named = self.arguments(")")
+                return Call(word, arguments, named, token.start, self.before.end)
+            return Name(word, token.start, token.end)
+        if token.text == "[":
+            self.step()
+            return Items(self.bracketed("]"), False, token.start, self.before.end)
+        if token.text == "(":
+            self.step()
+            found = self.expression()
+            self.take(")")
+            return found
+        raise self.unexpected("an expression")
+
+    def bracketed(self, closing: str) -> tuple[Expression, ...]:
+        """Expressions between commas up to a closing bracket, which is taken."""
+        self.deeper()
+        items: list[Expression] = []
+        while self.here.text != closing:
+            if closing == "}" and self.here.text == "*":
+                self.step()
+            else:
+                items.append(self.expression())
+            if self.here.text == ",":
+                self.step()
+            elif self.here.text != closing:
+                raise self.unexpected(f"a comma or {closing}")
+        self.step()
+        self.depth -= 1
+        return tuple(items)
+
+
+_STATEMENTS: dict[str, Callable[[_Reader], list[Statement]]] = {
+    "if": _Reader.choice,
+    "for": _Reader.counted_loop,
+    "while": _Reader.loop,
+    "test": _Reader.test,
+    "return": _Reader.returned,
+    "goto": _Reader.goto,
+    "exit": _Reader.ended,
+    **dict.fromkeys(("raise", "retry", "trynext"), _Reader.raised),
+    "connect": _Reader.connected,
+}
+
+
+def quoted_sign(text: str) -> str:
+    """A sign as it is shown."""
+    return f"'{text}'"

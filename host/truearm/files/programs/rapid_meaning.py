@@ -1,0 +1,362 @@
+"""What RAPID's instructions and functions mean for the moves of a program (ABB, technical reference manual 3HAC050917).
+
+A robtarget lies in the object frame of its work object: user frame · object frame · target; the tool's frame is that of its tooldata. ``Offs`` shifts a
+target along the work object's axes, ``RelTool`` along the tool's. An instruction that is not listed may move the robot, and is said.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from scipy.spatial.transform import Rotation
+
+from truearm.files.programs.dataflow import UNDECLARED, Flow
+from truearm.files.programs.rapid import Module
+from truearm.files.programs.syntax import Call, Form, Number, Source, Taught, Text, Truth, words
+from truearm.files.programs.values import (
+    NOWHERE,
+    Listed,
+    Pose,
+    Unknown,
+    Value,
+    Values,
+    combined,
+    fixed_mm,
+    joined,
+    numbers_of,
+    shifted,
+    taught_pose,
+    times,
+    turned,
+)
+from truearm.units import MM
+
+DISPLACED = "program displacement"
+
+
+class Move(NamedTuple):
+    """An instruction that moves the robot: the places of its targets and of its tool among the arguments."""
+
+    targets: tuple[int, ...] = (0,)
+    tool: int = 3
+
+
+_TWO = (0, 1)
+MOVES: Mapping[str, Move] = {
+    **dict.fromkeys(
+        words("movel movej moveldo movejdo movelao movejao movelgo movejgo movelsync movejsync moveabsj"), Move()
+    ),
+    **dict.fromkeys(words("movec movecdo movecao movecgo movecsync"), Move(_TWO, 4)),
+    **dict.fromkeys(words("triggl triggj triggabsj"), Move((0,), 4)),
+    **dict.fromkeys(words("trigglios triggjios"), Move((0,), -1)),
+    "triggc": Move(_TWO, 5),
+    "searchl": Move((2,), 4),
+    "searchj": Move((2,), 4),
+    "searchc": Move((2, 3), 5),
+    # arc welding: target, speed, seam, weld, zone, tool
+    **dict.fromkeys(words("arcl arclstart arclend arcl1 arcl1start arcl1end arcl2 arcl2start arcl2end"), Move((0,), 5)),
+    **dict.fromkeys(words("arcc arccstart arccend arcc1 arcc1start arcc1end arcc2 arcc2start arcc2end"), Move(_TWO, 6)),
+    # the tool is the last argument whatever process data stand before it
+    **dict.fromkeys(
+        words("spotl spotj spotml spotmj paintl displ dispj capl nutl nutj arcmovel arcmovej"), Move((0,), -1)
+    ),
+    **dict.fromkeys(words("paintc dispc capc"), Move(_TWO, -1)),
+}
+AIMLESS = words(
+    """
+    calibj calibl contactl cssdeactmovel egmmovec egmmovel egmrunjoint egmrunpose fcact fcpress1lstart fcpressc fcpressend
+    fcpressl fcrefstart indamove indcmove inddmove indrmove mtoolrotcalib mtooltcpcalib searchextj stoolrotcalib
+    stooltcpcalib
+    """
+)
+QUIET = words(
+    """
+    accset acteventbuffer actunit add aliasio aliasioreset bitclear bitset bookerrno break callbyvar cancelload
+    checkprogref cirpathmode clear cleariobuff clearpath clearrawbytes clkreset clkstart clkstop close closedir comment
+    confj confl copyfile copyrawbytes corrclear corrcon corrdiscon corrwrite cssact cssdeact deacteventbuffer deactunit
+    decr ditheract ditherdeact dropsensor dropwobj egmactjoint egmactmove egmactpose egmgetid egmreset egmsetupai
+    egmsetupao egmsetupgi egmsetupuc egmstop egmstreamstart egmstreamstop erasemodule errlog errraise errwrite exitcycle
+    fccalib fcdeact fcloadid getdataval getsysdata gettrapdata gripload hollowwristreset idelete idisable ienable ierror
+    incr indreset invertdo iobusstart iobusstate iodisable ioenable ipers irmqmessage isignalai isignalao isignaldi
+    isignaldo isignalgi isignalgo isleep itimer ivarvalue iwatch load loadid makedir manloadidproc mechunitload
+    motionprocessmodeset motionsup moveextj open opendir packdnheader packrawbytes pathacclim pathlengthreset
+    pathlengthstart pathlengthstop pathrecmovebwd pathrecmovefwd pathrecstart pathrecstop pathresol procerrrecovery
+    pulsedo raisetouser readanybin readblock readcfgdata readerrdata readrawbytes removedir removefile renamefile reset
+    resetppmoved resetretrycount restopath rewind rmqemptyqueue rmqfindslot rmqgetmessage rmqgetmsgdata rmqgetmsgheader
+    rmqreadwait rmqsendmessage rmqsendwait save savecfgdata scwrite sendevice set setalldataval setao setdatasearch
+    setdataval setdo setgo setleadthrough setsysdata singarea skipwarn socketaccept socketbind socketclose socketconnect
+    socketcreate socketlisten socketreceive socketreceivefrom socketsend socketsendto softact softdeact speedlimaxis
+    speedlimcheckpoint speedrefresh spystart spystop startload startmove startmoveretry stcalib stclose stepbwdpath
+    stindgun stindgunreset stop stopen stopmove stopmovereset storepath sttune sttunereset supsyncsensoroff
+    supsyncsensoron syncmoveoff syncmoveon syncmoveresume syncmovesuspend syncmoveundo synctosensor systemstopaction
+    testsigndefine testsignreset texttabinstall tperase tpreaddnum tpreadfk tpreadnum tpshow tpwrite triggcheckio
+    triggdatacopy triggdatareset triggequip triggint triggio triggrampao triggspeed triggstopproc tryint tunereset
+    tuneservo uimsgbox uimsgwrite uimsgwriteabort uishow unload unpackrawbytes velset waitai waitao waitdi waitdo waitgi
+    waitgo waitload waitrob waitsensor waitsynctask waittestandset waittime waituntil waitwobj warmstart worldacclim write
+    writeanybin writebin writeblock writecfgdata writerawbytes writestrbin writevar wzboxdef wzcyldef wzdisable wzdoset
+    wzenable wzfree wzhomejointdef wzlimjointdef wzlimsup wzsphdef
+    """
+)
+FUNCTIONS = words(
+    """
+    abs absdnum acos ainput aoutput argname asin atan atan2 bitand bitanddnum bitcheck bitcheckdnum bitlsh bitlshdnum
+    bitneg bitnegdnum bitor bitordnum bitrsh bitrshdnum bitxor bitxordnum bytetostr calcjointt calcrobt calcrotaxframez
+    calcrotaxisframe cdate cjointt clkread corrread cos cpos crobt cspeedoverride ctime ctool cwobj dectohex defaccframe
+    defdframe defframe dim dinput distance dnumtonum dnumtostr dotprod doutput egmgetstate eulerzyx eventtype exechandler
+    execlevel exp filesize filetime fssize getmecunitname getmodalpayloadmode getmotortorque getnextmechunit getnextsym
+    getserviceinfo getsignalorigin getsysinfo gettaskname gettime ginput ginputdnum goutput goutputdnum hextodec indinpos
+    indspeed iounitstate isfile ismechunitactive ispers isstopmoveact isstopstateevent issyncmoveon issysid isvar max
+    maxrobspeed min mirpos modexist modtime motionplannerno nonmotionmode norient numtodnum numtostr opmode orientzyx
+    orobt paridposvalid paridrobvalid pathlengthget pathlevel pathrecvalidbwd pathrecvalidfwd pfrestart poseinv posemult
+    posevect pow powdnum ppmovedinmanmode present progmemfree rawbyteslen readbin readdir readmotor readnum readstr
+    readstrbin readvar remainingretries rmqgetslotname robname robos round rounddnum runmode sin socketgetstatus
+    socketpeek sqrt sqrtdnum stcalcforce stcalctorque stiscalib stisclosed stisindgun stisopen strdigcalc strdigcmp
+    strfind strformat strlen strmap strmatch strmemb strorder strpart strtobyte strtoval tan taskrunmec taskrunrob
+    tasksinsync testandset testdi testsignread textget texttabfreetouse texttabget trunc truncdnum type uialphaentry
+    uiclientexist uidnumentry uidnumtune uilistview uimessagebox uinumentry uinumtune validio valtostr vectmagn
+    """
+)
+_FIELDS: Mapping[str, int] = {
+    **{"trans": 0, "rot": 1, "robconf": 2, "extax": 3, "robax": 0, "x": 0, "y": 1, "z": 2, "robhold": 0, "tframe": 1, "tload": 2},
+    **{"ufprog": 1, "ufmec": 2, "uframe": 3, "oframe": 4, "q1": 0, "q2": 1, "q3": 2, "q4": 3, "cf1": 0, "cf4": 1, "cf6": 2, "cfx": 3},
+    **{f"rax_{k}": k - 1 for k in range(1, 7)},
+    **{f"eax_{letter}": k for k, letter in enumerate("abcdef")},
+}  # fmt: skip
+_TOOL, _OBJECT = "tool0", "wobj0"
+
+
+@dataclass(frozen=True)
+class Rapid:
+    """RAPID's meaning. ``fields``: places of components in records; ``harmless``: routines from elsewhere that do not move the robot."""
+
+    fields: Mapping[str, int]
+    harmless: frozenset[str] = frozenset()
+
+    def literal(self, of: Taught) -> Value:
+        """A literal robtarget or jointtarget, as it is."""
+        return of
+
+    def call(self, flow: Flow, call: Call, arguments: Sequence[Values], named: Mapping[str, Values]) -> Values | None:
+        """What an instruction or function of the language gives, after its effect; None where it is none."""
+        name, at = call.function, call.start
+        if name in MOVES:
+            self._move(flow, call, arguments, named)
+            return ()
+        if name in AIMLESS:
+            flow.uncertain(name, at, call.end, f"{name} moves the robot without a target that is in the program")
+            return ()
+        if name in ("pdispon", "pdispset", "eoffson", "eoffsset"):
+            flow.set(DISPLACED, (Unknown(f"{name} displaces the program at run time", at),), "global")
+            return ()
+        if name in ("pdispoff", "eoffsoff"):
+            flow.set(DISPLACED, (NOWHERE,), "global")
+            return ()
+        if name == "offs" and len(arguments) == 4:
+            return combined(at, lambda *given: _offs(given, at), arguments)
+        if name == "reltool" and len(arguments) == 4:
+            turns = [named.get(key, (Number(0.0),)) for key in ("rx", "ry", "rz")]
+            return combined(at, lambda *given: _reltool(given, at), [*arguments, *turns])
+        if name in QUIET or name in FUNCTIONS or name in self.harmless:
+            return (Unknown(f"what {name} gives is known at run time only", at),)
+        return None
+
+    def item(self, of: Value, at: Value | str, place: int) -> Values:
+        """An element of an array, counted from 0, or a component of a record; nothing where the array ends before it."""
+        if isinstance(of, Unknown):
+            return (of,)
+        items = _items(of)
+        k = self.fields.get(at) if isinstance(at, str) else int(at.value) if isinstance(at, Number) else None
+        if items is None or (isinstance(at, str) and k is None):
+            return (Unknown("an element or component is not followed", place),)
+        if k is not None:
+            return items[k] if 0 <= k < len(items) else ()
+        return tuple(dict.fromkeys(value for item in items for value in item))
+
+    def changed(self, of: Value, at: Value | str, new: Values, place: int) -> Value:
+        """An array or record with another item."""
+        items = _items(of)
+        k = self.fields.get(at) if isinstance(at, str) else int(at.value) if isinstance(at, Number) else None
+        if items is None or k is None or not 0 <= k < len(items):
+            return of if isinstance(of, Unknown) else Unknown("an element is assigned that is not followed", place)
+        return Listed((*items[:k], new, *items[k + 1 :]))
+
+    def _move(self, flow: Flow, call: Call, arguments: Sequence[Values], named: Mapping[str, Values]) -> None:
+        move, name, at = MOVES[call.function], call.function, call.start
+        if len(arguments) <= max(*move.targets, move.tool, 0) or not arguments:
+            flow.uncertain(name, at, call.end, "arguments are missing")
+            return
+        if "corr" in named:
+            flow.uncertain(name, at, call.end, r"\Corr changes the path at run time")
+        tools = tuple(_tool(value, at) for value in arguments[move.tool])
+        objects = tuple(_object(value, at) for value in named.get("wobj", (NOWHERE,)))
+        displaced = flow.get(DISPLACED) or (NOWHERE,)
+        objects = tuple(value for value in displaced if isinstance(value, Unknown)) + objects
+        targets = [(tuple(_target(value, at) for value in arguments[k]), call.arguments[k]) for k in move.targets]
+        flow.goes_to(call, targets, tools, objects)
+
+
+def analyse(source: Source, modules: Sequence[Module], frames: Mapping[str, Pose], harmless: frozenset[str]) -> Flow:
+    """Follow a program; ``frames`` are tools and work objects that are declared elsewhere."""
+    records = {
+        name: k for module in modules for record in module.records.values() for k, (_, name) in enumerate(record)
+    }
+    clash = {
+        name
+        for module in modules
+        for record in module.records.values()
+        for k, (_, name) in enumerate(record)
+        if records[name] != k or _FIELDS.get(name, k) != k
+    }
+    fields = {name: k for name, k in {**_FIELDS, **records}.items() if name not in clash}
+    routines = [routine for module in modules for routine in module.routines]
+    flow = Flow(source, Rapid(fields, harmless), routines)
+    for name, pose in {_TOOL: NOWHERE, _OBJECT: NOWHERE, **frames}.items():
+        flow.environment.set((0, name), (pose,))
+    begin: dict[str, Values] = {}
+    for module in modules:
+        for datum in module.data:
+            if datum.value is None:
+                why = f"{datum.name} is declared without a value"
+                begin[datum.name] = (Unknown(why, datum.start),)
+            else:
+                begin[datum.name] = flow.value(datum.value)
+            flow.environment.set((0, datum.name), begin[datum.name])
+    kept = _assigned_elsewhere(modules)
+    entries = [one for one in routines if one.name == "main"] or [one for one in routines if one.kind == "routine"]
+    entries += [one for one in routines if one.kind == "beside"]
+    for turn in range(MAX_ROUNDS):
+        grown = False
+        for routine in entries:
+            if routine.name in flow.called and turn == 0 and routine.name != "main" and routine.kind != "beside":
+                continue
+            flow.environment.layers.append({})
+            flow.enter(routine, None, (), {})
+            way = flow.environment.layers.pop()
+            for (scope, name), values in way.items():
+                if scope == 0 and name in kept:
+                    before = flow.environment.get((0, name))
+                    after = joined(before, values)
+                    grown |= after != before
+                    flow.environment.set((0, name), after)
+        if not grown:
+            break
+        if turn == MAX_ROUNDS - 2:
+            for name in kept:
+                flow.environment.set((0, name), (Unknown(f"{name} changes from run to run", 0),))
+    return flow
+
+
+MAX_ROUNDS = 4
+
+
+def _assigned_elsewhere(modules: Sequence[Module]) -> frozenset[str]:
+    """Data that keep what one routine or run gave them for the next."""
+    return frozenset(datum.name for module in modules for datum in module.data if datum.kind != "const")
+
+
+def _target(value: Value, at: int) -> Value:
+    if isinstance(value, Unknown | Pose):
+        return value
+    if isinstance(value, Taught):
+        return taught_pose(value) if value.form is Form.ROBTARGET else value
+    if not isinstance(value, Listed):
+        return Unknown("its target is no robtarget and no jointtarget", at)
+    pose = _frame((Listed(value.items[:2]),)) if len(value.items) == 4 else None
+    return _unknown_in(value) or pose or Unknown("its target is not of plain numbers in one piece", at)
+
+
+def _tool(value: Value, at: int) -> Value:
+    """The frame of a tooldata."""
+    if isinstance(value, Pose):
+        return value
+    if isinstance(value, Unknown):
+        return value._replace(remedy="tools") if value.remedy == UNDECLARED else value
+    if not isinstance(value, Listed) or len(value.items) != 3:
+        return Unknown("its tool is no tooldata", at)
+    if value.items[0] != (Truth(True),):
+        return Unknown("its tool is not held by the robot", at)
+    pose = _frame(value.items[1])
+    return pose or _unknown_in(value) or Unknown("its tool has no frame of plain numbers", at)
+
+
+def _object(value: Value, at: int) -> Value:
+    """The frame of a wobjdata: user frame and object frame."""
+    if isinstance(value, Pose):
+        return value
+    if isinstance(value, Unknown):
+        return value._replace(remedy="works") if value.remedy == UNDECLARED else value
+    if not isinstance(value, Listed) or len(value.items) != 5:
+        return Unknown("its work object is no wobjdata", at)
+    in_hand, fixed_frame, unit, users, own = value.items
+    if in_hand != (Truth(False),):
+        return Unknown("its work object is held by the robot", at)
+    if fixed_frame != (Truth(True),) or unit != (Text(""),):
+        return Unknown("its work object is moved by a mechanical unit", at)
+    frames = [_frame(users), _frame(own)]
+    known = [frame for frame in frames if frame is not None]
+    return (
+        times(*known)
+        if len(known) == 2
+        else _unknown_in(value) or Unknown("its work object has no frames of plain numbers", at)
+    )
+
+
+def _frame(values: Values) -> Pose | None:
+    """A pose [[x, y, z], [q1, q2, q3, q4]] of plain numbers."""
+    if len(values) != 1 or not isinstance(values[0], Listed) or len(values[0].items) != 2:
+        return None
+    parts = [numbers_of(item[0]) if len(item) == 1 else None for item in values[0].items]
+    place, turn = parts
+    return fixed_mm(place, turn) if place and turn and (len(place), len(turn)) == (3, 4) else None
+
+
+def _unknown_in(value: Value) -> Unknown | None:
+    if isinstance(value, Unknown):
+        return value
+    if isinstance(value, Listed):
+        return next((found for item in value.items for one in item if (found := _unknown_in(one)) is not None), None)
+    return None
+
+
+def _numbers(given: Sequence[Value]) -> list[float] | None:
+    found = [one.value for one in given if isinstance(one, Number)]
+    return found if len(found) == len(given) and all(map(math.isfinite, found)) else None
+
+
+def _offs(given: Sequence[Value], at: int) -> Value:
+    target, numbers = _target(given[0], at), _numbers(given[1:])
+    if isinstance(target, Unknown):
+        return target
+    if numbers is None or not isinstance(target, Pose):
+        return next(
+            (one for one in given[1:] if isinstance(one, Unknown)), Unknown("the offsets of Offs are not known", at)
+        )
+    return times(shifted([float(MM.to_si(value)) for value in numbers]), target)
+
+
+def _reltool(given: Sequence[Value], at: int) -> Value:
+    """Rotations are about x first, then the new y, then the new z."""
+    target, numbers = _target(given[0], at), _numbers(given[1:])
+    if isinstance(target, Unknown):
+        return target
+    if numbers is None or not isinstance(target, Pose):
+        return next(
+            (one for one in given[1:] if isinstance(one, Unknown)),
+            Unknown("the arguments of RelTool are not known", at),
+        )
+    turn = Rotation.from_euler("XYZ", numbers[3:], degrees=True)
+    return times(target, shifted([float(MM.to_si(value)) for value in numbers[:3]]), turned(turn))
+
+
+def _items(of: Value) -> tuple[Values, ...] | None:
+    """The items of a list or of a literal, as lists again."""
+    if isinstance(of, Listed):
+        return of.items
+    if not isinstance(of, Taught):
+        return None
+    ends = (3, 7, 11, 17) if of.form is Form.ROBTARGET else (6, 12)
+    parts = [of.numbers[start:end] for start, end in zip((0, *ends), ends, strict=False)]
+    return tuple((Listed(tuple((Number(number.value),) for number in part)),) for part in parts)

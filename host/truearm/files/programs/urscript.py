@@ -1,0 +1,302 @@
+"""URScript, read: the grammar of Universal Robots' script manual (5.x), with what PolyScope adds to the programs that it writes.
+
+A line is a statement unless a bracket is open. ``$ 3 "MoveJ"`` marks a step of PolyScope's tree and is passed over, as comments are.
+"""
+
+from __future__ import annotations
+
+import re
+
+from truearm.files.programs.syntax import (
+    END,
+    NUMBER,
+    Assign,
+    Block,
+    Call,
+    Do,
+    Element,
+    Expression,
+    Form,
+    If,
+    Items,
+    Leave,
+    Loop,
+    Name,
+    Number,
+    Operation,
+    Parameter,
+    Reader,
+    Return,
+    Routine,
+    Source,
+    Statement,
+    Taught,
+    Text,
+    Truth,
+    numbers_in,
+    tokens_of,
+)
+
+_SIX = rf"\[[ \t]*[+-]?{NUMBER}[ \t]*(?:,[ \t]*[+-]?{NUMBER}[ \t]*){{5}}\]"
+_TOKENS = re.compile(
+    rf"""(?P<skip>[ \t\f]+|\#[^\r\n]*|\$[^\r\n]*|\xef\xbb\xbf)|(?P<newline>\r\n|\n|\r)|(?P<pose>p{_SIX})|(?P<joints>{_SIX})
+    |(?P<number>{NUMBER})|(?P<word>[A-Za-z_]\w*)|(?P<string>"[^"\r\n]*"|'[^'\r\n]*')
+    |(?P<sign>==|!=|<=|>=|[-+*/%()\[\],:=<>.])""",
+    re.VERBOSE | re.ASCII,
+)
+_BINDS = {"or": 1, "xor": 1, "and": 2, "==": 4, "!=": 4, "<": 4, ">": 4, "<=": 4, ">=": 4}
+_BINDS |= {"+": 5, "-": 5, "*": 6, "/": 6, "%": 6}
+_NOT, _MINUS = 3, 7
+_CLOSING = frozenset({"end", "else", "elif"})
+_LEAVES = {"break": Leave("break"), "continue": Leave("continue"), "halt": Leave("halt")}
+_NO_NAMES = _CLOSING | {"def", "thread", "sec", "if", "while", "return", "break", "continue", "halt", "global", "local"}
+
+
+def read_urscript(source: Source) -> Block:
+    """The statements of a program. Raises ProgramError with file and line."""
+    reader = _Reader(source, tokens_of(source, _TOKENS))
+    block = reader.block()
+    if reader.here.kind != END:
+        raise reader.wrong(f"{reader.here.text} closes nothing")
+    return block
+
+
+class _Reader(Reader):
+    """The grammar by recursive descent."""
+
+    def block(self) -> Block:
+        """Statements up to the word that closes them, which is left."""
+        self.deeper()
+        found: list[Statement] = []
+        while True:
+            while self.here.kind == "newline":
+                self.step()
+            if self.here.kind == END or (self.here.kind == "word" and self.here.text in _CLOSING):
+                self.depth -= 1
+                return tuple(found)
+            found.append(self.statement())
+
+    def statement(self) -> Statement:
+        start = self.here
+        word = start.text if start.kind == "word" else ""
+        if word in ("def", "thread", "sec"):
+            return self.routine()
+        if word == "if":
+            return self.choice()
+        if word == "while":
+            self.step()
+            condition = self.expression()
+            body = self.inner()
+            self.close("while", start.start)
+            return Loop(condition, body)
+        found: Statement
+        if word == "return":
+            self.step()
+            ended = self.here.kind in ("newline", END) or self.here.text in _CLOSING
+            found = Return(None if ended else self.expression())
+        elif word in _LEAVES:
+            self.step()
+            found = _LEAVES[word]
+        else:
+            if word in ("global", "local"):
+                self.step()
+            found = self.assigned(word if word in ("global", "local") else "", start.start)
+        if self.here.kind not in ("newline", END) and self.here.text not in _CLOSING:
+            raise self.unexpected("the end of the statement")
+        return found
+
+    def assigned(self, scope: str, start: int) -> Statement:
+        """An assignment, a declaration without value, or an expression for its effect."""
+        left = self.expression()
+        if self.here.text != "=" or self.here.kind != "sign":
+            if scope:
+                return Do(Truth(False), start, self.before.end)  # a name is declared; it has no value yet
+            return Do(left, start, self.before.end)
+        if not isinstance(left, Name | Element):
+            raise self.wrong("what stands left of = is no variable")
+        self.step()
+        value = self.expression()
+        at = self.before.end
+        return Assign(left, value, "global" if scope == "global" else "local" if scope else "", start, at)
+
+    def routine(self) -> Routine:
+        kind, name = self.step(), self.word("a name")
+        parameters: list[Parameter] = []
+        if self.here.text == "(":
+            self.step()
+            while self.here.text != ")":
+                parameter = self.word("a parameter")
+                default = None
+                if self.here.text == "=":
+                    self.step()
+                    default = self.expression()
+                parameters.append(Parameter(parameter, default, default is not None))
+                if self.here.text == ",":
+                    self.step()
+                elif self.here.text != ")":
+                    raise self.unexpected("a comma or )")
+            self.step()
+        body = self.inner()
+        self.close(f"{kind.text} {name}", kind.start)
+        return Routine(name, tuple(parameters), body, "beside" if kind.text == "thread" else "routine", kind.start)
+
+    def choice(self) -> If:
+        start = self.here.start
+        conditions, blocks, whole = [], [], False
+        while self.here.text in ("if", "elif") and not whole:
+            self.step()
+            conditions.append(self.expression())
+            blocks.append(self.inner())
+            if self.here.text == "else":
+                self.step()
+                blocks.append(self.inner())
+                whole = True
+        self.close("if", start)
+        return If(tuple(conditions), tuple(blocks), whole)
+
+    def inner(self) -> Block:
+        """The block after a colon."""
+        if self.here.text != ":":
+            raise self.unexpected("a colon")
+        self.step()
+        return self.block()
+
+    def close(self, what: str, start: int) -> None:
+        """Take the end of what began at ``start``."""
+        if self.here.text != "end":
+            raise self.unexpected(f"the end of {what} (line {self.source.line(start)})")
+        self.step()
+
+    def word(self, wanted: str) -> str:
+        if self.here.kind != "word" or self.here.text in _NO_NAMES:
+            raise self.unexpected(wanted)
+        return self.step().text
+
+    def expression(self, least: int = 0) -> Expression:
+        """An expression whose operators bind at least so strongly."""
+        start, text = self.here.start, self.here.text
+        if text == "not":
+            self.step()
+            left = self.operation(text, (self.expression(_NOT),), start)
+        elif text in ("-", "+"):
+            self.step()
+            left = self.operation(text, (self.expression(_MINUS),), start)
+        else:
+            left = self.postfix()
+        while (binds := _BINDS.get(self.here.text, -1)) > least and self.here.kind in ("sign", "word"):
+            sign = self.step().text
+            left = self.operation(sign, (left, self.expression(binds)), start)
+        return left
+
+    def operation(self, sign: str, operands: tuple[Expression, ...], start: int) -> Expression:
+        if len(operands) == 1 and sign in "+-" and isinstance(operands[0], Number):
+            return Number(-operands[0].value if sign == "-" else operands[0].value, start, operands[0].end)
+        return Operation(sign, operands, start, self.before.end)
+
+    def postfix(self) -> Expression:
+        found = self.atom()
+        while self.here.kind == "sign" and self.here.text in "[.":
+            start = self.here.start
+            if self.step().text == ".":
+                found = Element(found, self.word("a field"), start, self.before.end)
+                if self.here.text == "(":  # a method, of an RPC handle for instance
+                    arguments, named = self.arguments()
+                    found = Call(f".{found.at}", (found.of, *arguments), named, start, self.before.end)
+                continue
+            items = self.bracketed("]")
+            if len(items) not in (1, 2):
+                raise self.source.wrong(start, "an index has one number, or two")
+            for item in items:
+                found = Element(found, item, start, self.before.end)
+        return found
+
+    def atom(self) -> Expression:
+        token = self.here
+        if token.kind == "number":
+            self.step()
+            return Number(float(token.text), token.start, token.end)
+        if token.kind in ("pose", "joints"):
+            self.step()
+            form = Form.POSE if token.kind == "pose" else Form.JOINTS
+            return Taught(form, numbers_in(self.source.text, token.start, token.end), token.start, token.end)
+        if token.kind == "string":
+            self.step()
+            return Text(token.text[1:-1])
+        if token.kind == "word" and token.text in ("True", "False", "true", "false"):
+            self.step()
+            return Truth(token.text in ("True", "true"))
+        if token.kind == "word" and token.text not in _NO_NAMES:
+            return self.named()
+        if token.text == "[":
+            self.step()
+            return Items(self.bracketed("]"), False, token.start, self.before.end)
+        if token.text == "(":
+            self.step()
+            items = self.bracketed(")")
+            if len(items) != 1:
+                raise self.source.wrong(token.start, "one expression belongs between the brackets")
+            return items[0]
+        raise self.unexpected("an expression")
+
+    def named(self) -> Expression:
+        """A variable, a call, p[…], or what is done with a thread."""
+        token = self.step()
+        if token.text == "p" and self.here.text == "[" and self.here.start == token.end:
+            self.step()
+            return Items(self.bracketed("]"), True, token.start, self.before.end)
+        if token.text == "run" and self.here.kind == "word":
+            return self.postfix()
+        if token.text in ("join", "kill") and self.here.kind == "word":
+            self.postfix()
+            return Truth(False)
+        if self.here.text == "(":
+            arguments, named = self.arguments()
+            return Call(token.text, arguments, named, token.start, self.before.end)
+        return Name(token.text, token.start, token.end)
+
+    def arguments(self) -> tuple[tuple[Expression, ...], tuple[tuple[str, Expression], ...]]:
+        """What stands in the brackets of a call."""
+        self.deeper()
+        self.step()
+        values: list[Expression] = []
+        named: list[tuple[str, Expression]] = []
+        self.spaces()
+        while self.here.text != ")":
+            if self.here.kind == "word" and self.ahead().text == "=":
+                name = self.step().text
+                self.step()
+                self.spaces()
+                named.append((name, self.expression()))
+            else:
+                values.append(self.expression())
+            self.spaces()
+            if self.here.text == ",":
+                self.step()
+                self.spaces()
+            elif self.here.text != ")":
+                raise self.unexpected("a comma or )")
+        self.step()
+        self.depth -= 1
+        return tuple(values), tuple(named)
+
+    def bracketed(self, closing: str) -> tuple[Expression, ...]:
+        """Expressions between commas up to a closing bracket, which is taken."""
+        self.deeper()
+        items: list[Expression] = []
+        self.spaces()
+        while self.here.text != closing:
+            items.append(self.expression())
+            self.spaces()
+            if self.here.text == ",":
+                self.step()
+                self.spaces()
+            elif self.here.text != closing:
+                raise self.unexpected(f"a comma or {closing}")
+        self.step()
+        self.depth -= 1
+        return tuple(items)
+
+    def spaces(self) -> None:
+        """Pass over the ends of lines within brackets."""
+        while self.here.kind == "newline":
+            self.step()

@@ -1,0 +1,195 @@
+"""What an expression of a program may be when it is run: numbers, poses, lists, and what only the run will tell.
+
+A variable may be one of several things where the program branches, so that a value is a tuple of *possibilities*, each once. A pose remembers
+which literals it is made of: a product of them, of their inverses and of fixed matrices. So a target that is reached over names, features and
+offsets leads back to the numbers that a person taught.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from truearm.files.programs.syntax import Form, Number, Taught, Text, Truth
+from truearm.types import Floats
+from truearm.units import DEG, MM
+
+MOST = 20_000  # possibilities that a function makes of several arguments
+UNIT_QUATERNION = 1e-3  # how far from 1 the norm of a quaternion may be that was written with few digits
+
+
+class Unknown(NamedTuple):
+    """What is known at run time only, and why; ``at`` is the place in the text, ``remedy`` the argument that would settle it."""
+
+    why: str
+    at: int
+    remedy: str = ""
+
+
+class Listed(NamedTuple):
+    """A list or record, each item with its possibilities; ``pose`` where it is a p[…]."""
+
+    items: tuple[Values, ...]
+    pose: bool = False
+
+
+class Fields(NamedTuple):
+    """A record with named fields."""
+
+    names: tuple[str, ...]
+    items: tuple[Values, ...]
+
+
+class Fixed(NamedTuple):
+    """A rigid motion that no literal stands for by itself: the rows of its (4, 4) matrix."""
+
+    rows: tuple[float, ...]
+
+
+class Factor(NamedTuple):
+    """Of a product of poses."""
+
+    pose: Taught | Fixed
+    inverse: bool = False
+
+
+class Pose(NamedTuple):
+    """A product of poses. ``like``: the robtarget whose configuration and external axes it has."""
+
+    factors: tuple[Factor, ...]
+    like: Taught | None = None
+
+
+class Solved(NamedTuple):
+    """The joints at which the tool has a pose, nearest to ``near``; ``tool`` where it is not the one in force."""
+
+    pose: Pose
+    near: tuple[float, ...] | None
+    tool: Pose | None
+
+
+Value = Number | Text | Truth | Taught | Listed | Fields | Pose | Solved | Unknown
+Values = tuple[Value, ...]
+
+NOWHERE = Pose(())  # the identity
+
+
+def joined(a: Values | None, b: Values | None) -> Values:
+    """The possibilities of both, in order; None where there is no value yet."""
+    if a is None or a is b:
+        return b or ()
+    if not b or a == b:
+        return a
+    return tuple(dict.fromkeys(a + b))
+
+
+def combined(at: int, function: Callable[..., Value], arguments: Sequence[Values]) -> Values:
+    """A function of one value each for every choice of possibilities."""
+    if len(arguments) == 1:
+        return tuple(function(one) for one in arguments[0])
+    if math.prod(map(len, arguments)) > max(MOST, *map(len, arguments)):
+        return (Unknown("it has too many possibilities to be followed", at),)
+    return tuple(dict.fromkeys(function(*choice) for choice in product(*arguments)))
+
+
+def first_unknown(values: Sequence[Value]) -> Unknown | None:
+    """The first of the values that only the run will tell."""
+    return next((value for value in values if isinstance(value, Unknown)), None)
+
+
+def numbers_of(value: Value) -> tuple[float, ...] | None:
+    """The plain numbers of a list or literal; None where there is another thing, or several possibilities."""
+    if isinstance(value, Taught):
+        return tuple(number.value for number in value.numbers)
+    if not isinstance(value, Listed):
+        return None
+    found = [item[0].value for item in value.items if len(item) == 1 and isinstance(item[0], Number)]
+    return tuple(found) if len(found) == len(value.items) else None
+
+
+def fixed(matrix: Floats) -> Pose:
+    """A pose (4, 4) that is written nowhere."""
+    return Pose((Factor(Fixed(tuple(np.asarray(matrix, dtype=float).ravel().tolist()))),))
+
+
+def fixed_six(six: Sequence[float]) -> Pose:
+    """The pose at x, y, z [m] with a rotation vector [rad]."""
+    return fixed(_matrix(six[:3], Rotation.from_rotvec(six[3:])))
+
+
+def fixed_mm(xyz: Sequence[float], quaternion: Sequence[float]) -> Pose | None:
+    """The pose at x, y, z [mm] with a quaternion, scalar first; None where they are none, or the quaternion is no unit one."""
+    if (len(xyz), len(quaternion)) != (3, 4) or not all(map(math.isfinite, xyz)):
+        return None
+    if not abs(math.hypot(*quaternion) - 1.0) <= UNIT_QUATERNION:
+        return None
+    w, x, y, z = quaternion
+    return fixed(_matrix([MM.to_si(value) for value in xyz], Rotation.from_quat([x, y, z, w])))
+
+
+def shifted(xyz: Sequence[float]) -> Pose:
+    """A translation [m]."""
+    return fixed(_matrix(xyz, Rotation.identity()))
+
+
+def turned(turn: Rotation) -> Pose:
+    """A rotation about the origin."""
+    return fixed(_matrix((0.0, 0.0, 0.0), turn))
+
+
+def times(*poses: Pose) -> Pose:
+    """The product of poses; it has the configuration of the first that has one."""
+    like = next((pose.like for pose in poses if pose.like is not None), None)
+    return Pose(tuple(factor for pose in poses for factor in pose.factors), like)
+
+
+def inverse(pose: Pose) -> Pose:
+    """The inverse of a pose."""
+    return Pose(tuple(Factor(factor.pose, not factor.inverse) for factor in reversed(pose.factors)))
+
+
+def taught_pose(taught: Taught) -> Pose:
+    """A literal as a pose."""
+    return Pose((Factor(taught),), taught if taught.form is Form.ROBTARGET else None)
+
+
+def matrices_of(literals: Sequence[Taught]) -> Floats:
+    """(n, 4, 4) the poses [m] of literals of form POSE and ROBTARGET."""
+    out = np.tile(np.eye(4), (len(literals), 1, 1))
+    for form in (Form.POSE, Form.ROBTARGET):
+        rows = [i for i, one in enumerate(literals) if one.form is form]
+        if rows:
+            numbers = np.array([[number.value for number in literals[i].numbers[:7]] for i in rows])
+            if form is Form.POSE:
+                place, turn = numbers[:, :3], Rotation.from_rotvec(numbers[:, 3:])
+            else:
+                place, turn = MM.to_si(numbers[:, :3]), Rotation.from_quat(numbers[:, [4, 5, 6, 3]])
+            out[rows, :3, 3], out[rows, :3, :3] = place, turn.as_matrix()
+    return out
+
+
+def matrix_of(pose: Pose, literals: dict[int, Floats]) -> Floats:
+    """(4, 4) the product; ``literals`` are the matrices of its literals by their places in the text."""
+    out = np.eye(4)
+    for factor in pose.factors:
+        of = factor.pose
+        here = np.array(of.rows).reshape(4, 4) if isinstance(of, Fixed) else literals[of.start]
+        out = out @ (np.linalg.inv(here) if factor.inverse else here)
+    return out
+
+
+def readings_of(taught: Taught) -> tuple[float, ...]:
+    """The joint readings [rad] of a literal of form JOINTS or JOINTTARGET."""
+    values = tuple(number.value for number in taught.numbers[:6])
+    return values if taught.form is Form.JOINTS else tuple(float(DEG.to_si(value)) for value in values)
+
+
+def _matrix(xyz: Sequence[float], turn: Rotation) -> Floats:
+    out = np.eye(4)
+    out[:3, 3], out[:3, :3] = xyz, turn.as_matrix()
+    return out

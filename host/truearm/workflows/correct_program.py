@@ -1,0 +1,270 @@
+"""Correct a robot's program: every move that goes to a target, or none of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from truearm.correct.controller_frames import SAME, Frame, base_of, flange_of
+from truearm.correct.correction import Configuration, Correction, correct
+from truearm.correct.joint_moves import JointMoves
+from truearm.correct.methods import Method
+from truearm.correct.model_pair import Pair, told
+from truearm.errors import Argument, ProgramError
+from truearm.files.programs.program import (
+    PoseTarget,
+    Program,
+    ProgramLanguage,
+    Refused,
+    Surroundings,
+    changed_text,
+    changes_of,
+    joint_changes,
+    language_of,
+    marks_of,
+    nears_of,
+    poses_of,
+    quarters_of,
+    read_program,
+    solved,
+    statement_of,
+    targets_of,
+)
+from truearm.files.programs.syntax import Taught
+from truearm.files.programs.values import Pose, fixed_six, readings_of
+from truearm.model.poses import inverted, pose_of
+from truearm.text import counted, listed
+from truearm.types import Floats
+
+Six = tuple[float, float, float, float, float, float]
+
+SEARCHED = (
+    "The arm's configuration was searched for, each nearest to the one before. Where the controller takes another, name joints near "
+    "those of the first target (home), or give q1_deg … in a table or qnear in a URScript."
+)
+
+
+class ProgramOptions(NamedTuple):
+    """How to correct a program.
+
+    ``joint_moves``: what to do with moves to joint readings, None to refuse a program that has some. ``split``: write numbers of its own into a move that would
+    need others than another move. ``partial``: write the file though some moves cannot be corrected; ``mark`` them with a comment. ``base``: the controller's base in the
+    calibration's base frame, ``flange``: its flange in the calibration's end frame, where their names do not say. ``tool``: the tool in force
+    before a URScript sets one. ``tools`` and ``works``: tools and work objects that are declared elsewhere, by name. Poses are positions [m] and
+    rotation vectors [rad]. ``harmless``: routines from elsewhere that do not move the robot.
+    """
+
+    joint_moves: JointMoves | None = None
+    split: bool = False
+    partial: bool = False
+    mark: bool = False
+    base: Six | None = None
+    flange: Six | None = None
+    tool: Six | None = None
+    tools: Mapping[str, Six] = {}
+    works: Mapping[str, Six] = {}
+    harmless: frozenset[str] = frozenset()
+
+
+class ProgramRefused(ProgramError):
+    """A program with moves that cannot be corrected with certainty; ``refused`` names them."""
+
+    def __init__(self, text: str, refused: Sequence[Refused]) -> None:
+        super().__init__(text)
+        self.refused = tuple(refused)
+
+
+class CalibrationFrames(NamedTuple):
+    """The frames that a calibration names. ``brought``: by a robot that is no URDF; ``own``: targets lie in the robot's own frames."""
+
+    base: str
+    end: str
+    brought: bool
+    own: bool
+
+
+class HowCorrected(NamedTuple):
+    """The robot, and how its targets are corrected."""
+
+    pair: Pair
+    method: Method | str
+    steps: int
+    home: Floats | None
+    margin: float
+
+
+@dataclass(frozen=True)
+class CorrectedProgram:
+    """A program's new text. ``lines`` are those of the targets in ``correction``; ``refused`` what was left; ``notes`` what to know of it."""
+
+    text: bytes
+    correction: Correction
+    lines: tuple[int, ...]
+    refused: tuple[Refused, ...]
+    notes: tuple[str, ...]
+
+
+def correct_program(
+    path: Path, how: HowCorrected, names: CalibrationFrames, options: ProgramOptions
+) -> CorrectedProgram:
+    """Correct a program. Raises ProgramRefused where a move cannot be corrected, ProgramError for what is no program."""
+    language = language_of(path)
+    base, flange = _placed(language, names, options)
+    tool = None if options.tool is None and language == "urscript" else fixed_six(options.tool or (0.0,) * 6)
+    frames = {name.lower(): fixed_six(six) for name, six in {**options.tools, **options.works}.items()}
+    program = read_program(path, Surroundings(tool, frames, options.harmless))
+    at_joints = [m.start for m in program.motions if any(not isinstance(goal.target, Pose) for goal in m.goals)]
+    if at_joints and options.joint_moves is None:
+        lines = sorted({program.source.line(at) for at in at_joints})
+        raise ProgramError(
+            f"{path} line {lines[0]}: goes to joint readings, as {counted(len(lines), 'line')} of this program in all; say whether to keep or to correct them with ",
+            Argument("joint_moves"),
+        )
+    targets = targets_of(program, options.joint_moves is JointMoves.CORRECT, options.split)
+    place, frame, tools = poses_of(targets.poses)
+    ends = base.pose @ frame @ place @ inverted(tools) @ inverted(flange.pose)
+    n_joints = len(how.pair.chain.joints)
+    near, quarters = nears_of(targets.poses, n_joints), quarters_of(targets.poses, n_joints)
+    done = _corrected_poses(how, ends, near, quarters)
+    literals = [literal for literal, _ in targets.joints]
+    joints = _corrected_joints(how, literals)
+    refused = [*targets.refused, *_problems(program, done, [one.at for one in targets.poses])]
+    refused += _problems(program, joints, [at for _, at in targets.joints])
+    good = [i for i, problem in enumerate(done.problem) if not problem]
+    poses = [targets.poses[i] for i in good]
+    asked = inverted(frame[good]) @ inverted(base.pose) @ done.told[good] @ flange.pose @ tools[good]
+    new = solved(poses, asked)
+    refused += [
+        _refused(program, one.at, "its target and another's depend on each other", "" if options.split else "split")
+        for one in new.circular
+    ]
+    refused = sorted(set(refused))
+    if refused and not options.partial:
+        total = len(program.motions)
+        raise ProgramRefused(
+            f"{path}: {counted(len(refused), 'move')} of {total} cannot be corrected, so nothing was written", refused
+        )
+    kept = [i for i, one in enumerate(poses) if one not in new.circular]
+    moved = [i for i, problem in enumerate(joints.problem) if not problem]
+    changes = changes_of(program, [poses[i] for i in kept], asked[kept], new)
+    changes += joint_changes([literals[i] for i in moved], joints.q[moved])
+    if not changes:
+        raise ProgramError(f"{path}: holds no target that can be corrected, so nothing was written")
+    changes += marks_of(program, refused) if options.mark else []
+    lines_of = [program.source.line(_place(targets.poses[good[i]])) for i in kept]
+    lines_of += [program.source.line(literals[i].start) for i in moved]
+    correction = _joined(_rows(done, [good[i] for i in kept]), _rows(joints, moved))
+    return CorrectedProgram(
+        changed_text(program, changes),
+        correction,
+        tuple(lines_of),
+        tuple(refused),
+        (
+            f"The controller's base: {base.words}. Its flange: {flange.words}.",
+            *_joints_kept(len(at_joints) if options.joint_moves is JointMoves.KEEP else 0),
+            *_configurations(correction.q[: len(kept)], near[good][kept], quarters[good][kept], lines_of),
+        ),
+    )
+
+
+def _joints_kept(n: int) -> list[str]:
+    return [f"{counted(n, 'move')} to joint readings kept as {'it is' if n == 1 else 'they are'}."] * bool(n)
+
+
+def _configurations(q: Floats, near: Floats, quarters: Floats, lines: Sequence[int]) -> list[str]:
+    """What to check of the arm's configurations: those that were searched for, and those that a program's own data contradict."""
+    told = np.isfinite(near).any(axis=1) | np.isfinite(quarters).any(axis=1)
+    wrong = ((np.floor(q / (0.5 * np.pi)) != quarters) & ~np.isnan(quarters)).any(axis=1)
+    where = listed([str(line) for line, is_wrong in zip(lines, wrong, strict=False) if is_wrong])
+    check = f"Check the configuration data of {counted(int(wrong.sum()), 'robtarget')} (lines {where}): by this model an axis is in another quarter turn."
+    return [SEARCHED] * bool((~told).any()) + [check] * bool(wrong.any())
+
+
+def _placed(language: ProgramLanguage, names: CalibrationFrames, options: ProgramOptions) -> tuple[Frame, Frame]:
+    """The controller's base and flange in the calibration's frames. Raises ProgramError where nothing says where they are."""
+    if names.own:
+        return SAME, SAME
+    base = _given(options.base) or base_of(language, names.base, names.brought)
+    flange = _given(options.flange) or flange_of(language, names.end, names.brought)
+    for found, what, frame, argument in ((base, "base", names.base, "work"), (flange, "flange", names.end, "flange")):
+        if found is None:
+            raise ProgramError(
+                f"the calibration is of frame {frame[:60]}, and where the controller's {what} is in it is not known; give it as ",
+                Argument(argument),
+                " (all 0 for the same frame), or take the robot's own frames by ",
+                Argument("own_frames"),
+            )
+    assert base is not None
+    assert flange is not None
+    return base, flange
+
+
+def _given(six: Six | None) -> Frame | None:
+    if six is None:
+        return None
+    return Frame(np.asarray(pose_of(np.array([six[:3]]), np.array([six[3:]]))[0]), "as given")
+
+
+def _corrected_poses(how: HowCorrected, ends: Floats, near: Floats, quarters: Floats) -> Correction:
+    """Targets (n, 4, 4) corrected: those with joints near them from there, the others by a search."""
+    known = np.isfinite(near).all(axis=1)
+    found = _joined(
+        _corrected(how, ends[known], Configuration(q_start=near[known])),
+        _corrected(how, ends[~known], Configuration(home=how.home, quadrants=quarters[~known])),
+    )
+    order = np.concatenate([np.flatnonzero(known), np.flatnonzero(~known)])
+    return _rows(found, np.argsort(order).tolist())
+
+
+def _corrected_joints(how: HowCorrected, literals: Sequence[Taught]) -> Correction:
+    """Joint readings corrected: where a perfect robot would be with them is where the true one shall be.
+
+    Raises ProgramError for a robot with other than six joints.
+    """
+    n_joints = len(how.pair.chain.joints)
+    q = np.array([readings_of(literal) for literal in literals]).reshape(-1, 6)
+    if literals and n_joints != q.shape[1]:
+        raise ProgramError(f"the program has {q.shape[1]} joints, the robot {n_joints}")
+    q = q if literals else np.zeros((0, n_joints))
+    return _corrected(how, told(how.pair, q), Configuration(q_start=q))
+
+
+def _corrected(how: HowCorrected, ends: Floats, configuration: Configuration) -> Correction:
+    if not len(ends):
+        n_joints = len(how.pair.chain.joints)
+        return Correction(
+            np.zeros((0, n_joints)), np.zeros((0, n_joints)), ends, np.zeros((0, 2)), np.zeros((0, 2)), ()
+        )
+    return correct(how.pair, ends, how.method, how.steps, configuration=configuration, margin=how.margin)
+
+
+def _rows(of: Correction, rows: Sequence[int]) -> Correction:
+    """Some of its targets."""
+    k = np.array(rows, dtype=int)
+    problems = tuple(of.problem[i] for i in rows)
+    return Correction(of.q_nominal[k], of.q[k], of.told[k], of.before[k], of.after[k], problems)
+
+
+def _joined(a: Correction, b: Correction) -> Correction:
+    """The targets of one, then of the other."""
+    pairs = ((a.q_nominal, b.q_nominal), (a.q, b.q), (a.told, b.told), (a.before, b.before), (a.after, b.after))
+    q_nominal, q, poses, before, after = (np.concatenate(pair) for pair in pairs)
+    return Correction(q_nominal, q, poses, before, after, (*a.problem, *b.problem))
+
+
+def _problems(program: Program, done: Correction, places: Sequence[int]) -> list[Refused]:
+    return [_refused(program, at, problem) for at, problem in zip(places, done.problem, strict=True) if problem]
+
+
+def _refused(program: Program, at: int, why: str, remedy: str = "") -> Refused:
+    motion = next(one for one in program.motions if one.start == at)
+    return Refused(program.source.line(at), statement_of(program, motion), why, remedy)
+
+
+def _place(target: PoseTarget) -> int:
+    """Where the numbers of a target stand."""
+    return target.literal.start if target.literal is not None else target.goal.start

@@ -1,0 +1,419 @@
+"""Robot programs: what each move goes to is found, only the numbers of targets change, and nothing hostile does harm."""
+
+import contextlib
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from truearm.errors import ProgramError
+from truearm.files.programs.program import (
+    Surroundings,
+    changed_text,
+    changes_of,
+    joint_changes,
+    marks_of,
+    parse_program,
+    poses_of,
+    quarters_of,
+    solved,
+    targets_of,
+)
+from truearm.files.programs.syntax import MAX_DEPTH
+from truearm.files.programs.values import NOWHERE, readings_of
+from truearm.model.poses import apart, pose_of
+
+FREE = "[9E9,9E9,9E9,9E9,9E9,9E9]"
+TOOL = "[TRUE,[[0,0,100],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]]"
+RAPID = (
+    f"MODULE Mod ! caf\xe9 with a target in a comment [[1,2,3],[1,0,0,0],[0,0,0,0],{FREE}]\r\n"
+    f'  CONST string s := "[[1,2,3],[1,0,0,0],[0,0,0,0],{FREE}]";\r\n'
+    f"  PERS tooldata tool1:={TOOL};\r\n"
+    "  CONST jointtarget home:=[[0,0,0,0,30,0],[9E9,9E9,9E9,9E9,9E9,9E9]];\r\n"
+    "  CONST robtarget p10:=[[600.5, -20 ,\t+300],[ 0.5,-.5,5.0E-1,0.5 ],[0,-1,0,1],[9E9,9E+09,9E9,9E9,9E9,9E9]];\r\n"
+    f"  CONST robtarget pp{{2}}:=[[[1,2,3],[1,0,0,0],[0,0,0,0],{FREE}],\r\n"
+    f"    [[4,5,6],[0,0,0,-1],[1,-2,0,0],{FREE}]];\r\n"
+    f"  CONST robtarget unused:=[[9,9,9],[1,0,0,0],[0,0,0,0],{FREE}];\r\n"
+    "PROC main()\r\n  VAR num i;\r\n"
+    f"  MoveL [[7,8,9],[1,0,0,0],[0,0,0,0],{FREE}],v100,fine,tool1;\r\n"
+    "  FOR i FROM 1 TO 2 DO\r\n    MoveJ pp{i},v100,z10,tool1\\WObj:=wobj0;\r\n  ENDFOR\r\n"
+    "  MoveL p10,v100,z10,tool1;\r\nENDPROC\r\nENDMODULE"
+)
+SCRIPT = (
+    "def prog():\n  set_tcp(p[0, 0, 0.1, 0, 0, 0])\n  # movel(p[9,9,9,9,9,9])\n  global here = p[0.4,-.2,0.3, 0,3.2,0]\n"
+    '  $ 3 "MoveJ"\n  feature = p[1,0,0,0,0,0]\n  textmsg("movej(p[1,2,3,4,5,6])")\n'
+    "  movej(get_inverse_kin(here, qnear=[0,1,2,3,4,5]), a=1.4, v=1.05)\n"
+    "  movel(pose_trans(feature, p[0,0,0.05,0,0,0]), a=1.2)\n"
+    "  movec(p[0.1,0.2,0.3,0.1,0.2,0.3], p[+0.2,0.2,0.3,0,0,1e-1], r=0)\n  x = p[0.5,0,0,0,0,0]\nend\n"
+)
+BOTH = [(RAPID, "rapid"), (SCRIPT, "urscript")]
+
+
+def parsed(text, language, **surroundings):
+    data = text if isinstance(text, bytes) else text.encode("latin-1")
+    return parse_program(data, language, Surroundings(**{"tool": NOWHERE, **surroundings}))
+
+
+def script(*lines, **surroundings):
+    """A program of these lines within a def, and its targets; the lines count from 2."""
+    program = parsed("def prog():\n  " + "\n  ".join(lines) + "\nend\n", "urscript", **surroundings)
+    return program, targets_of(program, True, False)
+
+
+def module(*lines, data=(), **surroundings):
+    """A program whose main has these lines, and its targets; data stand from line 2 on."""
+    text = "\n".join(["MODULE m", *data, "PROC main()", *lines, "ENDPROC", "ENDMODULE"])
+    program = parsed(text, "rapid", **surroundings)
+    return program, targets_of(program, True, False)
+
+
+def lines_of(program, targets):
+    return [program.source.line(one.literal.start) for one in targets.poses]
+
+
+def reasons(targets):
+    return [(one.line, one.why) for one in targets.refused]
+
+
+# what moves go to
+
+
+def test_robtargets_are_those_that_moves_go_to():
+    program = parsed(RAPID, "rapid")
+    targets = targets_of(program, True, False)
+    assert targets.refused == ()
+    assert lines_of(program, targets) == [11, 6, 7, 5]
+    place, frame, tool = poses_of(targets.poses)
+    np.testing.assert_allclose(
+        place[:, :3, 3], [*np.array([[7, 8, 9], [1, 2, 3], [4, 5, 6]]) * 1e-3, [0.6005, -0.02, 0.3]]
+    )
+    # w, x, y, z = ½, −½, ½, ½ is 120° about (−1, 1, 1): x goes to −z, y to −x, z to y
+    np.testing.assert_allclose(place[3, :3, :3], [[0, -1, 0], [0, 0, 1], [-1, 0, 0]], atol=1e-15)
+    np.testing.assert_allclose(tool[:, :3, 3], [[0, 0, 0.1]] * 4)
+    np.testing.assert_array_equal(frame, np.tile(np.eye(4), (4, 1, 1)))
+    found = quarters_of(targets.poses, 6)
+    np.testing.assert_array_equal(found[:, [0, 3, 5]], [[0, 0, 0], [0, 0, 0], [1, -2, 0], [0, -1, 0]])
+    assert np.isnan(found[:, [1, 2, 4]]).all()
+    assert np.isnan(quarters_of(targets.poses, 7)).all()
+
+
+def test_script_targets_are_those_that_moves_go_to():
+    program = parsed(SCRIPT, "urscript")
+    targets = targets_of(program, True, False)
+    assert lines_of(program, targets) == [4, 9, 10, 10]
+    place, _, tool = poses_of(targets.poses)
+    np.testing.assert_allclose(place[0], pose_of(np.array([[0.4, -0.2, 0.3]]), np.array([[0, 3.2, 0]]))[0])
+    np.testing.assert_allclose(place[1, :3, 3], [1.0, 0.0, 0.05])  # the feature's frame, then the point in it
+    np.testing.assert_allclose(tool[:, :3, 3], [[0, 0, 0.1]] * 4)
+    assert targets.poses[0].goal.near == (0, 1, 2, 3, 4, 5)
+
+
+P = "p[0.4,0.1,0.3,0,3,0]"
+Q = "p[0.5,0.2,0.3,0,3,0]"
+J = "[0.1,-1.2,1.3,0.4,0.5,0.6]"
+SCRIPT_FORMS = {
+    "name": ([f"W = {P}", "movel(W)"], [2]),
+    "name of a name": ([f"W = {P}", "V = W", "movel(V)"], [2]),
+    "by keyword": ([f"movel(pose={P}, a=1)"], [2]),
+    "inverse kinematics": ([f"W = {P}", f"Wq = {J}", "movej(get_inverse_kin(W, qnear=Wq), v=1)"], [2]),
+    "inverse kinematics of a literal": ([f"movej(get_inverse_kin({P}))"], [2]),
+    "servoj": ([f"servoj(get_inverse_kin({P}), 0, 0, 0.008)"], [2]),
+    "joints kept in a name": ([f"q = get_inverse_kin({P})", "movej(q)"], [2]),
+    "list, any element": ([f"path = [{P},", f" {Q}]", "i = 0", "while i < 2:", "movel(path[i])", "i = i + 1", "end"], [2, 3]),
+    "list, one element": ([f"path = [{P},", f" {Q}]", "movel(path[1])"], [3]),
+    "struct": ([f"w = struct(pose={P}, speed=0.1)", "movel(w.pose, v=w.speed)"], [2]),
+    "list of structs": ([f"ws = [struct(pose={P}),", f" struct(pose={Q})]", "movel(ws[k].pose)"], [2, 3]),
+    "feature": ([f"Plane = {Q}", f"W = {P}", "movel(pose_trans(Plane, W))"], [3]),
+    "optimove": ([f"optimovel({P})", f"optimovej({Q})"], [2, 3]),
+    "circle": ([f"movec({P}, {Q}, r=0)"], [2, 2]),
+    "process": ([f"movep({P})", f"servoc({Q})"], [2, 3]),
+    "one of two": (["if a:", f"W = {P}", "else:", f"W = {Q}", "end", "movel(W)"], [3, 5]),
+    "assigned twice": ([f"W = {P}", "movel(W)", f"W = {Q}", "movel(W)"], [2, 4]),
+    "routine": (["def go(x):", "movel(x)", "end", f"go({P})", f"go({Q})"], [5, 6]),
+    "routine that gives a pose": (["def at():", f"return {P}", "end", "movel(at())"], [3]),
+    "global": ([f"global W={P}", "def go():", "movel(W)", "end", "go()"], [2]),
+    "step marker after a definition": ([f"W = {P}", '$ 3 "MoveJ" "noBreak"', "movel(W)"], [2]),
+    "several lines": (["movel(pose_trans(", f"{Q},", f"{P}", "),", "a=1.2)"], [4]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("form", SCRIPT_FORMS)
+def test_forms_of_urscript(form):
+    text, expected = SCRIPT_FORMS[form]
+    program, targets = script(*text)
+    assert reasons(targets) == []
+    assert lines_of(program, targets) == expected
+
+
+SCRIPT_REFUSALS = {
+    "where it is": (["movel(pose_trans(get_actual_tcp_pose(), p[0,0,0.1,0,0,0]))"], 2, "get_actual_tcp_pose gives is known at run time"),
+    "socket": (["q = socket_read_ascii_float(6)", "movej([q[1], q[2], q[3], q[4], q[5], q[6]])"], 3, "run time only"),
+    "changed in a loop": ([f"W = {P}", "while True:", "movel(W)", "W = pose_add(W, p[0,0,0.01,0,0,0])", "end"], 4, "changes from turn to turn"),
+    "shared under two tools": ([f"W = {P}", "set_tcp(p[0,0,0.1,0,0,0])", "movel(W)", "set_tcp(p[0,0,0.2,0,0,0])", "movel(W)"], 6, "other numbers in the target of line 2 than line 4"),
+    "tool at run time": (["set_tcp(get_tcp_offset_of(1))", f"movel({P})"], 2, "not defined in this file; it may move the robot"),
+    "numbers of names": (["x = 0.4", "movel(p[x,0.1,0.3,0,3,0])"], 3, "not written as plain numbers in one place"),
+    "speed": (["speedl([0,0,0.1,0,0,0], 0.5, 1)"], 2, "moves the robot without a target"),
+    "force": (["force_mode(p[0,0,0,0,0,0],[0,0,1,0,0,0],[0,0,10,0,0,0],2,[1,1,1,1,1,1])"], 2, "without a target"),
+    "unknown function": (["gripper_go(3)"], 2, "gripper_go is not defined in this file"),
+    "nobody's value": (["movel(Nowhere)"], 2, "Nowhere has no value that this file gives"),
+    "recursion": (["def f(x):", "f(x)", f"movel({P})", "end", "f(1)"], 3, "calls itself"),
+    "thread": ([f"global W={P}", "thread T():", f"global W={Q}", "end", "t = run T()", "movel(W)"], 7, "changed by what runs beside"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", SCRIPT_REFUSALS)
+def test_moves_of_urscript_that_cannot_be_corrected(what):
+    text, line, why = SCRIPT_REFUSALS[what]
+    _, targets = script(*text)
+    assert [(at, True) for at, _ in reasons(targets)][:1] == [(line, True)]
+    assert why in reasons(targets)[0][1]
+
+
+def test_a_tool_that_nobody_says_is_refused():
+    program = parsed(f"def p():\n  movel({P})\nend", "urscript", tool=None)
+    assert [one.why for one in targets_of(program, True, False).refused] == [
+        "no set_tcp comes before it, so its tool is not known"
+    ]
+
+
+T1 = f"[[400,100,300],[0,1,0,0],[0,0,0,0],{FREE}]"
+T2 = f"[[500,200,300],[0,1,0,0],[0,0,0,0],{FREE}]"
+WORK = '[FALSE,TRUE,"",[[100,0,0],[1,0,0,0]],[[0,50,0],[1,0,0,0]]]'
+RAPID_FORMS = {
+    "name": ([f"CONST robtarget a:={T1};"], ["MoveL a,v10,fine,tool0;"], [2]),
+    "upper case": ([f"CONST robtarget pA:={T1};"], ["MOVEL PA,v10,fine,TOOL0;"], [2]),
+    "assigned": ([f"CONST robtarget a:={T1};", "VAR robtarget b;"], ["b:=a;", "MoveJ b,v10,fine,tool0;"], [2]),
+    "array": ([f"CONST robtarget a{{2}}:=[{T1},", f"{T2}];"], ["MoveL a{n},v10,fine,tool0;"], [2, 3]),
+    "record": (
+        ["RECORD seam", "robtarget p; num s;", "ENDRECORD", f"VAR seam w:=[{T1},5];"],
+        ["MoveL w.p,v10,fine,tool0;"],
+        [5],
+    ),
+    "offset": ([f"CONST robtarget a:={T1};"], ["MoveL Offs(a,0,0,50),v10,fine,tool0;"], [2]),
+    "along the tool": ([f"CONST robtarget a:={T1};"], [r"MoveL RelTool(a,0,0,-50\Rz:=10),v10,fine,tool0;"], [2]),
+    "process": ([f"CONST robtarget a:={T1};"], [r"ArcL a,v10,sm1,wd1\Weave:=wv1,fine,tool0\WObj:=wobj0;"], [2]),
+    "spot": ([f"CONST robtarget a:={T1};"], [r"SpotL a,v10,spot1\InPos,gun1,tool0;"], [2]),
+    "trigger": ([f"CONST robtarget a:={T1};"], [r"TriggL a,v10,t1\T2:=t2,fine,tool0;"], [2]),
+    "circle": ([f"CONST robtarget a:={T1};"], [f"MoveC a,{T2},v10,fine,tool0;"], [2, 4]),
+    "routine": ([f"CONST robtarget a:={T1};"], ["go a;", "ENDPROC", "PROC go(robtarget x)", "MoveL x,v10,fine,tool0;"], [2]),
+    "trap's routine": ([f"CONST robtarget a:={T1};"], ["ENDPROC", "TRAP t", "MoveL a,v10,fine,tool0;", "ENDTRAP", "PROC x()"], [2]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("form", RAPID_FORMS)
+def test_forms_of_rapid(form):
+    data, text, expected = RAPID_FORMS[form]
+    program, targets = module(*text, data=data)
+    assert reasons(targets) == []
+    assert lines_of(program, targets) == expected
+
+
+def test_tools_and_work_objects_of_a_module():
+    data = [f"PERS tooldata t:={TOOL};", f"TASK PERS wobjdata w:={WORK};", f"CONST robtarget a:={T1};"]
+    _, targets = module(r"MoveL a,v10,fine,t\WObj:=w;", data=data)
+    place, frame, tool = poses_of(targets.poses)
+    np.testing.assert_allclose(frame[0, :3, 3], [0.1, 0.05, 0.0])
+    np.testing.assert_allclose(tool[0, :3, 3], [0.0, 0.0, 0.1])
+    np.testing.assert_allclose(place[0, :3, 3], [0.4, 0.1, 0.3])
+
+
+RAPID_REFUSALS = {
+    "tool from elsewhere": ([], [f"MoveL {T1},v10,fine,tTorch;"], "ttorch has no value that this file gives"),
+    "work object from elsewhere": ([], [rf"MoveL {T1},v10,fine,tool0\WObj:=wTable;"], "wtable has no value that this file gives"),
+    "moving work object": ([f"PERS wobjdata w:={WORK.replace(chr(34) * 2, chr(34) + 'STN1' + chr(34))};"], [rf"MoveL {T1},v10,fine,tool0\WObj:=w;"], "moved by a mechanical unit"),
+    "work object in the hand": ([f"PERS wobjdata w:={WORK.replace('FALSE', 'TRUE', 1)};"], [rf"MoveL {T1},v10,fine,tool0\WObj:=w;"], "held by the robot"),
+    "stationary tool": ([f"PERS tooldata t:={TOOL.replace('TRUE', 'FALSE', 1)};"], [f"MoveL {T1},v10,fine,t;"], "not held by the robot"),
+    "where it is": ([], ["MoveL Offs(CRobT(),0,0,50),v10,fine,tool0;"], "crobt gives is known at run time"),
+    "displaced": ([], ["PDispSet d;", f"MoveL {T1},v10,fine,tool0;"], "displaces the program at run time"),
+    "offset and itself": ([f"CONST robtarget a:={T1};"], ["MoveL Offs(a,0,0,50),v10,fine,tool0;", "MoveL a,v10,fine,tool0;"], "other numbers in the target of line 2"),
+    "unknown instruction": ([], ["Weld 3;"], "weld is not defined in this file; it may move the robot"),
+    "late binding": ([], ['%"go"+NumToStr(3,0)%;'], "% is not defined in this file"),
+    "expressions": ([], [f"MoveL [[x,2,3],[1,0,0,0],[0,0,0,0],{FREE}],v10,fine,tool0;"], "x has no value"),
+    "guided by a camera": ([], ["MoveL GetTarget(),v10,fine,tool0;"], "gettarget is not defined in this file"),
+    "changed component": ([f"VAR robtarget a:={T1};"], ["a.trans.z:=a.trans.z+d;", "MoveL a,v10,fine,tool0;"], "d has no value"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", RAPID_REFUSALS)
+def test_moves_of_rapid_that_cannot_be_corrected(what):
+    data, text, why = RAPID_REFUSALS[what]
+    _, targets = module(*text, data=data)
+    assert len(targets.refused) >= 1
+    assert why in targets.refused[0].why
+
+
+def test_a_function_that_a_person_answers_for():
+    assert script("gripper_go(3)", f"movel({P})", harmless=frozenset({"gripper_go"}))[1].refused == ()
+
+
+# numbers in, numbers out
+
+
+def retold(text, language, poses, **more):
+    """The program with other poses of its targets."""
+    program = parsed(text, language)
+    targets = targets_of(program, False, more.get("split", False)).poses
+    told = poses(len(targets))
+    return program, targets, told, changed_text(program, changes_of(program, targets, told, solved(targets, told)))
+
+
+def other_poses(n):
+    rng = np.random.default_rng(0)
+    return pose_of(rng.normal(size=(n, 3)), rng.normal(size=(n, 3)))
+
+
+@pytest.mark.parametrize(("text", "language"), BOTH)
+def test_only_the_numbers_change(text, language):
+    program, targets, told, data = retold(text, language, other_poses)
+    again = parsed(data, language)
+    after = targets_of(again, False, False).poses
+    # 10 nm and 1e-10 of a quaternion or 1 nrad as written
+    np.testing.assert_allclose(apart(poses_of(after)[0], told), 0.0, atol=2e-8)
+    assert without(text, targets) == without(data.decode("latin-1"), after)
+    np.testing.assert_array_equal(quarters_of(targets, 6), quarters_of(after, 6))
+    assert program.motions[0].name == again.motions[0].name
+
+
+def without(text, targets):
+    """The text with every number of a target cut out."""
+    counts = {"p": 6, "[": 7}
+    spans = sorted(
+        {(n.start, n.end) for one in targets for n in one.literal.numbers[: counts[text[one.literal.start]]]}
+    )
+    pieces, at = [], 0
+    for start, end in spans:
+        pieces.append(text[at:start])
+        at = end
+    return [*pieces, text[at:]]
+
+
+@pytest.mark.parametrize(("text", "language"), BOTH)
+def test_unchanged_poses_keep_their_sense_of_turning(text, language):
+    program = parsed(text, language)
+    targets = targets_of(program, False, False).poses
+    data = changed_text(
+        program, changes_of(program, targets, poses_of(targets)[0], solved(targets, poses_of(targets)[0]))
+    )
+    after = targets_of(parsed(data, language), False, False).poses
+    old, new = ([n.value for one in part for n in one.literal.numbers] for part in (targets, after))
+    np.testing.assert_allclose(new, old, atol=1e-5)  # 10 nm in a RAPID's mm
+
+
+SHARED = [f"W = {P}", "movel(W)", "movel(pose_trans(W, p[0,0,-0.1,0,0,0]))", f"F = {Q}", f"movel(pose_inv(pose_trans(F, {P})))",
+          f"movel(pose_add({P}, p[0,0,0.1,0.1,0,0]))", f"movel(pose_sub({Q}, p[0.1,0,0.1,0.1,0,0]))"]  # fmt: skip
+
+
+def test_products_are_solved_for_the_literal_that_takes_up_the_correction():
+    """A feature, an approach from a corrected point, an inverse, and sums of poses."""
+    text = "def prog():\n" + "\n".join(f"  {line}" for line in SHARED) + "\nend\n"
+    _, targets, told, data = retold(text, "urscript", other_poses)
+    assert len(targets) == 5
+    after = targets_of(parsed(data, "urscript"), False, False).poses
+    np.testing.assert_allclose(
+        apart(poses_of(after)[0], told), 0.0, atol=5e-8
+    )  # each literal rounds to 1 nm, at arms of 1 m
+
+
+def test_sums_of_poses_are_those_of_the_manual():
+    """pose_add adds positions and multiplies rotations; pose_sub undoes it."""
+    a, b = np.array([0.4, 0.1, 0.3, 0.0, 3.0, 0.0]), np.array([0.1, 0.2, 0.3, 0.5, -0.2, 0.1])
+    six = [f"p[{','.join(map(str, value))}]" for value in (a, b)]
+    _, targets = script(f"movel(pose_add({six[0]}, {six[1]}))", f"movel(pose_sub({six[0]}, {six[1]}))")
+    place = poses_of(targets.poses)[0]
+    turn_a, turn_b = Rotation.from_rotvec(a[3:]), Rotation.from_rotvec(b[3:])
+    np.testing.assert_allclose(place[:, :3, 3], [a[:3] + b[:3], a[:3] - b[:3]])
+    np.testing.assert_allclose(place[0, :3, :3], (turn_a * turn_b).as_matrix(), atol=1e-15)
+    np.testing.assert_allclose(place[1, :3, :3], (turn_a * turn_b.inv()).as_matrix(), atol=1e-15)
+
+
+def test_split_writes_a_target_of_its_own():
+    text = "\n".join(["MODULE m", f"CONST robtarget a:={T1};", "PROC main()", "MoveL Offs(a,0,0,50),v10,fine,tool0;", "MoveL a,v10,fine,tool0;", "ENDPROC", "ENDMODULE"])  # fmt: skip
+    _, targets, told, data = retold(text, "rapid", other_poses, split=True)
+    assert [one.literal is None for one in targets] == [False, True] or [one.literal is None for one in targets] == [
+        True,
+        False,
+    ]
+    after = targets_of(parsed(data, "rapid"), False, False).poses
+    np.testing.assert_allclose(apart(poses_of(after)[0], told), 0.0, atol=2e-8)
+    assert b"Offs" not in data or b"Offs(a" in data
+    assert data.count(b"[0,0,0,0],[9E9") == 2  # the configuration and the external axes of the one it came from
+
+
+def test_joint_readings_are_written_in_their_unit():
+    text = "\n".join(["MODULE m", f"CONST jointtarget j:=[[10,20,30,40,50,60],{FREE}];", "PROC main()", r"MoveAbsJ j\NoEOffs,v10,fine,tool0;", "ENDPROC", "ENDMODULE"])  # fmt: skip
+    program = parsed(text, "rapid")
+    (literal, _) = targets_of(program, True, False).joints[0]
+    np.testing.assert_allclose(readings_of(literal), np.deg2rad([10, 20, 30, 40, 50, 60]))
+    data = changed_text(program, joint_changes([literal], np.deg2rad([[11.25, -20.5, 30, 40, 50, 60]])))
+    assert b"[[11.25,-20.5,30,40,50,60],[9E9" in data
+    program, targets = script(f"q = {J}", "movej(q)")
+    assert targets.joints[0][0].numbers[0].value == 0.1
+    assert targets_of(program, False, False).joints == ()
+
+
+def test_moves_that_are_not_corrected_are_marked():
+    program, targets = script("gripper_go(3)  # close", f"movel({P})")
+    marked = changed_text(program, marks_of(program, targets.refused)).decode()
+    assert (
+        marked.splitlines()[1]
+        == "  gripper_go(3)  # close # truearm: not corrected: gripper_go is not defined in this file; it may move the robot"
+    )
+    assert parsed(marked, "urscript").motions[0].name == "gripper_go"
+
+
+# bad input
+
+BAD = [
+    ("", "rapid", "the file ends where MODULE should stand"),
+    ("def f():\nend\n", "urscript", "moves the robot nowhere"),
+    ("def f():\n  movel(p[1,2,3", "urscript", "line 2: the file ends where a comma or ] should stand; it is cut short"),
+    ("def f():\n  movel(W)\n", "urscript", "the file ends where the end of def f \\(line 1\\) should stand"),
+    ("MODULE m\nPROC main()\n", "rapid", "line 3: the file ends where ENDPROC"),
+    ("MODULE m\n]", "rapid", "line 2: ']' stands where a declaration or a routine should"),
+    (f"movel({'(' * (MAX_DEPTH + 1)}", "urscript", "nested more than"),
+    ("movel(p[1,2,3000,4,5,6])", "urscript", "line 1: 3000 is not a place that a robot reaches"),
+    (f"MODULE m\nPROC main()\nMoveL [[1,2,3],[1,1,0,0],[0,0,0,0],{FREE}],v1,fine,tool0;\nENDPROC\nENDMODULE", "rapid", "line 3: the orientation is no unit quaternion"),
+    (f"MODULE m\nPROC main()\nMoveL [[1e9999,2,3],[1,0,0,0],[0,0,0,0],{FREE}],v1,fine,tool0;\nENDPROC\nENDMODULE", "rapid", "not a place that a robot reaches"),
+    ("a\0b", "rapid", "NUL"),
+    ("movel(p[1,2,3,4,5,6]) ; halt", "urscript", "line 1: '; halt' is not known"),
+    (b"# caf\xc3\xa9\nmovel(p[0,0,0,0,0,0])\n# caf\xe9\n", "urscript", "line 3 is not UTF-8 and line 1 is"),
+    ("def movel(x):\nend\n", "urscript", "line 1: movel is a function of the language"),
+    ("def f():\nend\ndef f():\nend\n", "urscript", "line 3: f is defined twice"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "language", "says"), BAD)
+def test_bad_programs_are_one_clear_line(text, language, says):
+    with pytest.raises(ProgramError, match=says) as caught:
+        targets_of(parsed(text, language), True, False)
+    assert "\n" not in str(caught.value)
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.lists(st.sampled_from(["p[", "[", "]", "(", ")", ",", "=", "1", "-2.5e3", "movel", "movej", "W", "def f():", "end", "while", "if", ":", "\n",
+                              "get_inverse_kin", "MODULE m", "PROC main()", "ENDPROC", "ENDMODULE", ";", "MoveL", T1, P, ":=", "{", "}", "tool0", "Offs(", "\\", ".",
+                              "FOR", "DO", "TEST", "CASE", "global ", "CONST robtarget ", " "]), max_size=40).map("".join),
+    st.sampled_from(["rapid", "urscript"]),
+)  # fmt: skip
+def test_any_text_is_read_or_refused(text, language):
+    with contextlib.suppress(ProgramError):
+        targets_of(parsed(text, language), True, False)
+
+
+@pytest.mark.parametrize(("text", "language"), BOTH)
+@settings(max_examples=150, deadline=None)
+@given(st.integers(0, 10**6), st.integers(0, 3), st.sampled_from(["", "(", "]", "end", ";", "0", "p[", "{", '"', "W"]))
+def test_damaged_programs_are_read_or_refused(text, language, seed, cut, put):
+    at = seed % len(text)
+    with contextlib.suppress(ProgramError):
+        targets_of(parsed(text[:at] + put + text[at + cut :], language), True, False)
+
+
+def test_routines_that_call_each_other_are_followed_within_a_bound():
+    """Twenty routines of which each calls the next twice would be a million calls."""
+    lines = [f"def f{k}():\nf{k + 1}()\nf{k + 1}()\nend" for k in range(19)] + [f"def f19():\nmovel({P})\nend"]
+    with pytest.raises(ProgramError, match="too involved"):
+        parsed("def prog():\n" + "\n".join(reversed(lines)) + "\nf0()\nend", "urscript")
