@@ -28,6 +28,7 @@ from truearm.model.builtin import builtin_names
 from truearm.model.robot import Robot
 from truearm.plan.ball_bar_plan import BallBarPlan
 from truearm.types import ObservationTable, Rig
+from truearm.units import UNITS
 from truearm.workflows import correct, export, plan
 from truearm.workflows import error_map as maps
 from truearm.workflows import identify as identification
@@ -469,6 +470,8 @@ def plan_ball_bar(
     if (poses is None) == (minutes is None):
         raise InputError("poses, minutes: give one of them as the budget")
     chosen = options or BallBarOptions()
+    if result is not None and result.chain.parameter_names != robot.chain.parameter_names:
+        raise InputError(f"result: is of robot {result.chain.name}, its parameters are not those of {robot.chain.name}")
     if result is not None:
         chosen = replace(chosen, reserve=plan.RESULT_RESERVE if chosen.reserve is None else chosen.reserve)
     known = plan.known_of(robot, rig, None if result is None else result)
@@ -637,6 +640,8 @@ def _joints(name: str, given: Joints | None, result: Calibration) -> tuple[float
 
 def _check_rigid(name: str, poses: NDArray[np.float64]) -> None:
     """Raise InputError unless all of (n, 4, 4) are rotations with a translation."""
+    if np.abs(poses[:, :3, 3]).max() > UNITS["m"].largest:
+        raise InputError(f"{name}: a position is farther than {UNITS['m'].largest:g} m; positions are in m")
     turn = poses[:, :3, :3]
     off = np.abs(turn @ turn.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
     bad = (off > RIGID) | (np.linalg.det(turn) < 0.0) | (poses[:, 3] != [0.0, 0.0, 0.0, 1.0]).any(axis=1)
@@ -652,6 +657,9 @@ def _table(name: str, value: ObservationTable, robot: Robot) -> ObservationTable
         raise InputError(f"{name}: has {value.q.shape[1]} joints, robot {robot.chain.name} has {joints}")
     if not len(value):
         raise InputError(f"{name}: has no rows")
+    largest = [UNITS[unit].largest for unit in robot.chain.joint_units]
+    if (np.abs(value.q) > largest).any():
+        raise InputError(f"{name}: no joint goes so far as {np.nanmax(np.abs(value.q)):g}; q is in rad and m")
     return value
 
 
@@ -664,7 +672,7 @@ def _rigs(rig: Rigs | None, table: ObservationTable) -> Rigs:
     missing = sorted(set(table.rig.tolist()) - set(rig))
     if missing:
         raise InputError(
-            f"rig: has no rig {missing[0]!r}, which rows of the table name; it has {', '.join(sorted(rig))}"
+            f"rig: has no rig {missing[0]!r}, which rows of the table name; it has {', '.join(sorted(rig)) or 'none'}"
         )
     for name, one in rig.items():
         observation_table.check_against_rig(table.select(table.rig == name), one)

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.arguments import check_fields
+from truearm.arguments import check, check_fields
 from truearm.errors import Argument, InputError, PlanError
 
 Floats = NDArray[np.float64]
@@ -200,7 +200,7 @@ class ObservationTable:
     standard deviation of each residual in the (first) unit of the row's kind, m or rad, NaN where the rig's figure is to be used; ``xyz_sigma`` [m]: of this point's own
     noise along the device's axes, beside that figure, NaN for none. The identifier columns hold ""
     where a row has none. ``rig`` says which of several rigs a row belongs to, ``source`` where a row comes from, for
-    messages ("poses.csv row 17"). ``more`` are the columns that only other kinds have, (n,) or (n, c), by the name that the kind
+    messages ("poses.csv row 17"; not given, "table[16]"). ``more`` are the columns that only other kinds have, (n,) or (n, c), by the name that the kind
     declares. Columns that are not given are filled with NaN or "". Raises TypeError and InputError for a column that has another type or shape.
 
     Examples
@@ -247,14 +247,19 @@ class ObservationTable:
         for name, shape in shapes.items():
             if getattr(self, name) is None:
                 blank = np.nan if len(shape) == 2 or name in ("value", "sigma") else ""
-                object.__setattr__(self, name, np.broadcast_to(np.array(blank), shape))
+                rows = (
+                    [f"table[{i}]" for i in range(n)] if name == "source" else np.broadcast_to(np.array(blank), shape)
+                )
+                object.__setattr__(self, name, rows)
             is_text = len(shape) == 1 and name not in ("value", "sigma")
             object.__setattr__(self, name, _column(name, getattr(self, name), is_text))
             if getattr(self, name).shape != shape:
                 raise InputError(Argument(name), f" must be {shape}, is {getattr(self, name).shape}")
+        check("more", self.more, Mapping[str, Any])
         for name, column in self.more.items():
-            if column.shape[:1] != (n,):
-                raise InputError(Argument(name), f" must have {n} rows, is {column.shape}")
+            if np.shape(column)[:1] != (n,):
+                raise InputError(Argument(name), f" must have {n} rows, is {np.shape(column)}")
+        object.__setattr__(self, "more", {name: np.asarray(column) for name, column in self.more.items()})
 
     def __len__(self) -> int:
         return int(self.q.shape[0])

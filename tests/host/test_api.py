@@ -370,6 +370,13 @@ REFUSED = [
     ("q", TypeError, lambda a: truearm.ObservationTable(q=[[1.0], [1.0, 2.0]], kind=["seat"])),
     ("kind", TypeError, lambda a: truearm.ObservationTable(q=[[1.0]], kind=[3])),
     ("value", InputError, lambda a: truearm.ObservationTable(q=[[1.0]], kind=["seat"], value=[1.0, 2.0])),
+    ("more", TypeError, lambda a: truearm.ObservationTable(q=[[1.0]], kind=["seat"], more=3)),
+    ("a", InputError, lambda a: truearm.ObservationTable(q=[[1.0]], kind=["seat"], more={"a": [1.0, 2.0]})),
+    ("poses", InputError, lambda a: truearm.correct_poses(a.result, np.eye(4) + 1e300 * np.eye(4, k=3))),
+    ("table", InputError, lambda a: truearm.identify(a.robot, replace(a.table, q=np.degrees(a.table.q)), a.rig)),
+    ("table", InputError, lambda a: truearm.identify(a.robot, a.table.select(slice(0)), a.rig)),
+    ("rig", InputError, lambda a: truearm.identify(a.robot, a.table, {})),
+    ("result", InputError, lambda a: truearm.plan_ball_bar(truearm.load_robot("irb120"), a.bench, poses=8, result=a.result)),
 ]  # fmt: skip
 
 
@@ -408,6 +415,14 @@ def test_no_argument_and_no_option_takes_anything(folder, robot, table, rig, res
                 record(**{name: object()})
             tried += 1
     assert tried > 60
+
+
+def test_a_row_of_a_table_in_memory_is_named(robot, table, rig):
+    q = table.q.copy()
+    q[3, 2] = np.nan
+    bare = truearm.ObservationTable(q, table.kind, table.value, bar=table.bar, chuck=table.chuck, sphere=table.sphere)
+    with pytest.raises(truearm.ProblemError, match=r"^table\[3\]: a joint reading is not a finite number"):
+        truearm.identify(robot, bare, rig)
 
 
 def test_numpy_numbers_and_lists_are_taken():
