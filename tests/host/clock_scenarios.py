@@ -188,9 +188,9 @@ class HostClock:
 
 def host_clock(rng, seconds, steps=0, slews=0, rates=0, apart=APART_S):
     """Steps of 50 µs to 10 ms, slews by 50 to 500 ppm for 1 to 20 s, lasting changes of the rate by 20 to 400 ppm in all."""
-    at = times_apart(rng, steps, apart, seconds - apart, apart)
-    begin = times_apart(rng, slews, apart, seconds - 20.0 - apart, 20.0 + apart)
-    lasting = times_apart(rng, rates, apart, seconds - apart, apart)
+    slewed_s = 20.0 if slews else 0.0
+    times = times_apart(rng, steps + slews + rates, apart, seconds - slewed_s - apart, slewed_s + apart)
+    at, begin, lasting = np.split(rng.permutation(times), [steps, steps + slews])
     size = np.concatenate([rng.uniform(50.0, 500.0, slews), 10.0 ** rng.uniform(1.3, 2.3, rates)]) * PPM
     return HostClock(
         at,

@@ -26,6 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -60,11 +61,18 @@ class Window:
     host_ref_ns: int
     offset_ns: float
     rate: float
-    lines: Floats  # (v, 2) offset_ns and rate of the corners of all lines that may be the tangent in the centre
     margin_ns: float  # to the bounds without slack; negative where the clock bends
     centre_us: int
     rejected_us: tuple[int, ...]  # t1 of the exchanges that were left out
     reach_ns: float  # the farthest that these allow; 0 without any
+    kept: Ints  # (n, 4) the rows
+
+    @cached_property
+    def lines(self) -> Floats:
+        """Offset_ns and rate (v, 2) of the corners of all lines that may be the tangent in the centre."""
+        rates, low, high = _widened_candidates(self.kept, self.device_ref_us, self.host_ref_ns, self.centre_us)
+        short = min(0.0, 0.5 * float(np.max(high - low)))  # by no more than rounding, or there were no window
+        return _corners(rates, low + short, high - short)
 
     def to_host_ns(self, t_us: Ints) -> tuple[Ints, Floats]:
         """Host times [ns] of device times (n,) and how far they may be off [ns]."""
@@ -146,16 +154,18 @@ def fit_line(part: Ints, keep: NDArray[np.bool_]) -> Window | None:
         return None
     used, centre = part[keep], _centre(part)
     device_ref, host_ref = int(used[len(used) // 2, 1]), int(used[len(used) // 2, 0])
-    points = _points(used, device_ref, host_ref)
-    rates, low, high = _candidates(points.widened(1e3 * (centre - device_ref)))
-    widest = float(np.max(high - low))
-    if widest < -2.0 * ROUNDING_NS:
-        return None
-    lines = _corners(rates, low + min(0.0, 0.5 * widest), high - min(0.0, 0.5 * widest))
-    offset, rate, margin = _middle(*_candidates(points))
+    offset, rate, margin = _middle(*_candidates(_points(used, device_ref, host_ref)))
+    if margin < -ROUNDING_NS:
+        _, low, high = _widened_candidates(used, device_ref, host_ref, centre)
+        if float(np.max(high - low)) < -2.0 * ROUNDING_NS:
+            return None
     reach = _reach(_points(part[~keep], device_ref, host_ref), offset, rate)
     rejected = tuple(part[~keep, 1].tolist())
-    return Window(device_ref, host_ref, offset, rate, lines, margin, centre, rejected, reach)
+    return Window(device_ref, host_ref, offset, rate, margin, centre, rejected, reach, used)
+
+
+def _widened_candidates(used: Ints, device_ref: int, host_ref: int, centre: int) -> tuple[Floats, Floats, Floats]:
+    return _candidates(_points(used, device_ref, host_ref).widened(1e3 * (centre - device_ref)))
 
 
 def _middle(rates: Floats, low: Floats, high: Floats) -> tuple[float, float, float]:
@@ -220,6 +230,46 @@ def consistent(part: Ints) -> NDArray[np.bool_]:
     if solution.x is None:
         return np.zeros(n, dtype=bool)
     return np.asarray(solution.x[2:] <= ROUNDING_NS)
+
+
+class _Lines(NamedTuple):
+    """The lines of windows (k,)."""
+
+    centre_us: Ints
+    device_ref_us: Ints
+    host_ref_ns: Ints
+    offset_ns: Floats
+    rate: Floats
+
+    @classmethod
+    def of(cls, windows: Sequence[Window]) -> _Lines:
+        whole = np.array([(w.centre_us, w.device_ref_us, w.host_ref_ns) for w in windows], dtype=np.int64)
+        return cls(*whole.T, *np.array([(w.offset_ns, w.rate) for w in windows]).T)
+
+    def host_ns(self, k: NDArray[np.intp], t_us: Ints) -> Ints:
+        """Host times (n,) of device times by the lines k (n,)."""
+        whole = 1000 * (t_us - self.device_ref_us[k])  # exact; only what is small becomes a float
+        return np.asarray(
+            self.host_ref_ns[k] + whole + np.rint(self.offset_ns[k] + self.rate[k] * whole).astype(np.int64)
+        )
+
+
+def host_by_lines(windows: Sequence[Window], t_us: Ints) -> Ints:
+    """Host times [ns] by the lines of the two windows about each device time (n,)."""
+    lines = _Lines.of(windows)
+    centre, last = lines.centre_us, len(windows) - 1
+    left = np.clip(np.searchsorted(centre, t_us, side="right") - 1, 0, last)
+    right = np.minimum(left + 1, last)
+    weight = np.clip((t_us - centre[left]) / np.maximum(centre[right] - centre[left], 1), 0.0, 1.0)
+    host = lines.host_ns(left, t_us)
+    return np.asarray(host + np.rint(weight * (lines.host_ns(right, t_us) - host)).astype(np.int64))
+
+
+def disagreements(windows: Sequence[Window]) -> Ints:
+    """What the lines of neighbours differ by half-way between their centres (k − 1,) [ns]."""
+    lines, k = _Lines.of(windows), np.arange(len(windows) - 1)
+    halfway = (lines.centre_us[:-1] + lines.centre_us[1:]) // 2
+    return lines.host_ns(k, halfway) - lines.host_ns(k + 1, halfway)
 
 
 def blended(windows: Sequence[Window], t_us: Ints) -> tuple[Ints, Floats]:

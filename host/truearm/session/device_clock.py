@@ -29,7 +29,16 @@ from numpy.typing import NDArray
 
 from truearm.session.box_messages import Exchange
 from truearm.session.clock_bounds import SPAN, Change, ClockBounds
-from truearm.session.clock_windows import RATE_LIMIT, TICK_US, WINDOW_US, Ints, Window, blended, windows_of
+from truearm.session.clock_windows import (
+    RATE_LIMIT,
+    TICK_US,
+    WINDOW_US,
+    Ints,
+    Window,
+    disagreements,
+    host_by_lines,
+    windows_of,
+)
 from truearm.types import Floats
 from truearm.units import PPM
 
@@ -73,7 +82,7 @@ class DeviceClock:
         of_stretch = np.searchsorted(begins, t_us, side="right")
         for k, stretch in enumerate(self.stretches):
             inner = (of_stretch == k) & ((t_us <= stretch.end_us) | (k + 1 == len(self.stretches)))
-            best[inner] = blended(stretch.windows, t_us[inner])[0] - reference[inner]
+            best[inner] = host_by_lines(stretch.windows, t_us[inner]) - reference[inner]
         best = np.where((best >= low) & (best <= high), best, 0.5 * (low + high))
         bound = np.maximum(np.maximum(high - best, best - low), self.least_bound_ns) + HOST_ROUNDING_NS
         return reference + np.rint(best).astype(np.int64), bound
@@ -154,7 +163,7 @@ def _report(clock: DeviceClock, every: Ints, sane: Ints, wrong: NDArray[np.bool_
     left_out |= (t_us < stretches[0].begin_us) | (
         t_us > np.array([stretch.end_us for stretch in stretches])[of_stretch]
     )
-    spreads = [apart for stretch in stretches for apart in _apart(stretch.windows)]
+    apart = np.concatenate([disagreements(stretch.windows) for stretch in stretches])
     return ClockReport(
         segment=clock.segment,
         exchanges=len(every),
@@ -164,7 +173,7 @@ def _report(clock: DeviceClock, every: Ints, sane: Ints, wrong: NDArray[np.bool_
         offset_ns=int(host[0]) - 1000 * middle,
         rate_ppm=float(np.mean(rates)),
         rate_range_ppm=float(np.ptp(rates)),
-        spread_ns=float(np.sqrt(np.mean(np.square(spreads)) / 2.0)) if spreads else float("nan"),
+        spread_ns=float(np.sqrt(np.mean(np.square(apart.astype(float))) / 2.0)) if apart.size else float("nan"),
         margin_ns=min(window.margin_ns for window in windows),
         bound_ns=float(np.max(bound)),
         rtt_min_ns=int(np.min(rtt)),
@@ -177,17 +186,8 @@ def _report(clock: DeviceClock, every: Ints, sane: Ints, wrong: NDArray[np.bool_
 def _change(before: Stretch, after: Stretch) -> ClockChange:
     """What the lines before and after it differ by in the middle between them."""
     middle = np.array([(before.end_us + after.begin_us) // 2])
-    (from_ns,), (to_ns,) = (blended(stretch.windows, middle)[0] for stretch in (before, after))
+    (from_ns,), (to_ns,) = (host_by_lines(stretch.windows, middle) for stretch in (before, after))
     return ClockChange((before.end_us, after.begin_us), int(to_ns - from_ns))
-
-
-def _apart(windows: Sequence[Window]) -> list[float]:
-    """Disagreement [ns] of neighbouring windows half-way between their centres."""
-    apart = []
-    for a, b in pairwise(windows):
-        halfway = np.array([(a.centre_us + b.centre_us) // 2])
-        apart.append(float((a.to_host_ns(halfway)[0] - b.to_host_ns(halfway)[0])[0]))
-    return apart
 
 
 @dataclass(frozen=True)
