@@ -79,9 +79,7 @@ def test_the_robot_in_every_life_beside_its_links_shortest_latency(seeds):
     judge([robot_scenario(seed) for seed in seeds], widest_us=100.0)
 
 
-@pytest.mark.parametrize(
-    "changes", [{"host_steps": 3}, {"robot_steps": 3}, {"slews": 2}], ids=lambda changes: "".join(changes)
-)
+@pytest.mark.parametrize("changes", [{"host_steps": 3}, {"robot_steps": 3}, {"slews": 2}], ids=" ".join)
 @pytest.mark.parametrize("seeds", [range(12), pytest.param(range(12, 1000), marks=pytest.mark.soak)], ids=["12", "988"])
 def test_the_robot_while_clocks_change(changes, seeds):
     """Steps of up to 10 ms and slews by up to 10 ms: the windows about them are as wide as that."""

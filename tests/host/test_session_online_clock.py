@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 import pytest
+from tests.host.clock_scenarios import CHANGES, HOST_NS, exchanged
 from tests.host.test_session_device_clock import TAIL_NS, True_, exchanges, shape
 
 from truearm.session.box_messages import Exchange
@@ -56,15 +57,34 @@ def test_a_host_clock_that_steps_is_not_covered_up():
         t1 = t0 + 125e-6 + rng.exponential(80e-6)
         t3 = t1 + 155e-6 + rng.exponential(120e-6)
         every.append(Exchange(int(1e9 * t0), int(1e6 * device_s(t1)), int(1e6 * device_s(t1)) + 5, int(1e9 * t3) + 1))
-    found = run(every)
-    assert max(e.bound_ns for e in found[330:370]) > 0.9e6  # half the step: on which side of it is the exchange?
+    online, found = OnlineClock(), {}
+    for k, exchange in enumerate(every):
+        online.add(*exchange)
+        if 330 <= k < 370 or k % 10 == 9:
+            found[k] = online.estimate()
+    assert (
+        max(found[k].bound_ns for k in range(330, 370)) > 0.9e6
+    )  # half the step: on which side of it is the exchange?
     assert found[479].bound_ns < 1e6
-    for e in found[2:]:
+    for e in found.values():
         # The host's time of what the device's clock shows; where that stepped over a time, either side of the step will do.
         elapsed = 1e-6 * e.device_us - 5.0
         truths = (elapsed / (1.0 + 20e-6), (elapsed - 2e-3) / (1.0 + 20e-6))
         truth = 1e9 * truths[truths[1] > 85.0]
         assert abs(e.offset_ns + 1000 * e.device_us - truth) <= e.bound_ns + 1000.0  # the device's whole µs
+
+
+@pytest.mark.parametrize("name", ["steps", "slews", "rates", "lost"])
+@pytest.mark.parametrize("seeds", [range(2), pytest.param(range(2, 100), marks=pytest.mark.soak)], ids=["2", "98"])
+def test_the_bound_holds_while_clocks_change(name, seeds):
+    for seed in seeds:
+        known, online = exchanged(seed, CHANGES[name]), OnlineClock()
+        for k, row in enumerate(sorted(known.rows.tolist(), key=lambda row: row[1])):
+            online.add(*row)
+            if k % 7 == 6:
+                found = online.estimate()
+                error = found.offset_ns + 1000 * found.device_us - HOST_NS - known.truth_ns(np.array(found.device_us))
+                assert abs(error) <= found.bound_ns, (seed, found)
 
 
 def test_a_restart_forgets_what_was_before():
