@@ -18,7 +18,7 @@ from truearm.errors import SessionError
 from truearm.files.observation_table import read_table
 from truearm.files.rig_file import write_rig
 from truearm.record.session_writer import SessionWriter
-from truearm.session.joint_readings import parse_lines
+from truearm.session.joint_batch import parse_lines
 from truearm.session.pipeline import observations, survey
 from truearm.session.sample_blocks import blocks_of
 from truearm.session.session_columns import MAX_TABLES, tabulate
@@ -117,7 +117,7 @@ def test_what_sync_sees(made, tmp_path, format):
     assert said["losses"]["samples_lost"] == 10 * BLOCK == np.diff(adc["index"]).max() - 1
 
     lines = [message for message in messages if message.topic == "/robot/joints"]
-    parsed = parse_lines([line.data for line in lines], None)
+    parsed = parse_lines([line.data for line in lines], [line.t_host_ns for line in lines])
     joints = tables["joints"]
     np.testing.assert_array_equal(joints["controller_time_s"], parsed.t)
     np.testing.assert_array_equal(np.stack([joints[f"q{j}_rad"] for j in range(1, 7)], axis=1), parsed.q)

@@ -1,12 +1,15 @@
 """Edges of a trigger line against truth: within the bound always, near 1/n of a cycle, and what is inconsistent is left out and counted."""
 
+import json
+
 import numpy as np
 import pytest
 
 from truearm.session.box_messages import Exchange
 from truearm.session.device_clock import fit_clock
+from truearm.session.joint_batch import parse_lines
 from truearm.session.joint_readings import JointReader
-from truearm.session.robot_inputs import UNKNOWN, InputTrack, bits_of
+from truearm.session.robot_inputs import UNKNOWN, InputTrack
 from truearm.session.trigger_edges import Output, fit_edges, match, with_edges
 from truearm.types import Message
 
@@ -109,7 +112,8 @@ def test_changes_are_told_between_readings_whatever_the_pieces():
 
 @pytest.mark.parametrize("value", [None, -1, 2**63, 2**200, True, 1.0, "3", [1]])
 def test_inputs_that_are_none(value):
-    assert bits_of(value) == UNKNOWN
+    line = json.dumps({"t": 1.5, "q": [0.1], "inputs": value}).encode()
+    assert parse_lines([line], [0]).inputs.tolist() == [UNKNOWN]
 
 
 def pairing(edges, readings, level, late_s=0.004):

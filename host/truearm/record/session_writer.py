@@ -8,6 +8,8 @@ second of real time the disk is told to keep it (fsync). A killed recorder there
 A message's log time is UTC, by the one pair of times that the metadata ``session`` give; its publish time is the host's own clock, on which all
 is computed. So UTC never steps within a file, and other programs place it among their own.
 
+Beside a robot's lines stand their numbers as columns, for readers: once a chunk, and before an event, after which others may count.
+
 A completed file ends with a CRC of all that stands before it, so that no flipped bit anywhere passes for a measurement.
 
 A writer that is held writes nothing to the disk before ``keep``: an earlier recording of that name stays whole until
@@ -31,11 +33,13 @@ from mcap.writer import CompressionType, Writer
 from truearm import __version__
 from truearm.errors import InputError, LinkError, WriteError
 from truearm.record.links import Clock
+from truearm.session.joint_batch import COLUMNS, JOINTS, pack, parse_lines
 from truearm.session.mcap_records import CHANNELS, CRC, LATEST_NS, metadata_crc
 from truearm.types import BAR_MOUNTED
 
 CHUNK_NS = 800_000_000  # with the recorder's pace of 50 ms no message waits longer than 1 s
 _CHUNK_BYTES = 1 << 20
+_COLUMN_LINES = 1024  # at most; a reader holds as many
 _FSYNC_EVERY_S = 0.9
 MAX_HELD_BYTES = 32 << 20  # in memory before ``keep``; a box that was just asked who it is sends a few kB
 
@@ -84,13 +88,17 @@ class SessionWriter:
         self._clock = clock
         self._writer = Writer(
             self._out,  # type: ignore[arg-type]
-            chunk_size=_CHUNK_BYTES,
+            chunk_size=2 * _CHUNK_BYTES,  # never full: a chunk's columns belong into it
             compression=CompressionType.ZSTD,
             enable_data_crcs=True,
         )
         self._channels: dict[str, list[int]] = {}  # topic: channel id, messages so far
         self._utc_offset_ns = 0  # UTC less the host's clock
         self._chunk_since_ns: int | None = None
+        self._chunk_bytes = 0
+        self._latest_ns = 0
+        self._lines: list[bytes] = []  # of the robot, without columns yet
+        self._arrival_ns: list[int] = []
         self._synced_s = time.monotonic()
         self._writer.start(profile="truearm", library=f"truearm {__version__}")
         if clock is not None:
@@ -121,7 +129,27 @@ class SessionWriter:
             raise self._cannot_write(exc) from exc
 
     def add(self, topic: str, t_host_ns: int, data: bytes, sequence: int | None = None) -> None:
-        """Append a message as it is; ``sequence`` is its number within its topic, by default the next one."""
+        """Append a message as it is; ``sequence`` is its number within its topic, by default the next one.
+
+        Columns of joint readings are left out: the writer makes its own.
+        """
+        if topic == COLUMNS:
+            return
+        if topic == "/events":
+            self._add_columns()
+        self._add(topic, t_host_ns, data, sequence)
+        self._latest_ns = t_host_ns
+        if topic == JOINTS:
+            self._lines.append(data)
+            self._arrival_ns.append(t_host_ns)
+            if len(self._lines) >= _COLUMN_LINES:
+                self._add_columns()
+        if self._chunk_since_ns is None:
+            self._chunk_since_ns = t_host_ns
+        elif t_host_ns - self._chunk_since_ns >= CHUNK_NS or self._chunk_bytes >= _CHUNK_BYTES:
+            self._finish_chunk()
+
+    def _add(self, topic: str, t_host_ns: int, data: bytes, sequence: int | None = None) -> None:
         channel = self._channels.get(topic)
         if channel is None:
             channel = self._channels[topic] = [self._register(topic), 0]
@@ -134,10 +162,14 @@ class SessionWriter:
         except OSError as exc:
             raise self._cannot_write(exc) from exc
         channel[1] = channel[1] + 1 & 0xFFFFFFFF
-        if self._chunk_since_ns is None:
-            self._chunk_since_ns = t_host_ns
-        elif t_host_ns - self._chunk_since_ns >= CHUNK_NS:
-            self._finish_chunk()
+        self._chunk_bytes += len(data)
+
+    def _add_columns(self) -> None:
+        """The robot's lines since the last columns, as columns; none where one of the lines is no reading."""
+        lines, arrival_ns = self._lines, self._arrival_ns
+        self._lines, self._arrival_ns = [], []
+        if lines and len(batch := parse_lines(lines, arrival_ns)) == len(lines):
+            self._add(COLUMNS, self._latest_ns, pack(batch))
 
     def add_json(self, topic: str, t_host_ns: int, row: Mapping[str, Any]) -> None:
         """Append ``row`` as JSON."""
@@ -183,6 +215,7 @@ class SessionWriter:
             self._out.file.close()
             return
         try:
+            self._add_columns()
             said = {**({} if self._clock is None else _anchor(self._clock)), **(end or {})}
             if said:
                 self._add_metadata("session-end", said)
@@ -216,9 +249,11 @@ class SessionWriter:
         self._writer.add_metadata(name, {**entries, CRC: metadata_crc(name, entries)})
 
     def _finish_chunk(self) -> None:
+        self._add_columns()
         try:
             self._writer.flush()
             self._chunk_since_ns = None
+            self._chunk_bytes = 0
             if self._held:
                 self._check_held()
                 return

@@ -1,30 +1,29 @@
-"""Joint readings, line by line → the robot's clock and short bins that dwells are found in.
+"""Joint readings, batch by batch → the robot's clock and short bins that dwells are found in.
 
-A session may hold ten million readings. Each is parsed once, and of 50 ms of them only count, mean, extremes and scatter
-are kept: 0.3 kB a bin for six joints, 80 MB for six hours.
+A session may hold ten million readings. Of 50 ms of them only count, mean, extremes and scatter are kept: 0.3 kB a bin for six joints, 80 MB
+for six hours.
 """
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.session.joint_line import MAX_JOINTS, MAX_SEQ, MAX_T_S, are_joints, parse_reading
+from truearm.session.joint_batch import COLUMNS, JOINTS, JointBatch, concatenate, parse_lines, unpack
+from truearm.session.joint_line import UNNUMBERED
 from truearm.session.missing_numbers import MissingNumbers
 from truearm.session.robot_clock import Arrivals, RobotClock, RobotClockReport, fit_robot_clock
-from truearm.session.robot_inputs import InputTrack, Ints, bits_of
+from truearm.session.robot_inputs import InputTrack
 from truearm.types import Floats, Message
 
-CHUNK = 2048  # lines parsed at a time: 1.3 µs a line instead of 2.8
+CHUNK = 2048  # readings taken at a time
 BIN_S = 0.05
 READING_GAP_S = 0.25  # without a reading for so long nobody knows whether the robot stood still
 NOTED_S = 1.0  # readings that lie further apart in the middle were taken down one by one
 LATE_S = 1.0  # time this little backward is a datagram overtaken by another; more is a restart
-UNNUMBERED = -MAX_SEQ  # seq of a reading that has none
 FINEST_STEP = 1e-9  # rad or m; smaller differences are arithmetic, not an encoder
 COARSEST_STEP = 1e-3  # rad or m; no encoder worth calibrating is coarser
 
@@ -67,26 +66,14 @@ class JointStream:
 _BACK = b'"kind":"robot-back"'
 
 
-class Parsed(NamedTuple):
-    """Lines that are readings: their indices (n,), controller time (n,) [s], seq (n,) and joints (n, j) [rad or m].
-
-    ``seq`` is UNNUMBERED where a line has none, ``q_cmd`` NaN where it has no commanded joints, ``inputs`` UNKNOWN where it has none.
-    """
-
-    rows: NDArray[np.intp]
-    t: Floats
-    seq: NDArray[np.int64]
-    q: Floats
-    q_cmd: Floats
-    inputs: NDArray[np.int64]
-
-
 class JointReader:
     """Takes the robot's messages one by one in log order."""
 
     def __init__(self) -> None:
-        self._lines: list[bytes] = []
+        self._lines: list[bytes] = []  # behind the last batch
         self._arrival_ns: list[int] = []
+        self._batches: list[JointBatch] = []
+        self._waiting = 0  # readings in them
         self._arrivals: list[Arrivals] = []
         self._inputs: list[InputTrack] = []
         self._bins: list[tuple[Any, ...]] = []
@@ -108,12 +95,16 @@ class JointReader:
         if message.topic == "/events" and _BACK in message.data:
             self._flush()
             self._returned = True
-        if message.topic != "/robot/joints":
-            return
-        self._lines.append(message.data)
-        self._arrival_ns.append(message.t_host_ns)
-        if len(self._lines) >= CHUNK:
-            self._flush()
+        if message.topic == JOINTS:
+            self._lines.append(message.data)
+            self._arrival_ns.append(message.t_host_ns)
+            if len(self._lines) >= CHUNK:
+                self._flush()
+        elif message.topic == COLUMNS:
+            batch = unpack(message.data)
+            if batch is not None and len(batch) == len(self._lines):
+                self._lines, self._arrival_ns = [], []
+                self._wait(batch)
 
     def finish(self) -> JointStream:
         """What all messages say; the reader is of no use afterwards."""
@@ -138,21 +129,36 @@ class JointReader:
             inputs=tuple(self._inputs),
         )
 
-    def _flush(self) -> None:
-        rows, t, seq, q, q_cmd, inputs = parse_lines(self._lines, self._joints)
-        arrival = np.array(self._arrival_ns, dtype=np.int64)[rows]
-        self.malformed += len(self._lines) - rows.size
-        self._lines, self._arrival_ns = [], []
-        if not rows.size:
+    def _wait(self, batch: JointBatch) -> None:
+        """Take a batch with the next ones: the first must be long enough to show the readings' period."""
+        self._joints = self._joints or batch.q.shape[1]
+        if batch.q.shape[1] != self._joints:
+            self.malformed += len(batch)
             return
-        self._numbered &= bool(np.all(seq != UNNUMBERED))
-        if self._joints is None:
-            self._begin(t, q)
-        for part in np.split(np.arange(t.size), restarts(t, self._latest_s)):
-            self._part(t[part], seq[part], q[part], q_cmd[part], inputs[part], arrival[part])
+        self._batches.append(batch)
+        self._waiting += len(batch)
+        if self._waiting >= CHUNK:
+            self._flush()
+
+    def _flush(self) -> None:
+        if self._lines:
+            batch = parse_lines(self._lines, self._arrival_ns, self._joints)
+            self.malformed += len(self._lines) - len(batch)
+            self._lines, self._arrival_ns = [], []
+            if len(batch):
+                self._batches.append(batch)
+        if not self._batches:
+            return
+        batch = concatenate(self._batches)
+        self._batches, self._waiting = [], 0
+        self._joints = batch.q.shape[1]
+        self._numbered &= bool(np.all(batch.seq != UNNUMBERED))
+        if not self._step.size:
+            self._begin(batch.t, batch.q)
+        for part in np.split(np.arange(len(batch)), restarts(batch.t, self._latest_s)):
+            self._part(batch[part])
 
     def _begin(self, t: Floats, q: Floats) -> None:
-        self._joints = q.shape[1]
         self._step = np.full(q.shape[1], np.inf)
         self._fast_step = np.full(q.shape[1], np.inf)
         period = float(np.median(np.abs(np.diff(t)))) if t.size > 1 else 0.0
@@ -160,16 +166,17 @@ class JointReader:
             period = 0.0
         self._bin_s, self._gap_s = max(BIN_S, 4.0 * period), max(READING_GAP_S, 5.0 * period)
 
-    def _part(self, t: Floats, seq: Ints, q: Floats, q_cmd: Floats, inputs: Ints, arrival: Ints) -> None:
+    def _part(self, batch: JointBatch) -> None:
         """Readings of one segment."""
-        if not t.size:
+        if not len(batch):
             return
+        t, seq = batch.t, batch.seq
         if self._last is None or self._returned or t[0] < self._latest_s - LATE_S:
             if self._last is not None and self._returned and t[0] > self._latest_s and seq[0] > self._last[1]:
                 self._holes.skip(self._last[1], int(seq[0]))  # the robot counted on while nobody listened
             self._returned = False
             self._close_bin()
-            self._arrivals.append(Arrivals(float(t[0]), int(arrival[0])))
+            self._arrivals.append(Arrivals(float(t[0]), int(batch.arrival_ns[0])))
             self._inputs.append(InputTrack())
             self._latest_s, self._previous_bin_s, self._last = -np.inf, -np.inf, None
             self._holes.forget()
@@ -184,9 +191,9 @@ class JointReader:
         self._latest_s = float(highest[-1])
         if kept.size:
             self._last = (self._latest_s, int(kept[-1]))
-            self._arrivals[-1].add(t[keep], arrival[keep])
-            self._inputs[-1].add(t[keep], inputs[keep])
-            self._bin(t[keep], q[keep], q_cmd[keep])
+            self._arrivals[-1].add(t[keep], batch.arrival_ns[keep])
+            self._inputs[-1].add(t[keep], batch.inputs[keep])
+            self._bin(t[keep], batch.q[keep], batch.q_cmd[keep])
 
     def _account(
         self, seq: NDArray[np.int64], previous: NDArray[np.int64], late: NDArray[np.bool_], keep: NDArray[np.bool_]
@@ -256,67 +263,3 @@ def _step(slow: Floats, fast: Floats) -> Floats:
     """
     step = np.where(slow <= COARSEST_STEP, slow, np.minimum(slow, fast))
     return np.asarray(np.where(np.isfinite(step), step, 0.0))
-
-
-def parse_lines(lines: list[bytes], joints: int | None) -> Parsed:
-    """What the lines say.
-
-    A line is malformed if ``parse_reading`` says so, or if it has another number of joints than ``joints`` (None: than the
-    first).
-    """
-    parsed = _parse_all(lines)
-    if parsed is None:
-        return _parse_each(lines, joints)
-    t, seq, q, q_cmd, inputs = parsed
-    good = np.isfinite(t) & (t >= 0.0) & (t < MAX_T_S) & np.all(np.isfinite(q), axis=1)
-    good &= (q.shape[1] == (joints or q.shape[1])) & (seq >= UNNUMBERED) & (seq < MAX_SEQ)
-    return Parsed(np.flatnonzero(good), t[good], seq[good], q[good], q_cmd[good], inputs[good])
-
-
-def _parse_each(lines: list[bytes], joints: int | None) -> Parsed:
-    rows = [(i, row, line) for i, line in enumerate(lines) if (row := parse_reading(line)) is not None]
-    width = joints or (len(rows[0][1].q) if rows else 0)
-    rows = [row for row in rows if len(row[1].q) == width]
-    return Parsed(
-        np.array([i for i, _, _ in rows], dtype=np.intp),
-        np.array([row.t for _, row, _ in rows], dtype=np.float64),
-        np.array([UNNUMBERED if row.seq is None else row.seq for _, row, _ in rows], dtype=np.int64),
-        np.array([row.q for _, row, _ in rows], dtype=np.float64).reshape(len(rows), width),
-        _commanded([json.loads(line).get("q_cmd") for _, _, line in rows], len(rows), width),
-        np.array([bits_of(json.loads(line).get("inputs")) for _, _, line in rows], dtype=np.int64),
-    )
-
-
-def _parse_all(lines: list[bytes]) -> tuple[Floats, Ints, Floats, Floats, Ints] | None:
-    """All lines in one go; None if any of them is not as expected."""
-    try:
-        rows = json.loads(b"[" + b",".join(lines) + b"]")
-        t, q = ([row[key] for row in rows] for key in ("t", "q"))
-        columns = np.array(t), np.array([row.get("seq", UNNUMBERED) for row in rows]), np.array(q)
-    except (ValueError, KeyError, TypeError, RecursionError, OverflowError):
-        return None
-    kinds = [column.dtype.kind for column in columns]
-    if len(rows) != len(lines) or kinds[0] not in "if" or kinds[1] != "i" or kinds[2] not in "if":
-        return None
-    if (
-        columns[0].ndim != 1
-        or columns[1].ndim != 1
-        or columns[2].ndim != 2
-        or not 1 <= columns[2].shape[1] <= MAX_JOINTS
-    ):
-        return None
-    q_cmd = _commanded([row.get("q_cmd") for row in rows], *columns[2].shape)
-    inputs = np.array([bits_of(row.get("inputs")) for row in rows], dtype=np.int64)
-    return columns[0].astype(np.float64), columns[1].astype(np.int64), columns[2].astype(np.float64), q_cmd, inputs
-
-
-def _commanded(values: list[Any], n: int, width: int) -> Floats:
-    """Commanded joints (n, width), NaN where a reading has none that are numbers, as many as are measured."""
-    try:
-        joints = np.array(values)
-    except ValueError:  # some have them, some have none
-        joints = np.empty(0)
-    if joints.shape == (n, width) and joints.dtype.kind in "if" and np.all(np.isfinite(joints)):
-        return joints.astype(np.float64)
-    rows = [value if are_joints(value) and len(value) == width else [np.nan] * width for value in values]
-    return np.array(rows, dtype=np.float64).reshape(n, width)

@@ -163,8 +163,8 @@ def chunk_messages(
 def stored(path: Path, data: bytes, channels: dict[int, str]) -> Iterator[tuple[str, int, int, int, int, int]]:
     """All messages among the records ``data``: topic, number within the topic, UTC and host time, and where their bytes begin and end.
 
-    ``channels`` gains those that ``data`` declares. MCAP's log time is UTC, its publish time the host's clock; in sessions before
-    version 0.5 both are the host's clock.
+    ``channels`` gains those that ``data`` declares. MCAP's log time is UTC, its publish time the host's clock; in earlier
+    sessions both are the host's clock.
     """
     at, size = 0, len(data)
     head = RECORD.size + MESSAGE.size

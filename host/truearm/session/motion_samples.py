@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 
 from truearm.session.box_ident import Channel, Ident, Stream, find_channel
 from truearm.session.device_clock import DeviceClock
-from truearm.session.joint_readings import CHUNK, UNNUMBERED, JointStream, parse_lines
+from truearm.session.joint_batch import parse_lines
+from truearm.session.joint_line import UNNUMBERED
+from truearm.session.joint_readings import CHUNK, JointStream
 from truearm.session.legs import Leg
 from truearm.session.sample_blocks import Block
 from truearm.types import Floats, Message
@@ -130,13 +132,12 @@ class Listener:
 
     def _parse(self, heard: LegSamples) -> None:
         """Keep the readings of the leg's own segment and time."""
-        parsed = parse_lines(heard.lines, len(self._joints.step))
-        arrival = np.array(heard.arrival_ns, dtype=np.int64)[parsed.rows]
+        said = parse_lines(heard.lines, heard.arrival_ns, len(self._joints.step))
         heard.lines, heard.arrival_ns = [], []
-        if arrival.size:
-            segment = np.searchsorted(self._segment_from, arrival, side="right") - 1
-            mine = (segment == heard.leg.segment) & (parsed.t >= heard.leg.start_s) & (parsed.t <= heard.leg.end_s)
-            heard.readings.append((parsed.t[mine], parsed.seq[mine], parsed.q[mine]))
+        if len(said):
+            segment = np.searchsorted(self._segment_from, said.arrival_ns, side="right") - 1
+            mine = (segment == heard.leg.segment) & (said.t >= heard.leg.start_s) & (said.t <= heard.leg.end_s)
+            heard.readings.append((said.t[mine], said.seq[mine], said.q[mine]))
 
 
 def samples_of(heard: LegSamples, k: int, clocks: Mapping[int, DeviceClock]) -> Samples | None:

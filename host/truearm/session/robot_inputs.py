@@ -67,8 +67,3 @@ class InputTrack:
         bits = np.concatenate(self._bits or [np.empty((0, 2), np.int64)]) >> number & 1
         of_it = bits[:, 0] != bits[:, 1]
         return Changes(times[of_it, 0], times[of_it, 1], bits[of_it, 1] == 1)
-
-
-def bits_of(value: object) -> int:
-    """The inputs that a reading says; UNKNOWN if that is no number of at most 63 bits."""
-    return value if type(value) is int and 0 <= value < 2**63 else UNKNOWN

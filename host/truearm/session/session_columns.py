@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,10 +22,13 @@ from truearm.session.box_ident import Channel, Ident, Stream
 from truearm.session.box_messages import parse_exchange
 from truearm.session.data_frames import decode
 from truearm.session.dwell_samples import sample_times, within_ns
+from truearm.session.joint_batch import JointBatch, parse_lines
+from truearm.session.joint_line import ARRAYS, UNNUMBERED
 from truearm.session.joint_readings import CHUNK as LINES
-from truearm.session.joint_readings import UNNUMBERED, parse_lines, restarts
+from truearm.session.joint_readings import restarts
 from truearm.session.lvdt import extension, volts
 from truearm.session.pipeline import Messages, Survey
+from truearm.session.robot_inputs import UNKNOWN as NO_INPUTS
 from truearm.session.sample_blocks import Block, BoxReader
 from truearm.types import Message
 from truearm_wire import messages as wire
@@ -38,9 +41,11 @@ UNKNOWN = -1  # a whole number that is not known
 Columns = dict[str, NDArray[Any]]
 Batch = tuple[str, Columns]
 
-# Optional keys of a reading and how their columns are titled; the arrays have one number a joint (docs/session-format.md).
-_ARRAYS = {"q_cmd": "q_cmd{0}_{1}", "qd": "qd{0}_{1}_s", "current": "current{0}_A", "effort": "effort{0}_{2}"}
-_NUMBERS = ("inputs", "robot_mode", "runtime_state")
+# Optional keys of a reading and how their columns are titled (docs/session-format.md).
+_TITLES = {
+    **{"q_cmd": "q_cmd{0}_{1}", "qd": "qd{0}_{1}_s", "current": "current{0}_A", "effort": "effort{0}_{2}"},
+    **{name: name for name in ("inputs", "robot_mode", "runtime_state")},
+}
 _TORQUE = {"rad": "Nm", "m": "N"}
 
 
@@ -245,7 +250,7 @@ class _Robot:
         self._lines: list[Message] = []
         self._segment = -1
         self._latest_s = -np.inf
-        self._keys: list[str] = []  # optional ones that came so far
+        self._keys: set[str] = set()  # optional ones that came so far
 
     def feed(self, message: Message) -> Iterator[Batch]:
         self._lines.append(message)
@@ -253,12 +258,12 @@ class _Robot:
             yield from self.flush()
 
     def flush(self) -> Iterator[Batch]:
-        lines = [message.data for message in self._lines]
-        rows, t, seq, q, *_ = parse_lines(lines, len(self._units) or None)
-        arrival = np.array([message.t_host_ns for message in self._lines], dtype=np.int64)[rows]
+        lines, arrival_ns = [message.data for message in self._lines], [message.t_host_ns for message in self._lines]
+        batch = parse_lines(lines, arrival_ns, len(self._units) or None)
         self._lines = []
-        if not rows.size:
+        if not len(batch):
             return
+        t, seq = batch.t, batch.seq
         starts = restarts(t, self._latest_s)
         if self._segment < 0:
             starts = np.union1d([0], starts)
@@ -272,38 +277,33 @@ class _Robot:
         for k in np.unique(segment):
             host[segment == k] = self._clocks[k].to_host_ns(t[segment == k])
         columns: Columns = {
-            "arrival_ns": arrival,
+            "arrival_ns": batch.arrival_ns,
             "host_time_ns": host,
             "segment": segment,
             "controller_time_s": t,
             "seq": np.where(seq == UNNUMBERED, UNKNOWN, seq),
-            **{f"q{j}_{unit}": q[:, j - 1] for j, unit in enumerate(self._units, start=1)},
+            **{f"q{j}_{unit}": batch.q[:, j - 1] for j, unit in enumerate(self._units, start=1)},
         }
-        yield "joints", columns | self._optional([json.loads(lines[row]) for row in rows])
+        yield "joints", columns | self._optional(batch)
 
-    def _optional(self, rows: list[Mapping[str, Any]]) -> Columns:
-        for key in (*_ARRAYS, *_NUMBERS):
-            if key not in self._keys and any(key in row for row in rows):
-                self._keys.append(key)
+    def _optional(self, batch: JointBatch) -> Columns:
+        said = dict(batch.more)
+        if not np.isnan(batch.q_cmd).all():
+            said["q_cmd"] = batch.q_cmd
+        if (batch.inputs != NO_INPUTS).any():
+            said["inputs"] = np.where(batch.inputs == NO_INPUTS, np.nan, batch.inputs)
+        self._keys |= said.keys()
         columns: Columns = {}
-        for key in self._keys:
-            if key in _NUMBERS:
-                columns[key] = np.array([_number(row.get(key)) for row in rows])
+        for key, title in _TITLES.items():
+            if key not in self._keys:
                 continue
-            values = np.array([_numbers(row.get(key), len(self._units)) for row in rows])
+            if key not in ARRAYS:
+                columns[title] = said.get(key, np.full(len(batch), np.nan))
+                continue
+            values = said.get(key, np.full(batch.q.shape, np.nan))
             for j, unit in enumerate(self._units):
-                columns[_ARRAYS[key].format(j + 1, unit, _TORQUE.get(unit, unit))] = values[:, j]
+                columns[title.format(j + 1, unit, _TORQUE.get(unit, unit))] = values[:, j]
         return columns
-
-
-def _numbers(value: object, n: int) -> list[float]:
-    """n numbers; NaN where there is none."""
-    items = value if isinstance(value, list) and len(value) == n else [None] * n
-    return [_number(item) for item in items]
-
-
-def _number(value: object) -> float:
-    return float(value) if type(value) in (int, float) and abs(value) < 1e300 else np.nan  # type: ignore[arg-type]
 
 
 class _Rest(_Small):

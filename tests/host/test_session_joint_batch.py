@@ -1,0 +1,174 @@
+"""Joint readings as columns: what the recorder stores beside the robot's lines is what the lines say."""
+
+import json
+
+import cbor2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from record_box import MS, SECOND, Lab
+from test_session_joint_readings import assert_same
+
+from truearm.record.recover import recover
+from truearm.record.session_writer import SessionWriter
+from truearm.session.joint_batch import COLUMNS, JOINTS, concatenate, pack, parse_lines, unpack
+from truearm.session.joint_readings import JointReader
+from truearm.session.session_file import open_session
+from truearm.types import Message
+
+number = st.one_of(st.floats(-10, 10), st.integers(-9, 9))
+joints = st.lists(number, min_size=3, max_size=3)
+odd = st.sampled_from([None, "x", [1.0], [1, 2, float("nan")], {"a": 1}, True])
+LINE = st.fixed_dictionaries(
+    {"t": st.floats(0, 1e6), "q": joints},
+    optional={
+        "seq": st.integers(-(2**61), 2**61),
+        **dict.fromkeys(("q_cmd", "qd", "current", "effort"), st.one_of(joints, odd)),
+        "inputs": st.one_of(st.integers(-1, 2**63), odd),
+        **dict.fromkeys(("robot_mode", "runtime_state"), st.one_of(number, odd)),
+        "note": st.text(max_size=3),
+    },
+)
+
+
+@given(st.lists(LINE, min_size=1, max_size=8), st.integers(0, 8))
+def test_columns_are_what_the_lines_say(rows, cut):
+    """Packed and unpacked bit for bit, in one piece or in two; words, null and NaN where numbers should be, too."""
+    lines = [json.dumps(row, ensure_ascii=False).encode() for row in rows]
+    batch = parse_lines(lines, range(len(lines)))
+    assert len(batch) == len(lines)
+    assert_same(unpack(pack(batch)), batch)
+    parts = [
+        parse_lines(lines[part], range(len(lines))[part]) for part in (slice(cut), slice(cut, None)) if lines[part]
+    ]
+    assert_same(concatenate(parts), batch)
+
+
+def test_a_line_alone_says_the_same():
+    row = {
+        "t": 1.5,
+        "seq": 7,
+        "q": [1, 2.5],
+        "q_cmd": [1.0, 2],
+        "qd": [0, 0],
+        "inputs": 5,
+        "robot_mode": 7,
+        "line": "é",
+    }
+    batch = parse_lines([json.dumps(row, ensure_ascii=False).encode()], [3])
+    assert (batch.arrival_ns, batch.t, batch.seq, batch.inputs) == (3, 1.5, 7, 5)
+    assert batch.q.tolist() == [[1.0, 2.5]]
+    assert batch.q_cmd.tolist() == [[1.0, 2.0]]
+    assert {key: values.tolist() for key, values in batch.more.items()} == {"qd": [[0.0, 0.0]], "robot_mode": [7.0]}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"t": None},
+        {"t": np.array([1.0, -1.0])},
+        {"t": np.array([1.0, np.nan])},
+        {"t": np.array([1, 2])},
+        {"q": np.array([1.0, 2.0, 3.0])},
+        {"q": np.array([])},
+        {"q": np.array([1.0, np.inf])},
+        {"q": np.zeros(66)},
+        {"seq": np.array([1.0, 2.0])},
+        {"seq": np.array([2**62, 1])},
+        {"arrival_ns": np.array([1])},
+        {"inputs": np.array([-2, 0])},
+        {"qd": np.array([1.0])},
+    ],
+    ids=str,
+)
+def test_what_is_no_batch_is_none(change):
+    columns = {
+        "arrival_ns": np.array([1, 2]),
+        "t": np.array([1.0, 2.0]),
+        "seq": np.array([1, 2]),
+        "q": np.array([0.1, 0.2]),
+    }
+    tags = {"f": 86, "i": 79}
+    said = {
+        name: column if column is None else cbor2.CBORTag(tags[column.dtype.kind], column.tobytes())
+        for name, column in (columns | change).items()
+    }
+    assert unpack(cbor2.dumps(said)) is None
+
+
+@pytest.mark.parametrize("data", [b"", b"\xff", b"\x01", b"\xa1\x61t\x01", cbor2.dumps({"t": cbor2.CBORTag(86, "x")})])
+def test_what_is_no_map_of_arrays_is_none(data):
+    assert unpack(data) is None
+
+
+def recorded(path, n=3000, hz=500.0, odd_line=b""):
+    """A session of a robot alone, with an event in its middle."""
+    lab = Lab()
+    rng = np.random.default_rng(3)
+    q = np.cumsum(rng.normal(0, 1e-4, (n, 6)), axis=0)
+    with SessionWriter(path, lab) as writer:
+        for k in range(n):
+            t_ns = lab.now + round(k * SECOND / hz)
+            line = json.dumps({"t": 5.0 + k / hz, "seq": k, "q": q[k].tolist(), "inputs": k // 100 % 4}).encode()
+            if k == n // 2:
+                writer.event("robot-back", t_ns)
+                writer.add(JOINTS, t_ns, odd_line or line)
+            else:
+                writer.add(JOINTS, t_ns, line)
+            if k % 7 == 0:
+                writer.add("/box/adc", t_ns, bytes(40))
+            writer.tick(t_ns + MS)
+    return open_session(path)
+
+
+def stream_of(messages):
+    reader = JointReader()
+    for message in messages:
+        reader.feed(message)
+    return reader.finish()
+
+
+@pytest.mark.parametrize("odd_line", [b"", b"nonsense", b'{"t":8,"q":[1,2]}'])
+def test_a_reader_of_columns_reads_what_a_reader_of_lines_reads(tmp_path, odd_line):
+    """Also where a line of a copy is no reading: its neighbours have no columns."""
+    messages = list(recorded(tmp_path / "s.mcap", odd_line=odd_line).messages())
+    lines = [m for m in messages if m.topic != COLUMNS]
+    ours, theirs = stream_of(messages), stream_of(lines)
+    assert (ours.readings, ours.malformed, ours.restarts) == (3000 - bool(odd_line), bool(odd_line), 1)
+    for name in ("readings", "malformed", "duplicated", "late", "lost", "gaps", "restarts", "rate_hz", "reports"):
+        assert repr(getattr(ours, name)) == repr(getattr(theirs, name))  # NaN is not equal to itself
+    for name, column in vars(theirs.bins).items():
+        np.testing.assert_array_equal(getattr(ours.bins, name), column)
+
+
+def test_columns_stand_in_the_chunk_of_their_lines(tmp_path):
+    """So that a damaged chunk costs both. All lines have columns, and none waits over the event."""
+    covered = waiting = 0
+    for message in recorded(tmp_path / "s.mcap").messages():
+        if message.topic == JOINTS:
+            waiting += 1
+        elif message.topic == COLUMNS:
+            assert len(unpack(message.data)) == waiting
+            covered, waiting = covered + waiting, 0
+        elif message.topic == "/events":
+            assert waiting == 0
+    assert (covered, waiting) == (3000, 0)
+
+
+def test_a_copy_has_columns_of_its_own(tmp_path):
+    session = recorded(tmp_path / "s.mcap")
+    recover(session, tmp_path / "copy.mcap", {})
+    copied = open_session(tmp_path / "copy.mcap")
+    for topics in (JOINTS, "/events"):
+        assert list(copied.messages(topics)) == list(session.messages(topics))
+    batches = [[unpack(m.data) for m in one.messages(COLUMNS)] for one in (session, copied)]
+    assert_same(*(concatenate(of_one) for of_one in batches))
+
+
+def test_columns_that_do_not_fit_their_lines_are_passed_over():
+    lines = [json.dumps({"t": k / 100, "seq": k, "q": [0.1]}).encode() for k in range(50)]
+    said = [Message(JOINTS, k * 10 * MS, line) for k, line in enumerate(lines)]
+    others = [Message(COLUMNS, SECOND, data) for data in (b"", b"\xf6", pack(parse_lines(lines[:9], range(9))))]
+    stream = stream_of(said[:30] + others + said[30:])
+    assert (stream.readings, stream.malformed, stream.lost) == (50, 0, 0)
