@@ -32,11 +32,11 @@ ROOMS = {
     "live": {"box", "record", "session"},
     "reproduce": {"estimate", "kinds", "model", "report"},
     "workflows": {
-        *("box", "live", "record", "session", "files", "report"),
+        *("box", "live", "record", "session", "files", "report", "reproduce"),
         *("plan", "correct", "export", "estimate", "kinds", "model"),
     },
     "cli": {
-        *("workflows", "box", "live", "record", "session", "files", "report", "reproduce"),
+        *("workflows", "box", "live", "record", "session", "files", "report"),
         *("plan", "correct", "export", "estimate", "kinds", "model"),
     },
     "api": {"workflows", "files", "plan", "correct", "export", "estimate", "model"},

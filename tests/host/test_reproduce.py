@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from truearm.cli.main import main
-from truearm.cli.reproduce import planned_bench, write
+from truearm.cli.reproduce import lines
 from truearm.model.chain import forward, point_forward
 from truearm.model.robot import builtin_robot
 from truearm.report.reproduce_page import (
@@ -26,6 +26,7 @@ from truearm.report.reproduce_page import (
 from truearm.reproduce import goswami, renders
 from truearm.reproduce.line_bench import ANGLE_SIGMA, line_rig, measured_lines
 from truearm.types import LinePlacement
+from truearm.workflows.reproduce import planned_bench
 
 PAPERS = ("goswami", "renders")
 ULB = builtin_robot("ulb")
@@ -166,17 +167,16 @@ def test_a_verdict_follows_from_the_numbers(paper, ours, tolerance, verdict):
     assert Claim("a", "mm", paper, ours, tolerance=tolerance).verdict == verdict
 
 
-def test_the_terminal_lists_what_is_not_reproduced(tmp_path, capsys):
+def test_the_terminal_lists_what_is_not_reproduced():
     claims = (
         Claim("a", "mm", 1.0, 2.0, why="W."),
         Claim("b", "", 4, 7),
         Claim("c", "1", 1.0, 0.5),
         Claim("d", "1", 1, 1),
     )
-    write(tmp_path, ReproducePage("t", "s", (Chapter("c", "", claims),)))
-    lines = capsys.readouterr().out.splitlines()
-    assert "1 reproduced, 0 in kind, 3 not reproduced, 0 ours alone" in lines
-    assert [line for line in lines if line.startswith("  ")] == [
+    head, *listed = lines(ReproducePage("t", "s", (Chapter("c", "", claims),)))
+    assert head.strip() == "1 reproduced, 0 in kind, 3 not reproduced, 0 ours alone"
+    assert listed == [
         "  a: paper 1 mm, ours 2 mm. W.",
         "  b: paper 4, ours 7.",
         "  c: paper 1, ours 0.5.",
