@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from truearm.errors import TableError
+from truearm.errors import InputError, TableError
 from truearm.files.observation_columns import Column
 from truearm.schema import NAME, quoted
 from truearm.types import Floats
@@ -33,14 +33,19 @@ class Row(NamedTuple):
     cells: list[str]
 
 
-def read_cells(text: str, name: str) -> tuple[list[str], list[Row]]:
-    """Header and rows as stripped text, all of one width; blank lines are passed over."""
+def read_rows(text: str, name: str, error: type[InputError] = TableError) -> list[Row]:
+    """Rows of stripped text, the header among them; blank lines are passed over. Raises ``error``."""
     reader = csv.reader(io.StringIO(text, newline=None), strict=True)
     filled = (Row(reader.line_num, [cell.strip() for cell in cells]) for cells in reader if cells)
     try:
-        rows = list(islice(filled, MAX_ROWS + 2))
+        return list(islice(filled, MAX_ROWS + 2))
     except csv.Error as exc:
-        raise TableError(f"{name} row {reader.line_num}: is not CSV: {exc}") from exc
+        raise error(f"{name} row {reader.line_num}: is not CSV: {exc}") from exc
+
+
+def read_cells(text: str, name: str) -> tuple[list[str], list[Row]]:
+    """Header and rows of a table, all of one width. Raises TableError."""
+    rows = read_rows(text, name)
     if not rows:
         raise TableError(f"{name}: is empty; a table has a header row, and rows below it")
     header = rows[0].cells

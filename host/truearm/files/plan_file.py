@@ -16,7 +16,7 @@ from typing import assert_never
 import numpy as np
 
 from truearm.errors import PlanError
-from truearm.files.csv_cells import NUMBER
+from truearm.files.csv_cells import NUMBER, read_rows
 from truearm.files.disk import read_text, write_atomic
 from truearm.schema import NAME
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Move, Plan, Rig
@@ -43,7 +43,7 @@ def read_plan(path: Path) -> Plan:
 
 def parse_plan(text: str, name: str) -> Plan:
     """Parse the text of a plan; ``name`` stands for the file in messages. See ``read_plan``."""
-    rows = _rows(text, name)
+    rows = read_rows(text, name, PlanError)
     if not rows:
         raise PlanError(f"{name}: is empty; a plan begins with the header pose,shell,bar,chuck,sphere,q1_rad,...")
     header = rows[0][1]
@@ -81,15 +81,6 @@ def _names(moving: bool) -> list[str]:
 
 def _joints(n_joints: int) -> list[str]:
     return [f"q{i + 1}_rad" for i in range(n_joints)]
-
-
-def _rows(text: str, name: str) -> list[tuple[int, list[str]]]:
-    """Line numbers and stripped cells; blank lines are passed over."""
-    reader = csv.reader(io.StringIO(text, newline=None), strict=True)
-    try:
-        return [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader if cells]
-    except csv.Error as exc:
-        raise PlanError(f"{name} row {reader.line_num}: is not CSV: {exc}") from exc
 
 
 def _check_row(cells: list[str], pose: int, width: int, where: str) -> None:
@@ -183,6 +174,11 @@ def _motion(plan: Plan, pose: int) -> tuple[str, ...]:
     speed = float(plan.speed[pose])
     cell = "" if math.isnan(speed) else repr(round(MM_S.of(speed), 9))
     return str(plan.move[pose]), str(plan.line[pose]), str(plan.target[pose]), cell
+
+
+def looks_like_plan(head: bytes) -> bool:
+    """Whether a file that begins so is a plan."""
+    return head.startswith(b"pose,")
 
 
 def write_plan(path: Path, plan: Plan) -> None:
