@@ -65,6 +65,12 @@ def format_rig(rig: Rig) -> str:
     return RIG.format(rig)
 
 
+def looks_like_rig(head: bytes) -> bool:
+    """Whether a file that begins so is a rig, with one of its own keys."""
+    first = head.partition(b"=")[0].strip().decode(errors="replace")
+    return any(first in key.spellings for key in RIG.keys)
+
+
 def write_rig(path: Path, rig: Rig) -> None:
     """Write a rig file that ``read_rig`` reads back exactly. Raises InputError."""
     write_atomic(path, format_rig(rig))

@@ -14,8 +14,8 @@ from truearm.arguments import OneOf, Within, check_fields
 from truearm.errors import Argument, InputError
 from truearm.estimate.prior import weak_prior
 from truearm.files.disk import check_writable, write_atomic
-from truearm.files.plan_file import write_plan
-from truearm.files.rig_file import read_rig, write_rig
+from truearm.files.plan_file import looks_like_plan, write_plan
+from truearm.files.rig_file import looks_like_rig, read_rig, write_rig
 from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.model.robot import Robot
 from truearm.model.workspace import Branch
@@ -43,7 +43,6 @@ from truearm.workflows.session_parts import with_parts
 DESIGN_RESERVE = 22e-3  # m of travel for what the model does not know
 RESULT_RESERVE = 3e-3  # m
 APPROACH_CANDIDATES = 400
-PLAN_OR_RIG = (b"pose,", b"seat_sigma_m = ")  # how they begin; a rig with the first key of format_rig()
 NO_SIGNALS = Signals()
 LEFT = 2e-3  # m of travel that the ways between poses need at least
 
@@ -311,7 +310,6 @@ def _written(files: PlanFiles) -> list[str]:
 def _check(files: PlanFiles) -> None:
     """No output over an input or another output, no suffix that is none. Raises InputError."""
     outputs = files.outputs
-    marks = {path: _begins_with(path) for path in outputs}
     if Path("-") in outputs:
         raise InputError("-: is no file name; ", Argument("as_json"), " prints the forecast to standard output")
     for path in files.programs:
@@ -319,18 +317,13 @@ def _check(files: PlanFiles) -> None:
     read = [*files.robot.files, files.rig, files.result, *files.measured]
     inputs = [path for path in read if path is not None and path.exists()]
     for i, path in enumerate(outputs):
-        check_writable(path, inputs=[*inputs, *outputs[:i]], ours=partial(_begins, marks[path]))
+        check_writable(path, inputs=[*inputs, *outputs[:i]], ours=partial(_is_ours, path.suffix.lower()))
 
 
-def _begins_with(path: Path) -> tuple[bytes, ...]:
-    """How a file that is written here begins, by its suffix; a program's stops as CSV begin as a plan does."""
-    dialect = DIALECTS.get(path.suffix.lower())
-    return PLAN_OR_RIG if dialect is None or dialect.begins in PLAN_OR_RIG else (dialect.begins,)
-
-
-def _begins(marks: tuple[bytes, ...], head: bytes) -> bool:
-    """Whether a file that exists is a plan, a program or a rig of an earlier run."""
-    return not head.strip() or head.startswith(marks)
+def _is_ours(suffix: str, head: bytes) -> bool:
+    """Whether a file that begins so is empty, or a plan, a rig or a program with this suffix."""
+    program = suffix in DIALECTS and head.startswith(DIALECTS[suffix].begins)
+    return not head.strip() or program or looks_like_plan(head) or looks_like_rig(head)
 
 
 def _known(files: PlanFiles) -> Known:
