@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -84,7 +85,8 @@ def record(
     if not 0 <= patience < math.inf:
         raise InputError(f"--patience {patience:g} is no time; give seconds, 0 to end at once")
     recorded = record_request(
-        Request(device, out, resume, robot, plan, rig, mounted, osr, duration, patience, plain, unchecked, force)
+        Request(device, out, resume, robot, plan, rig, mounted, osr, duration, patience, plain, unchecked, force),
+        sys.stderr,
     )
     print_lines(lines(recorded))
     if recorded.trouble:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from typing import TextIO
 
 from truearm.errors import InputError
 from truearm.text import one_line
@@ -13,10 +14,10 @@ NONE = (
 )
 
 
-def choose_box(device: str | None) -> str:
-    """The device of the box.
+def choose_box(device: str | None, output: TextIO) -> str:
+    """The device of the box; which one it is stands on ``output``.
 
-    Of several the operator is asked on a terminal. Raises InputError where there is none, or several and nobody to ask.
+    Of several the operator is asked there, if it is a terminal, and answers on standard input. Raises InputError where there is none, or several and nobody to ask.
     """
     from truearm.record.ports import find_boxes
 
@@ -26,24 +27,24 @@ def choose_box(device: str | None) -> str:
     if not boxes:
         raise InputError(NONE)
     if len(boxes) == 1:
-        print(f"box: {one_line(boxes[0].device)} ({_words(boxes[0].product, boxes[0].serial)})", file=sys.stderr)
+        print(f"box: {one_line(boxes[0].device)} ({_words(boxes[0].product, boxes[0].serial)})", file=output)
         return boxes[0].device
     listed = [f"{one_line(box.device)} ({_words(box.product, box.serial)})" for box in boxes]
-    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+    if not (sys.stdin.isatty() and output.isatty()):
         raise InputError(f"{len(boxes)} boxes are plugged in: {', '.join(listed)}; name one with --device")
-    return boxes[_ask(listed)].device
+    return boxes[_ask(listed, output)].device
 
 
 def _words(product: str, serial: str) -> str:
     return one_line(f"{product}, serial {serial}" if serial else product)
 
 
-def _ask(listed: list[str]) -> int:
-    print("Which box?", file=sys.stderr)
+def _ask(listed: list[str], output: TextIO) -> int:
+    print("Which box?", file=output)
     for number, text in enumerate(listed, start=1):
-        print(f"  {number}  {text}", file=sys.stderr)
+        print(f"  {number}  {text}", file=output)
     while True:
-        print(f"1 to {len(listed)}: ", end="", file=sys.stderr, flush=True)
+        print(f"1 to {len(listed)}: ", end="", file=output, flush=True)
         answer = sys.stdin.readline()
         if not answer:
             raise InputError("no box was chosen; name one with --device")

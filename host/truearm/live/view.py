@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import io
 import os
-import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from datetime import date
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from truearm.box.readiness import Purpose, check_box
 from truearm.errors import InputError
@@ -216,12 +215,12 @@ def _box_words(status: Status) -> str:
 
 
 @contextmanager
-def showing(view: View, plain: bool) -> Iterator[None]:
-    """Show the view until the end of the block; typed lines go to it, if there is a terminal in the foreground."""
-    live = not plain and _is_terminal()
+def showing(view: View, plain: bool, output: TextIO) -> Iterator[None]:
+    """Show the view on ``output`` until the end of the block; typed lines go to it, if there is a terminal in the foreground."""
+    live = not plain and output.isatty()
     with ExitStack() as stack:
         typed = stack.enter_context(typed_lines(view.typed, one_by_one=live)) if may_ask() else None
-        write, close = _descriptor()
+        write, close = _descriptor(output)
         show = _Live(write, typed) if live else _Plain(write)
         stop = threading.Event()
         thread = threading.Thread(
@@ -310,23 +309,19 @@ class _Live:
         return Group(table, Text(HELP.removeprefix(" · "), "dim"), Text(f"> {self._typed.text}"))
 
 
-def _is_terminal() -> bool:
-    return sys.stderr.isatty()
-
-
-def _descriptor() -> tuple[Callable[[str], None], Callable[[], None]]:
-    """Standard error by a descriptor of its own: no lock of Python's is held where a terminal takes nothing."""
+def _descriptor(output: TextIO) -> tuple[Callable[[str], None], Callable[[], None]]:
+    """What writes to the output by a descriptor of its own, and what closes that: no lock of Python's is held where a terminal takes nothing."""
     try:
-        fd = os.dup(sys.stderr.fileno())
+        fd = os.dup(output.fileno())
     except (OSError, ValueError, AttributeError):  # somebody else's stream stands in for it
 
         def say(text: str) -> None:
-            sys.stderr.write(text)
+            output.write(text)
 
         return say, lambda: None
 
     def write(text: str) -> None:
-        data = text.encode(sys.stderr.encoding or "utf-8", "backslashreplace")
+        data = text.encode(output.encoding or "utf-8", "backslashreplace")
         while data:
             data = data[os.write(fd, data) :]
 

@@ -6,7 +6,7 @@ import sys
 from contextlib import closing, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from truearm.box.readiness import Purpose
 from truearm.errors import Argument, InputError, TruearmError
@@ -79,11 +79,11 @@ class Recorded:
     missing: str  # why it is not what was asked for, "" if it is
 
 
-def record_request(request: Request) -> Recorded:
-    """Record until it ends. Raises InputError, LinkError."""
+def record_request(request: Request, output: TextIO) -> Recorded:
+    """Record until it ends; what the operator sees meanwhile goes to ``output``. Raises InputError, LinkError."""
     work = _work(request)
-    device = choose_box(request.device)
-    summary, kept, view = _record(device, work, request)
+    device = choose_box(request.device, output)
+    summary, kept, view = _record(device, work, request, output)
     return Recorded(work.out, summary, kept, view.trouble, what_is_missing(summary, work.robot is not None))
 
 
@@ -101,7 +101,7 @@ def what_is_missing(summary: RecordSummary, with_robot: bool) -> str:
     return "; ".join(said)
 
 
-def _record(device: str, work: Work, request: Request) -> tuple[RecordSummary, bool, View]:
+def _record(device: str, work: Work, request: Request, output: TextIO) -> tuple[RecordSummary, bool, View]:
     """The summary, whether there is a file, and the view."""
     from truearm.record.links import HostClock
     from truearm.record.ports import BoxPort
@@ -121,7 +121,7 @@ def _record(device: str, work: Work, request: Request) -> tuple[RecordSummary, b
         _robot_link(work.robot, clock) as robot_link,
         SessionWriter(work.out, clock, overwrite=request.force, hold=True) as writer,
         asked_to_stop() as interrupted,
-        showing(view, request.plain),
+        showing(view, request.plain, output),
     ):
         try:
             summary = record_session(
