@@ -1,7 +1,7 @@
 """Units: what a number is called in files, how a person sees it, and how large it can sensibly be.
 
 SI inside, always. A ``Unit`` is an SI unit, a ``Scale`` is a unit that people and files use for it (``mm`` for metres).
-Every number that a person sees gets its factor, its symbol and its digits from here: ``quantity(length, "m")`` and
+Every number that a person sees gets its factor, its symbol and its digits from here: ``number(length, "m")`` and
 ``title("error", "m")`` where the usual unit is wanted, ``UM.text(noise, ".1f")`` where it is a named one.
 """
 
@@ -152,11 +152,6 @@ def number(value: float, si: str, decimals: int | None = None) -> str:
     if not math.isfinite(value):
         return "-"
     return f"{shown(value, si):.{UNITS[si].decimals if decimals is None else decimals}f}"
-
-
-def quantity(value: float, si: str, decimals: int | None = None) -> str:
-    """A value as text with its unit: "0.0855 mm"."""
-    return f"{number(value, si, decimals)} {symbol(si)}".rstrip()
 
 
 def title(text: str, si: str) -> str:

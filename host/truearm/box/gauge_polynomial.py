@@ -56,12 +56,6 @@ class PolyFit:
     def press(self) -> float:
         return float(np.sqrt(np.mean(self.left_out**2)))
 
-    def predict_sigma(self, x: Floats) -> Floats:
-        """Standard deviation (m,) of the polynomial at readings x (m,)."""
-        powers = polynomial.polyvander(x, self.order)
-        variance = np.maximum(np.einsum("ij,jk,ik->i", powers, self.covariance, powers), 0.0)
-        return np.asarray(np.sqrt(variance))
-
 
 def possible_orders(x: Floats, highest: int = MAX_ORDER) -> range:
     """The orders that points at readings x (n,) allow: with SPARE points to spare, and fewer powers than distinct places.

@@ -55,7 +55,6 @@ class CartesianError(NamedTuple):
     sigma_smallest: Floats  # (n,) m
     direction_smallest: Floats  # (n, 3) unit vectors of the base frame, in which the error is smallest
     sigma_largest: Floats  # (n,) m
-    direction_largest: Floats  # (n, 3)
 
     @property
     def worst(self) -> int:
@@ -120,7 +119,6 @@ def predicted_error(chain: Chain, params: Floats, covariance: Floats, q: Floats,
         sigma[:, 0],
         axes[:, :, 0],
         sigma[:, 2],
-        axes[:, :, 2],
     )
 
 
