@@ -505,7 +505,7 @@ def correct_poses(
     Returns
     -------
     Correction
-        ``told`` (n, 4, 4) is what to tell the controller, ``q`` (n, j) the joints that it shall go to, ``before`` and
+        ``commanded`` (n, 4, 4) is the pose to command, ``q`` (n, j) the joints that it shall go to, ``before`` and
         ``after`` (n, 2) the error in m and rad.
 
     Raises
@@ -520,7 +520,7 @@ def correct_poses(
     >>> result = truearm.read_result("result.json")
     >>> pose = np.array([[0, 0, 1, 0.5], [0, 1, 0, 0.1], [-1, 0, 0, 0.2], [0, 0, 0, 1]])
     >>> corrected = truearm.correct_poses(result, pose)
-    >>> corrected.told.shape, bool(corrected.after[0, 0] < 1e-8)
+    >>> corrected.commanded.shape, bool(corrected.after[0, 0] < 1e-8)
     ((1, 4, 4), True)
     """
     given = floats("poses", poses, None, 4, 4, or_one=True)

@@ -68,7 +68,7 @@ def test_newton_reaches_the_target_to_a_nanometre(q):
     there = forward(CHAIN, TRUTH, done.q)
     np.testing.assert_allclose(there[:, :3, 3], nominal_poses(q)[:, :3, 3], atol=1e-9)
     # what is told is what the controller, with its nominal model, turns into those joints
-    np.testing.assert_allclose(forward(CHAIN, DESIGN, done.q), done.told, atol=1e-15)
+    np.testing.assert_allclose(forward(CHAIN, DESIGN, done.q), done.commanded, atol=1e-15)
 
 
 def test_offsets_are_exact_for_offsets_and_nothing_else(q):

@@ -9,10 +9,10 @@ from truearm.plan.approaches import (
     FARTHEST,
     LEAST,
     ApproachesWanted,
+    approach_directions,
     length_derivatives,
     most_informative,
     plan_approaches,
-    sides,
 )
 from truearm.plan.bar_paths import Pace
 from truearm.plan.measurement_limits import Limits, allowed, free_travel
@@ -20,7 +20,7 @@ from truearm.plan.measurement_limits import Limits, allowed, free_travel
 
 @pytest.mark.parametrize("joints", [1, 4, 6, 7, 8])
 def test_each_joint_comes_from_both_sides_independently_of_all_others(joints):
-    signs = sides(joints)
+    signs = approach_directions(joints)
     assert signs.shape == (8 if 4 <= joints <= 7 else {1: 2, 8: 16}[joints], joints)
     assert np.array_equal(signs.T @ signs, len(signs) * np.eye(joints))
     assert np.array_equal(signs.sum(axis=0), np.zeros(joints))

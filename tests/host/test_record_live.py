@@ -24,7 +24,7 @@ class TestDwells:
         for _ in range(3):
             session.dwell()
             places.append(session.position)
-        assert session.state.course.taken == 3
+        assert session.state.session_progress.taken == 3
         assert session.row("dwells").text.startswith("3, standing for ")
         session.run(0.5, speed=0.01, q_speed=1.0)
         events = session.events("dwell")
@@ -46,7 +46,7 @@ class TestDwells:
         for _ in range(4):
             session.dwell(2.0)
         session.run(0.5, speed=0.01, q_speed=1.0)
-        assert session.state.course.taken == 4
+        assert session.state.session_progress.taken == 4
         for event in session.events("dwell"):
             assert event["end_ns"] - event["begin_ns"] == pytest.approx(2.0 * S, abs=0.25 * S)
 
@@ -56,13 +56,13 @@ class TestDwells:
         session.run(2.0)
         session.dwell(2.0)
         session.run(0.5, q_speed=2.0)
-        assert session.state.course.done == {0, 1}
+        assert session.state.session_progress.done == {0, 1}
 
     def test_too_short_is_none(self):
         session = Session()
         for _ in range(3):
             session.dwell(1.0)
-        assert session.state.course.taken == 0
+        assert session.state.session_progress.taken == 0
         assert session.events("dwell") == []
 
     def test_a_creep_of_the_sensor_is_not_settled(self):
@@ -78,7 +78,7 @@ class TestDwells:
         session = Session(mounted={"bar": "b46"}, robot=False)
         session.position = 0.045
         session.dwell()
-        assert session.state.course.taken == 0
+        assert session.state.session_progress.taken == 0
 
     def test_a_gap_ends_it(self):
         session = Session()
@@ -94,7 +94,7 @@ class TestDwells:
         session.run(1.0)
         session.robot = False
         session.run(6.0)
-        assert session.state.course.taken == 0
+        assert session.state.session_progress.taken == 0
         late = session.status(robot_age_s=6.0)
         assert session.state.progress(late).text == "0 of 4"
         session.state.close()
@@ -115,7 +115,7 @@ class TestDwells:
         for _ in range(10):
             session.t += S
             session.state.look()
-        assert session.state.course.taken == 0
+        assert session.state.session_progress.taken == 0
         assert "standing" not in session.state.progress(session.status(box_ok=False)).text
 
     def test_the_one_under_way_at_the_end_is_kept(self):
@@ -132,7 +132,7 @@ class TestThePlan:
         session.dwell()
         session.run(0.5, q_speed=-1.0)  # back to the first
         session.run(2.5)
-        assert session.state.course.done == {0, 1}
+        assert session.state.session_progress.done == {0, 1}
         assert session.row("dwells").text.startswith("2 of 4, standing")
 
     def test_that_all_of_it_is_taken_is_said_once_while_the_robot_stands(self):
@@ -150,13 +150,13 @@ class TestThePlan:
         session.q = np.array([3.0, -3.0])
         session.run(2.5)
         session.run(0.5, q_speed=1.0)
-        assert (session.state.course.taken, session.state.course.unplanned) == (0, 1)
+        assert (session.state.session_progress.taken, session.state.session_progress.unplanned) == (0, 1)
         assert "a stop beside the plan" in session.said[-1]
         assert "pose" not in session.events("dwell")[0]
 
     def test_a_pairing_is_asked_for_and_confirmed(self):
         session = Session(plan(*PAIRS))
-        assert session.state.course.mounted == {"bar": "b46", "chuck": "c1", "sphere": "s1"}
+        assert session.state.session_progress.mounted == {"bar": "b46", "chuck": "c1", "sphere": "s1"}
         session.run(2.5)
         assert session.row("mounted").text == "bar b46, chuck c1, sphere s1"
         session.dwell()
@@ -178,8 +178,8 @@ class TestThePlan:
         session = Session(plan(*PAIRS), robot=False)
         session.run(2.5)
         session.dwell()
-        assert session.state.course.done == {0, 1}
-        assert session.state.course.change() == {"bar": "b61", "chuck": "c1", "sphere": "s1"}
+        assert session.state.session_progress.done == {0, 1}
+        assert session.state.session_progress.change() == {"bar": "b61", "chuck": "c1", "sphere": "s1"}
 
     def test_lines_and_via_points(self):
         rows = plan(*PAIRS[:2])
@@ -234,7 +234,7 @@ class TestLines:
         """2 s at 0.1 m/s each way. The first and last block of a way are partly at rest: 5 mm at either end, 10 mm/s of speed."""
         state = self.state()
         found = self.drive(state, [(0, 1), (0.1, 2), (-0.1, 2), (0, 1), (0.002, 3), (0.05, 0.3)])
-        assert len(found) == state.course.lines == 2
+        assert len(found) == state.session_progress.lines == 2
         for line in found:
             assert line["length_m"] == pytest.approx(0.2, abs=0.011)
             assert line["speed_m_s"] == pytest.approx(0.1, abs=0.011)
@@ -247,11 +247,11 @@ class TestLines:
         ]
         state = self.state(rows, robot=True)
         self.drive(state, [(0, 1), (0.1, 1), (0, 1)], q=np.array([0.5, 0.5]))  # an approach
-        assert (state.course.lines, state.course.change()) == (0, None)
+        assert (state.session_progress.lines, state.session_progress.change()) == (0, None)
         found = self.drive(state, [(0, 1), (0.1, 1), (0, 1)], q=np.array([1.0, 1.0]))
         assert [line.get("pose") for line in found] == [None, 1]
-        assert (state.course.lines, state.course.planned_lines) == (1, 2)
-        assert state.course.change() == {"line": "l2", "target": "t1"}
+        assert (state.session_progress.lines, state.session_progress.planned_lines) == (1, 2)
+        assert state.session_progress.change() == {"line": "l2", "target": "t1"}
         status = Status(12.0, "recording", 312.0, True, Counters(), robot_age_s=0.02)
         assert state.progress(status) == ("lines", "1 of 2", False)
         assert re.match(r"line 4\d\d\.\d{4} mm; samples mag 1017\.3 Hz", state.line(status, None))

@@ -15,7 +15,7 @@ from truearm.estimate.repeatability import (
     rounding_variance,
     sigma_interval,
 )
-from truearm.plan.approaches import sides
+from truearm.plan.approaches import approach_directions
 from truearm.session.allan import allan
 
 JOINTS, POSES, ROUNDS = 6, 4, 3
@@ -27,8 +27,8 @@ RUNS = 200
 
 def visited(rng, bend=0.0):
     """Visits as ``plan characterize`` plans them; ``bend``: how much of joint 1's backlash depends on the pose, rad."""
-    side = np.tile(sides(JOINTS), (POSES * ROUNDS, 1))
-    pose = np.repeat(np.arange(POSES), ROUNDS * len(sides(JOINTS)))
+    side = np.tile(approach_directions(JOINTS), (POSES * ROUNDS, 1))
+    pose = np.repeat(np.arange(POSES), ROUNDS * len(approach_directions(JOINTS)))
     n = len(pose)
     strayed = SERVO * rng.standard_normal((n, JOINTS))
     width = BACKLASH + bend * np.where(pose % 2, 1.0, -1.0)[:, None] * (np.arange(JOINTS) == 0)

@@ -25,7 +25,7 @@ result = truearm.identify(robot, table, rig, hold_out="shell=outer")
 print(result)
 print(truearm.validate(result, truearm.read_table("friday.csv", robot), rig))
 pose = [[0, 0, 1, 0.5], [0, 1, 0, 0.1], [-1, 0, 0, 0.2], [0, 0, 0, 1]]
-print(truearm.correct_poses(result, pose).told)
+print(truearm.correct_poses(result, pose).commanded)
 truearm.export_robot(result, "urdf", "calibrated.urdf")
 print(truearm.__file__)
 """

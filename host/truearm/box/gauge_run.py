@@ -84,7 +84,7 @@ def gauge_channel(device: str, options: GaugeOptions, operator: Operator, stop: 
     with conversation(device, stop=stop) as box:
         stream, index = _find(ident_of(box), channel)
         config = checked_config(box)
-        places = _gather(box, (stream, index), options, listed, operator)
+        places = _measured_places(box, (stream, index), options, listed, operator)
         result, tried = calibrate(places, options.order, stream.name == MAG)
         for line in words(places, result, tried, stream.channels[index]):
             say(line)
@@ -153,7 +153,7 @@ def _find(ident: Ident, name: str) -> tuple[Stream, int]:
 # --- at the stage
 
 
-def _gather(
+def _measured_places(
     box: BoxControl,
     found: tuple[Stream, int],
     options: GaugeOptions,

@@ -34,19 +34,19 @@ def lines(found: CorrectedFile) -> list[str]:
         frames = (
             f"Targets are of {chain.end_frame} in {chain.base_frame}; how robot and tool were mounted is corrected too:"
         )
-    said = [
+    text = [
         one_line(frames),
         *(f"  {one_line(line)}" for line in mounting_lines(chain, calibration.nominal, calibration.identified)),
     ]
-    said += refused_lines(found.refused)
-    said.append(f"{'target':<10}{'before [mm]':>14}{'after [mm]':>14}{'before [deg]':>14}{'after [deg]':>14}")
+    text += refused_lines(found.refused)
+    text.append(f"{'target':<10}{'before [mm]':>14}{'after [mm]':>14}{'before [deg]':>14}{'after [deg]':>14}")
     rows = list(zip(found.places, done.before, done.after, strict=True))
-    said += [f"{place:<10}{_cells(before, after)}" for place, before, after in rows[:SHOWN]]
-    said += [f"and {len(rows) - SHOWN} more"] * (len(rows) > SHOWN)
+    text += [f"{place:<10}{_cells(before, after)}" for place, before, after in rows[:SHOWN]]
+    text += [f"and {len(rows) - SHOWN} more"] * (len(rows) > SHOWN)
     before, after = (np.sqrt(np.mean(np.square(error), axis=0)) for error in (done.before, done.after))
-    said.append(f"{'RMS':<10}{_cells(before, after)}")
-    said.append("These errors are what the identified robot says; its own uncertainty comes on top.")
-    return [*said, *found.notes, f"Written: {one_line(str(found.out))}"]
+    text.append(f"{'RMS':<10}{_cells(before, after)}")
+    text.append("These errors are what the identified robot says; its own uncertainty comes on top.")
+    return [*text, *found.notes, f"Written: {one_line(str(found.out))}"]
 
 
 def refused_lines(refused: Sequence[Refused]) -> list[str]:

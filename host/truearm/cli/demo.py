@@ -110,16 +110,16 @@ def demo(
                 found = demo_ball_bar.calibrate(out, result.table)
             with steps.step("report"):
                 page = demo_ball_bar.write_page(out, found, result, truth, steps)
-            said, used = demo_text.ball_bar_lines(found), f"{len(result.table)} dwells used"
+            found_lines, used = demo_text.ball_bar_lines(found), f"{len(result.table)} dwells used"
         case DemoRig.line | DemoRig.both:
             with steps.step("identify, validate"):
                 lines = demo_lines.calibrate(rig is DemoRig.both, out, result.table)
             with steps.step("report"):
                 page = demo_lines.write_page(out, lines, result, truth, steps)
-            said, used = demo_text.line_lines(lines), demo_text.used(result.table)
+            found_lines, used = demo_text.line_lines(lines), demo_text.used(result.table)
         case _:
             assert_never(rig)
-    print_lines([*demo_text.recording_lines(result, truth, steps, used), *said, f"\nreport          {page}"])
+    print_lines([*demo_text.recording_lines(result, truth, steps, used), *found_lines, f"\nreport          {page}"])
 
 
 @contextmanager

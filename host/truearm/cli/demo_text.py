@@ -36,7 +36,7 @@ def ball_bar_lines(found: BallBarCalibration) -> list[str]:
     estimate = found.estimate
     n_free, n_fitted = int(estimate.free.sum()), int(estimate.fitted.sum())
     expected = MM.of(found.rig.bars[FITTED].sigma * (1.0 - estimate.rank / n_fitted) ** 0.5)
-    said = [
+    lines = [
         f"parameters      rank {found.all_free.rank} of {len(estimate.free)}; {n_free} free, {estimate.status} "
         f"in {estimate.iterations} iterations",
         f"46 cm shells    {MM.text(estimate.rms_before['m'], '.3f')} RMS before, {MM.text(estimate.rms_after['m'], '.4f')} after "
@@ -44,38 +44,38 @@ def ball_bar_lines(found: BallBarCalibration) -> list[str]:
     ]
     before, after = estimate.held_out_before, estimate.held_out
     if before is not None and after is not None:
-        said.append(
+        lines.append(
             f"61 cm shells    {MM.text(before.figures['m'].rms, '.3f')} RMS before, "
             f"{MM.text(after.figures['m'].rms, '.4f')} after ({after.n} dwells that were not fitted)"
         )
-    return said
+    return lines
 
 
 def line_lines(found: LineCalibration) -> list[str]:
     """What lines found, by themselves or beside the ball-bar."""
     estimate, other, table = found.estimate, found.other, found.table
-    said = [
+    text = [
         f"robot's delay   {delay_words(estimate)}",
         f"parameters      {int(estimate.free.sum())} free with the rig's, rank {estimate.rank}, {estimate.status}",
     ]
     is_line, fitted = table.kind == "line", estimate.fitted
     sensors = MM.of(float(np.linalg.norm(found.rig.line_sigma)))
     if found.with_bar:
-        said += _group("46 cm shells", found, ~is_line & fitted, "")
-        said += _group("61 cm shells", found, ~is_line & ~fitted, ", not fitted")
-    said += _group(f"{N_LINES} lines", found, is_line & fitted, f"; the sensors alone would leave {sensors:.4f}")
-    said += _group("validation line", found, is_line & ~fitted, ", not fitted")
+        text += _group("46 cm shells", found, ~is_line & fitted, "")
+        text += _group("61 cm shells", found, ~is_line & ~fitted, ", not fitted")
+    text += _group(f"{N_LINES} lines", found, is_line & fitted, f"; the sensors alone would leave {sensors:.4f}")
+    text += _group("validation line", found, is_line & ~fitted, ", not fitted")
     if not found.with_bar:
         steps_of = " → ".join(f"{MM.of(rms):.3f}" for rms in estimate.rms_history["m"][:4])
-        said.append(f"by iteration    {steps_of} mm RMS on the {N_LINES} lines")
+        text.append(f"by iteration    {steps_of} mm RMS on the {N_LINES} lines")
         robot = slice(estimate.n_robot_parameters)
         seen = estimate.sigma[robot] > 0.0
         apart = np.abs(other.value[robot] - estimate.value[robot])[seen] / estimate.sigma[robot][seen]
-        said.append(f"row by row      the recursive solver ends within {apart.max():.1g} σ of this")
+        text.append(f"row by row      the recursive solver ends within {apart.max():.1g} σ of this")
     else:
         alone = _rms(other.residual["m"][is_line & ~fitted])
-        said.append(f"ball-bar alone  would leave {MM.text(alone, '.4f')} on the validation line")
-    return said
+        text.append(f"ball-bar alone  would leave {MM.text(alone, '.4f')} on the validation line")
+    return text
 
 
 def _group(label: str, found: LineCalibration, rows: NDArray[np.bool_], note: str) -> list[str]:

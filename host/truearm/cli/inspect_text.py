@@ -70,12 +70,12 @@ def _session(document: Mapping[str, Any]) -> Iterator[str]:
     if recovered := document["metadata"]["recovered"]:
         lost = recovered.get("messages_lost", "?")
         yield "  " + one_line(f"recovered from {recovered.get('source', '?')}: {lost} messages known to be lost")
-    said = [f"truearm {session['version']}"] if "version" in session else []
-    said += [f"{session['clock']} clock"] if "clock" in session else []
-    said += [f"firmware {', '.join(document['firmware'])}"] if document["firmware"] else []
-    said += [f"attached {', '.join(document['attachments'])}"] if document["attachments"] else []
-    if said:
-        yield "  " + one_line("; ".join(said))
+    lines = [f"truearm {session['version']}"] if "version" in session else []
+    lines += [f"{session['clock']} clock"] if "clock" in session else []
+    lines += [f"firmware {', '.join(document['firmware'])}"] if document["firmware"] else []
+    lines += [f"attached {', '.join(document['attachments'])}"] if document["attachments"] else []
+    if lines:
+        yield "  " + one_line("; ".join(lines))
 
 
 def _topics(topics: Mapping[str, Any]) -> Iterator[str]:
@@ -107,8 +107,8 @@ def _losses(losses: Mapping[str, Any]) -> Iterator[str]:
     yield from wrong or ["  nothing lost, nothing doubled, no restart"]
     if box["heartbeats"]:
         worst = ((key, box[key]) for _, key in EXTREMES.values() if box[key] is not None)
-        told = ", ".join(EXTREME_WORDS.get(key, key + " {}").format(value) for key, value in worst)
-        yield f"  {box['heartbeats']} heartbeats: {told}"
+        worst_words = ", ".join(EXTREME_WORDS.get(key, key + " {}").format(value) for key, value in worst)
+        yield f"  {box['heartbeats']} heartbeats: {worst_words}"
 
 
 def _console(document: Mapping[str, Any]) -> Iterator[str]:

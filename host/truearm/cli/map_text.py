@@ -16,22 +16,22 @@ def lines(mapped: Mapped, cell: float, task: str | None) -> list[str]:
     found = mapped.map
     error = MM.of(found.error[~np.isnan(found.error)])
     rms = math.sqrt(float(np.mean(error**2)))
-    said = [
+    text = [
         f"{error.size} cells of {MM.text(cell)}: error without calibration {error.min():.3f} to {error.max():.3f} mm, "
         f"RMS {rms:.3f} mm."
     ]
     sigma = MM.of(found.sigma[np.isfinite(found.sigma)])
     if sigma.size:
-        said.append(
+        text.append(
             f"With it, by the parameters' covariance: {sigma.min():.3f} to {sigma.max():.3f} mm (standard deviation)."
         )
     if sigma.size < error.size:
-        said.append(
+        text.append(
             f"In {error.size - sigma.size} cells that cannot be said: combinations of parameters that were not seen move the end."
         )
     if task:
-        said.append(_task_line(found, mapped.region, task))
-    return said
+        text.append(_task_line(found, mapped.region, task))
+    return text
 
 
 def _task_line(found: ErrorMap, region: Region | None, task: str) -> str:

@@ -12,8 +12,8 @@ def lines(recorded: Recorded) -> list[str]:
     if not recorded.kept:
         return []
     why = f" ({summary.text})" if summary.reason == "robot closed" else ""
-    said = [f"{out}: {_totals(summary)}; ended: {summary.reason}{why}"]
-    return [*said, *(f"{out}: {fault}" for fault in summary.faults)]
+    text = [f"{out}: {_totals(summary)}; ended: {summary.reason}{why}"]
+    return [*text, *(f"{out}: {fault}" for fault in summary.faults)]
 
 
 def _totals(summary: RecordSummary) -> str:

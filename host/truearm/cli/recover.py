@@ -49,22 +49,22 @@ def lines(found: Recovered) -> list[str]:
     from truearm.session.salvage import words_of
 
     messages = sum(account.saved for account in found.topics.values())
-    said = [f"saved  {messages} messages of {found.seconds:.1f} s, {_named(found.attachments, 'attachment')}"]
+    text = [f"saved  {messages} messages of {found.seconds:.1f} s, {_named(found.attachments, 'attachment')}"]
     width = max((len(topic) for topic in found.topics), default=0)
     for topic, account in found.topics.items():
         lost = f", {account.lost} lost" if account.lost else ""
-        said.append(f"         {one_line(topic):<{width}}  {account.saved}{lost}")
+        text.append(f"         {one_line(topic):<{width}}  {account.saved}{lost}")
     for damage in found.damage[:SHOWN]:
         words = words_of(damage.at, damage.lost_s, damage.of_s)
-        said.append(f"lost   {words}" + ("" if damage.at is None else f", from {damage.from_s:.1f} s on"))
+        text.append(f"lost   {words}" + ("" if damage.at is None else f", from {damage.from_s:.1f} s on"))
     if len(found.damage) > SHOWN:
-        said.append(f"lost   and in {len(found.damage) - SHOWN} places more")
+        text.append(f"lost   and in {len(found.damage) - SHOWN} places more")
     if found.cut_off:
-        said.append(
+        text.append(
             "lost   the end: it was cut off, so what came behind (a second, if the recorder was killed) cannot be counted"
         )
-    said.append(f"       {found.unread_bytes} bytes stand in no whole record")
-    return said
+    text.append(f"       {found.unread_bytes} bytes stand in no whole record")
+    return text
 
 
 def _named(names: tuple[str, ...], what: str) -> str:

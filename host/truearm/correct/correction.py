@@ -19,7 +19,7 @@ from truearm.correct.false_target import false_target
 from truearm.correct.inverse import Inverse, inverse, search, singular_value, within
 from truearm.correct.joint_space import joint_space
 from truearm.correct.methods import Method
-from truearm.correct.model_pair import Pair, in_rig, reached, told
+from truearm.correct.model_pair import Pair, believed, in_rig, reached
 from truearm.correct.offsets import offsets
 from truearm.model.poses import apart
 from truearm.types import Floats
@@ -60,7 +60,7 @@ class Correction(NamedTuple):
 
     q_nominal: Floats  # (n, j) what the controller would have done
     q: Floats  # (n, j) what it shall do
-    told: Floats  # (n, 4, 4) the pose to tell it
+    commanded: Floats  # (n, 4, 4) the pose to command
     before: Floats  # (n, 2) m, rad: how far the end would have been off
     after: Floats  # (n, 2)
     problem: tuple[str, ...]  # n, "" where there is none
@@ -81,24 +81,24 @@ def correct(
     steps : how often (32) and (34) are applied. oriented : False where only positions matter. margin : the smallest singular
     value of targets that are not refused. Raises ValueError for an unknown method.
     """
-    told_nominal = _nominal(pair, targets, oriented, configuration)
-    q_nominal = told_nominal.q
+    nominal = _nominal(pair, targets, oriented, configuration)
+    q_nominal = nominal.q
     before = _error(pair, targets, q_nominal, oriented)
     q, grew = _corrected(pair, targets, q_nominal, Method(method), steps, oriented)
     after = _error(pair, targets, q, oriented)
-    singular: Floats = np.minimum(told_nominal.singular_value, singular_value(pair.chain, pair.identified, q, oriented))
+    singular: Floats = np.minimum(nominal.singular_value, singular_value(pair.chain, pair.identified, q, oriented))
     problem = [""] * len(q)
 
     def refuse(where: Any, words: str) -> None:
         for i in np.flatnonzero(where):
             problem[i] = problem[i] or words.format(singular[i])
 
-    refuse(~told_nominal.reached, "the robot as described does not reach it within its joint limits")
+    refuse(~nominal.reached, "the robot as described does not reach it within its joint limits")
     refuse(singular < margin, f"too near a singularity (smallest singular value {{:.3f}}, the margin is {margin:g})")
     refuse(grew, "the correction does not converge")
     refuse(np.abs(q - q_nominal).max(axis=-1) > MOST_TURN, "the correction leads to another configuration of the arm")
     refuse(~within(pair.chain, q), "the corrected joints are outside the joint limits")
-    return Correction(q_nominal, q, told(pair, q), before, after, tuple(problem))
+    return Correction(q_nominal, q, believed(pair, q), before, after, tuple(problem))
 
 
 def _nominal(pair: Pair, targets: Floats, oriented: bool, configuration: Configuration) -> Inverse:

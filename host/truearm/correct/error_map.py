@@ -20,7 +20,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from truearm.correct.inverse import within
-from truearm.correct.model_pair import Pair, reached, told
+from truearm.correct.model_pair import Pair, believed, reached
 from truearm.errors import RobotError
 from truearm.model.chain import joint_frames, joint_jacobian, point_jacobians
 from truearm.types import Floats
@@ -82,8 +82,8 @@ def error_map(
     axes = _plane(pair, q, joints)
     samples = _samples(pair, q, joints)
     side = _elbow(pair, samples, joints, axes, elbow_up)
-    samples = samples[side * _sides(pair, samples, joints, axes) > STRETCHED]
-    flat = told(pair, samples)[:, :3, 3] @ axes.T
+    samples = samples[side * _plane_determinant(pair, samples, joints, axes) > STRETCHED]
+    flat = believed(pair, samples)[:, :3, 3] @ axes.T
     low = np.floor(flat.min(axis=0) / cell) * cell
     at = np.floor((flat - low) / cell).astype(int)
     u, v = (low[i] + cell * (np.arange(at[:, i].max() + 1) + 0.5) for i in (0, 1))
@@ -95,7 +95,7 @@ def error_map(
     _spread(lambda start, goal: _reach(pair, start, goal, joints, axes, side, cell), q_grid, middles)
     full = np.nonzero(~np.isnan(q_grid[..., 0]))
     point, error, sigma = (np.full((v.size, u.size, *more), np.nan) for more in ((3,), (), ()))
-    point[full] = told(pair, q_grid[full])[:, :3, 3]
+    point[full] = believed(pair, q_grid[full])[:, :3, 3]
     error[full] = np.linalg.norm(reached(pair, q_grid[full])[:, :3, 3] - point[full], axis=1)
     sigma[full] = _sigma(pair, q_grid[full], covariance, unseen)
     return ErrorMap(u, v, axes, q_grid, point, error, sigma)
@@ -128,13 +128,15 @@ def _reach(
     """Joints (n, j) that bring the nominal end to places (n, 2) of the plane, by Newton's method in the two joints."""
     q, two = start.copy(), list(joints)
     for _ in range(NEWTON_STEPS):
-        error = goal - told(pair, q)[:, :3, 3] @ axes.T
+        error = goal - believed(pair, q)[:, :3, 3] @ axes.T
         jac = axes @ joint_jacobian(pair.chain, pair.nominal, q)[:, :3, two]
         square = jac @ jac.swapaxes(1, 2) + 1e-12 * np.eye(2)
         step = (jac.swapaxes(1, 2) @ np.linalg.solve(square, error[..., None]))[..., 0]
         q[:, two] += np.clip(step, -LARGEST_STEP, LARGEST_STEP)
-    missed = np.abs(goal - told(pair, q)[:, :3, 3] @ axes.T).max(axis=1, initial=0.0)
-    good = (missed < 1e-3 * cell) & within(pair.chain, q) & (side * _sides(pair, q, joints, axes) > STRETCHED)
+    missed = np.abs(goal - believed(pair, q)[:, :3, 3] @ axes.T).max(axis=1, initial=0.0)
+    good = (
+        (missed < 1e-3 * cell) & within(pair.chain, q) & (side * _plane_determinant(pair, q, joints, axes) > STRETCHED)
+    )
     return np.where(good[:, None], q, np.nan)
 
 
@@ -167,7 +169,7 @@ def _samples(pair: Pair, q: Floats, joints: tuple[int, int]) -> Floats:
     return samples
 
 
-def _sides(pair: Pair, q: Floats, joints: tuple[int, int], axes: Floats) -> Floats:
+def _plane_determinant(pair: Pair, q: Floats, joints: tuple[int, int], axes: Floats) -> Floats:
     """(n,) m²/rad², the determinant of the plane's Jacobian."""
     jac = axes @ joint_jacobian(pair.chain, pair.nominal, q)[:, :3, list(joints)]
     return np.asarray(np.linalg.det(jac))
@@ -175,12 +177,14 @@ def _sides(pair: Pair, q: Floats, joints: tuple[int, int], axes: Floats) -> Floa
 
 def _elbow(pair: Pair, samples: Floats, joints: tuple[int, int], axes: Floats, up: bool) -> float:
     """The sign that the determinant has where the elbow lies, on the whole, higher (lower); the only one if there is one."""
-    sides = _sides(pair, samples, joints, axes)
+    determinant = _plane_determinant(pair, samples, joints, axes)
     frames = joint_frames(pair.chain, pair.nominal, samples)
-    middle = 0.5 * (frames[:, joints[0], :3, 3] + told(pair, samples)[:, :3, 3])
+    middle = 0.5 * (frames[:, joints[0], :3, 3] + believed(pair, samples)[:, :3, 3])
     height = (frames[:, joints[1], :3, 3] - middle) @ axes[1]
     heights = {
-        sign: float(height[sign * sides > STRETCHED].mean()) for sign in (1.0, -1.0) if (sign * sides > STRETCHED).any()
+        sign: float(height[sign * determinant > STRETCHED].mean())
+        for sign in (1.0, -1.0)
+        if (sign * determinant > STRETCHED).any()
     }
     if not heights:
         raise RobotError(f"joints {joints[0] + 1} and {joints[1] + 1} do not span a section at these joints")

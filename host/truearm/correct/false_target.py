@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from truearm.correct.inverse import inverse
-from truearm.correct.model_pair import Pair, reached, told
+from truearm.correct.model_pair import Pair, believed, reached
 from truearm.model.poses import apart, moved
 from truearm.types import Floats
 
@@ -25,6 +25,6 @@ def false_target(pair: Pair, targets: Floats, q: Floats, oriented: bool = True) 
     targets : (n, 4, 4) x_d. q : (n, j) where the controller takes the targets told so far, f_n⁻¹(x_d) at first. NaN
     where the nominal robot does not reach the false target.
     """
-    told_next = moved(told(pair, q), apart(targets, reached(pair, q)))
-    found = inverse(pair.chain, pair.nominal, told_next, q, oriented)
+    commanded = moved(believed(pair, q), apart(targets, reached(pair, q)))
+    found = inverse(pair.chain, pair.nominal, commanded, q, oriented)
     return np.where(found.reached[:, None], found.q, np.nan)

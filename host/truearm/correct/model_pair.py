@@ -25,7 +25,7 @@ class Pair(NamedTuple):
     mountings: Mountings = NONE
 
 
-def told(pair: Pair, q: Floats) -> Floats:
+def believed(pair: Pair, q: Floats) -> Floats:
     """f_n(q), (n, 4, 4): where the controller believes the end to be (Renders 1991, (29))."""
     return forward(pair.chain, pair.nominal, q)
 

@@ -108,13 +108,13 @@ def _together(rows: list[Row], columns: dict[str, Column], keys: Sequence[Key], 
 
 
 def format_corrected(
-    targets: Targets, told: Floats, q: Floats, before: Floats, after: Floats, joint_units: Sequence[str]
+    targets: Targets, commanded: Floats, q: Floats, before: Floats, after: Floats, joint_units: Sequence[str]
 ) -> str:
     """The table to tell a controller: false targets, corrected joint readings, and errors [mm, deg] before and after.
 
     Positions and joints have 1e-7 mm and 1e-9 deg, less than any controller takes.
     """
-    turn = DEG.of(Rotation.from_matrix(told[:, :3, :3]).as_rotvec())
+    turn = DEG.of(Rotation.from_matrix(commanded[:, :3, :3]).as_rotvec())
     titles = ["name", "x_mm", "y_mm", "z_mm", *(["rx_deg", "ry_deg", "rz_deg"] if targets.oriented else [])]
     titles += [key(f"q{i}", unit) for i, unit in enumerate(joint_units, start=1)]
     titles += ["before_mm", "after_mm", *(["before_deg", "after_deg"] if targets.oriented else [])]
@@ -122,7 +122,7 @@ def format_corrected(
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(titles)
     for i, label in enumerate(targets.name):
-        place = [f"{v:.7f}" for v in MM.of(told[i, :3, 3])] + [f"{v:.9f}" for v in turn[i]] * targets.oriented
+        place = [f"{v:.7f}" for v in MM.of(commanded[i, :3, 3])] + [f"{v:.9f}" for v in turn[i]] * targets.oriented
         errors = [f"{MM.of(v):.6f}" for v in (before[i, 0], after[i, 0])]
         angles = [f"{DEG.of(v):.6f}" for v in (before[i, 1], after[i, 1])] if targets.oriented else []
         writer.writerow(

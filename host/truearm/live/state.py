@@ -45,8 +45,8 @@ class ViewLine(NamedTuple):
 class LiveState:
     """Fed in order of arrival. ``wishes`` are events that the recorder shall write, ``said`` lines for the operator, both to be taken."""
 
-    def __init__(self, course: SessionProgress, rig: Rig | None, with_robot: bool) -> None:
-        self.course = course
+    def __init__(self, session_progress: SessionProgress, rig: Rig | None, with_robot: bool) -> None:
+        self.session_progress = session_progress
         self.wishes: deque[OperatorEvent] = deque()
         self.said: deque[str] = deque(maxlen=1000)
         self.last = ""
@@ -63,7 +63,7 @@ class LiveState:
         self._near_end: set[str] = set()  # channels
         self._asked: dict[str, str] | None = None
         self._lost = (0, 0)
-        self._complete = course.complete
+        self._complete = session_progress.complete
         self._came: dict[int, tuple[int | None, float]] = {}  # of a stream: how far it had come, and since when
 
     # --- what comes
@@ -104,7 +104,7 @@ class LiveState:
             self._counted = False
         elif standing >= ENOUGH_NS and not self._counted and self._may_count():
             self._take(self._dwells.q)
-        change = self.course.change()
+        change = self.session_progress.change()
         if change != self._asked:
             self._asked = change
             if change is not None:
@@ -123,13 +123,13 @@ class LiveState:
         ``note …`` is kept, ``q`` ends the recording, all else is explained."""
         text = text.strip()
         word, _, rest = text.partition(" ")
-        pairings = self.course.pairings()
+        pairings = self.session_progress.pairings()
         if text == "q":
             self.wishes.append(OperatorEvent("end", {}))
         elif word == "note" and rest.strip():
             self.wishes.append(OperatorEvent("note", {"text": rest.strip()[:500]}))
             self.said.append(f"noted: {rest.strip()[:500]}")
-        elif text == "" and (change := self.course.change()) is not None:
+        elif text == "" and (change := self.session_progress.change()) is not None:
             self._mount(change)
         elif text.isdecimal() and 1 <= int(text) <= len(pairings):
             self._mount(pairings[int(text) - 1])
@@ -152,9 +152,9 @@ class LiveState:
         self._mount(pairing)
 
     def _mount(self, pairing: Mapping[str, str]) -> None:
-        self.course.mount(pairing)
-        self.wishes.append(OperatorEvent("mounted", dict(self.course.mounted)))
-        self.said.append(f"mounted: {words_of(self.course.mounted)}")
+        self.session_progress.mount(pairing)
+        self.wishes.append(OperatorEvent("mounted", dict(self.session_progress.mounted)))
+        self.said.append(f"mounted: {words_of(self.session_progress.mounted)}")
 
     # --- dwells and lines
 
@@ -163,18 +163,20 @@ class LiveState:
 
     def _take(self, q: Floats | None) -> None:
         """The dwell under way, or that just ended, is one."""
-        course = self.course
+        session_progress = self.session_progress
         self._counted = True
-        pose = course.visit(q if self._with_robot else None)
-        row = {} if pose is None else course.rows[pose]
+        pose = session_progress.visit(q if self._with_robot else None)
+        row = {} if pose is None else session_progress.rows[pose]
         self._pose = pose
-        self._label = f"dwell {course.taken}" + (f" (pose {pose})" if pose is not None else "")
-        if pose is None and course.rows:
+        self._label = f"dwell {session_progress.taken}" + (f" (pose {pose})" if pose is not None else "")
+        if pose is None and session_progress.rows:
             self._label = "a stop beside the plan"
-        other = [key for key in BAR_MOUNTED if row.get(key) and row[key] != course.mounted.get(key)]
+        other = [key for key in BAR_MOUNTED if row.get(key) and row[key] != session_progress.mounted.get(key)]
         if other:
             planned = ", ".join(f"{key} {row[key]}" for key in other)
-            self.said.append(f"warning: pose {pose} is planned with {planned}; mounted is {words_of(course.mounted)}")
+            self.said.append(
+                f"warning: pose {pose} is planned with {planned}; mounted is {words_of(session_progress.mounted)}"
+            )
         self._say_complete()
 
     def _ended(self, seen: LiveDwell | None) -> None:
@@ -200,11 +202,11 @@ class LiveState:
     def _stroke(self, stroke: tuple[float, float] | None) -> None:
         if stroke is None:
             return
-        row = self.course.drive(self._dwells.q if self._with_robot else None)
+        row = self.session_progress.drive(self._dwells.q if self._with_robot else None)
         length, speed = stroke
         where = "a way beside the plan"
-        if row is not None or not self.course.rows:
-            where = f"line {self.course.lines}" + (f" (row {row})" if row is not None else "")
+        if row is not None or not self.session_progress.rows:
+            where = f"line {self.session_progress.lines}" + (f" (row {row})" if row is not None else "")
         self.last = f"{where}: {MM.text(length, '.1f')} at {MM_S.text(speed, '.1f')}"
         self.said.append(self.last)
         fields: dict[str, Any] = {"length_m": length, "speed_m_s": speed}
@@ -212,13 +214,13 @@ class LiveState:
         self._say_complete()
 
     def _say_complete(self) -> None:
-        if self.course.complete and not self._complete:
+        if self.session_progress.complete and not self._complete:
             self._complete = True
             self.said.append("all of the plan is taken; q and Enter end the recording")
 
     def _lines_alone(self) -> bool:
         """Whether the plan has no dwells: then a stop is none."""
-        return bool(self.course.rows) and not self.course.planned
+        return bool(self.session_progress.rows) and not self.session_progress.planned
 
     # --- where the sensors are
 
@@ -239,7 +241,7 @@ class LiveState:
     def _position(self) -> tuple[float | None, float | None, str]:
         """Extension [m], half the travel [m] of the bar that is mounted, and what is wrong; None where not known."""
         position, wrong = self._place(LVDT)
-        bar = None if self._rig is None else self._rig.bars.get(self.course.mounted.get("bar", ""))
+        bar = None if self._rig is None else self._rig.bars.get(self.session_progress.mounted.get("bar", ""))
         return position, None if bar is None else 0.5 * bar.travel, wrong
 
     def _within_travel(self) -> bool:
@@ -250,7 +252,7 @@ class LiveState:
 
     def _watch_travel(self) -> None:
         """Of the bar's LVDT, or of what is across a line."""
-        if "line" in self.course.mounted:
+        if "line" in self.session_progress.mounted:
             travel = None if self._rig is None else self._rig.line_travel
             half = None if travel is None else 0.5 * travel
             places = {name: self._place(name)[0] for name in LINE_CHANNELS[1:]}
@@ -270,7 +272,7 @@ class LiveState:
     def rows(self, status: Status, clock: OnlineEstimate | None) -> list[ViewLine]:
         """The whole view."""
         rows = [ViewLine("state", f"{status.state}, {status.elapsed_s:.0f} s", not status.box_ok)]
-        rows += [] if "line" in self.course.mounted else [self.travel()]
+        rows += [] if "line" in self.session_progress.mounted else [self.travel()]
         for stream in () if self._ident is None else self._ident.streams.values():
             window = self._windows.get(stream.id)
             for k, channel in enumerate(stream.channels):
@@ -283,8 +285,8 @@ class LiveState:
         if self._with_robot:
             rows.append(self.robot(status))
         rows.append(self.progress(status))
-        change = self.course.change()
-        rows.append(ViewLine("mounted", words_of(self.course.mounted)))
+        change = self.session_progress.change()
+        rows.append(ViewLine("mounted", words_of(self.session_progress.mounted)))
         if change is not None:
             rows.append(ViewLine("change", f"mount {words_of(change)}; then press Enter", True))
         rows.append(ViewLine("last", self.last or "nothing yet"))
@@ -292,7 +294,7 @@ class LiveState:
 
     def line(self, status: Status, clock: OnlineEstimate | None) -> str:
         """The view on one line, for a log."""
-        place = self.along() if "line" in self.course.mounted else self.travel(drawn=False)
+        place = self.along() if "line" in self.session_progress.mounted else self.travel(drawn=False)
         rows = [place, self.rates(status), ViewLine("clock", clock_words(status, clock))]
         rows += [self.robot(status)] if self._with_robot else []
         return "; ".join(f"{row.name} {row.text}" for row in (*rows, self.progress(status)))
@@ -366,14 +368,21 @@ class LiveState:
 
     def progress(self, status: Status) -> ViewLine:
         """Dwells and lines taken, and whether the robot may move on."""
-        course = self.course
+        session_progress = self.session_progress
         if self._lines_alone():
-            return ViewLine("lines", f"{course.lines} of {course.planned_lines}")
-        parts = [f"{course.taken} of {course.planned}" if course.planned else f"{course.taken}"]
-        if course.planned and course.unplanned:
-            parts.append(f"{course.unplanned} beside the plan")
-        if course.lines or course.planned_lines:
-            parts.append(f"lines {course.lines}" + (f" of {course.planned_lines}" if course.planned_lines else ""))
+            return ViewLine("lines", f"{session_progress.lines} of {session_progress.planned_lines}")
+        parts = [
+            f"{session_progress.taken} of {session_progress.planned}"
+            if session_progress.planned
+            else f"{session_progress.taken}"
+        ]
+        if session_progress.planned and session_progress.unplanned:
+            parts.append(f"{session_progress.unplanned} beside the plan")
+        if session_progress.lines or session_progress.planned_lines:
+            parts.append(
+                f"lines {session_progress.lines}"
+                + (f" of {session_progress.planned_lines}" if session_progress.planned_lines else "")
+            )
         standing = self._dwells.standing_ns
         if standing is not None and self._is_heard(status):
             parts.append(f"standing for {NS.to_si(standing):.1f} s" + (", enough" if self._counted else ""))

@@ -112,14 +112,14 @@ class View(Operator):
 
     def take(self) -> tuple[list[str], Status | None]:
         """Work off what waits; the lines that are to be said now, and the newest status."""
-        said: list[str] = []
+        messages: list[str] = []
         for _ in range(len(self._queue)):
             kind, *values = self._queue.popleft()
             if kind == "say":
-                said.append(*values)
+                messages.append(*values)
             elif kind == "status":
                 self._status = values[0]
-                said += self._watch.events(self._status)
+                messages += self._watch.events(self._status)
                 self._state.look()
             elif kind == "exchange":
                 self._exchanges().add(*values)
@@ -127,12 +127,12 @@ class View(Operator):
                 self._state.command(*values)
             elif kind == "over":
                 self._state.close()
-                said += self._heard()
+                messages += self._heard()
                 self._over.set()
             else:
                 getattr(self._state, kind)(*values)
-            said += self._heard()
-        return said, self._status
+            messages += self._heard()
+        return messages, self._status
 
     def rows(self, status: Status) -> list[ViewLine]:
         """The view."""
@@ -156,9 +156,9 @@ class View(Operator):
     def _heard(self) -> list[str]:
         self._wishes.extend(self._state.wishes)
         self._state.wishes.clear()
-        said = list(self._state.said)
+        messages = list(self._state.said)
         self._state.said.clear()
-        return said
+        return messages
 
 
 class _Watch:
@@ -173,7 +173,7 @@ class _Watch:
         self._lost = 0
 
     def events(self, status: Status) -> list[str]:
-        said = [
+        messages = [
             f"warning: {fault}; its samples are recorded all the same"
             for fault in status.faults
             if fault not in self._said
@@ -182,28 +182,28 @@ class _Watch:
         losses = status.counters.link_losses
         if status.box_ok != self._box_ok:
             self._box_ok = status.box_ok
-            said.append(_box_words(status))
+            messages.append(_box_words(status))
         elif status.box_ok and losses > self._link_losses:
-            said.append("warning: the link to the box was lost for a moment")
+            messages.append("warning: the link to the box was lost for a moment")
         self._link_losses = losses
         if self._robot_ok is not None and status.robot_ok != self._robot_ok:
-            said.append(
+            messages.append(
                 "the robot is back" if status.robot_ok else "warning: the robot was lost; trying to reach it again"
             )
         self._robot_ok = status.robot_ok
         silent = bool(status.robot_ok) and (status.robot_age_s or 0.0) > SILENCE_S
         if silent != self._robot_silent and status.robot_ok:
-            said.append(
+            messages.append(
                 f"warning: the robot has been silent for {SILENCE_S:g} s" if silent else "the robot is heard again"
             )
         self._robot_silent = silent
         lost = status.counters.lost_frames + status.counters.overruns_in_box
         if lost > self._lost:
-            said.append(
+            messages.append(
                 f"warning: {status.counters.lost_frames} frames lost on the link, {status.counters.overruns_in_box} samples in the box"
             )
         self._lost = lost
-        return said
+        return messages
 
 
 def _box_words(status: Status) -> str:
@@ -244,8 +244,8 @@ def _run(view: View, show: _Live | _Plain, stop: threading.Event, period_s: floa
             view.wake.wait(period_s)
             view.wake.clear()
             over = stop.is_set()
-            said, status = view.take()
-            show.show(said, status, view, over)
+            messages, status = view.take()
+            show.show(messages, status, view, over)
     except Exception as exc:  # whatever it is, the recording is worth more than its view
         view.failed(f"{type(exc).__name__}: {exc}")
 
@@ -257,9 +257,9 @@ class _Plain:
         self._write = write
         self._due_s = PLAIN_S
 
-    def show(self, said: list[str], status: Status | None, view: View, over: bool) -> None:
+    def show(self, messages: list[str], status: Status | None, view: View, over: bool) -> None:
         at = "" if status is None else f"{status.elapsed_s:.1f} s: "
-        lines = [at + one_line(text) for text in said]
+        lines = [at + one_line(text) for text in messages]
         if status is not None and not over and status.elapsed_s >= self._due_s:
             self._due_s = int(status.elapsed_s) + PLAIN_S
             lines.append(at + view.line(status))
@@ -281,11 +281,11 @@ class _Live:
         self._live = Live(console=console, auto_refresh=False, transient=True)
         self._live.start()
 
-    def show(self, said: list[str], status: Status | None, view: View, over: bool) -> None:
+    def show(self, messages: list[str], status: Status | None, view: View, over: bool) -> None:
         from rich.text import Text
 
         at = "" if status is None else f"{status.elapsed_s:.1f} s: "
-        for text in said:
+        for text in messages:
             style = "yellow" if text.startswith(("warning", "now mount")) else ""
             self._live.console.print(Text(at + one_line(text), style))
         if status is not None:

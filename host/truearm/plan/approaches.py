@@ -76,12 +76,12 @@ def plan_approaches(
         long = max(1, round(wanted.long_s / pace.dwell))
         stops += [(q, True, mount and k == 0) for k in range(long)]
         for _ in range(wanted.rounds):
-            for signs in rng.permutation(sides(len(q))):
+            for signs in rng.permutation(approach_directions(len(q))):
                 stops += [(q + signs * step, False, False), (q, True, False)]
     return _route(site, stops, pairing, pace)
 
 
-def sides(joints: int) -> Floats:
+def approach_directions(joints: int) -> Floats:
     """From which side each joint comes (k, j), ±1: columns of a Hadamard matrix but for its first, which is constant."""
     order = 1 << int(joints).bit_length()
     return np.asarray(hadamard(order)[:, 1 : joints + 1], dtype=np.float64)
@@ -119,7 +119,7 @@ def _away(site: Site, q: Floats, jac: Floats, pairing: Pairing) -> Floats | None
     for _ in range(3):
         if step.min() < LEAST:
             return None
-        ways = np.concatenate([samples(q + signs * step, q) for signs in sides(len(q))])
+        ways = np.concatenate([samples(q + signs * step, q) for signs in approach_directions(len(q))])
         if all_allowed(site, ways, pairing, site.limits):
             return np.asarray(step)
         step = 0.7 * step

@@ -95,9 +95,9 @@ def plan_lines(
     known = replace(known, rig=replace(known.rig, line_travel=wanted.shape.transverse))
     table, devices = line_rows(known, lines, names, target, wanted.passes)
     errors = a_priori(site, lines.points, point)
-    told = forecast(_with_lines(known, devices), table, aim)
+    expected = forecast(_with_lines(known, devices), table, aim)
     visits = _visits(stops, names, wanted.passes, target)
-    return LinePlan(lines, errors, _with_lines(known, devices).rig, devices, stops, visits, told, seconds / 60.0)
+    return LinePlan(lines, errors, _with_lines(known, devices).rig, devices, stops, visits, expected, seconds / 60.0)
 
 
 def _driving(wanted: LinesWanted) -> float:

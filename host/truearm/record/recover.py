@@ -59,7 +59,7 @@ def is_whole(session: Session) -> bool:
     return not session.truncated and not session.damage
 
 
-def recover(session: Session, out: Path, said: Mapping[str, str]) -> Recovered:
+def recover(session: Session, out: Path, note: Mapping[str, str]) -> Recovered:
     """Write ``out``, a complete session, from one that was opened with ``allow_damaged``. ``said`` goes to metadata ``recovered``.
 
     Raises InputError where ``out`` exists or cannot be made, TruearmError where it cannot be written any more, SessionError
@@ -88,7 +88,7 @@ def recover(session: Session, out: Path, said: Mapping[str, str]) -> Recovered:
             seconds=1e-9 * max(0, last_ns - first_ns),
             attachments=tuple(session.attachments),
         )
-        writer.metadata("recovered", {**said, **_entries(found)})
+        writer.metadata("recovered", {**note, **_entries(found)})
         writer.close(session.metadata.get("session-end"))
     return found
 

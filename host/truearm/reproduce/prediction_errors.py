@@ -87,28 +87,28 @@ def predictions(problem: Problem, session: Session, free: NDArray[np.bool_], las
     free : (p,) the robot's parameters to identify.
     """
     lines = session.table.line
-    told = np.zeros(problem.n_rows, dtype=bool)
+    observed = np.zeros(problem.n_rows, dtype=bool)
     columns = np.concatenate([free, np.zeros(problem.start.size - free.size, dtype=bool)])
     judged_from = N_LINES * (len(lines) // N_LINES - PLACING) - last
     x, errors = problem.start, []
     for name in session.by_hand:
         rows = np.flatnonzero(lines == name)
         device = np.array([n.startswith(f"line.{name}.") for n in problem.names])
-        x = np.where(device, 0.0, fitted_to(problem, told, columns, x))
+        x = np.where(device, 0.0, fitted_to(problem, observed, columns, x))
         x[device] = placed(problem.chain, x, session, rows[:PLACING])
         # What is believed of the device is believed about where it was placed.
         problem, columns = replace(problem, start=np.where(device, x, problem.start)), columns | device
         for row in rows[PLACING:]:
-            if told.sum() >= judged_from:
-                x = fitted_to(problem, told, columns, x)
-                errors.append(observe(only(problem, np.arange(told.size) == row), x, columns).residual["m"][row])
-            told[row] = True
+            if observed.sum() >= judged_from:
+                x = fitted_to(problem, observed, columns, x)
+                errors.append(observe(only(problem, np.arange(observed.size) == row), x, columns).residual["m"][row])
+            observed[row] = True
     return np.array(errors)
 
 
-def fitted_to(problem: Problem, told: NDArray[np.bool_], columns: NDArray[np.bool_], x: Floats) -> Floats:
+def fitted_to(problem: Problem, observed: NDArray[np.bool_], columns: NDArray[np.bool_], x: Floats) -> Floats:
     """θ̂ (P,) from the points ``told`` (n_rows,), the search begun at x (P,)."""
-    return fit(only(problem, told), columns, x, Options(RELINEARISED), 0.0).x if told.any() else x
+    return fit(only(problem, observed), columns, x, Options(RELINEARISED), 0.0).x if observed.any() else x
 
 
 def placed(chain: Chain, x: Floats, session: Session, rows: NDArray[np.intp]) -> Floats:

@@ -144,8 +144,8 @@ def characterized(
     bar = _usual([dwell.mounted["bar"] for dwell in found.dwells])
     of_bar = np.array([dwell.mounted["bar"] == bar for dwell in found.dwells])
     visited = _visited(found, of_bar, chain, rig, step)
-    told = repeatability(visited)
-    sigma = tuple(one.value for one in told.joint_sigma)
+    spread = repeatability(visited)
+    sigma = tuple(one.value for one in spread.joint_sigma)
     cov = tuple(tuple(s * s if i == k else 0.0 for k in range(len(sigma))) for i, s in enumerate(sigma))
     document = {
         "session": parts[0].name,
@@ -153,24 +153,24 @@ def characterized(
         "bar": bar,
         "joints": [one_line(joint.name) for joint in chain.joints],
         "dwells": len(found.dwells),
-        "visits": told.n_visits,
-        "poses": told.n_poses,
-        "sides": told.n_sides,
-        "repeatability": _repeatability(told),
+        "visits": spread.n_visits,
+        "poses": spread.n_poses,
+        "sides": spread.n_sides,
+        "repeatability": _repeatability(spread),
         "settling": _settling(found),
         "readings": _readings(found, step),
         "sensor": _sensor(found),
         "noise": {
-            "bar_sigma_m": told.bar_sigma._asdict(),
+            "bar_sigma_m": spread.bar_sigma._asdict(),
             "declared_bar_sigma_m": rig.bars[bar].sigma,
-            "joint_sigma_si": [one._asdict() for one in told.joint_sigma],
+            "joint_sigma_si": [one._asdict() for one in spread.joint_sigma],
         },
     }
     # none of a joint that the bar does not show
-    widths = [one.value for one in told.backlash]
-    width, known_to = (np.nan_to_num(values) for values in (widths, told.backlash_sigma))
+    widths = [one.value for one in spread.backlash]
+    width, known_to = (np.nan_to_num(values) for values in (widths, spread.backlash_sigma))
     backlash = tuple(width.tolist()), tuple(known_to.tolist())
-    return document, NoiseFile(cov, {bar: told.bar_sigma.value}, parts[0].name, *backlash)
+    return document, NoiseFile(cov, {bar: spread.bar_sigma.value}, parts[0].name, *backlash)
 
 
 def _synced(part: Part, chain: Chain, rig: Rig, bands: Sequence[float]) -> tuple[SyncResult, Visits]:
@@ -218,15 +218,15 @@ def _reading_sigma(dwells: Sequence[Dwell], step: Floats) -> Floats:
     return np.asarray(np.sqrt(np.maximum(variance - step**2 / 12.0, 0.0)))
 
 
-def _repeatability(told: Repeatability) -> dict[str, Any]:
+def _repeatability(found: Repeatability) -> dict[str, Any]:
     return {
-        "along_m": told.along._asdict(),
-        "unexplained_m": told.unexplained._asdict(),
-        "backlash_si": [one._asdict() for one in told.backlash],
-        "reading_spread_si": [one._asdict() for one in told.spread],
-        "reading_difference_si": [one._asdict() for one in told.difference],
-        "misfit_probability": told.misfit,
-        "backlash_explains": not told.misfit < MISFIT,
+        "along_m": found.along._asdict(),
+        "unexplained_m": found.unexplained._asdict(),
+        "backlash_si": [one._asdict() for one in found.backlash],
+        "reading_spread_si": [one._asdict() for one in found.spread],
+        "reading_difference_si": [one._asdict() for one in found.difference],
+        "misfit_probability": found.misfit,
+        "backlash_explains": not found.misfit < MISFIT,
     }
 
 
@@ -263,12 +263,12 @@ def _sensor(found: Visits) -> dict[str, Any]:
     noise = sigma_interval(np.square([dwell.noise for dwell in found.dwells]))
     spacing = mean_interval(found.spacing_s)
     document = {"sample_m": noise._asdict(), "period_s": found.period_s, "independent_after_s": spacing._asdict()}
-    told = found.allan
-    if not told.tau_s.size:
+    allan = found.allan
+    if not allan.tau_s.size:
         return document | {"allan": [], "floor": None}
     rows = [
         {"tau_s": float(tau), **_of_freedom(float(deviation), float(freedom))._asdict()}
-        for tau, deviation, freedom in zip(*told, strict=True)
+        for tau, deviation, freedom in zip(*allan, strict=True)
     ]
     return document | {"allan": rows, "floor": min(rows, key=lambda row: row["value"])}
 

@@ -151,7 +151,7 @@ def corrected_poses(calibration: Calibration, poses: Floats, options: CorrectOpt
         margin=request.margin,
     )
     _refuse(done, [f"pose {i}" for i in range(len(poses))], TargetError, then="")
-    return done._replace(told=inverted(request.work) @ done.told @ request.tool)
+    return done._replace(commanded=inverted(request.work) @ done.commanded @ request.tool)
 
 
 def _request(calibration: Calibration, options: CorrectOptions) -> _Request:
@@ -184,8 +184,8 @@ def _correct_table(path: Path, out: Path, request: _Request) -> _Done:
         margin=request.margin,
     )
     _refuse(done, targets.source, TargetError)
-    told = inverted(request.work) @ done.told @ request.tool
-    write_atomic(out, format_corrected(targets, told, done.q, done.before, done.after, request.units))
+    commanded = inverted(request.work) @ done.commanded @ request.tool
+    write_atomic(out, format_corrected(targets, commanded, done.q, done.before, done.after, request.units))
     rows = tuple(source.rpartition(" ")[2] for source in targets.source)
     return _Done(done, rows, (SEARCHED,) if targets.q_start is None else ())
 

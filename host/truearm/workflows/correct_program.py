@@ -13,7 +13,7 @@ from truearm.correct.controller_frames import SAME, Frame, base_of, flange_of
 from truearm.correct.correction import Configuration, Correction, correct
 from truearm.correct.joint_moves import JointMoves
 from truearm.correct.methods import Method
-from truearm.correct.model_pair import Pair, told
+from truearm.correct.model_pair import Pair, believed
 from truearm.errors import Argument, ProgramError
 from truearm.files.programs.program import (
     PoseTarget,
@@ -136,7 +136,7 @@ def correct_program(
     refused += _problems(program, joints, [at for _, at in targets.joints])
     good = [i for i, problem in enumerate(done.problem) if not problem]
     poses = [targets.poses[i] for i in good]
-    asked = inverted(frame[good]) @ inverted(base.pose) @ done.told[good] @ flange.pose @ tools[good]
+    asked = inverted(frame[good]) @ inverted(base.pose) @ done.commanded[good] @ flange.pose @ tools[good]
     new = solved(poses, asked)
     refused += [
         _refused(program, one.at, "its target and another's depend on each other", "" if options.split else "split")
@@ -230,7 +230,7 @@ def _corrected_joints(how: HowCorrected, literals: Sequence[Taught]) -> Correcti
     if literals and n_joints != q.shape[1]:
         raise ProgramError(f"the program has {q.shape[1]} joints, the robot {n_joints}")
     q = q if literals else np.zeros((0, n_joints))
-    return _corrected(how, told(how.pair, q), Configuration(q_start=q))
+    return _corrected(how, believed(how.pair, q), Configuration(q_start=q))
 
 
 def _corrected(how: HowCorrected, ends: Floats, configuration: Configuration) -> Correction:
@@ -246,12 +246,18 @@ def _rows(of: Correction, rows: Sequence[int]) -> Correction:
     """Some of its targets."""
     k = np.array(rows, dtype=int)
     problems = tuple(of.problem[i] for i in rows)
-    return Correction(of.q_nominal[k], of.q[k], of.told[k], of.before[k], of.after[k], problems)
+    return Correction(of.q_nominal[k], of.q[k], of.commanded[k], of.before[k], of.after[k], problems)
 
 
 def _joined(a: Correction, b: Correction) -> Correction:
     """The targets of one, then of the other."""
-    pairs = ((a.q_nominal, b.q_nominal), (a.q, b.q), (a.told, b.told), (a.before, b.before), (a.after, b.after))
+    pairs = (
+        (a.q_nominal, b.q_nominal),
+        (a.q, b.q),
+        (a.commanded, b.commanded),
+        (a.before, b.before),
+        (a.after, b.after),
+    )
     q_nominal, q, poses, before, after = (np.concatenate(pair) for pair in pairs)
     return Correction(q_nominal, q, poses, before, after, (*a.problem, *b.problem))
 

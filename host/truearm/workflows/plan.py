@@ -357,24 +357,26 @@ def _write_programs(
         write_atomic(path, program(stops, path.suffix.lower(), Task(path.stem, dwell, files.signals, tool)))
 
 
-def _document(told: Forecast) -> dict[str, Any]:
+def _document(forecast: Forecast) -> dict[str, Any]:
     """The forecast as it is printed and as JSON has it."""
 
     def number(value: float) -> float | None:
         return float(value) if np.isfinite(value) else None
 
     return {
-        "rows": told.n_rows,
-        "rank": told.rank,
-        "free": int(told.free.sum()),
-        "null_space": [dict(zip(d.names, d.weights, strict=True)) for d in told.null_space],
-        "hardly_seen": [dict(zip(d.names, d.weights, strict=True)) for d in told.hardly_seen],
+        "rows": forecast.n_rows,
+        "rank": forecast.rank,
+        "free": int(forecast.free.sum()),
+        "null_space": [dict(zip(d.names, d.weights, strict=True)) for d in forecast.null_space],
+        "hardly_seen": [dict(zip(d.names, d.weights, strict=True)) for d in forecast.hardly_seen],
         "parameters": [
             {"name": name, "unit": unit, "sigma": number(sigma)}
-            for name, unit, sigma, free in zip(told.names, told.units, told.sigma, told.free, strict=True)
+            for name, unit, sigma, free in zip(
+                forecast.names, forecast.units, forecast.sigma, forecast.free, strict=True
+            )
             if free
         ],
-        "cartesian_rms_mm": number(MM.of(told.cartesian_rms)),
-        "cartesian_worst_mm": None if told.cartesian is None else MM.of(float(told.cartesian.max())),
-        "cartesian_relative": told.relative,
+        "cartesian_rms_mm": number(MM.of(forecast.cartesian_rms)),
+        "cartesian_worst_mm": None if forecast.cartesian is None else MM.of(float(forecast.cartesian.max())),
+        "cartesian_relative": forecast.relative,
     }

@@ -89,16 +89,16 @@ def record_request(request: Request, output: TextIO) -> Recorded:
 
 def what_is_missing(summary: RecordSummary, with_robot: bool) -> str:
     """Why a recording that ended is not what was asked for; "" if it is."""
-    said = []
+    reasons = []
     if summary.reason in ("link lost", "robot lost", "no readings"):
-        said.append(summary.text)
+        reasons.append(summary.text)
     elif with_robot and not summary.counters.robot_lines:
         closed = "the robot closed its stream without" if summary.reason == "robot closed" else "there is not"
-        said.append(f"{closed} a joint reading")
+        reasons.append(f"{closed} a joint reading")
     if summary.box_gone and summary.reason != "link lost":
         lost_s = summary.duration_s - summary.heard_s
-        said.append(f"the box was gone at the end, and silent for the last {lost_s:.1f} s ({summary.box_gone})")
-    return "; ".join(said)
+        reasons.append(f"the box was gone at the end, and silent for the last {lost_s:.1f} s ({summary.box_gone})")
+    return "; ".join(reasons)
 
 
 def _record(device: str, work: Work, request: Request, output: TextIO) -> tuple[RecordSummary, bool, View]:
@@ -112,10 +112,10 @@ def _record(device: str, work: Work, request: Request, output: TextIO) -> tuple[
 
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     clock = HostClock()
-    course = SessionProgress(work.rows, dict(work.mounted))
+    progress = SessionProgress(work.rows, dict(work.mounted))
     if work.before is not None and request.plan is None:
-        gone_on(course, work.before)
-    view = View(LiveState(course, work.rig, work.robot is not None), _purpose(work), request.unchecked)
+        gone_on(progress, work.before)
+    view = View(LiveState(progress, work.rig, work.robot is not None), _purpose(work), request.unchecked)
     with (
         closing(Reopening(BoxPort(device, clock))) as link,
         _robot_link(work.robot, clock) as robot_link,

@@ -125,16 +125,18 @@ def earlier(path: Path) -> Earlier:
     )
 
 
-def gone_on(course: SessionProgress, before: Earlier) -> None:
+def gone_on(progress: SessionProgress, before: Earlier) -> None:
     """Count what was taken before."""
     for pose in before.dwells:
-        if type(pose) is int and 0 <= pose < len(course.rows):
-            course.done.add(pose)
-            course.next = pose + 1
+        if type(pose) is int and 0 <= pose < len(progress.rows):
+            progress.done.add(pose)
+            progress.next = pose + 1
         else:
-            course.unplanned += 1
-    course.lines += len(before.lines)
-    course.next = max([course.next, *(row + 1 for row in before.lines if type(row) is int and row < len(course.rows))])
+            progress.unplanned += 1
+    progress.lines += len(before.lines)
+    progress.next = max(
+        [progress.next, *(row + 1 for row in before.lines if type(row) is int and row < len(progress.rows))]
+    )
 
 
 def _first(path: Path) -> Path:

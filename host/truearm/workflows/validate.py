@@ -269,24 +269,24 @@ def verdict(document: Mapping[str, Any]) -> str:
     """What the numbers mean, in words."""
     units = [SUFFIXES[suffix] for suffix in document["residual_units"]]
     helped = [u.suffix for u in units if document[f"rms_after_{u.suffix}"] < HELPS * document[f"rms_before_{u.suffix}"]]
-    told = [_Told.of(document["expected"], unit) for unit in units if _Told.known(document["expected"], unit)]
+    predicted = [_Told.of(document["expected"], unit) for unit in units if _Told.known(document["expected"], unit)]
     if not helped:
         words = "The calibration does not help here: identify again, from measurements of this place and tool."
-    elif not told:
+    elif not predicted:
         words = "The calibration helps, but how far it holds cannot be told here."
-    elif (worst := max(told, key=lambda of: of.excess)).excess > AS_GOOD:
+    elif (worst := max(predicted, key=lambda of: of.excess)).excess > AS_GOOD:
         words = (
             f"The calibration helps, but leaves {worst.excess:.1f} times the error that noise and its own "
             f"uncertainty explain ({worst.text(worst.rms)}): the arm, its tool or its load has changed, or it errs in ways that "
             "the parameters do not hold."
         )
-    elif unsure := [of for of in told if of.by_parameters > of.by_noise]:
+    elif unsure := [of for of in predicted if of.by_parameters > of.by_noise]:
         words = (
             "The calibration holds, as far as it says anything here: its own uncertainty leaves "
             f"{unsure[0].text(unsure[0].by_parameters)}. To know this place better, identify from it too."
         )
     else:
-        explained = " and ".join(of.text(of.rms) for of in told)
+        explained = " and ".join(of.text(of.rms) for of in predicted)
         words = f"The calibration holds: noise and its own uncertainty explain such an error ({explained})."
     if document["unseen"]:
         words += (
@@ -346,18 +346,18 @@ def _error_lines(document: Mapping[str, Any], unit: Scale) -> list[str]:
     width = max([len(region["region"]) for region in document["regions"]] + [len("all, largest")])
     lines = [f"{title('error', unit.si):<{width}}{'without':>12}{'with':>12}{'expected':>12}{'rows':>8}"]
     for figure, words in (("rms", "all, RMS"), ("mean", "all, mean"), ("max", "all, largest")):
-        told = due[f"rms_{unit.suffix}"] if due and figure == "rms" else None
-        lines.append(_line(words, width, document, figure, unit, told))
+        predicted = due[f"rms_{unit.suffix}"] if due and figure == "rms" else None
+        lines.append(_line(words, width, document, figure, unit, predicted))
     for region in document["regions"]:
         if region[f"n_{unit.suffix}"]:
-            told = region[f"rms_expected_{unit.suffix}"]
-            lines.append(_line(one_line(region["region"]), width, region, "rms", unit, told))
+            predicted = region[f"rms_expected_{unit.suffix}"]
+            lines.append(_line(one_line(region["region"]), width, region, "rms", unit, predicted))
     return lines
 
 
-def _line(words: str, width: int, numbers: Mapping[str, Any], figure: str, unit: Scale, told: float | None) -> str:
+def _line(words: str, width: int, numbers: Mapping[str, Any], figure: str, unit: Scale, predicted: float | None) -> str:
     decimals = UNITS[unit.si].decimals
     before, after = (numbers[f"{figure}_{name}_{unit.suffix}"] for name in ("before", "after"))
-    last = "-" if told is None else f"{told:.{decimals}f}"
+    last = "-" if predicted is None else f"{predicted:.{decimals}f}"
     rows = numbers[f"n_{unit.suffix}"]
     return f"{words:<{width}}{before:>12.{decimals}f}{after:>12.{decimals}f}{last:>12}{rows:>8}"
