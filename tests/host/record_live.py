@@ -12,7 +12,7 @@ from truearm.live.state import LiveState
 from truearm.record.status import Counters, Status
 from truearm.session.box_ident import decode_ident
 from truearm.session.data_frames import Data
-from truearm.types import BallBar, Rig
+from truearm.types import BallBar, Point, Rig
 
 S = 1_000_000_000
 BLOCK_NS = 12_779_520
@@ -25,8 +25,8 @@ RIG = Rig(
         "b46": BallBar("b46", zero=0.46, gain=1.0, travel=0.075, sigma=8.4e-5),
         "b61": BallBar("b61", zero=0.61, gain=1.0, travel=0.075, sigma=8.4e-5),
     },
-    chucks={"c1": None, "c2": None},
-    spheres={"s1": None},
+    chucks={name: Point(name, (0.0, 0.0, 0.0)) for name in ("c1", "c2")},
+    spheres={"s1": Point("s1", (0.0, 0.0, 0.0))},
 )
 
 
