@@ -279,8 +279,8 @@ class TestFaults:
         rows = [json.loads(m.data) for m in topics(path)["/sync"]]
         assert asked
         assert summary.rtt_us == pytest.approx(2 * LATENCY / 1000)
-        assert all(row["t1_us"] is None for row in rows if row["t0_ns"] > HOST_0 + SECOND)
-        assert summary.counters.unanswered_probes == sum(row["t1_us"] is None for row in rows) >= 6
+        assert all("t1_us" not in row for row in rows if row["t0_ns"] > HOST_0 + SECOND)
+        assert summary.counters.unanswered_probes == sum("t1_us" not in row for row in rows) >= 6
 
     def test_lost_answers_are_asked_for_again_and_nothing_is_done_twice(self, lab, path):
         box = Box(lab)
@@ -295,7 +295,7 @@ class TestFaults:
         rows = [json.loads(m.data) for m in topics(path)["/sync"]]
         assert summary.counters.unanswered_probes == summary.counters.probes == len(rows)
         assert summary.rtt_us is None
-        assert all((row["t1_us"], row["t2_us"], row["t3_ns"]) == (None, None, None) for row in rows)
+        assert all(set(row) == {"id", "t0_ns"} for row in rows)
         first = topics(path)["/sync"][0]
         assert 2 * SECOND <= first.t_host_ns - rows[0]["t0_ns"] <= 2 * SECOND + 50 * MS
 

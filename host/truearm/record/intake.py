@@ -10,6 +10,7 @@ does a count that jumps by more frames than any link could have carried meanwhil
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,10 +20,12 @@ from truearm.record.fields import fields_of
 from truearm.record.frames import FrameSplitter, frame_seq, frame_type
 from truearm.record.operator import Operator
 from truearm.record.probes import Probes
+from truearm.record.session_schemas import PREVIEW
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
 from truearm.session.box_ident import Ident, decode_ident
 from truearm.session.data_frames import Data, data_of, decode, too_many, usual_data
+from truearm.session.lvdt import shown
 from truearm.session.pages import Pages
 from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, IDENT, REPLY, SYNC_REPLY
 
@@ -37,6 +40,7 @@ _TOPICS = {
 _SEQ_MASK, _SEQ_HALF = 2**32 - 1, 2**31
 _BEAT_WRAP = 2**30  # of a heartbeat's counters
 _SAMPLE_BYTES = 4
+PREVIEW_NS = 100_000_000  # between two samples shown
 _LARGEST_UNNAMED_STREAM = 255
 
 
@@ -68,6 +72,7 @@ class Intake:
     _idle_us: int | None = None  # the box's time at which it said so first
     _beat: tuple[int, int, int] | None = None  # the last heartbeat's boot id, dropped and overruns
     _streams: dict[int, tuple[str, int]] = field(default_factory=dict)  # id: topic, bytes a sample
+    _next_preview_ns: dict[int, int] = field(default_factory=dict)  # by stream
     _splitter: FrameSplitter = field(default_factory=FrameSplitter)
     _pages: Pages = field(default_factory=Pages)
 
@@ -129,7 +134,18 @@ class Intake:
         self.writer.add(topic, t_host_ns, payload)
         self.counters.samples += n_bytes // sample_bytes
         self._count(t_host_ns, data.seq)
+        if t_host_ns >= self._next_preview_ns.get(data.stream, 0):
+            self._next_preview_ns[data.stream] = t_host_ns + PREVIEW_NS
+            self._preview(t_host_ns, data)
         self.operator.block(t_host_ns, data)
+
+    def _preview(self, t_host_ns: int, data: Data) -> None:
+        """A block's last sample for viewers that cannot read frames."""
+        stream = None if self.ident is None else self.ident.streams.get(data.stream)
+        if stream is not None and data.samples and len(data.samples) % (_SAMPLE_BYTES * len(stream.channels)) == 0:
+            counts = struct.unpack(f"<{len(data.samples) // _SAMPLE_BYTES}i", data.samples)[-len(stream.channels) :]
+            row = dict(shown(*pair) for pair in zip(stream.channels, counts, strict=True) if not pair[0].fault)
+            self.writer.add_json(PREVIEW + stream.name, t_host_ns, row)
 
     def _count(self, t_host_ns: int, seq: int | None) -> None:
         self.counters.frames += 1

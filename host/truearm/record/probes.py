@@ -8,7 +8,6 @@ it for longer than it was away, which no clock of a box does (the answer itself 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 from truearm.record.session_writer import SessionWriter
 
@@ -51,6 +50,5 @@ class Probes:
         """Give up requests of that age."""
         late = [probe for probe, t0_ns in self._pending.items() if now_ns - t0_ns >= older_than_ns]
         for probe in late:
-            row: dict[str, Any] = {"id": probe, "t0_ns": self._pending.pop(probe), "t1_us": None, "t2_us": None}
-            self.writer.add_json("/sync", now_ns, {**row, "t3_ns": None})
+            self.writer.add_json("/sync", now_ns, {"id": probe, "t0_ns": self._pending.pop(probe)})
             self.unanswered += 1

@@ -33,9 +33,9 @@ from mcap.writer import CompressionType, Writer
 from truearm import __version__
 from truearm.errors import InputError, LinkError, WriteError
 from truearm.record.links import Clock
+from truearm.record.session_schemas import encodings_of
 from truearm.session.joint_batch import COLUMNS, JOINTS, pack, parse_lines
 from truearm.session.mcap_records import CHANNELS, CRC, LATEST_NS, metadata_crc
-from truearm.types import BAR_MOUNTED
 
 CHUNK_NS = 800_000_000  # with the recorder's pace of 50 ms no message waits longer than 1 s
 _CHUNK_BYTES = 1 << 20
@@ -44,29 +44,6 @@ _FSYNC_EVERY_S = 0.9
 MAX_HELD_BYTES = 32 << 20  # in memory before ``keep``; a box that was just asked who it is sends a few kB
 
 Anchor = tuple[int, int]  # the same instant in UTC and on the host's clock [ns]
-
-_CONSOLE_TOPICS = frozenset({"/box/console", "/robot/console"})
-_NUMBERS = {"type": "array", "items": {"type": "number"}}
-_TEXTS = {name: {"type": "string"} for name in (*BAR_MOUNTED, "shell")}
-_PROPERTIES: dict[str, dict[str, Any]] = {
-    "/sync": {name: {"type": ["integer", "null"]} for name in ("id", "t0_ns", "t1_us", "t2_us", "t3_ns")},
-    "/robot/joints": {
-        "t": {"type": "number"},
-        "seq": {"type": "integer"},
-        **dict.fromkeys(("q", "q_cmd", "qd", "current", "effort"), _NUMBERS),
-        **{name: {"type": "integer"} for name in ("inputs", "robot_mode", "runtime_state")},
-        "line": {"type": "string"},
-        "arrival": {"type": "boolean"},
-    },
-    "/events": {"kind": {"type": "string"}, **_TEXTS},
-    "/plan": {
-        "pose": {"type": "integer"},
-        **_TEXTS,
-        **{name: {"type": "string"} for name in ("move", "line", "target")},
-        "speed_m_s": {"type": "number"},
-        "q": _NUMBERS,
-    },
-}
 
 
 class SessionWriter:
@@ -152,7 +129,7 @@ class SessionWriter:
     def _add(self, topic: str, t_host_ns: int, data: bytes, sequence: int | None = None) -> None:
         channel = self._channels.get(topic)
         if channel is None:
-            channel = self._channels[topic] = [self._register(topic), 0]
+            channel = self._channels[topic] = [self._register(topic, data), 0]
             # MCAP says this once, in the chunk under way; without that chunk the rest could not be told apart.
             self.metadata(CHANNELS, {str(number): name for name, (number, _) in self._channels.items()})
         if sequence is not None:
@@ -172,8 +149,9 @@ class SessionWriter:
             self._add(COLUMNS, self._latest_ns, pack(batch))
 
     def add_json(self, topic: str, t_host_ns: int, row: Mapping[str, Any]) -> None:
-        """Append ``row`` as JSON."""
-        self.add(topic, t_host_ns, json.dumps(row, separators=(",", ":")).encode())
+        """Append ``row`` as JSON; what is None in it is left out."""
+        said = {key: value for key, value in row.items() if value is not None}
+        self.add(topic, t_host_ns, json.dumps(said, separators=(",", ":")).encode())
 
     def event(self, kind: str, t_host_ns: int, **fields: Any) -> None:
         """Append to ``/events``."""
@@ -236,14 +214,10 @@ class SessionWriter:
         except OSError as exc:
             raise InputError(f"{self.path}: cannot be written: {exc.strerror}") from exc
 
-    def _register(self, topic: str) -> int:
-        if topic in _CONSOLE_TOPICS:
-            return self._writer.register_channel(topic, "application/octet-stream", 0)
-        if topic.startswith("/box/"):
-            return self._writer.register_channel(topic, "cbor", 0)
-        schema = {"type": "object", "properties": _PROPERTIES.get(topic, {})}
-        schema_id = self._writer.register_schema("truearm" + topic, "jsonschema", json.dumps(schema).encode())
-        return self._writer.register_channel(topic, "json", schema_id)
+    def _register(self, topic: str, first: bytes) -> int:
+        encodings = encodings_of(topic, first)
+        schema = self._writer.register_schema(encodings.name, encodings.schema, encodings.data.encode())
+        return self._writer.register_channel(topic, encodings.message, schema)
 
     def _add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
         self._writer.add_metadata(name, {**entries, CRC: metadata_crc(name, entries)})

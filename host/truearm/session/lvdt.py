@@ -6,6 +6,7 @@ length = zero + gain · extension, centre to centre.
 
 from __future__ import annotations
 
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,14 @@ def extension(counts: NDArray[Any], channel: Channel) -> Floats:
             f"channel {channel.name!r} of the box has no calibration to metres; record with a calibrated box"
         )
     return np.asarray(unit.to_si(np.polynomial.polynomial.polyval(volts(counts, channel), channel.poly)))
+
+
+def shown(channel: Channel, count: int) -> tuple[str, float]:
+    """A usable channel's sample for a person to look at, and its name with the unit: metres where it is calibrated to a length."""
+    seen, unit = count * channel.scale, channel.length_unit
+    if unit is None:
+        return f"{channel.name}_{channel.unit or 'raw'}", seen
+    return f"{channel.name}_m", unit.to_si(reduce(lambda sum, factor: sum * seen + factor, reversed(channel.poly), 0.0))
 
 
 def bar_length(extension: Floats, bar: BallBar) -> Floats:

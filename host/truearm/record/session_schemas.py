@@ -1,0 +1,83 @@
+"""What a session's channels hold, for other programs: MCAP's encodings and schemas (docs/session-format.md).
+
+PlotJuggler looks up every channel's schema. Foxglove reads JSON with a JSON schema whose every property has one type; it has no CBOR.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any, NamedTuple
+
+from truearm.session.joint_batch import COLUMNS, JOINTS
+from truearm.session.joint_line import ARRAYS
+from truearm.types import BAR_MOUNTED, LINE_MOUNTED
+from truearm_wire import messages as wire
+
+PREVIEW = "/preview/"  # and a stream's name
+
+_INTEGER, _NUMBER, _TEXT, _BOOLEAN = ({"type": name} for name in ("integer", "number", "string", "boolean"))
+_NUMBERS = {"type": "array", "items": _NUMBER}
+_MOUNTED = dict.fromkeys((*BAR_MOUNTED, "shell", *LINE_MOUNTED), _TEXT)
+_JSON: dict[str, dict[str, Any]] = {
+    "/sync": dict.fromkeys(("id", "t0_ns", "t1_us", "t2_us", "t3_ns"), _INTEGER),
+    JOINTS: {
+        **{"t": _NUMBER, "seq": _INTEGER},
+        **dict.fromkeys(("q", *ARRAYS), _NUMBERS),
+        **dict.fromkeys(("inputs", "robot_mode", "runtime_state"), _INTEGER),
+        **{"line": _TEXT, "arrival": _BOOLEAN},
+    },
+    "/events": {
+        "kind": _TEXT,
+        **_MOUNTED,
+        **dict.fromkeys(("text", "reason", "device"), _TEXT),
+        **dict.fromkeys(("begin_ns", "end_ns", "heard_ns", "pose", "lost", "boot_id", "boot_id_before"), _INTEGER),
+        **dict.fromkeys(("mean_m", "noise_m", "length_m", "speed_m_s", "away_s"), _NUMBER),
+        "settled": _BOOLEAN,
+    },
+    "/plan": {"pose": _INTEGER, "move": _TEXT, **_MOUNTED, "speed_m_s": _NUMBER, "q": _NUMBERS},
+}
+_FRAMES = {
+    "/box/event": (wire.EVENT,),
+    "/box/heartbeat": (wire.HEARTBEAT,),
+    "/box/ident": (wire.IDENT,),
+    "/box/sync": (wire.SYNC_REPLY,),
+    "/box/reply": (wire.REPLY, wire.ERROR),
+}
+_COLUMNS = """; n readings of j joints: those of /robot/joints since the last such message
+columns = {"arrival_ns": ints, "t": floats, "seq": ints, "q": floats, * text => ints / floats}
+floats = #6.86(bytes) ; RFC 8746 float64, little endian
+ints = #6.79(bytes)   ; RFC 8746 sint64, little endian
+"""
+_OTHER = "frame = any ; of a type or a layout that the recorder did not know\n"
+_BYTES = "received bytes that are no frame, or no reading, exactly as they came"
+
+
+class Encodings(NamedTuple):
+    """A channel's encoding, and the name, encoding and data of its schema."""
+
+    message: str
+    name: str
+    schema: str
+    data: str
+
+
+def encodings_of(topic: str, first: bytes) -> Encodings:
+    """Of a topic whose first message is given."""
+    if topic in ("/box/console", "/robot/console"):
+        return Encodings("application/octet-stream", "truearm/bytes", "text/plain", _BYTES)
+    if topic == COLUMNS:
+        return Encodings("cbor", "truearm" + topic, "cddl", _COLUMNS)
+    if topic == "/box/other":
+        return Encodings("cbor", "truearm" + topic, "cddl", _OTHER)
+    if topic.startswith("/box/"):
+        return Encodings("cbor", "truearm" + topic, "cddl", _grammar(_FRAMES.get(topic, (wire.DATA,))))
+    properties = _JSON.get(topic, {})
+    if topic.startswith(PREVIEW):
+        properties = dict.fromkeys(json.loads(first), _NUMBER)
+    return Encodings("json", "truearm" + topic, "jsonschema", json.dumps({"type": "object", "properties": properties}))
+
+
+def _grammar(types: tuple[int, ...]) -> str:
+    """The frames of these types in CDDL (RFC 8610); protocol/SPEC.md §4 says what they mean."""
+    frames = (f"[{', '.join([str(kind), *(f'{name}: any' for name in wire.names(kind)), '* any'])}]" for kind in types)
+    return f"frame = {' / '.join(frames)}\n"
