@@ -156,7 +156,7 @@ def test_without_a_rig(made, tmp_path):
     store(tmp_path / "s.mcap", messages, rig=False)
     tables, said = export(tmp_path / "s.mcap", tmp_path / "x")
     assert "observations" not in tables
-    assert "--rig" in said["not_paired"]
+    assert said["not_paired"] == "was recorded without a rig; give a rig to have observations"
     assert len(tables["dwells"]["q1_rad"]) >= 3
     write_rig(tmp_path / "rig.toml", RIG)
     tables, said = export(tmp_path / "s.mcap", tmp_path / "y", "npz", "--rig", str(tmp_path / "rig.toml"))
