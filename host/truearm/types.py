@@ -498,22 +498,54 @@ class OffBy(NamedTuple):
     sigma: float
 
 
+class ErrorForm(StrEnum):
+    """How something is off."""
+
+    OFFSET = "offset"
+    DRIFT = "drift"
+    ROWS = "rows"  # a block of rows does not fit, whatever the cause
+
+
 @dataclass(frozen=True)
 class SystematicError:
     """Something that is off beyond chance in the rows of a fit (``estimate.systematic``).
 
     ``effect`` is None where a block of rows does not fit the rest, whatever the cause. ``rows``: the first, and the one after the
-    last. ``drop`` is by how much χ² falls if it is a parameter (or these rows are left out), with ``freedom`` degrees of freedom;
+    last. ``size`` ± ``sigma`` is the norm of those ``off_by`` that share the first one's ``unit``. ``drop`` is by how much χ² falls if it is a parameter (or these rows are left out), with ``freedom`` degrees of freedom;
     ``chance`` that clean data give such a finding anywhere. ``rivals`` explain the same nearly as well.
     """
 
     effect: Effect | None
     rows: tuple[int, int]
     off_by: tuple[OffBy, ...]
+    unit: str  # SI; "" of a block of rows
+    size: float
+    sigma: float
     drop: float
     freedom: int
     chance: float
     rivals: tuple[str, ...] = ()
+
+    @property
+    def form(self) -> ErrorForm:
+        """How it is off."""
+        if self.effect is None:
+            return ErrorForm.ROWS
+        return ErrorForm.DRIFT if self.effect.drifts else ErrorForm.OFFSET
+
+
+@dataclass(frozen=True)
+class SystematicErrors:
+    """All that was found to be off in a fit, and what the fit would be with it as parameters, to first order.
+
+    ``shift`` (P,) is by how much the parameters would move, ``moves`` [m] by how much the end then moves over the fitted
+    poses, in the root mean square.
+    """
+
+    found: tuple[SystematicError, ...]
+    chi2_reduced: float
+    shift: Floats
+    moves: float = math.nan
 
 
 class PredictedError(NamedTuple):
@@ -588,4 +620,7 @@ class Estimate:
     additions: tuple[Addition, ...] = ()  # where something free is unseen, else where it is hardly seen
     relabellings: tuple[Relabelling, ...] = ()
     relabelling_search: str = "not needed"  # | "done" | "too many groups" (estimate.relabel)
-    systematic: tuple[SystematicError, ...] = ()  # what is off beyond chance (estimate.systematic)
+    left_out: NDArray[np.bool_] = field(
+        default_factory=lambda: np.zeros(0, dtype=bool)
+    )  # (n,) neither fitted nor held out
+    systematic: SystematicErrors | None = None  # what is off beyond chance; None: nothing, or it was not looked for

@@ -12,7 +12,7 @@ import plan_bench
 from puma_bench import CHAIN, FREE, SIGMA, TRUTH
 
 from truearm.estimate.identify import SolverOptions, identify
-from truearm.model.chain import point_forward
+from truearm.model.chain import forward, point_forward
 from truearm.model.robot import builtin_robot
 from truearm.plan.ball_bar_plan import Wanted, all_pairings, make_site, plan_ballbar
 from truearm.plan.bar_paths import Pace
@@ -117,3 +117,9 @@ def tool_error(estimate, plan):
     params = estimate.value[: estimate.n_robot_parameters]
     apart = point_forward(CHAIN, params, plan.q, TOOL) - point_forward(CHAIN, TRUTH, plan.q, TOOL)
     return float(np.sqrt((apart**2).sum(axis=1).mean()))
+
+
+def tool_shift(one, other):
+    """RMS distance [m] of the end's origin by two estimates over the planned poses."""
+    at = [forward(CHAIN, of.value[: of.n_robot_parameters], plan().q)[:, :3, 3] for of in (one, other)]
+    return float(np.sqrt(((at[0] - at[1]) ** 2).sum(axis=1).mean()))

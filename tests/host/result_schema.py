@@ -39,9 +39,17 @@ PARAMETER = {
 }
 LISTS = {
     *("inputs", "observations", "free", "null_space", "residual_units", "held_out_by", "parameters"),
-    *("suggested_free", "additions", "relabellings", "chi2_band", "suspect", "hardly_seen"),
+    *("suggested_free", "additions", "relabellings", "chi2_band", "suspect", "hardly_seen", "systematic"),
 }
-OBJECTS = {"robot", "held_out", "held_out_before", "covariance", "observability", "predicted_error"}
+OBJECTS = {
+    "robot",
+    "without_systematic",
+    "held_out",
+    "held_out_before",
+    "covariance",
+    "observability",
+    "predicted_error",
+}
 RMS = ("rms_before", "rms_after")
 
 

@@ -90,6 +90,18 @@ def identify(
             help=f"huber and cauchy tolerate outliers; with the solvers {' and '.join(with_loss())}.",
         ),
     ] = "linear",
+    allow: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME[@FIRST[:LAST]]",
+            help="Estimate a systematic error too: bar.b46.zero, chuck.c2@183 from row 183 on, joint2@91:270, "
+            "bar.b46.zero.drift (repeatable). The check after a fit names what to allow.",
+        ),
+    ] = None,
+    leave_out: Annotated[
+        list[str] | None,
+        typer.Option(metavar="FIRST:LAST", help="Rows that are neither fitted nor judged, as 120:140 (repeatable)."),
+    ] = None,
     max_iterations: Annotated[
         int, typer.Option(min=1, max=10_000, metavar="N", help="Stop there, converged or not.")
     ] = 50,
@@ -138,6 +150,8 @@ def identify(
         loss=loss,
         max_iterations=max_iterations,
         seed=seed,
+        allow=tuple(allow or ()),
+        leave_out=tuple(leave_out or ()),
     )
     document = identify_files(files, hold_out or [], options).document
     if as_json:

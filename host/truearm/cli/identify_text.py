@@ -18,6 +18,7 @@ from rich.table import Table
 from truearm.estimate.solvers import SOLVERS, Loss, Prior
 from truearm.kinds.registry import kinds
 from truearm.report.parameter_cells import parameter_cells
+from truearm.report.systematic_words import systematic_sentences
 from truearm.report.words import drawing, kind_name, time_offset
 from truearm.text import counted, one_line
 from truearm.units import SUFFIXES, UNITS, title
@@ -37,6 +38,8 @@ def show_result(document: Document, out: Path | None) -> None:
     width = None if sys.stdout.isatty() else 120
     console = Console(markup=False, highlight=False, emoji=False, width=width)
     for line in relabelled(document):
+        console.print(line)
+    for line in systematic_sentences(document, lambda name: f"--{name.replace('_', '-')}"):
         console.print(line)
     console.print(headline(document))
     console.print(how(document))

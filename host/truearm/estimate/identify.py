@@ -34,7 +34,7 @@ from truearm.estimate.systematic import FitChi2, systematic_errors
 from truearm.estimate.uncertainty import goodness, prior_shares
 from truearm.estimate.validation import has_freedom
 from truearm.estimate.whitened_rows import only, standardised
-from truearm.model.chain import Chain
+from truearm.model.chain import Chain, forward
 from truearm.types import Effect, Estimate, Figures, Floats, HeldOut, NullDirection, ObservationTable, Residuals
 from truearm.units import UNITS
 
@@ -52,6 +52,7 @@ class SolverOptions:
     damping : of lm: "scaled" columns (Marquardt) or "plain" λI (Goswami's (10)).
     progress : called with (iteration, RMS by SI unit) after each step.
     effects : systematic errors that are estimated too, their rows counted in the table.
+    leave_out : rows that are neither fitted nor judged: first, and the one after the last, from 0.
     """
 
     solver: str = "lm"
@@ -60,6 +61,7 @@ class SolverOptions:
     max_iterations: int = 50
     progress: Progress | None = None
     effects: tuple[Effect, ...] = ()
+    leave_out: tuple[tuple[int, int], ...] = ()
 
 
 DEFAULTS = SolverOptions()
@@ -93,10 +95,13 @@ def identify(
     held = _mask("hold_out", hold_out, len(table), default=False)
     prefer = _mask("prefer", prefer, len(chain.parameters), default=False)
     _check_choice(options.solver, options.loss, options.damping)
-    if held.all():
+    left_out = _left_out(options.leave_out, len(table))
+    held = held & ~left_out
+    fitted = ~(held | left_out)
+    if not fitted.any():
         raise ProblemError("no observations are left to fit; hold out less")
     modelled = _modelled(chain, rig, table, options.effects)
-    problem = build_problem(chain, rig, table.select(~held), prior_sigma, [one.select(~held) for one in modelled])
+    problem = build_problem(chain, rig, table.select(fitted), prior_sigma, [one.select(fitted) for one in modelled])
     columns = np.concatenate([free, np.ones(len(problem.names) - free.size, dtype=bool)])
     history: list[dict[str, float]] = []
 
@@ -123,12 +128,14 @@ def identify(
     wanting = (told_apart(data.root, suggested.size, unit), unit) if only_weak else (suggested, None)
     untimed = _untimed(data.root, names)
     known = dict(zip(problem.names, x, strict=True))
-    labels = relabellings(chain, rig, table, ~held, free, prior_sigma, _rms(information.residual).get("m", math.nan))
-    how = measured_order(table, ~held)
+    labels = relabellings(chain, rig, table, fitted, free, prior_sigma, _rms(information.residual).get("m", math.nan))
+    how = measured_order(table, fitted)
     chi2, freedom = fit_quality.reduced * fit_quality.freedom, fit_quality.freedom
     explained = not fit_quality.reduced > fit_quality.band[1]
-    used = only(problem, found.weight > 0.0)
-    wrong = systematic_errors(used, x, columns, information, FitChi2(chi2, freedom, explained), how)
+    taken = only(problem, found.weight > 0.0)
+    wrong = systematic_errors(taken, x, columns, information, FitChi2(chi2, freedom, explained), how)
+    if wrong is not None:
+        wrong = replace(wrong, moves=_moves(chain, x, x + wrong.shift, table.q[fitted]))
     distance, beyond = standardised(problem, x, columns, half(parts), found.weight)
     identifiable = _spread(sight.identifiable & ~np.isin(names, untimed), columns)
     matrix = np.zeros((x.size, x.size))
@@ -159,25 +166,43 @@ def identify(
         chi2_reduced=fit_quality.reduced,
         held_out=held_after,
         held_out_before=held_before,
-        residual=_merged(information.residual, error_after, held),
-        residual_before=_merged(before, error_before, held),
-        fitted=~held,
+        residual=_merged(information.residual, error_after, fitted, held),
+        residual_before=_merged(before, error_before, fitted, held),
+        fitted=fitted,
+        left_out=left_out,
         seconds=0.0,
         loss=options.loss,
         chi2_band=fit_quality.band,
         chi2_freedom=fit_quality.freedom,
-        distance=_merge(distance, np.nan, held),
-        weight=_merge(found.weight, np.nan, held),
-        suspect=_spread(beyond, ~held),
+        distance=_merge(distance, np.nan, fitted, held),
+        weight=_merge(found.weight, np.nan, fitted, held),
+        suspect=_spread(beyond, fitted),
         observability=observability(data.root, int(free.sum()), suggested, unit, data.n_residuals),
         suggested_free=_spread(suggested, free),
         hardly_seen=(*weak, *(NullDirection((name,), (1.0,)) for name in untimed)),
-        additions=additions(chain, rig, table.select(~held), names, data.root, known, *wanting),
+        additions=additions(chain, rig, table.select(fitted), names, data.root, known, *wanting),
         relabellings=labels.found,
         relabelling_search=labels.status,
         systematic=wrong,
     )
     return replace(estimate, seconds=time.perf_counter() - started)
+
+
+def _left_out(spans: Sequence[tuple[int, int]], n: int) -> NDArray[np.bool_]:
+    """(n,) the rows of some spans."""
+    out = np.zeros(n, dtype=bool)
+    for first, last in spans:
+        if not 0 <= first < last <= n:
+            raise ProblemError(f"rows {first + 1} to {last} cannot be left out: there are rows 1 to {n}")
+        out[first:last] = True
+    return out
+
+
+def _moves(chain: Chain, x: Floats, there: Floats, q: Floats) -> float:
+    """Distance [m] of the end's origin by the robot's parameters of x and by those of ``there``, RMS over the poses."""
+    p = len(chain.parameters)
+    apart = forward(chain, there[:p], q)[:, :3, 3] - forward(chain, x[:p], q)[:, :3, 3]
+    return float(np.sqrt((apart**2).sum(axis=1).mean()))
 
 
 def _modelled(chain: Chain, rig: Rigs, table: ObservationTable, effects: Sequence[Effect]) -> list[Modelled]:
@@ -274,12 +299,15 @@ def _spread(flags: NDArray[np.bool_], columns: NDArray[np.bool_]) -> NDArray[np.
     return out
 
 
-def _merged(fitted: Residuals, held_out: Residuals, held: NDArray[np.bool_]) -> Residuals:
+def _merged(fitted: Residuals, held_out: Residuals, rows: NDArray[np.bool_], held: NDArray[np.bool_]) -> Residuals:
     units = [unit for unit in UNITS if unit in fitted or unit in held_out]
-    return {unit: _merge(fitted.get(unit, np.nan), held_out.get(unit, np.nan), held) for unit in units}
+    return {unit: _merge(fitted.get(unit, np.nan), held_out.get(unit, np.nan), rows, held) for unit in units}
 
 
-def _merge(fitted: Floats | float, held_out: Floats | float, held: NDArray[np.bool_]) -> Floats:
-    out = np.empty(held.size)
-    out[~held], out[held] = fitted, held_out
+def _merge(
+    fitted: Floats | float, held_out: Floats | float, rows: NDArray[np.bool_], held: NDArray[np.bool_]
+) -> Floats:
+    """(n,) of all rows, NaN of those left out."""
+    out = np.full(held.size, np.nan)
+    out[rows], out[held] = fitted, held_out
     return out

@@ -49,7 +49,7 @@ from truearm.estimate.information import Information, half, spectrum
 from truearm.estimate.problem import Problem, blocks
 from truearm.estimate.residual_noise import residual_cov, whiten
 from truearm.kinds.linearised import Indices
-from truearm.types import Effect, Floats, OffBy, SystematicError
+from truearm.types import Effect, Floats, OffBy, SystematicError, SystematicErrors
 from truearm.units import UNITS
 
 LEVEL = 1e-3  # chance that a clean data set gives any finding
@@ -114,15 +114,15 @@ class _Best(NamedTuple):
 
 def systematic_errors(
     problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Information, goodness: FitChi2, how: Measured
-) -> tuple[SystematicError, ...]:
+) -> SystematicErrors | None:
     """What is off beyond chance in a fit of the problem's ``columns`` that ended at x (P,), in the order of how sure it is.
 
-    ``fit`` is the information there, priors included. See the module for the tests. Nothing is off in a fit without a degree of
-    freedom, or with residuals that are not finite.
+    ``fit`` is the information there, priors included. See the module for the tests. None where nothing is off, and for a fit
+    without a degree of freedom or with residuals that are not finite.
     """
     rows = _whitened(problem, x, columns, fit)
     if not (rows.row.size and goodness.freedom >= 1.0 and np.isfinite([goodness.chi2, *rows.residual]).all()):
-        return ()
+        return None
     every = list(_families(problem.causes, problem.errors, rows, how))
     found: list[_Best] = []
     rivals: list[tuple[str, ...]] = []
@@ -145,7 +145,13 @@ def systematic_errors(
         rivals.append(tuple(_label(of, how) for of in near if of.evidence > best.evidence - AS_LIKELY))
         found.append(best)
         rows, state = more, FitChi2(state.chi2 - best.drop, state.freedom - best.freedom, state.explained)
-    return _described(found, rivals, problem, _whitened(problem, x, columns, fit), how, state, families)
+    if not found:
+        return None
+    first = _whitened(problem, x, columns, fit)
+    described, part = _described(found, rivals, problem.errors, first, how, state, families)
+    shift = np.zeros(x.size)
+    shift[columns] = -half(spectrum(fit.root)) @ part
+    return SystematicErrors(described, state.chi2 / max(state.freedom, 1.0), shift)
 
 
 def _whitened(problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Information) -> _Whitened:
@@ -383,31 +389,45 @@ def _label(best: _Best, how: Measured) -> str:
 def _described(
     found: Sequence[_Best],
     rivals: Sequence[tuple[str, ...]],
-    problem: Problem,
+    errors: Errors,
     rows: _Whitened,
     how: Measured,
     state: FitChi2,
     families: int,
-) -> tuple[SystematicError, ...]:
-    """The findings, their sizes by a fit of all of them together."""
-    parts = [_effect_columns(best, problem.errors, rows, how) for best in found]
-    if not parts:
-        return ()
+) -> tuple[tuple[SystematicError, ...], Floats]:
+    """The findings, their sizes by a fit of all of them together, and what they were to the parameters: (r,) along Q."""
+    parts = [_effect_columns(best, errors, rows, how) for best in found]
     by = np.concatenate(parts, axis=1)
     values, vectors, seen = _left(by.T @ by, by.T @ rows.basis)
     root = vectors[:, seen] / np.sqrt(values[seen])
     scale = 1.0 if state.explained else max(math.sqrt(state.chi2 / max(state.freedom, 1.0)), 1.0)
-    size, sigma = root @ (root.T @ (by.T @ rows.residual)), scale * np.sqrt((root**2).sum(axis=1))
-    sigma[np.abs(vectors[:, ~seen]).max(axis=1, initial=0.0) > 1e-6 * np.abs(vectors).max(axis=1)] = math.nan
-    size[np.isnan(sigma)] = math.nan
+    value, covariance = root @ (root.T @ (by.T @ rows.residual)), scale**2 * root @ root.T
+    unseen = np.abs(vectors[:, ~seen]).max(axis=1, initial=0.0) > 1e-6 * np.abs(vectors).max(axis=1)
     out, at = [], 0
     for best, part, near in zip(found, parts, rivals, strict=True):
-        numbers = () if best.family.cause is None else best.family.cause.numbers
-        mine, units = slice(at, at + len(numbers)), [problem.errors.unit(number) for number in numbers]
-        weak = np.array([UNITS[unit].weak_sigma for unit in units])
-        off_by = map(OffBy, numbers, units, (size[mine] * weak).tolist(), (sigma[mine] * weak).tolist())
+        mine = slice(at, at + part.shape[1])
         at += part.shape[1]
-        chance = min(math.exp(min(best.log_p + math.log(families), 0.0)), 1.0)
-        span = _span(best.family, best.at, how)
-        out.append(SystematicError(_effect(best, how), span, tuple(off_by), best.drop, best.freedom, chance, near))
-    return tuple(out)
+        numbers = () if best.family.cause is None else best.family.cause.numbers
+        off_by = _off_by(numbers, errors, value[mine], covariance[mine, mine], unseen[mine])
+        chance = math.exp(min(best.log_p + math.log(families), 0.0))
+        span, effect = _span(best.family, best.at, how), _effect(best, how)
+        out.append(SystematicError(effect, span, *off_by, best.drop, best.freedom, chance, near))
+    return tuple(out), rows.basis.T @ (by @ value)
+
+
+def _off_by(
+    numbers: Sequence[str], errors: Errors, value: Floats, covariance: Floats, unseen: NDArray[np.bool_]
+) -> tuple[tuple[OffBy, ...], str, float, float]:
+    """By how much each number is off, and the norm ± σ of those in the first one's unit that are seen."""
+    if not numbers:
+        return (), "", math.nan, math.nan
+    units = [errors.unit(number) for number in numbers]
+    weak = np.array([UNITS[unit].weak_sigma for unit in units])
+    value = np.where(unseen, math.nan, value * weak)
+    sigma = np.where(unseen, math.nan, weak * np.sqrt(np.diag(covariance)))
+    alike = np.array([unit == units[0] for unit in units]) & ~unseen
+    size = float(np.linalg.norm(value[alike]))
+    along = value[alike] / size if size > 0.0 else np.zeros(int(alike.sum()))
+    spread = (covariance * np.outer(weak, weak))[np.ix_(alike, alike)]
+    off_by = tuple(map(OffBy, numbers, units, value.tolist(), sigma.tolist()))
+    return off_by, units[0], size, math.sqrt(float(along @ spread @ along))

@@ -32,6 +32,7 @@ from truearm.types import (
     PredictedError,
     Relabelling,
     Residuals,
+    SystematicError,
 )
 from truearm.units import UNITS, key, shown
 
@@ -103,7 +104,7 @@ def document_of(
     how far the tool may be off.
     """
     names = np.array(estimate.parameter_names)
-    units = residual_units(estimate)
+    units, found = residual_units(estimate), estimate.systematic
     return {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
@@ -142,6 +143,10 @@ def document_of(
         "chi2_band": _numbers(estimate.chi2_band),
         "chi2_freedom": _number(estimate.chi2_freedom),
         "suspect": _suspects(estimate, table),
+        "systematic": [] if found is None else [_systematic(one, table) for one in found.found],
+        "without_systematic": None
+        if found is None
+        else {"chi2_reduced": _number(found.chi2_reduced), "tool_moves_mm": _shown(found.moves, "m")},
         "held_out_by": list(held_out_by),
         "held_out": _held_out(estimate.held_out, units),
         "held_out_before": _held_out(estimate.held_out_before, units),
@@ -171,6 +176,8 @@ def _counts(estimate: Estimate, table: ObservationTable, units: Sequence[str]) -
     for rig, kind in sorted(set(zip(table.rig.tolist(), table.kind.tolist(), strict=True))):
         mine = (table.rig == rig) & (table.kind == kind)
         fitted, held_out = mine & estimate.fitted, mine & ~estimate.fitted
+        if estimate.left_out.size:
+            held_out &= ~estimate.left_out
         entry = {"rig": rig, "kind": kind, "fitted": int(fitted.sum()), "held_out": int(held_out.sum())}
         entry |= {f"{what}s": _distinct(table, what, fitted) for what in COUNTED}
         entry |= _by_unit("rms_before", _rms(estimate.residual_before, fitted), units)
@@ -238,6 +245,27 @@ def _suspects(estimate: Estimate, table: ObservationTable) -> list[dict[str, Any
         }
         for row in rows[np.argsort(-estimate.distance[rows], kind="stable")]
     ]
+
+
+def _systematic(found: SystematicError, table: ObservationTable) -> dict[str, Any]:
+    """Rows count from 1, the last one included."""
+    (first, last), effect = found.rows, found.effect
+    return {
+        "what": None if effect is None else effect.what,
+        "form": found.form.value,
+        "rows": [first + 1, last],
+        "from": _source(table, first),
+        "to": _source(table, last - 1),
+        "unit": found.unit or None,
+        "size": _number(found.size),
+        "sigma": _number(found.sigma),
+        "off_by": [{**of._asdict(), "value": _number(of.value), "sigma": _number(of.sigma)} for of in found.off_by],
+        "chi2_drop": _number(found.drop),
+        "freedom": found.freedom,
+        "chance": _number(found.chance),
+        "rivals": list(found.rivals),
+        "apply": {"leave_out": f"{first + 1}:{last}"} if effect is None else {"allow": str(effect)},
+    }
 
 
 def _held_out(held_out: HeldOut | None, units: Sequence[str]) -> dict[str, Any] | None:

@@ -64,6 +64,7 @@ class CalibrationPage:
     notes: tuple[str, ...] = ()
     prior: str = "none"
     predicted: PredictedError | None = None
+    systematic: tuple[str, ...] = ()  # sentences
 
     def __post_init__(self) -> None:
         n = len(self.table)
@@ -166,7 +167,7 @@ def _change(e: Estimate, judged: HeldOut | None, si: str) -> str:
 def doubts(page: CalibrationPage) -> list[str]:
     """Reasons not to trust the figures, a sentence each."""
     e, judged = page.estimate, page.judged
-    found = relabelling_sentences(e.relabellings, page.table)
+    found = [*page.systematic, *relabelling_sentences(e.relabellings, page.table)]
     if e.relabelling_search == "too many groups":
         found.append(
             "Wrong labels? The residuals are as large as wrong chucks or spheres would make them, but there are too many "

@@ -27,6 +27,7 @@ def write_page(path: Path, found: Identification, command: str = "") -> None:
     """Write the page whole or not at all. Raises InputError when the place cannot be written."""
     from truearm.report.calibration_page import CalibrationPage, render
     from truearm.report.residual_rows import row_name
+    from truearm.report.systematic_words import systematic_sentences
 
     table, estimate = found.table, found.estimate
     files = dict.fromkeys(row_name(source).rsplit(" ", 2)[0] for source in table.source)  # "poses.csv row 17"
@@ -40,6 +41,7 @@ def write_page(path: Path, found: Identification, command: str = "") -> None:
         prior=found.prior,
         predicted=found.predicted,
         facts=_facts(table),
+        systematic=tuple(systematic_sentences(found.document)),
         notes=(*_timing(estimate), *(() if found.predicted else (UNPREDICTED,))),
     )
     write_atomic(path, render(page))

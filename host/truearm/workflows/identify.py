@@ -26,7 +26,7 @@ from truearm.types import Estimate, ObservationTable, PredictedError
 from truearm.workflows.calibration import Calibration, calibration_of
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.inputs import Sources, check_files, hashed_inputs, observed
-from truearm.workflows.selection import free_parameters, held_out_rows
+from truearm.workflows.selection import free_parameters, held_out_rows, parse_effect, parse_rows
 from truearm.workflows.session_parts import with_parts
 
 Mask = NDArray[np.bool_]
@@ -57,6 +57,11 @@ class IdentifyOptions:
         The solver stops there, whether it has converged or not; at most 10000.
     seed : int
         Draws the rows of a held-out fraction; 0 or more.
+    allow : tuple of str
+        Systematic errors that are estimated too: ``"bar.b46.zero"`` in all rows, ``"chuck.c2@183"`` from row 183 on,
+        ``"joint2@91:270"`` in rows 91 to 270, ``"bar.b46.zero.drift"`` growing with the rows.
+    leave_out : tuple of str
+        Rows that are neither fitted nor judged, as ``"120:140"``.
 
     Raises
     ------
@@ -78,6 +83,8 @@ class IdentifyOptions:
     loss: Annotated[str, OneOf(tuple(Loss))] = "linear"
     max_iterations: Annotated[int, Within(1, 10_000)] = 50
     seed: Annotated[int, Within(0)] = 0
+    allow: tuple[str, ...] = ()
+    leave_out: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -207,7 +214,12 @@ def identified(
         hold_out=selection.held_out,
         prior_sigma=prior_named(chain, prior),
         options=SolverOptions(
-            solver=options.solver, loss=options.loss, max_iterations=options.max_iterations, progress=progress
+            solver=options.solver,
+            loss=options.loss,
+            max_iterations=options.max_iterations,
+            progress=progress,
+            effects=tuple(map(parse_effect, options.allow)),
+            leave_out=tuple(map(parse_rows, options.leave_out)),
         ),
         prefer=default_free(robot),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 
@@ -12,11 +13,11 @@ from numpy.typing import NDArray
 from truearm.errors import Argument, InputError
 from truearm.kinds.registry import GROUPS, drawn_from, identifiers
 from truearm.text import listed
-from truearm.types import ObservationTable
+from truearm.types import Effect, ObservationTable
 
 Mask = NDArray[np.bool_]
 
-HOLD_OUT = Argument("hold_out")
+HOLD_OUT, ALLOW, LEAVE_OUT = Argument("hold_out"), Argument("allow"), Argument("leave_out")
 
 
 def held_out_rows(table: ObservationTable, wanted: Sequence[str], seed: int) -> Mask | None:
@@ -147,3 +148,24 @@ def _near(pattern: str, names: Sequence[str]) -> str:
     kinds = list(dict.fromkeys(f"*.{name.rpartition('.')[2]}" for name in names))
     close = difflib.get_close_matches(pattern[:80], [*names, *kinds], n=3)
     return f"names are like {', '.join(close or [*names[:2], *kinds])}"
+
+
+def parse_effect(text: str) -> Effect:
+    """The systematic error that a text such as ``chuck.c2@183`` names (``Effect``). Raises InputError."""
+    match = re.fullmatch(r"([^@]+?)(\.drift)?(?:@([0-9]{1,9})(?::([0-9]{1,9}))?)?", text)
+    first = int(match[3] or 1) if match else 0
+    last = int(match[4]) if match and match[4] else None
+    if match is None or first < 1 or (last is not None and last < first):
+        raise InputError(
+            ALLOW, f" {text!r} is not NAME, NAME.drift or either with @FIRST or @FIRST:LAST behind it, rows from 1"
+        )
+    return Effect(match[1], first - 1, last, bool(match[2]))
+
+
+def parse_rows(text: str) -> tuple[int, int]:
+    """Rows such as ``120:140``, counted from 0: the first, and the one after the last. Raises InputError."""
+    match = re.fullmatch(r"([0-9]{1,9})(?::([0-9]{1,9}))?", text)
+    first, last = (int(match[1]), int(match[2] or match[1])) if match else (0, 0)
+    if not 1 <= first <= last:
+        raise InputError(LEAVE_OUT, f" {text!r} is not FIRST:LAST, rows from 1")
+    return first - 1, last

@@ -1,0 +1,59 @@
+"""What was found to be off in a fit, in sentences: of the terminal and of the page. They take the content of result.json."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Mapping
+from typing import Any, assert_never
+
+from truearm.text import counted, one_line
+from truearm.types import ErrorForm
+from truearm.units import MM, UNITS
+
+
+def systematic_sentences(document: Mapping[str, Any], argument: Callable[[str], str] = str) -> list[str]:
+    """What is off, from which row on, by how much, and what to do; nothing where nothing was found.
+
+    ``argument`` is how the arguments of an identification are written.
+    """
+    found, would_be = document["systematic"], document["without_systematic"]
+    lines = [_sentence(entry) for entry in found]
+    if would_be is None:
+        return lines
+    given = [item for entry in found for item in entry["apply"].items()]
+    apply = " ".join(f"{argument(name)} {shlex.quote(one_line(value))}" for name, value in given)
+    chi2, moves = would_be["chi2_reduced"], would_be["tool_moves_mm"]
+    after = "" if chi2 is None else f" χ² per degree of freedom is then {chi2:.3g}"
+    moved = "" if moves is None else f", and the tool moves by {MM.text(MM.to_si(moves), '.3f')} RMS"
+    return [*lines, f"To apply {'it' if len(found) == 1 else 'all of them'}: {apply}.{after}{moved}."]
+
+
+def _sentence(entry: Mapping[str, Any]) -> str:
+    first, last = entry["rows"]
+    places = one_line(entry["from"]) if first == last else f"{one_line(entry['from'])} to {one_line(entry['to'])}"
+    rows = f"rows {first} to {last} ({places})"
+    freedom = counted(entry["freedom"], "degree of freedom", "degrees of freedom")
+    gain = f"χ² falls by {entry['chi2_drop']:.4g} with {freedom}"
+    match ErrorForm(entry["form"]):
+        case ErrorForm.ROWS:
+            line = f"Systematic error: {rows} do not fit the others; without them {gain}."
+        case ErrorForm.DRIFT:
+            line = f"Systematic error: {_what(entry)} drifts by {_size(entry)} over {rows}; with that {gain}."
+        case ErrorForm.OFFSET:
+            line = f"Systematic error: {_what(entry)} is off by {_size(entry)} in {rows}; with that {gain}."
+        case form:
+            assert_never(form)
+    if entry["rivals"]:
+        line += f" Not ruled out instead: {', '.join(map(one_line, entry['rivals']))}."
+    return line
+
+
+def _what(entry: Mapping[str, Any]) -> str:
+    return one_line(str(entry["what"]))
+
+
+def _size(entry: Mapping[str, Any]) -> str:
+    unit = UNITS[entry["unit"]]
+    if entry["size"] is None or entry["sigma"] is None:
+        return "an amount that is not seen"
+    return f"{unit.scale.text(entry['size'], '.3g')} (σ {unit.scale.text(entry['sigma'], '.1g')})"

@@ -1,0 +1,82 @@
+"""``truearm identify`` on data in which something is off: what it prints and stores, and that its advice helps."""
+
+import json
+
+import fault_worlds as worlds
+import numpy as np
+import pytest
+from command_line import Run, told
+from puma_bench import CHAIN
+from result_schema import check_schema
+
+from truearm.files.observation_table import write_table
+from truearm.files.rig_file import write_rig
+
+
+@pytest.fixture(scope="module")
+def slip(tmp_path_factory):
+    """Files of a session in which a chuck slips; also its name and the row."""
+    folder = tmp_path_factory.mktemp("slip")
+    table, (chuck, at) = worlds.slipped(worlds.plan(), np.random.default_rng(1))
+    write_table(folder / "poses.csv", table, CHAIN.joint_units)
+    write_rig(folder / "rig.toml", worlds.RIG)
+    return folder, chuck, at
+
+
+def test_a_slip_is_named_and_the_option_that_is_named_removes_it(run: Run, slip) -> None:
+    folder, chuck, at = slip
+    arguments = ["identify", folder / "poses.csv", "--robot", "puma560", "--rig", folder / "rig.toml", "--json"]
+    first = json.loads(run(*arguments).out)
+    check_schema(first)
+    (found,) = first["systematic"]
+    assert found["what"] == f"chuck.{chuck}"
+    assert abs(found["rows"][0] - (at + 1)) <= 15
+    assert found["from"] == f"poses.csv row {found['rows'][0] + 1}", "the header is row 1 of the file"
+    assert abs(found["size"] - 0.3e-3) < 4.0 * found["sigma"]
+    assert found["chance"] < 1e-3
+    outcome = run(*arguments, "--allow", found["apply"]["allow"])
+    assert (outcome.code, outcome.err) == (0, "")
+    second = json.loads(outcome.out)
+    check_schema(second)
+    assert second["systematic"] == []
+    assert second["without_systematic"] is None
+    # First order and the refit agree to the curvature, some parts in a thousand.
+    assert second["chi2_reduced"] == pytest.approx(first["without_systematic"]["chi2_reduced"], rel=0.01)
+    moved = [p for p in second["parameters"] if p["name"].startswith(f"chuck.{chuck}")]
+    assert [p["name"].rpartition("@")[2] for p in moved] == [str(found["rows"][0])] * 3
+
+
+def test_a_person_reads_what_is_off_and_what_to_do(run: Run, slip, tmp_path) -> None:
+    folder, chuck, _ = slip
+    page = tmp_path / "page.html"
+    files = [folder / "poses.csv", "--robot", "puma560", "--rig", folder / "rig.toml", "--report", page]
+    outcome = run("identify", *files)
+    assert outcome.out.startswith(f"Systematic error: chuck.{chuck} is off by 0.")
+    assert "To apply it: --allow chuck." in outcome.out
+    assert f"Systematic error: chuck.{chuck} is off by 0." in page.read_text()
+
+
+def test_rows_that_are_left_out_neither_fit_nor_judge(run: Run, slip) -> None:
+    folder, *_ = slip
+    arguments = ["identify", folder / "poses.csv", "--robot", "puma560", "--rig", folder / "rig.toml", "--json"]
+    result = json.loads(run(*arguments, "--hold-out", "0.2", "--leave-out", "11:30", "--leave-out", "40").out)
+    (rows,) = result["observations"]
+    assert rows["fitted"] + rows["held_out"] == 360 - 21
+    assert result["held_out"]["n"] == rows["held_out"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--allow", "chuck.c9"], "'chuck.c9' cannot be off here; these can: chuck.c1,"),
+        (["--allow", "chuck.c1@0"], "--allow 'chuck.c1@0' is not NAME"),
+        (["--allow", "chuck.c1@9:3"], "--allow 'chuck.c1@9:3' is not NAME"),
+        (["--allow", "chuck.c1@361"], "there are rows 1 to 360"),
+        (["--leave-out", "x"], "--leave-out 'x' is not FIRST:LAST"),
+        (["--leave-out", "300:361"], "rows 300 to 361 cannot be left out: there are rows 1 to 360"),
+        (["--leave-out", "1:360"], "no observations are left to fit"),
+    ],
+)
+def test_what_is_not_there_cannot_be_allowed_or_left_out(run: Run, slip, options, message) -> None:
+    folder, *_ = slip
+    told(run("identify", folder / "poses.csv", "--robot", "puma560", "--rig", folder / "rig.toml", *options), message)
