@@ -24,6 +24,7 @@ from truearm.errors import PlanError
 from truearm.model.chain import Chain, point_forward
 from truearm.model.rotation import rotation, rotation_vector
 from truearm.types import Device, Floats, Matrix, Plan, Rig
+from truearm.units import MM
 from truearm_sim.paths import Path, target_of
 from truearm_sim.robot import Controller
 
@@ -73,7 +74,7 @@ def place_devices(
             continue
         if path.length > 0.98 * (STROKE[1] - STROKE[0]):
             raise PlanError(
-                f"line {name!r} is {1e3 * path.length:.0f} mm long, the device's wire {1e3 * np.ptp(STROKE):.0f} mm"
+                f"line {name!r} is {MM.text(path.length, '.0f')} long, the device's wire {MM.text(np.ptp(STROKE), '.0f')}"
             )
         q = path.joints(path.length * np.linspace(0.0, 1.0, 9))
         ends = point_forward(chain, params, q, target_of(plan, row, rig))[[0, -1]] + SETUP * draw[:2]

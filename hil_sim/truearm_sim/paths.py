@@ -19,6 +19,7 @@ from truearm.errors import PlanError
 from truearm.model.chain import Chain, forward
 from truearm.model.rotation import rotation, rotation_vector
 from truearm.types import Floats, Plan, Rig
+from truearm.units import MM, MM_S
 
 KNOT = 0.005  # m
 SHORTEST = 0.01  # m
@@ -77,7 +78,7 @@ def _path(plan: Plan, row: int, chain: Chain, params: Floats, p_end: Floats) -> 
     p_start, p_stop = (T[:3, :3] @ p_end + T[:3, 3] for T in (start, end))
     length = float(np.linalg.norm(p_stop - p_start))
     if length < SHORTEST:
-        raise PlanError(f"plan pose {row}: its line is {1e3 * length:.1f} mm long; {1e3 * SHORTEST:g} mm is the least")
+        raise PlanError(f"plan pose {row}: its line is {MM.text(length, '.1f')} long; {MM.text(SHORTEST)} is the least")
     share = np.linspace(0.0, 1.0, 2 + int(length / KNOT))
     turns = rotation(share[:, None] * rotation_vector(end[:3, :3] @ start[:3, :3].T)) @ start[:3, :3]
     poses = np.tile(np.eye(4), (len(share), 1, 1))
@@ -92,5 +93,5 @@ def _path(plan: Plan, row: int, chain: Chain, params: Floats, p_end: Floats) -> 
     speed = min(float(plan.speed[row]), np.sqrt(length * ACCELERATION / 1.5))
     joints = CubicSpline(length * share, q)
     if speed * np.abs(joints(length * share, 1)).max() > FASTEST_JOINT:
-        raise PlanError(f"plan pose {row}: its line passes too near a singularity to be driven at {1e3 * speed:g} mm/s")
+        raise PlanError(f"plan pose {row}: its line passes too near a singularity to be driven at {MM_S.text(speed)}")
     return Path(joints, length, speed, 1.5 * speed / ACCELERATION)

@@ -15,7 +15,9 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Scale:
-    """A unit that people and files use: ``value_si = scale · value``.
+    """A unit that people and files use: ``value_si = scale · value``, and ``factor`` its inverse: 1000.0 for millimetres.
+
+    Both are given, since 1/1e-9 is not 1e9 in floating point.
 
     ``suffix`` stands at the end of a name in a file (``length_mm``, ``qd1_deg_s``), ``symbol`` behind a number on the
     screen.
@@ -25,11 +27,7 @@ class Scale:
     symbol: str
     si: str
     scale: float
-
-    @property
-    def factor(self) -> float:
-        """The inverse of ``scale``: 1000.0 for millimetres."""
-        return 1.0 / self.scale
+    factor: float
 
     def of(self, value_si: Any) -> Any:
         """A value in SI, or an array of them, in this unit."""
@@ -46,25 +44,25 @@ class Scale:
 
 DEGREE = math.pi / 180.0
 
-M = Scale("m", "m", "m", 1.0)
-CM = Scale("cm", "cm", "m", 1e-2)
-MM = Scale("mm", "mm", "m", 1e-3)
-UM = Scale("um", "µm", "m", 1e-6)
-INCH = Scale("in", "in", "m", 25.4e-3)
-RAD = Scale("rad", "rad", "rad", 1.0)
-DEG = Scale("deg", "deg", "rad", DEGREE)
-MRAD = Scale("mrad", "mrad", "rad", 1e-3)
-URAD = Scale("urad", "µrad", "rad", 1e-6)
-ONE = Scale("", "", "1", 1.0)
-PPM = Scale("ppm", "ppm", "1", 1e-6)
-S = Scale("s", "s", "s", 1.0)
-MS = Scale("ms", "ms", "s", 1e-3)
-US = Scale("us", "µs", "s", 1e-6)
-NS = Scale("ns", "ns", "s", 1e-9)
-M_S = Scale("m_s", "m/s", "m/s", 1.0)
-MM_S = Scale("mm_s", "mm/s", "m/s", 1e-3)
-RAD_S = Scale("rad_s", "rad/s", "rad/s", 1.0)
-DEG_S = Scale("deg_s", "deg/s", "rad/s", DEGREE)
+M = Scale("m", "m", "m", 1.0, 1.0)
+CM = Scale("cm", "cm", "m", 1e-2, 1e2)
+MM = Scale("mm", "mm", "m", 1e-3, 1e3)
+UM = Scale("um", "µm", "m", 1e-6, 1e6)
+INCH = Scale("in", "in", "m", 25.4e-3, 1.0 / 25.4e-3)
+RAD = Scale("rad", "rad", "rad", 1.0, 1.0)
+DEG = Scale("deg", "deg", "rad", DEGREE, 1.0 / DEGREE)
+MRAD = Scale("mrad", "mrad", "rad", 1e-3, 1e3)
+URAD = Scale("urad", "µrad", "rad", 1e-6, 1e6)
+ONE = Scale("", "", "1", 1.0, 1.0)
+PPM = Scale("ppm", "ppm", "1", 1e-6, 1e6)
+S = Scale("s", "s", "s", 1.0, 1.0)
+MS = Scale("ms", "ms", "s", 1e-3, 1e3)
+US = Scale("us", "µs", "s", 1e-6, 1e6)
+NS = Scale("ns", "ns", "s", 1e-9, 1e9)
+M_S = Scale("m_s", "m/s", "m/s", 1.0, 1.0)
+MM_S = Scale("mm_s", "mm/s", "m/s", 1e-3, 1e3)
+RAD_S = Scale("rad_s", "rad/s", "rad/s", 1.0, 1.0)
+DEG_S = Scale("deg_s", "deg/s", "rad/s", DEGREE, 1.0 / DEGREE)
 
 SUFFIXES: Mapping[str, Scale] = {
     scale.suffix: scale
@@ -73,6 +71,11 @@ SUFFIXES: Mapping[str, Scale] = {
         *(S, MS, US, NS, M_S, MM_S, RAD_S, DEG_S),
     )
 }
+
+
+def micro(si: str) -> Scale:
+    """The millionth of a unit that is not in SUFFIXES, such as a volt."""
+    return Scale(f"u{si}", f"µ{si}", si, 1e-6, 1e6)
 
 
 @dataclass(frozen=True)

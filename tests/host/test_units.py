@@ -54,12 +54,22 @@ def test_a_number_is_rounded_to_its_units_digits(si, value):
     assert math.isclose(number, units.shown(value, si), rel_tol=0.0, abs_tol=0.51 * 10.0 ** -units.UNITS[si].decimals)
 
 
+@pytest.mark.parametrize("name", ["cm", "mm", "um", "ms", "us", "ns", "mrad", "urad", "ppm"])
+def test_powers_of_ten_are_exact_both_ways(name):
+    """1/1e-9 is 999999999.9999999: a second would not be a whole number of nanoseconds."""
+    scale = units.SUFFIXES[name]
+    assert scale.factor == round(scale.factor)
+    assert scale.scale == 1.0 / scale.factor
+    assert scale.of(1.0) == scale.factor
+
+
 def test_texts():
     assert units.number(85.5e-6, "m") == "0.0855"
     assert units.number(math.pi, "rad", 1) == "180.0"
     assert units.number(0.5, "1", 2) == "0.50"
     assert units.number(math.nan, "m") == "-"
     assert units.UM.text(2e-6, ".1f") == "2.0 µm"
+    assert units.micro("V").text(2e-6, ".1f") == "2.0 µV"
     assert units.MRAD.text(0.005) == "5 mrad"
     assert units.ONE.text(0.5) == "0.5"
     assert [units.title("error", si) for si in ("m", "rad", "1")] == ["error [mm]", "error [deg]", "error"]
@@ -93,7 +103,6 @@ PHYSICAL = {
     "correct/error_map.py": "a share of a cell's width",
     "report/figures.py": "a share of the largest residual",
     "box/gauge_polynomial.py": "a share of the readings' span",
-    "box/description.py": "µ before a unit that a stranger's box names",
 }
 
 

@@ -30,6 +30,7 @@ from truearm.errors import ConfigError, ProtocolError
 from truearm.files.disk import parse_toml
 from truearm.schema import Table, at, check_known, raising, read
 from truearm.text import one_line
+from truearm.units import NS
 
 if TYPE_CHECKING:
     from truearm.box.control import BoxControl
@@ -67,7 +68,7 @@ def _lines(values: Mapping[str, Any], table: Table[Values], elsewhere: Sequence[
     keys = [key for key in config_keys(table) if key.called in values]
     comments = {key.name: key.comment for key in keys}
     if values.get("osr") in OSRS:
-        comments["osr"] = f"{1e9 / MODULATOR_NS / values['osr']:.2f} samples a second"
+        comments["osr"] = f"{NS.factor / MODULATOR_NS / values['osr']:.2f} samples a second"
     found = [key.line(values[key.called]) + f"  # {comments[key.name]}".removesuffix("  # ") for key in keys]
     known = {key.called for key in config_keys(table)} | set(elsewhere)
     return found + [f"# {_one_line(k)}: not known to this truearm; the box keeps it" for k in values if k not in known]

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from truearm.text import one_line
-from truearm.units import MM, MS, NS, UM, US, length
+from truearm.units import MM, MS, NS, UM, US, length, micro
 
 if TYPE_CHECKING:
     from truearm.box.selftest import Finding
@@ -37,7 +37,7 @@ def ident_lines(ident: Ident) -> list[str]:
 
 
 def _rate(stream: Stream) -> str:
-    rate = f"{1e9 / stream.period_ns:.2f} samples a second" if stream.period_ns else "no fixed rate"
+    rate = f"{NS.factor / stream.period_ns:.2f} samples a second" if stream.period_ns else "no fixed rate"
     osr = f", osr {stream.osr}" if stream.osr else ""
     return f"{rate}{osr}, group delay {MS.text(NS.to_si(stream.group_delay_ns), '.3f')}"
 
@@ -74,7 +74,7 @@ def with_spread(value: float, spread: float, unit: str) -> str:
         return f"{MM.text(scale.to_si(value), '.4f')} ± {UM.text(scale.to_si(spread), '.1f')}"
     if unit == "s":
         return f"{US.text(value, '.4f')} ± {NS.text(spread, '.1f')}"
-    return f"{value:.6f} {unit} ± {1e6 * spread:.1f} µ{unit}"
+    return f"{value:.6f} {unit} ± {micro(unit).text(spread, '.1f')}"
 
 
 def port_lines(rows: Sequence[dict[str, Any]], drives: Sequence[str]) -> list[str]:

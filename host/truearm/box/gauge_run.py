@@ -17,7 +17,7 @@ from truearm.box.conversation import conversation, ident_of
 from truearm.box.gauge_result import HEAD, MAG, Place, calibrate, with_calibration, words, write_page
 from truearm.errors import InputError, LinkError, TableError
 from truearm.text import one_line
-from truearm.units import MM, suffixes
+from truearm.units import MM, NS, suffixes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -212,7 +212,7 @@ def sample(box: BoxControl, stream: Stream, seconds: float) -> NDArray[np.int32]
     """
     from truearm_wire.messages import START, STOP
 
-    skip, wanted = (max(1, round(s * 1e9 / stream.period_ns)) for s in (SETTLE_S, seconds))
+    skip, wanted = (max(1, round(NS.of(s) / stream.period_ns)) for s in (SETTLE_S, seconds))
     box.command(START)
     try:
         blocks = _collect(box, stream, skip, max(wanted, FEWEST), SETTLE_S + seconds + PATIENCE_S)

@@ -50,7 +50,7 @@ class Window:
         self.period_ns = period_ns or self.period_ns
         self.blocks.append(counts)
         self.samples += len(counts)
-        longest = max(1, round(WINDOW_S * 1e9 / self.period_ns)) if self.period_ns else 1000
+        longest = max(1, round(NS.of(WINDOW_S) / self.period_ns)) if self.period_ns else 1000
         while len(self.blocks) > 1 and self.samples - len(self.blocks[0]) >= longest:
             self.samples -= len(self.blocks.popleft())
 
@@ -162,7 +162,7 @@ def rows_of(watch: Watch, elapsed_s: float, box: BoxControl) -> Rows:
 def _stream_rows(stream: Stream, window: Window | None) -> Rows:
     if window is None:
         return [(stream.name, "no samples yet")]
-    rate = f"{1e9 / window.period_ns:.2f} Hz" if window.period_ns else "no fixed rate"
+    rate = f"{NS.factor / window.period_ns:.2f} Hz" if window.period_ns else "no fixed rate"
     rows = [(stream.name, f"{rate}, {window.lost} samples lost")]
     counts = np.concatenate(window.blocks)
     return rows + [(one_line(c.name), value_of(counts[:, k], c, stream)) for k, c in enumerate(stream.channels)]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.session.pipeline import SyncResult
-from truearm.types import Floats, ObservationTable
+from truearm.types import Figures, ObservationTable
 from truearm.units import MM, NS, US
 from truearm.workflows.demo_ball_bar import BallBarCalibration
 from truearm.workflows.demo_lines import N_LINES, LineCalibration, delay_words
@@ -73,16 +73,12 @@ def line_lines(found: LineCalibration) -> list[str]:
         apart = np.abs(other.value[robot] - estimate.value[robot])[seen] / estimate.sigma[robot][seen]
         text.append(f"row by row      the recursive solver ends within {apart.max():.1g} σ of this")
     else:
-        alone = _rms(other.residual["m"][is_line & ~fitted])
+        alone = Figures.of(other.residual["m"][is_line & ~fitted]).rms
         text.append(f"ball-bar alone  would leave {MM.text(alone, '.4f')} on the validation line")
     return text
 
 
 def _group(label: str, found: LineCalibration, rows: NDArray[np.bool_], note: str) -> list[str]:
-    before, after = (_rms(r["m"][rows]) for r in (found.estimate.residual_before, found.estimate.residual))
+    before, after = (Figures.of(r["m"][rows]).rms for r in (found.estimate.residual_before, found.estimate.residual))
     n = int(rows.sum())
     return [f"{label:<16}{MM.text(before, '.3f')} RMS before, {MM.text(after, '.4f')} after ({n} observations{note})"]
-
-
-def _rms(residual: Floats) -> float:
-    return float(np.sqrt(np.mean(residual**2)))

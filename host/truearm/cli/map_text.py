@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from truearm.correct.error_map import ErrorMap, Region
+from truearm.types import Figures
 from truearm.units import MM
 from truearm.workflows.error_map import Mapped, axis
 
@@ -15,7 +14,7 @@ def lines(mapped: Mapped, cell: float, task: str | None) -> list[str]:
     """The errors over the section, and the best place for a task (the option's text); ``cell`` [m]."""
     found = mapped.map
     error = MM.of(found.error[~np.isnan(found.error)])
-    rms = math.sqrt(float(np.mean(error**2)))
+    rms = Figures.of(error).rms
     text = [
         f"{error.size} cells of {MM.text(cell)}: error without calibration {error.min():.3f} to {error.max():.3f} mm, "
         f"RMS {rms:.3f} mm."

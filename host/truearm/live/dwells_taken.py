@@ -10,6 +10,7 @@ import numpy as np
 from truearm.session.sample_statistics import LEAST_LAGS, mean_of
 from truearm.session.standstill import JOINTS, SENSOR, StandstillDetector
 from truearm.types import Floats
+from truearm.units import NS
 
 SETTLE_NS = 500_000_000  # of a rest, left out at its beginning
 ENOUGH_NS = 1_600_000_000  # settling, a second of samples and the guard at the end, as sync.dwell has them
@@ -124,7 +125,7 @@ class Strokes:
         last, self._last = self._last, (t_ns, position)
         if last is None or t_ns <= last[0]:
             return None
-        speed = (position - last[1]) / (1e-9 * (t_ns - last[0]))
+        speed = (position - last[1]) / NS.to_si(t_ns - last[0])
         moving = abs(speed) >= LEAST_SPEED
         if self._run:
             way = self._run[-1][1] - self._run[0][1]
@@ -134,7 +135,7 @@ class Strokes:
             (t0, x0), (t1, x1) = self._run
             self._run = []
             if abs(x1 - x0) >= LEAST_STROKE:
-                return abs(x1 - x0), abs(x1 - x0) / (1e-9 * (t1 - t0))
+                return abs(x1 - x0), abs(x1 - x0) / NS.to_si(t1 - t0)
         if moving:
             self._run = [last, (t_ns, position)]
         return None

@@ -94,7 +94,7 @@ class LiveState:
         self._readings.append(t_ns)
         reading = parse_reading(line)
         if reading is not None:
-            t_ns = self._robot_time.host_ns(int(1e9 * reading.t), t_ns)
+            t_ns = self._robot_time.host_ns(int(NS.of(reading.t)), t_ns)
             self._ended(self._dwells.joints(t_ns, np.array(reading.q)))
 
     def look(self) -> None:
@@ -330,7 +330,7 @@ class LiveState:
         dry_s = {k: self._dry_s(k, w.next_n0, status) for k, w in self._windows.items()}
         rates = [
             f"{streams[k].name} "
-            + (f"{1e9 / w.period_ns:.1f} Hz" if dry_s[k] <= DRY_S else f"NO SAMPLES for {dry_s[k]:.0f} s")
+            + (f"{NS.factor / w.period_ns:.1f} Hz" if dry_s[k] <= DRY_S else f"NO SAMPLES for {dry_s[k]:.0f} s")
             for k, w in sorted(self._windows.items())
             if k in streams and w.period_ns
         ]
@@ -359,7 +359,7 @@ class LiveState:
             return ViewLine("robot", f"lost, last reading {_age(age)}; trying to reach it again", True)
         times = self._readings
         rate = (
-            f"{1e9 * (len(times) - 1) / (times[-1] - times[0]):.1f} readings/s"
+            f"{NS.factor * (len(times) - 1) / (times[-1] - times[0]):.1f} readings/s"
             if len(times) > 1 and times[-1] > times[0]
             else "no readings yet"
         )

@@ -14,6 +14,7 @@ from truearm.record.session_writer import SessionWriter, media_type
 from truearm.session.mcap_records import CHANNELS
 from truearm.session.salvage import Damage
 from truearm.session.session_file import Session
+from truearm.units import NS
 
 _CIRCLE = 2**32
 _WRITERS_OWN = ("session-end", CHANNELS)  # metadata that the writer writes itself
@@ -85,7 +86,7 @@ def recover(session: Session, out: Path, note: Mapping[str, str]) -> Recovered:
             damage=session.damage,
             cut_off=session.truncated,
             unread_bytes=session.unread_bytes,
-            seconds=1e-9 * max(0, last_ns - first_ns),
+            seconds=NS.to_si(max(0, last_ns - first_ns)),
             attachments=tuple(session.attachments),
         )
         writer.metadata("recovered", {**note, **_entries(found)})

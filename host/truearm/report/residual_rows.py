@@ -158,4 +158,5 @@ def law_of(rows: Rows) -> Law:
 
 
 def rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
+    """Of values of one unit; NaN of none."""
+    return Figures.of(values).rms

@@ -24,7 +24,7 @@ from truearm.estimate.uncertainty import predicted_error
 from truearm.model.chain import Chain, point_forward
 from truearm.model.robot import Robot
 from truearm.reproduce.line_bench import gear_error
-from truearm.types import Estimate, Floats, ObservationTable, Point, Rig
+from truearm.types import Estimate, Figures, Floats, ObservationTable, Point, Rig
 
 NOISE = 0.084e-3  # m, the paper's RMS residual
 NEAR, FAR = "bar46", "bar61"
@@ -186,8 +186,8 @@ def run(made: Bench, noise: float, gear: float, rng: np.random.Generator) -> Err
     found = fit(problem, free, problem.start, Options())
     error = found.information.root @ (found.x - made.truth)[free]
     return Errors(
-        _rms(found.information.residual["m"]),
-        _rms(observe(far, found.x, free).residual["m"]),
+        Figures.of(found.information.residual["m"]).rms,
+        Figures.of(observe(far, found.x, free).residual["m"]).rms,
         float(error @ error),
         found.information.chi2,
         found.iterations,
@@ -222,7 +222,7 @@ def cartesian_error(made: Bench, estimate: Estimate) -> float:
     p = estimate.n_robot_parameters
     q = made.table.q[made.table.bar == NEAR]
     sphere = np.array(next(iter(made.rig.spheres.values())).xyz)
-    return _rms(predicted_error(made.chain, estimate.value[:p], estimate.covariance[:p, :p], q, sphere).rms)
+    return Figures.of(predicted_error(made.chain, estimate.value[:p], estimate.covariance[:p, :p], q, sphere).rms).rms
 
 
 def stewart_amplification(base_radius: float, platform_radius: float, leg: float) -> float:
@@ -259,9 +259,5 @@ def _noisy(made: Bench, value: Floats, noise: float, rng: np.random.Generator) -
     return replace(made.table, value=value + noise * rng.standard_normal(value.size))
 
 
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
 def _root_mean(values: list[float]) -> float:
-    return _rms(np.array(values))
+    return Figures.of(np.array(values)).rms

@@ -115,7 +115,7 @@ def clock_truth(result: SyncResult, box: SimulatedBox) -> ClockTruth:
     (report,) = result.clock_reports
     t_us = np.linspace(*report.device_us, 1000).astype(np.int64)
     host_ns, bound_ns = clock.to_host_ns(t_us)
-    error_ns = host_ns - (HOST_AT_START_NS + 1e9 * box.true_s(t_us.astype(float)))
+    error_ns = host_ns - (HOST_AT_START_NS + NS.of(box.true_s(t_us.astype(float))))
     return ClockTruth(float(np.abs(error_ns).max()), float(bound_ns.max()), bool(np.all(np.abs(error_ns) <= bound_ns)))
 
 

@@ -12,7 +12,7 @@ from truearm.files.strict_json import without_nan
 from truearm.session.joint_line import parse_reading
 from truearm.text import one_line
 from truearm.types import Move
-from truearm.units import PPM
+from truearm.units import NS, PPM
 
 if TYPE_CHECKING:
     from truearm.session.box_ident import Ident
@@ -86,7 +86,7 @@ def describe(session: Session) -> dict[str, Any]:
         "file": str(session.path),
         "truncated": session.truncated,
         "damage": [asdict(damage) for damage in session.damage],
-        "duration_s": 1e-9 * (max(times) - min(times)) if times else 0.0,
+        "duration_s": NS.to_si(max(times) - min(times)) if times else 0.0,
         "metadata": {
             key: session.metadata.get(key, {}) for key in ("session", "session-end", "joints-added", "recovered")
         },
@@ -120,33 +120,33 @@ def printable(data: bytes) -> str:
 
 
 def _topic(topic: Topic) -> dict[str, Any]:
-    span = 1e-9 * (topic.last_ns - topic.first_ns)
+    span = NS.to_si(topic.last_ns - topic.first_ns)
     return {
         "messages": topic.messages,
         "bytes": topic.bytes,
         "rate_hz": (topic.messages - 1) / span if span > 0.0 else None,
-        "longest_silence_s": 1e-9 * topic.longest_silence_ns,
+        "longest_silence_s": NS.to_si(topic.longest_silence_ns),
     }
 
 
 def _stream(stream: Any, found: Survey) -> dict[str, Any]:
     """Rates by the box's own stamps; and by the host's clock, where the exchanges tell how the two relate."""
     ppm = found.clock_reports[-1].rate_ppm if found.clock_reports else math.nan
-    by_host = 1e9 / (stream.measured_ns * (1.0 + PPM.to_si(ppm)))
+    by_host = NS.factor / (stream.measured_ns * (1.0 + PPM.to_si(ppm)))
     return {
         **asdict(stream),
-        "rate_nominal_hz": 1e9 / stream.period_ns if stream.period_ns else None,
-        "rate_measured_hz": 1e9 / stream.measured_ns,
+        "rate_nominal_hz": NS.factor / stream.period_ns if stream.period_ns else None,
+        "rate_measured_hz": NS.factor / stream.measured_ns,
         "rate_by_host_hz": by_host,
     }
 
 
 def _silences(gaps: list[tuple[int, int]], begin_ns: int, found: Survey) -> dict[str, Any]:
     """Where the box said nothing, in seconds of the session, and what it would have sampled meanwhile."""
-    rate_hz = sum(1e9 / stream.period_ns for stream in found.streams if stream.period_ns)
-    silent_s = 1e-9 * sum(end - start for start, end in gaps)
+    rate_hz = sum(NS.factor / stream.period_ns for stream in found.streams if stream.period_ns)
+    silent_s = NS.to_si(sum(end - start for start, end in gaps))
     return {
-        "silences": [{"from_s": 1e-9 * (a - begin_ns), "to_s": 1e-9 * (b - begin_ns)} for a, b in gaps],
+        "silences": [{"from_s": NS.to_si(a - begin_ns), "to_s": NS.to_si(b - begin_ns)} for a, b in gaps],
         "samples_missing": round(silent_s * rate_hz),
     }
 

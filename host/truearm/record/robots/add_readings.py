@@ -18,6 +18,7 @@ from truearm.record.robots.joint_table import Reading
 from truearm.record.session_writer import Anchor, SessionWriter, media_type, read_anchor
 from truearm.session.session_file import Session
 from truearm.types import Message
+from truearm.units import NS
 
 TOPIC = "/robot/joints"
 ANCHORS = ("session", "session-end")
@@ -73,13 +74,13 @@ def add_readings(
     """
     anchors = Anchors(session)
     begin_ns, end_ns = _span(session, replace)
-    zero_ns = anchors.host_ns(0) if zero_s is None else begin_ns + round(1e9 * zero_s)
+    zero_ns = anchors.host_ns(0) if zero_s is None else begin_ns + round(NS.of(zero_s))
     count = inside = 0
 
     def added() -> Iterator[Message]:
         nonlocal count, inside
         for reading in readings:
-            t_ns = round(1e9 * reading.t)
+            t_ns = round(NS.of(reading.t))
             host_ns = anchors.host_ns(t_ns) if zero_s is None else zero_ns + t_ns
             if not 0 <= host_ns < MAX_NS:
                 raise _outside(reading.t, zero_s)
