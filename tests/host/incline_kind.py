@@ -9,6 +9,7 @@ from truearm.kinds.group import Group
 from truearm.kinds.kind import Kind
 from truearm.kinds.linearised import Linearised, no_columns
 from truearm.kinds.quantities import Quantity
+from truearm.kinds.unknowns import Used
 from truearm.model.chain import about, forward, trace_point
 
 ANGLE = Quantity("incline", ("incline",), "rad")
@@ -41,7 +42,7 @@ class InclineRows(Group):
 
 
 def draft(scope, rows):
-    """Nothing of the rig is used."""
+    """One thing is used that has no numbers: nothing of the rig is known or unknown."""
     angle = measured(scope, rows, ANGLE)
     variance = sigmas(scope, rows, np.full((len(rows), 1), np.nan), "rad") ** 2
 
@@ -50,7 +51,7 @@ def draft(scope, rows):
             InclineRows(row=rows, sensor_cov=variance, q=scope.table.q[rows], angle=angle, constants=layout.constants)
         ]
 
-    return Draft((), make)
+    return Draft((Used(["level"], [[]], np.zeros(len(rows), dtype=np.intp)),), make)
 
 
 KIND = Kind(

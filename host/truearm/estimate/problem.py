@@ -116,7 +116,7 @@ def _errors(chain: Chain, layout: Layout, drafts: Sequence[Draft]) -> tuple[Erro
     units = (*(number.unit for number in rig), *chain.joint_units, *(unit for _, unit in BASE))
     causes = {}
     for used in (used for draft in drafts for used in draft.used):
-        for thing in used.numbers:
+        for thing in filter(None, used.numbers):  # a device whose every number is given has none
             for fault in used.faults:
                 some = tuple(number.name for number in thing[fault.numbers])
                 name = some[0] if len(some) == 1 else some[0].rpartition(".")[0]
