@@ -548,6 +548,29 @@ class SystematicErrors:
     moves: float = math.nan
 
 
+class StillJoint(NamedTuple):
+    """A joint that does not move enough to show its axis; ``spread`` is from the least to the largest reading, rad or m."""
+
+    joint: str
+    unit: str
+    spread: float
+
+
+@dataclass(frozen=True)
+class Defaults:
+    """What an identification holds or believes because the user did not say otherwise, as names of the robot's parameters.
+
+    ``base`` and ``tool`` are held since they are a choice of frame, ``lost`` since the joints ``still`` do not move enough;
+    ``believed`` have a prior, the weak one, since the data tell them less well.
+    """
+
+    base: tuple[str, ...] = ()
+    tool: tuple[str, ...] = ()
+    still: tuple[StillJoint, ...] = ()
+    lost: tuple[str, ...] = ()
+    believed: tuple[str, ...] = ()
+
+
 class PredictedError(NamedTuple):
     """How far the measured point of the robot's end errs by the parameters' covariance, over poses that were measured.
 
@@ -598,9 +621,9 @@ class Estimate:
     rank: int
     rank_gap: float  # smallest kept / largest dropped singular value
     null_space: tuple[NullDirection, ...]
-    rms_before: Mapping[str, float]  # by SI unit, of the fitting rows
+    rms_before: Mapping[str, float]  # by SI unit, of the fitting rows, once base and tool are placed
     rms_after: Mapping[str, float]
-    rms_history: Mapping[str, tuple[float, ...]]  # one an iteration, first is before
+    rms_history: Mapping[str, tuple[float, ...]]  # one an iteration, first is rms_raw
     chi2_reduced: float
     held_out: HeldOut | None
     held_out_before: HeldOut | None
@@ -608,6 +631,9 @@ class Estimate:
     residual_before: Residuals
     fitted: NDArray[np.bool_]  # (n,) True for fitting rows, False for held-out
     seconds: float
+    rms_raw: Mapping[str, float] = field(
+        default_factory=dict
+    )  # of the robot as described, where the rig says it stands
     loss: str = "linear"
     chi2_band: tuple[float, float] = (float("nan"), float("nan"))  # of chi2_reduced, 95 %, if σ and model are right
     chi2_freedom: float = float("nan")  # effective: residuals less what the fit follows them with

@@ -43,6 +43,7 @@ LISTS = {
 }
 OBJECTS = {
     "robot",
+    "defaults",
     "without_systematic",
     "held_out",
     "held_out_before",
@@ -51,6 +52,7 @@ OBJECTS = {
     "predicted_error",
 }
 RMS = ("rms_before", "rms_after")
+RAW = ("rms_raw",)
 
 
 def check_schema(result: dict[str, Any]) -> None:
@@ -62,8 +64,8 @@ def check_schema(result: dict[str, Any]) -> None:
     def each(*figures: str) -> set[str]:
         return {f"{figure}_{unit}" for figure in figures for unit in units}
 
-    assert set(result) == {*SCALARS, *LISTS, *OBJECTS, *each(*RMS, "rms_history")}
-    assert all(isinstance(result[key], float | None) for key in each(*RMS))
+    assert set(result) == {*SCALARS, *LISTS, *OBJECTS, *each(*RMS, *RAW, "rms_history")}
+    assert all(isinstance(result[key], float | None) for key in each(*RMS, *RAW))
     for key, kind in SCALARS.items():
         assert isinstance(result[key], kind), key
     for parameter in result["parameters"]:
@@ -75,7 +77,8 @@ def check_schema(result: dict[str, Any]) -> None:
     assert result["free"] == result["covariance"]["names"] == free
     assert np.array(result["covariance"]["matrix"], dtype=float).shape == (len(free), len(free))
     unseen = {name for direction in result["null_space"] for name in direction["names"]}
-    assert unseen == {p["name"] for p in result["parameters"] if p["free"] and not p["seen"] and p["of"] == "robot"}
+    assert unseen >= {p["name"] for p in result["parameters"] if p["free"] and not p["seen"] and p["of"] == "robot"}
+    assert unseen <= {p["name"] for p in result["parameters"] if p["free"] and not p["seen"]}
     for direction in result["null_space"]:
         assert max(map(abs, direction["weights"])) == pytest.approx(1.0)
     assert len(result["suggested_free"]) == result["rank"]
@@ -86,6 +89,12 @@ def check_schema(result: dict[str, Any]) -> None:
         assert set(entry) == {"rig", "kind", "fitted", "held_out", "chucks", "spheres", "places"} | each(
             *RMS, "rms_held_out"
         )
+    names = {p["name"] for p in result["parameters"]}
+    assert set(result["defaults"]) == {"base", "tool", "still", "lost", "believed"}
+    held = {name for key in ("base", "tool", "lost") for name in result["defaults"][key]}
+    assert held <= names - set(free)
+    assert set(result["defaults"]["believed"]) <= set(free)
+    assert all(set(joint) == {"joint", "unit", "spread"} for joint in result["defaults"]["still"])
     predicted = result["predicted_error"]
     assert predicted is None or set(predicted) == {"rms_mm", "max_mm", "at", "n", "relative"}
     for key in ("held_out", "held_out_before"):

@@ -14,14 +14,14 @@ from command_line import Run, told
 from identify_bench import MUKCA, SIGMA, exact_lengths, identified
 from result_schema import check_schema
 
-from truearm.cli.identify_text import advice, predicted
+from truearm.cli.identify_text import not_converged, predicted
 from truearm.files.observation_table import concatenate, read_table, write_table
 from truearm.files.rig_file import write_rig
 from truearm.types import Device, ObservationTable, Rig
 
 
 def test_noise_free_lengths_give_the_true_robot(run: Run, good: list[object]) -> None:
-    outcome = run(*good, "--all-free", "--hold-out", "outer", "--json")
+    outcome = run(*good, "--all-free", "--hold-out", "outer", "--prior", "none", "--json")
     assert (outcome.code, outcome.err) == (0, "")
     result = json.loads(outcome.out)
     assert (result["status"], result["rank"], result["n_free"]) == ("converged", 36, 54)
@@ -61,16 +61,18 @@ def test_stopping_early_and_a_rank_that_is_not_full_are_results(run: Run, tmp_pa
     outcome = run(*arguments, "--all-free", "--max-iterations", 1)
     assert outcome.code == 0
     assert "rank 33 of 54 free" in outcome.out  # the paper's Table I: one chuck, three spheres
-    assert "The fit stopped early" in outcome.out
+    assert outcome.out.startswith("The fit did not converge")
+    assert "tool errs" not in outcome.out
     # The paper's Table I: a second chuck makes 35, a third sphere is there already.
     assert "Next: measure with one more chuck, not in line with the others, to tell 2 more parameters" in outcome.out
     assert "one more sphere" not in outcome.out
     document = json.loads(run(*arguments, "--max-iterations", 1, "--json").out)
     assert document["status"] == "max_iterations"
-    (stopped,) = (line for line in advice(document, None) if "stopped early" in line)
+    assert document["predicted_error"] is None
+    (stopped,) = not_converged(document)
     assert "--max-iterations" in stopped
     assert "roll" not in stopped
-    (stopped,) = (line for line in advice({**document, "status": "stalled"}, None) if "stopped early" in line)
+    (stopped,) = not_converged({**document, "status": "stalled"})
     assert "--max-iterations" not in stopped  # more of them would not help
 
 
@@ -79,10 +81,11 @@ def test_a_fit_that_creeps_is_told_what_holds_it(run: Run, tmp_path: Path) -> No
     write_table(tmp_path / "t.csv", table, ("rad",) * 6)
     document = json.loads(run("identify", tmp_path / "t.csv", "--robot", "ulb", "--max-iterations", 1, "--json").out)
     assert document["status"] == "max_iterations"
-    (stopped,) = (line for line in advice(document, None) if "stopped early" in line)
+    (stopped,) = not_converged(document)
     assert "A straight line hardly shows its device's roll: give it in the rig, with turn_sigma_deg." in stopped
-    (stopped,) = (line for line in advice({**document, "hardly_seen": document["null_space"]}, None) if "early" in line)
-    assert "--solver map" in stopped
+    hardly = [{"names": ["joint2.d"], "weights": [1.0]}]
+    (stopped,) = not_converged({**document, "prior": "none", "hardly_seen": hardly})
+    assert "leave out --prior none" in stopped
 
 
 @pytest.mark.parametrize(

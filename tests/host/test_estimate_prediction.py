@@ -11,7 +11,7 @@ from truearm.estimate import prediction
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prediction import MOST_POSES, predicted_point_error
 from truearm.estimate.uncertainty import predicted_error
-from truearm.model.chain import point_forward, point_jacobians
+from truearm.model.chain import forward, point_forward, point_jacobians
 from truearm.model.rotation import rotation, rotation_vector
 from truearm.types import Device, Plane, Rig
 
@@ -150,5 +150,14 @@ def test_identified_spheres_are_where_the_fit_found_them(bars):
     of_spheres = [name.startswith("sphere.") for name in estimate.parameter_names]
     far = replace(estimate, value=np.where(of_spheres, 0.3, estimate.value))
     _, jac, _ = point_jacobians(CHAIN, far.value[:54], table.q, np.full(3, 0.3))
-    expected = np.linalg.norm(jac[:, :, at], axis=1) * estimate.sigma[at]
-    assert predicted_point_error(CHAIN, rig, table, far).rms == pytest.approx(np.sqrt(np.mean(expected**2)), rel=1e-9)
+    expected = []
+    for sphere in SPHERES:
+        mine = table.sphere == sphere
+        columns = [at, *(estimate.parameter_names.index(f"sphere.{sphere}.{k}") for k in "xyz")]
+        axes = forward(CHAIN, far.value[:54], table.q[mine])[
+            :, :3, :3
+        ]  # the sphere's place errs too, and with the link
+        moves = np.concatenate([jac[mine][:, :, [at]], axes], axis=2)
+        expected.append(np.einsum("nip,pr,nir->n", moves, estimate.covariance[np.ix_(columns, columns)], moves))
+    rms = np.sqrt(np.concatenate(expected).mean())
+    assert predicted_point_error(CHAIN, rig, table, far).rms == pytest.approx(rms, rel=1e-6)

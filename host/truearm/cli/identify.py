@@ -70,8 +70,8 @@ def identify(
     prior: Annotated[
         Prior | None,
         typer.Option(
-            help=f"Nominal to {', '.join(tolerances('weak')[:2])} (weak) or {', '.join(tolerances('wide')[:2])} (wide). Default: weak for a URDF, else wide for "
-            "--solver map, none for the others; ls has none."
+            help=f"Nominal to {', '.join(tolerances('weak')[:2])} (weak) or {', '.join(tolerances('wide')[:2])} (wide). default: weak where the "
+            "observations tell less. Default: weak for a URDF, else wide for --solver map, default for lm and recursive; ls has none."
         ),
     ] = None,
     solver: Annotated[

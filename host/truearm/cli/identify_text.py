@@ -10,7 +10,7 @@ import re
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, assert_never
 
 from rich.console import Console
 from rich.table import Table
@@ -29,6 +29,7 @@ MAX_DIRECTIONS = 6
 MAX_TERMS = 4
 SMALLEST_WEIGHT = 0.005  # below it "0.00" would be shown
 MAX_ROWS = 6
+MAX_NAMES = 12
 CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
 
 
@@ -37,22 +38,38 @@ def show_result(document: Document, out: Path | None) -> None:
     # Names come from strangers' files: no markup. Into a pipe rich would wrap at 80 columns.
     width = None if sys.stdout.isatty() else 120
     console = Console(markup=False, highlight=False, emoji=False, width=width)
-    for line in relabelled(document):
-        console.print(line)
+    for lines in (not_converged, relabelled):
+        for line in lines(document):
+            console.print(line)
     for line in systematic_sentences(document, lambda name: f"--{name.replace('_', '-')}"):
         console.print(line)
     console.print(headline(document))
     console.print(how(document))
+    for line in held(document):
+        console.print(line)
     console.print(_parameter_table(document))
     for line in unseen(document):
         console.print(line)
     for suffix in document["residual_units"]:
         console.print(_error_table(document, suffix))
-    notes = (timing, chi2_notes, suspects, held_out_notes, predicted, seen)
+    notes = (raw, timing, chi2_notes, suspects, held_out_notes, predicted, seen)
     for line in (line for words in notes for line in words(document)):
         console.print(line)
     for line in advice(document, out):
         console.print(line)
+
+
+def not_converged(document: Document) -> list[str]:
+    """That the fit did not converge, and what to do about it."""
+    if document["status"] == "converged" or SOLVERS[document["solver"]].ends_by_recipe:
+        return []
+    line = f"The fit did not converge: {one_line(document['message'])}. Its parameters and errors mean nothing."
+    if any(re.fullmatch(r"(.*\.)?line\.[^.]*\.rx", parameter["name"]) for parameter in document["parameters"]):
+        line += " A straight line hardly shows its device's roll: give it in the rig, with turn_sigma_deg."
+    if document["hardly_seen"] and document["prior"] == Prior.NONE:
+        return [f"{line} What is hardly seen makes a fit creep: leave out --prior none, or take --prior weak."]
+    raised = ", or raise --max-iterations" if document["status"] == "max_iterations" else ""
+    return [f"{line} Check the units, the joints' order and signs, and the labels{raised}."]
 
 
 def relabelled(document: Document) -> list[str]:
@@ -100,9 +117,46 @@ def headline(document: Document) -> str:
 
 def how(document: Document) -> str:
     """One line: the solver and what it believed."""
-    prior = "without a prior" if document["prior"] == Prior.NONE else f"with a {document['prior']} prior of the robot"
     loss = "" if document["loss"] == Loss.LINEAR else f", {document['loss']} loss"
-    return f"Solved by {document['solver']} {prior}{loss}."
+    return f"Solved by {document['solver']} {_prior(document)}{loss}."
+
+
+def _prior(document: Document) -> str:
+    match Prior(document["prior"]):
+        case Prior.NONE:
+            return "without a prior"
+        case Prior.DEFAULT:
+            believed = document["defaults"]["believed"]
+            return f"with a weak prior of {_names(believed)}, which the observations hardly tell (off: --prior none)"
+        case Prior.WEAK | Prior.WIDE as name:
+            return f"with a {name} prior of the robot"
+        case never:
+            assert_never(never)
+
+
+def held(document: Document) -> list[str]:
+    """What is held without having been asked for: a choice of frame, joints that stand still."""
+    defaults = document["defaults"]
+    lines = []
+    frames = {"how the base stands": defaults["base"], "how the tool is mounted": defaults["tool"]}
+    if any(frames.values()):
+        what = " and ".join(f"{words} ({_names(names)})" for words, names in frames.items() if names)
+        lines.append(
+            f"A choice of frame that these observations cannot see in any pose, held at the nominal values: {what}."
+        )
+    for joint in defaults["still"]:
+        spread = UNITS[joint["unit"]].scale.text(joint["spread"], ".2f")
+        lines.append(
+            f"{one_line(joint['joint'])} moves by only {spread}, too little to show its axis; move it more to identify it."
+        )
+    if defaults["lost"]:
+        lines.append(f"Held at the nominal values therefore: {_names(defaults['lost'])}.")
+    return lines
+
+
+def _names(names: list[str]) -> str:
+    shown = ", ".join(one_line(name) for name in names[:MAX_NAMES])
+    return shown + (f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else "")
 
 
 def _parameter_table(document: Document) -> Table:
@@ -186,6 +240,8 @@ def _of(entry: Mapping[str, Any]) -> str:
 def predicted(document: Document) -> list[str]:
     """How far the tool may be off."""
     error = document["predicted_error"]
+    if document["status"] != "converged":
+        return []
     if error is None:
         return ["How far the tool may be off is not determined: what is not seen, or hardly, would move it."]
     where = " (the base's own place apart)" if error["relative"] else ""
@@ -202,6 +258,20 @@ def seen(document: Document) -> list[str]:
         return []
     named = ", ".join(f"{name.upper()} {value:.3g}" for name, value in indices.items())
     return [f"Observability of {counted(len(document['suggested_free']), 'parameter')}: {named} (larger is better)."]
+
+
+def raw(document: Document) -> list[str]:
+    """What "before" means, and the errors without placing base and tool where they differ."""
+    units = [SUFFIXES[suffix] for suffix in document["residual_units"]]
+    before, as_described = ([document[f"{name}_{unit.suffix}"] for unit in units] for name in ("rms_before", "rms_raw"))
+    if before == as_described:
+        return ["Before is the robot as described."]
+    sizes = " and ".join(
+        f"{_cell(rms, UNITS[unit.si].decimals)} {unit.symbol}" for unit, rms in zip(units, as_described, strict=True)
+    )
+    return [
+        f"Before is the robot as described, once base and tool are placed; where the rig says they stand: {sizes} RMS."
+    ]
 
 
 def timing(document: Document) -> list[str]:
@@ -260,8 +330,6 @@ def advice(document: Document, out: Path | None) -> list[str]:
     solver = SOLVERS[document["solver"]]
     if solver.ends_by_recipe:
         lines.append(f"The solver {one_line(document['message'])}.")
-    elif document["status"] != "converged":
-        lines.append(_stopped(document))
     if document["chi2_reduced"] is not None and document["chi2_reduced"] > CHI2_DOUBTFUL:
         factor = math.sqrt(document["chi2_reduced"])
         # Least squares and robust losses read the noise from the residuals.
@@ -289,17 +357,6 @@ def advice(document: Document, out: Path | None) -> list[str]:
     else:
         lines.append(f"Written: {one_line(str(out))}")
     return lines
-
-
-def _stopped(document: Document) -> str:
-    """Why a fit may not have come to its end: what is hardly seen is a long valley, in which Levenberg–Marquardt creeps."""
-    raised = "Raise --max-iterations, or check" if document["status"] == "max_iterations" else "Check"
-    line = f"The fit stopped early: {one_line(document['message'])}. {raised} the units."
-    if any(re.fullmatch(r"(.*\.)?line\.[^.]*\.rx", parameter["name"]) for parameter in document["parameters"]):
-        line += " A straight line hardly shows its device's roll: give it in the rig, with turn_sigma_deg."
-    if document["hardly_seen"] and document["prior"] == Prior.NONE:
-        line += " What is hardly seen makes a fit creep: a prior holds it, as --solver map has."
-    return line
 
 
 def further_measurements(document: Document) -> list[str]:

@@ -54,12 +54,14 @@ def identifiability(root: Floats, n_robot: int, names: Sequence[str]) -> Identif
     """Analyse a root (k, k) whose first ``n_robot`` columns are the robot's; ``names`` are the k parameters'."""
     scaled, scale = scaled_columns(root)
     robot, rig = scaled[:, :n_robot], scaled[:, n_robot:]
-    singular, null_robot = _null_basis(project_out(robot, rig))
-    _, null_rig = _null_basis(rig)
-    _, null_all = _null_basis(scaled)
+    singular, null_robot = null_basis(project_out(robot, rig))
+    _, null_rig = null_basis(rig)
+    _, null_all = null_basis(scaled)
     rank = n_robot - null_robot.shape[1]
+    # A change of the robot alters no prediction only together with what it does to the rig.
+    by_rig = -np.linalg.pinv(rig, rcond=RANK_TOLERANCE) @ (robot @ null_robot)
     directions = (
-        *_directions(null_robot, scale[:n_robot], names[:n_robot]),
+        *_directions(null_robot, scale, names, beside=by_rig),
         *_directions(null_rig, scale[n_robot:], names[n_robot:]),
     )
     identifiable = np.linalg.norm(null_all, axis=1) < NO_PART
@@ -114,6 +116,18 @@ def hardly_seen(root: Floats, n_robot: int, unit: Floats, names: Sequence[str]) 
     return _directions(vt[weak].T, 1.0 / unit, names[:n_robot], SMALL_PART)
 
 
+def not_told(root: Floats, n_robot: int, unit: Floats, least: float = -1.0) -> NDArray[np.bool_]:
+    """(n_robot,) the robot's columns in directions that the data tell to no better than ``unit`` (n_robot,).
+
+    Those with a singular value up to ``least`` of the largest do not count: with RANK_TOLERANCE, what is not seen at all.
+    """
+    rest = _in_units(root, n_robot, unit)
+    if rest.size == 0:
+        return np.zeros(n_robot, dtype=bool)
+    _, singular, vt = np.linalg.svd(rest)
+    return np.asarray((np.abs(vt[(singular < 1.0) & (singular > least * singular[0])]) > SMALL_PART).any(axis=0))
+
+
 def hardly_told(root: Floats, column: int, unit: float) -> bool:
     """Whether the data tell this one parameter, all others (robot and rig) being unknown, no better than ``unit``."""
     rest = project_out(root[:, [column]], np.delete(root, column, axis=1))
@@ -146,7 +160,7 @@ def project_out(wanted: Floats, unwanted: Floats) -> Floats:
     return np.asarray(wanted - basis @ (basis.T @ wanted))
 
 
-def _null_basis(matrix: Floats) -> tuple[Floats, Floats]:
+def null_basis(matrix: Floats) -> tuple[Floats, Floats]:
     """Singular values (c,) and an orthonormal basis (c, d) of the null space of a matrix with scaled columns."""
     columns = matrix.shape[1]
     if columns == 0:
@@ -165,14 +179,18 @@ def _gap(singular: Floats, rank: int) -> float:
 
 
 def _directions(
-    basis: Floats, scale: Floats, names: Sequence[str], least: float = NO_PART
+    basis: Floats, scale: Floats, names: Sequence[str], least: float = NO_PART, beside: Floats | None = None
 ) -> tuple[NullDirection, ...]:
-    """The null space (c, d), scaled, as readable directions in SI units, each with its largest weight 1."""
+    """The null space (c, d), scaled, as readable directions in SI units, each with its largest weight 1.
+
+    ``beside`` (·, d) are further rows of the directions, after those of the basis.
+    """
     d = basis.shape[1]
     if d == 0:
         return ()
     pivots = scipy.linalg.qr(basis.T, mode="r", pivoting=True)[1][:d]
-    own = basis @ np.linalg.inv(basis[pivots])
+    whole = basis if beside is None else np.concatenate([basis, beside])
+    own = whole @ np.linalg.inv(basis[pivots])
     out = []
     for column in own[:, np.argsort(pivots)].T:
         part = np.flatnonzero(np.abs(column) > least).tolist()

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from truearm.errors import ProblemError
 from truearm.estimate.effects import Modelled, modelled_effects
 from truearm.estimate.fit import fit
+from truearm.estimate.frame_choice import mounting
 from truearm.estimate.further_measurements import additions
 from truearm.estimate.identifiability import (
     hardly_seen,
@@ -110,10 +111,11 @@ def identify(
         if options.progress is not None:
             options.progress(iteration, history[-1])
 
-    x_before, before = _before(problem, options.max_iterations)
+    x_raw, raw = _raw(problem, options.max_iterations)
+    x_before, before = _before(problem, columns, x_raw, raw)
     how_to = Options(options.max_iterations, Loss(options.loss), options.damping == "plain", on_step)
     # To find the robot and a far-off rig at once is a curved valley; from a rig that has a prior the mode is nearer (decision 19).
-    start = x_before if SOLVERS[options.solver].starts_from_rig else problem.start
+    start = x_raw if SOLVERS[options.solver].starts_from_rig else problem.start
     found = solver_of(options.solver)(problem, columns, start, how_to)
     x, information = found.x, found.information
     parts = spectrum(information.root)
@@ -161,8 +163,9 @@ def identify(
         rank_gap=sight.gap,
         null_space=sight.null_space,
         rms_before=_rms(before),
+        rms_raw=_rms(raw),
         rms_after=_rms(information.residual),
-        rms_history={unit: tuple(rms[unit] for rms in (_rms(before), *history)) for unit in before},
+        rms_history={unit: tuple(rms[unit] for rms in (_rms(raw), *history)) for unit in raw},
         chi2_reduced=fit_quality.reduced,
         held_out=held_after,
         held_out_before=held_before,
@@ -230,7 +233,7 @@ def _check_choice(solver: str, loss: str, damping: str) -> None:
         raise ProblemError(f"solver {solver} has no damping to choose; use lm")
 
 
-def _before(problem: Problem, max_iterations: int) -> tuple[Floats, Residuals]:
+def _raw(problem: Problem, max_iterations: int) -> tuple[Floats, Residuals]:
     """x (P,) and residuals of the robot as described, once what the rig leaves unknown is fitted to it.
 
     A ball or a chuck whose place nobody measured is no error of the robot; with the rig as guessed the identification
@@ -241,6 +244,20 @@ def _before(problem: Problem, max_iterations: int) -> tuple[Floats, Residuals]:
         return problem.start, observe(problem, problem.start, rig_only).residual
     # The nominal robot's errors are no faults of rows: no gate and no robust loss.
     found = fit(problem, rig_only, problem.start, Options(max_iterations))
+    return found.x, found.information.residual
+
+
+def _before(problem: Problem, columns: NDArray[np.bool_], x: Floats, raw: Residuals) -> tuple[Floats, Residuals]:
+    """x (P,) and residuals of the robot as described, once base and tool are placed, from ``_raw``'s.
+
+    How the two are bolted on is no error of the robot either: only the free parameters that move nothing else are fitted.
+    """
+    only = np.arange(columns.size) >= problem.n_robot
+    mounted = mounting(problem.chain, x[: problem.n_robot]).either & columns[: problem.n_robot]
+    if not mounted.any():
+        return x, raw
+    only[: problem.n_robot] = mounted
+    found = fit(problem, only, x, Options())
     return found.x, found.information.residual
 
 

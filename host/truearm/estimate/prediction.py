@@ -1,7 +1,8 @@
 """What an estimate says of single poses: how far the tool may be off there.
 
-(Renders 1991, II-D, a posteriori). The measured point moves by J·Δ, so by the parameters'
-covariance P its error has the mean square tr(J P Jᵀ) at a pose. Directions that the observations cannot see have no
+(Renders 1991, II-D, a posteriori). The measured point moves by J·Δ, so by the covariance P of the robot's parameters and of the
+point's own place on the end, where the rig does not know it, its error has the mean square tr(J P Jᵀ) at a pose. Both belong
+together: robot and target may be uncertain by metres and determine the point to a micrometre. Directions that the observations cannot see have no
 variance in P, and need none where they move no point. Two cases are told apart by the null directions N:
 
 - J·N moves all points as one body. Then the observations (seats in sockets, a line device or tracker anywhere) do not
@@ -17,12 +18,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truearm.estimate.problem import Rigs
+from truearm.estimate.uncertainty import covariance_root
 from truearm.kinds.registry import kinds
-from truearm.model.chain import Chain, point_jacobians
+from truearm.model.chain import Chain, forward, point_jacobians
 from truearm.types import Estimate, Floats, ObservationTable, PredictedError, Rig
 
 MOST_POSES = 500  # of a large table an even choice: the Jacobian, 1500 × 54, is then 0.6 MB
@@ -30,8 +34,52 @@ FIRST_ORDER = 0.2  # of the farthest point's distance from the base: a tenth of 
 MOVES = 1e-6  # m, rad by a direction whose largest weight is 1; directions come out of an SVD with 1e-10
 
 
+class PointCovariance(NamedTuple):
+    """What is known of measured points: their places (n, 3), and the covariance (3n, 3n)'s root, ``half @ half.T``.
+
+    ``relative``: without a motion of all points as one body.
+    """
+
+    points: Floats
+    half: Floats  # (3n, k)
+    relative: bool
+
+    @property
+    def covariances(self) -> Floats:
+        """(n, 3, 3) m², in the base frame, of each point by itself."""
+        own = self.half.reshape(len(self.points), 3, -1)
+        return np.asarray(own @ own.swapaxes(1, 2))
+
+
+def point_covariance(
+    chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate, any_base: bool = False
+) -> PointCovariance | None:
+    """Covariance of the points that the rows measure (spheres, targets), by that of the robot and of the points' places.
+
+    ``any_base``: where the base stands is a choice of frame, so that a motion of all points as one body does not count.
+    None where directions that the observations cannot see move the points otherwise.
+    """
+    params = estimate.value[: estimate.n_robot_parameters]
+    places, columns = _measured_points(rig, table, estimate)
+    points, by_robot, _ = point_jacobians(chain, params, table.q, places)
+    jac = np.zeros((len(table), 3, estimate.value.size + 1))  # one more column, for what is known exactly
+    jac[:, :, : params.size] = by_robot
+    axes = forward(chain, params, table.q)[:, :3, :3]
+    np.put_along_axis(jac, np.broadcast_to(columns[:, None], axes.shape), axes, axis=2)
+    flat = jac[:, :, :-1].reshape(-1, estimate.value.size)
+    unseen = flat @ _null_directions(estimate)
+    relative = any_base or bool(np.abs(unseen).max(initial=0.0) > MOVES)
+    half = flat @ covariance_root(estimate.covariance)
+    if relative:
+        body, _ = np.linalg.qr(body_motion(points))
+        if np.abs(unseen - body @ (body.T @ unseen)).max(initial=0.0) > MOVES:
+            return None
+        half = half - body @ (body.T @ half)
+    return PointCovariance(points, half, relative)
+
+
 def predicted_point_error(
-    chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate
+    chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate, any_base: bool = False
 ) -> PredictedError | None:
     """Expected error of the point that the rows measure (sphere or target), over their poses.
 
@@ -39,35 +87,31 @@ def predicted_point_error(
     large that it is not determined.
     """
     rows = np.unique(np.linspace(0, len(table) - 1, min(len(table), MOST_POSES)).astype(int))
-    params = estimate.value[: estimate.n_robot_parameters]
-    points, jac, _ = point_jacobians(chain, params, table.q[rows], _measured_points(rig, table, estimate)[rows])
-    flat = jac.reshape(-1, params.size)
-    unseen = flat @ _null_directions(estimate)
-    relative = bool(np.abs(unseen).max(initial=0.0) > MOVES)
-    if relative:
-        body, _ = np.linalg.qr(body_motion(points))
-        if np.abs(unseen - body @ (body.T @ unseen)).max() > MOVES:
-            return None
-        flat = flat - body @ (body.T @ flat)
-    covariance = estimate.covariance[: params.size, : params.size]
-    variance = np.maximum(np.einsum("np,np->n", flat @ covariance, flat), 0.0).reshape(-1, 3).sum(axis=1)
+    found = point_covariance(chain, rig, table.select(rows), estimate, any_base)
+    if found is None:
+        return None
+    variance = (found.half**2).sum(axis=1).reshape(-1, 3).sum(axis=1)
     worst = int(np.argmax(variance))
-    if variance[worst] > (FIRST_ORDER * np.linalg.norm(points, axis=-1).max()) ** 2:
+    if variance[worst] > (FIRST_ORDER * np.linalg.norm(found.points, axis=-1).max()) ** 2:
         return None
     return PredictedError(
         rms=float(np.sqrt(variance.mean())),
         largest=math.sqrt(variance[worst]),
         source=str(table.source[rows[worst]]),
         n=rows.size,
-        relative=relative,
+        relative=found.relative,
     )
 
 
-def _measured_points(rig: Rigs, table: ObservationTable, estimate: Estimate) -> Floats:
-    """(n, 3) where on the end the sphere or target of each row is, as identified where it was; else the origin."""
+def _measured_points(rig: Rigs, table: ObservationTable, estimate: Estimate) -> tuple[Floats, NDArray[np.intp]]:
+    """(n, 3) where on the end the sphere or target of each row is, as identified where it was; else the origin.
+
+    And (n, 3) which parameters of the estimate these numbers are; their number, where they are none.
+    """
     rigs: Mapping[str, Rig] = {"": rig} if isinstance(rig, Rig) else rig
-    found = dict(zip(estimate.parameter_names, estimate.value.tolist(), strict=True))
-    points = np.zeros((len(table), 3))
+    at = {name: i for i, name in enumerate(estimate.parameter_names)}
+    values = np.append(estimate.value, np.nan)
+    points, columns = np.zeros((len(table), 3)), np.full((len(table), 3), estimate.value.size)
     for name, one in rigs.items():
         prefix = f"{name}." if name else ""
         for kind, of in kinds().items():
@@ -75,21 +119,19 @@ def _measured_points(rig: Rigs, table: ObservationTable, estimate: Estimate) -> 
             known, column = of.points(one), table.column(of.point)
             for label, point in known.items():
                 mine = rows & ((column == label) | ((column == "") & (len(known) == 1)))
-                points[mine] = [
-                    found.get(f"{prefix}{of.point}.{label}.{k}", value)
-                    for k, value in zip("xyz", point.xyz, strict=True)
-                ]
-    return points
+                own = [at.get(f"{prefix}{of.point}.{label}.{k}", estimate.value.size) for k in "xyz"]
+                columns[mine] = own
+                points[mine] = np.where(np.isnan(values[own]), point.xyz, values[own])
+    return points, columns
 
 
 def _null_directions(estimate: Estimate) -> Floats:
-    """(p, k) the robot's parts of what cannot be seen; the largest weight of a whole direction is 1."""
-    at = {name: i for i, name in enumerate(estimate.parameter_names[: estimate.n_robot_parameters])}
+    """(P, k) what cannot be seen; the largest weight of a direction is 1."""
+    at = {name: i for i, name in enumerate(estimate.parameter_names)}
     out = np.zeros((len(at), len(estimate.null_space)))
     for k, direction in enumerate(estimate.null_space):
         for name, weight in zip(direction.names, direction.weights, strict=True):
-            if name in at:
-                out[at[name], k] = weight
+            out[at[name], k] = weight
     return out
 
 

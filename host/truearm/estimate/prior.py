@@ -43,9 +43,9 @@ def wide_prior(chain: Chain) -> Floats:
 
 
 def prior_named(chain: Chain, prior: Prior) -> Floats | None:
-    """(p,) standard deviations of a prior, None for none."""
+    """(p,) standard deviations of a prior, None for none and for the default one, which follows from the data."""
     match prior:
-        case Prior.NONE:
+        case Prior.NONE | Prior.DEFAULT:
             return None
         case Prior.WEAK:
             return weak_prior(chain)

@@ -16,9 +16,10 @@ if TYPE_CHECKING:
 
 
 class Prior(StrEnum):
-    """What is believed of the robot before it is measured."""
+    """What is believed of the robot before it is measured; DEFAULT: the weak one, where the data tell less (``defaults``)."""
 
     NONE = "none"
+    DEFAULT = "default"
     WEAK = "weak"
     WIDE = "wide"
 
@@ -26,7 +27,7 @@ class Prior(StrEnum):
 class SolverEntry(NamedTuple):
     """A solver: its module in this package, and what ``--help`` says of it.
 
-    ``has_loss``: it knows the robust losses. ``prior``: the robot's prior that it needs by default; None: it knows no prior.
+    ``has_loss``: it knows the robust losses. ``prior``: the robot's prior that it has by default; None: it knows no prior.
     ``starts_from_rig``: it begins with the rig fitted to the nominal robot. ``reads_noise``: its sigmas follow the residuals, not the
     declared noise. ``ends_by_recipe``: how it ended says no more than its message.
     """
@@ -34,7 +35,7 @@ class SolverEntry(NamedTuple):
     module: str
     summary: str
     has_loss: bool = False
-    prior: Prior | None = Prior.NONE
+    prior: Prior | None = Prior.DEFAULT
     starts_from_rig: bool = False
     reads_noise: bool = False
     ends_by_recipe: bool = False
@@ -44,7 +45,7 @@ SOLVERS: Mapping[str, SolverEntry] = {
     "lm": SolverEntry("fit", "Levenberg-Marquardt", has_loss=True, starts_from_rig=True),
     "map": SolverEntry("map", "maximum a posteriori", has_loss=True, prior=Prior.WIDE),
     "recursive": SolverEntry("recursive", "row by row, leaves outliers out"),
-    "renders-1991": SolverEntry("renders1991", "the paper's, for comparison", ends_by_recipe=True),
+    "renders-1991": SolverEntry("renders1991", "the paper's, for comparison", prior=Prior.NONE, ends_by_recipe=True),
     "ls": SolverEntry("ls", "least squares without a prior, for comparison", prior=None, reads_noise=True),
 }
 

@@ -144,7 +144,8 @@ def systematic_errors(
         near = sorted((of for of in beyond_chance if of is not best), key=lambda of: -of.evidence)
         rivals.append(tuple(_label(of, how) for of in near if of.evidence > best.evidence - AS_LIKELY))
         found.append(best)
-        rows, state = more, FitChi2(state.chi2 - best.drop, state.freedom - best.freedom, state.explained)
+        left = max(state.chi2 - best.drop, 1e-9 * state.chi2)  # by rounding or curvature a drop may exceed χ²
+        rows, state = more, FitChi2(left, state.freedom - best.freedom, state.explained)
     if not found:
         return None
     first = _whitened(problem, x, columns, fit)

@@ -104,7 +104,7 @@ def predicted_error(chain: Chain, params: Floats, covariance: Floats, q: Floats,
         raise ProblemError(f"the covariance must be {p} × {p} finite numbers, is of shape {covariance.shape}")
     if len(q) == 0:
         raise ProblemError("no poses to predict the error at; give at least one row of joint readings")
-    root = _root(covariance)
+    root = covariance_root(covariance)
     parts = []
     for at in range(0, len(q), CHUNK):
         _, jac, _ = point_jacobians(chain, params, q[at : at + CHUNK], p_end_point)
@@ -133,7 +133,7 @@ def tolerance_error(chain: Chain, sigma: Floats, q: Floats, p_end_point: Floats)
     return predicted_error(chain, chain.params_nominal, np.diag(sigma**2), q, p_end_point)
 
 
-def _root(covariance: Floats) -> Floats:
+def covariance_root(covariance: Floats) -> Floats:
     """S with S Sᵀ = covariance, which may be singular; rounding below zero is cut."""
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     divisor = np.where(scale > 0.0, scale, 1.0)

@@ -22,6 +22,7 @@ from truearm.errors import InputError
 from truearm.files.disk import read_text, sha256, write_atomic
 from truearm.schema import Choice, Flag, Key, List, ReadOnly, SchemaError, Table, Text, Value, quoted, raising
 from truearm.types import (
+    Defaults,
     Estimate,
     Figures,
     Floats,
@@ -41,6 +42,7 @@ FORMAT_VERSION = 2
 MAX_BYTES = 64 * 2**20
 MAX_PARAMETERS = 20_000
 MAX_TEXT = 500  # characters; a name of a parameter has at most 150
+NO_DEFAULTS = Defaults()
 COUNTED = ("chuck", "sphere", "place")  # how many of these the fitted rows of a kind name
 
 
@@ -97,11 +99,12 @@ def document_of(
     held_out_by: Sequence[str] = (),
     prior: str = "none",
     predicted: PredictedError | None = None,
+    defaults: Defaults = NO_DEFAULTS,
 ) -> dict[str, Any]:
     """The content of result.json for an estimate from ``table``.
 
     ``held_out_by`` and ``prior`` are what the user asked to hold out, and the name of the robot's prior; ``predicted`` is
-    how far the tool may be off.
+    how far the tool may be off, ``defaults`` what is held or believed without having been asked for.
     """
     names = np.array(estimate.parameter_names)
     units, found = residual_units(estimate), estimate.systematic
@@ -128,6 +131,7 @@ def document_of(
         "rank": estimate.rank,
         "rank_gap": _number(estimate.rank_gap),
         "free": names[estimate.free].tolist(),
+        "defaults": _defaults(defaults),
         "suggested_free": names[np.flatnonzero(estimate.suggested_free)].tolist(),
         "null_space": [{"names": list(d.names), "weights": _numbers(d.weights)} for d in estimate.null_space],
         "hardly_seen": [{"names": list(d.names), "weights": _numbers(d.weights)} for d in estimate.hardly_seen],
@@ -137,6 +141,7 @@ def document_of(
         "relabelling_search": estimate.relabelling_search,
         "residual_units": [UNITS[unit].scale.suffix for unit in units],
         **_by_unit("rms_before", estimate.rms_before, units),
+        **_by_unit("rms_raw", estimate.rms_raw, units),
         **_by_unit("rms_after", estimate.rms_after, units),
         **{key("rms_history", si): [_shown(rms, si) for rms in estimate.rms_history.get(si, ())] for si in units},
         "chi2_reduced": _number(estimate.chi2_reduced),
@@ -158,6 +163,11 @@ def document_of(
             "matrix": [_numbers(row) for row in estimate.covariance[np.ix_(estimate.free, estimate.free)]],
         },
     }
+
+
+def _defaults(defaults: Defaults) -> dict[str, Any]:
+    names = {name: list(getattr(defaults, name)) for name in ("base", "tool", "lost", "believed")}
+    return {**names, "still": [joint._asdict() for joint in defaults.still]}
 
 
 def residual_units(estimate: Estimate) -> list[str]:

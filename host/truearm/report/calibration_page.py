@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
+from typing import assert_never
 
 import numpy as np
 
@@ -114,7 +115,12 @@ def _section(title: str, content: str) -> str:
 def _verdict(page: CalibrationPage) -> str:
     e, judged = page.estimate, page.judged
     tiles = [
-        _tile("before", e.rms_before, f"{counted(e.n_observations, 'observation')}, nominal parameters", "old"),
+        _tile(
+            "before",
+            e.rms_before,
+            f"{counted(e.n_observations, 'observation')}, the nominal robot with base and tool placed",
+            "old",
+        ),
         _tile("after", e.rms_after, "the same observations, identified parameters", "fit"),
     ]
     if judged:
@@ -249,7 +255,15 @@ def _parameters(e: Estimate) -> str:
 
 
 def _prior(name: str) -> str:
-    return name if name == Prior.NONE else f"{name}: nominal to {', '.join(tolerances(name))}"
+    match Prior(name):
+        case Prior.NONE:
+            return "none"
+        case Prior.DEFAULT:
+            return f"default: nominal to {', '.join(tolerances('weak'))} where the observations tell less"
+        case Prior.WEAK | Prior.WIDE as of_all:
+            return f"{of_all}: nominal to {', '.join(tolerances(of_all))}"
+        case never:
+            assert_never(never)
 
 
 def _making(page: CalibrationPage) -> str:

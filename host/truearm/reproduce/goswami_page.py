@@ -127,7 +127,7 @@ def _residuals(made: Bench, estimate: Estimate, every: Estimate, few: Estimate) 
     deviation = MM.of(3.0 * NOISE / float(np.sqrt(2.0 * (n - free))))
     r = MM.of(estimate.residual["m"][estimate.fitted])
     claims = (
-        Claim("RMS residual before, 46 cm", "mm", None, MM.of(estimate.rms_before["m"])),
+        Claim("RMS residual before, 46 cm", "mm", None, MM.of(estimate.rms_raw["m"])),
         Claim(
             "RMS residual after, 46 cm",
             "mm",

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from truearm.arguments import OneOf, Within, check_fields
 from truearm.errors import Argument, InputError
+from truearm.estimate.defaults import choose_defaults
 from truearm.estimate.identify import SolverOptions
 from truearm.estimate.identify import identify as estimate_parameters
 from truearm.estimate.prediction import predicted_point_error
@@ -26,7 +27,7 @@ from truearm.types import Estimate, ObservationTable, PredictedError
 from truearm.workflows.calibration import Calibration, calibration_of
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.inputs import Sources, check_files, hashed_inputs, observed
-from truearm.workflows.selection import free_parameters, held_out_rows, parse_effect, parse_rows
+from truearm.workflows.selection import free_parameters, held_out_rows, matching, parse_effect, parse_rows
 from truearm.workflows.session_parts import with_parts
 
 Mask = NDArray[np.bool_]
@@ -47,8 +48,8 @@ class IdentifyOptions:
     freeze : tuple of str
         Patterns of parameters that are held fixed.
     prior : str or None
-        "none", "weak" (1 mm, 5 mrad) or "wide" (10 mm, 52 mrad), about the nominal values. None chooses by robot and
-        solver.
+        "none", "weak" (1 mm, 5 mrad) or "wide" (10 mm, 52 mrad), about the nominal values, or "default": the weak one, only
+        for what the observations tell less well. None chooses by robot and solver.
     solver : str
         "lm", "map", "recursive", "renders-1991" or "ls".
     loss : str
@@ -127,11 +128,15 @@ class Identification(Calibration):
 
 @dataclass(frozen=True)
 class Selection:
-    """The parameters to estimate, free (p,), and the rows to judge by: held_out (n,), and what the user called them."""
+    """The parameters to estimate, free (p,), and the rows to judge by: held_out (n,), and what the user called them.
+
+    ``named`` (p,) are the parameters that were asked for by name: no default holds them.
+    """
 
     free: Mask
     held_out: Mask | None = None
     held_out_by: tuple[str, ...] = ()
+    named: Mask | None = None
 
 
 @dataclass(frozen=True)
@@ -187,7 +192,8 @@ def selected(robot: Robot, table: ObservationTable, hold_out: Sequence[str], opt
     rows = held_out_rows(table, hold_out, options.seed)
     names = robot.chain.parameter_names
     free = free_parameters(names, default_free(robot), options.free, options.freeze, options.also_free)
-    return Selection(free, rows, tuple(hold_out))
+    named = matching(names, "free", options.free) | matching(names, "also_free", options.also_free)
+    return Selection(free, rows, tuple(hold_out), named)
 
 
 def identified(
@@ -202,17 +208,24 @@ def identified(
 ) -> Identification:
     """Identify the selected parameters. ``inputs`` are the files that result.json names as its sources.
 
+    A choice of frame and joints that stand still are held, unless their parameters were asked for by name.
     Raises ProblemError where observations and robot make no problem that can be solved.
     """
     chain = robot.chain
     prior = Prior(options.prior or default_prior(robot, options.solver))
+    named = np.zeros(selection.free.size, dtype=bool) if selection.named is None else selection.named
+    fitted = table if selection.held_out is None else table.select(~selection.held_out)
+    free, weak, chosen = choose_defaults(chain, rig, fitted, selection.free, named, prior is Prior.DEFAULT)
+    sigma = weak if prior is Prior.DEFAULT else prior_named(chain, prior)
+    if prior is Prior.DEFAULT and not chosen.believed:
+        prior = Prior.NONE
     estimate = estimate_parameters(
         chain,
         rig,
         table,
-        free=selection.free,
+        free=free,
         hold_out=selection.held_out,
-        prior_sigma=prior_named(chain, prior),
+        prior_sigma=sigma,
         options=SolverOptions(
             solver=options.solver,
             loss=options.loss,
@@ -223,8 +236,10 @@ def identified(
         ),
         prefer=default_free(robot),
     )
-    predicted = predicted_point_error(chain, rig, table, estimate)
+    predicted = None  # a fit that has not converged predicts nothing
+    if estimate.status == "converged":
+        predicted = predicted_point_error(chain, rig, table, estimate, any_base=bool(chosen.base))
     frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, chain.joint_units)
-    document = document_of(estimate, table, frames, inputs, selection.held_out_by, prior, predicted)
+    document = document_of(estimate, table, frames, inputs, selection.held_out_by, prior, predicted, chosen)
     of_robot = vars(calibration_of(stored_result(document), robot, chain.name, "the identification"))
     return Identification(**of_robot, rig=rig, table=table, estimate=estimate, predicted=predicted)

@@ -1,0 +1,116 @@
+"""What is held or believed where the user does not say: frames, and what the data hardly tell."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.host.puma_bench import (
+    CHAIN,
+    CHUCKS,
+    DESIGN,
+    FREE,
+    RIG,
+    SIGMA,
+    TRUTH,
+    lengths,
+    random_poses,
+    random_table,
+    table,
+)
+
+from truearm.estimate.defaults import choose_defaults
+from truearm.estimate.frame_choice import mounting
+from truearm.estimate.identify import identify
+from truearm.model.chain import forward
+from truearm.types import Defaults
+
+NAMES = np.array(CHAIN.parameter_names)
+NOBODY = np.zeros(len(NAMES), dtype=bool)
+
+
+def chosen(rows, rig=RIG, named=NOBODY, prior=True):
+    return choose_defaults(CHAIN, rig, rows, FREE, named, prior)
+
+
+def one_pairing(n, chuck="c1", sphere="s1", rig=RIG, rng=None):
+    pairs = [(chuck, sphere)] * n
+    q = random_poses(n, np.random.default_rng(5) if rng is None else rng)
+    return table(q, lengths(TRUTH, q, pairs, rig.chucks, rig.spheres), pairs)
+
+
+def test_mountings_are_what_moves_base_or_tool_as_one_body():
+    """Moving one of them and the inverse motion of base or tool is no change of the arm, whatever the pose."""
+    found = mounting(CHAIN, DESIGN)
+    q = random_poses(20, np.random.default_rng(0))
+    here = forward(CHAIN, DESIGN, q)
+    for i in range(len(NAMES)):
+        there = forward(CHAIN, DESIGN + 1e-3 * (np.arange(len(NAMES)) == i), q)
+        at_base, at_end = there @ np.linalg.inv(here), np.linalg.inv(here) @ there
+        assert found.base[i] == (np.ptp(at_base, axis=0).max() < 1e-12), NAMES[i]
+        assert found.tool[i] == (np.ptp(at_end, axis=0).max() < 1e-12), NAMES[i]
+    assert set(NAMES[found.base]) >= {f"link1.{k}" for k in ("x", "y", "z", "alpha", "beta", "gamma")}
+    assert "joint6.offset" in NAMES[found.tool]
+
+
+def test_known_fixtures_leave_no_choice():
+    free, sigma, why = chosen(random_table(100, np.random.default_rng(1), SIGMA))
+    assert why == Defaults()
+    np.testing.assert_array_equal(free, FREE)
+    assert np.isinf(sigma).all()
+
+
+def test_one_chuck_and_one_sphere_leave_six_turns():
+    """Goswami's Table I: the base about the chuck and the tool about the sphere, three turns each, are in no length."""
+    rows = one_pairing(120)
+    free, _, why = chosen(rows, prior=False)
+    assert (len(why.base), len(why.tool)) == (3, 3)
+    whole, without = (identify(CHAIN, RIG, rows, free=mask) for mask in (FREE, free))
+    assert without.rank == whole.rank == free.sum() == 30
+    assert without.null_space == ()
+    q = random_poses(50, np.random.default_rng(2))
+    apart = [lengths(e.value[: len(NAMES)], q, [("c1", "s1")] * 50) for e in (whole, without)]
+    np.testing.assert_allclose(*apart, atol=1e-6)  # m: what is held changes no prediction
+
+
+def test_unknown_fixtures_are_placed_instead_of_the_base():
+    rig = replace(RIG, chucks={name: replace(chuck, sigma=None) for name, chuck in CHUCKS.items()})
+    free, _, why = chosen(random_table(200, np.random.default_rng(3), SIGMA), rig)
+    assert len(why.base) == 6
+    assert why.tool == ()
+    whole, without = (
+        identify(CHAIN, rig, random_table(200, np.random.default_rng(3), SIGMA), free=mask) for mask in (FREE, free)
+    )
+    assert without.null_space == ()
+    assert without.chi2_reduced == pytest.approx(whole.chi2_reduced, rel=1e-3)
+
+
+def test_what_is_named_is_not_held():
+    named = NAMES == "link1.alpha"
+    free, _, why = chosen(one_pairing(120), named=named, prior=False)
+    assert free[named].all()
+    assert len(why.base) == 3  # others in its place
+    assert "link1.alpha" not in why.base
+    free, _, _ = chosen(one_pairing(120), named=FREE, prior=False)
+    np.testing.assert_array_equal(free, FREE)
+
+
+def test_a_direction_of_the_null_space_holds_for_robot_and_rig_together():
+    """With unknown chucks the base may stand anywhere: to move it alters the lengths, unless the chucks move too."""
+    rig = replace(RIG, chucks={name: replace(chuck, sigma=None) for name, chuck in CHUCKS.items()})
+    rows = random_table(200, np.random.default_rng(3), SIGMA)
+    e = identify(CHAIN, rig, rows, free=FREE)
+    assert len(e.null_space) == 6
+    at = {name: i for i, name in enumerate(e.parameter_names)}
+
+    def predicted(x):
+        moved = {name: replace(c, xyz=tuple(x[at[f"chuck.{name}.{k}"]] for k in "xyz")) for name, c in CHUCKS.items()}
+        return lengths(x[: len(NAMES)], rows.q, list(zip(rows.chuck, rows.sphere, strict=True)), moved)
+
+    for direction in e.null_space:
+        step = np.zeros(len(e.value))
+        step[[at[name] for name in direction.names]] = direction.weights
+        robot_only = np.where(np.arange(step.size) < len(NAMES), step, 0.0)
+        change = np.abs(predicted(e.value + 1e-4 * step) - predicted(e.value - 1e-4 * step)).max()
+        alone = np.abs(predicted(e.value + 1e-4 * robot_only) - predicted(e.value - 1e-4 * robot_only)).max()
+        assert change < 1e-10  # third order of 1e-4
+        assert alone > 1e-5
