@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from zlib import crc32
 
@@ -22,7 +22,8 @@ from truearm.record.frames import FrameSplitter
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.session.box_ident import Ident, parse_ident
-from truearm.session.sample_blocks import BoxReader
+from truearm.session.box_reader import BoxReader
+from truearm.session.message_columns import Messages, columns_of
 from truearm.session.session_file import Session, open_session
 from truearm.types import Message
 from truearm_wire.cbor import Tag
@@ -68,20 +69,20 @@ def floor(runs: list[bytes]) -> int:
 
 
 def from_the_wire(data: bytes, ident: Ident) -> int:
-    splitter, reader, total = FrameSplitter(), BoxReader(ident), 0
+    splitter, found = FrameSplitter(), []
     for at in range(0, len(data), 4096):
-        for is_frame, payload in splitter.push(data[at : at + 4096]):
-            block = reader.feed(Message("/box/adc", at, payload)) if is_frame else None
-            total += 0 if block is None else len(block.counts)
-    return total
+        frames = splitter.push(data[at : at + 4096])
+        found += [Message("/box/adc", at, payload) for is_frame, payload in frames if is_frame]
+    return n_samples(BoxReader(ident), [columns_of(found)])
 
 
 def from_a_file(session: Session, ident: Ident) -> int:
-    reader, total = BoxReader(ident), 0
-    for message in session.messages():
-        block = reader.feed(message)
-        total += 0 if block is None else len(block.counts)
-    return total
+    return n_samples(BoxReader(ident), session.batches())
+
+
+def n_samples(reader: BoxReader, batches: Iterable[Messages]) -> int:
+    blocks = [some for messages in batches for some in reader.feed(messages)] + reader.finish()
+    return sum(len(some.counts()) for some in blocks)
 
 
 def best_of(runs: int, job: Callable[[], int]) -> float:

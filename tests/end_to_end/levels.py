@@ -14,8 +14,9 @@ from tests.end_to_end.conftest import interpreter
 from truearm.record.recorder import RecordOptions, RecordSummary, record
 from truearm.record.session_writer import SessionWriter
 from truearm.session.box_ident import Ident
+from truearm.session.box_reader import BoxReader
 from truearm.session.data_frames import data_of, decode
-from truearm.session.sample_blocks import BoxReader
+from truearm.session.message_columns import columns_of
 from truearm.types import Message
 from truearm_sim.chip import ChipBox
 from truearm_sim.hardware import Edge, PowerOn
@@ -74,8 +75,8 @@ class Session:
     def ident(self) -> Ident:
         """What the box said of itself, as the host reads it."""
         reader = BoxReader()
-        for frame in self.frames("/box/ident"):
-            reader.feed(Message("/box/ident", 0, bytes(wire.encode_payload(frame))))
+        frames = self.frames("/box/ident")
+        reader.feed(columns_of(Message("/box/ident", 0, bytes(wire.encode_payload(frame))) for frame in frames))
         reader.finish()
         ident = reader.segment.ident
         assert ident is not None

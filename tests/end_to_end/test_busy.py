@@ -16,8 +16,8 @@ from truearm.record.ports import BoxPort
 from truearm.record.recorder import Hooks, RecordOptions, record
 from truearm.record.reopening import Reopening
 from truearm.record.session_writer import SessionWriter
+from truearm.session.box_reader import BoxReader
 from truearm.session.device_clock import fit_clock
-from truearm.session.sample_blocks import BoxReader
 from truearm.session.session_file import open_session
 
 OSR = 1024  # 4069 Hz, four channels: 313 blocks a second, 77 kB
@@ -82,11 +82,11 @@ def test_two_seconds_of_python_lose_nothing(device, tmp_path):
         sys.setswitchinterval(5e-3)
     assert (summary.counters.held_up, summary.counters.lost_frames) == (0, 0)
     reader = BoxReader()
-    blocks = [block for message in open_session(path).messages() for block in reader.feed(message)] + [*reader.finish()]
-    blocks = [block for block in blocks if block.data.stream == 0]
+    blocks = [some for messages in open_session(path).batches() for some in reader.feed(messages)] + reader.finish()
+    n_blocks = sum(len(some) for some in blocks if some.stream.id == 0)
     losses = reader.losses()
     assert (losses.frames_lost, losses.samples_lost, losses.samples_overrun, losses.console_bytes) == (0, 0, 0, 0)
-    assert len(blocks) == pytest.approx(6.0 * 1e9 / (240 * OSR * 13), rel=0.03)
+    assert n_blocks == pytest.approx(6.0 * 1e9 / (240 * OSR * 13), rel=0.03)
     assert waiting[0] > 10  # it did pile up, in as many pieces as the system let the reader run
     fitted = fit_clock(0, reader.segment.exchanges)
     assert fitted is not None
@@ -138,8 +138,8 @@ def test_a_terminal_that_stands_still(device, tmp_path):
     assert len(taken) <= 8192  # what a terminal holds: some views of the two dozen that there would have been
     assert "0 frames lost" in said
     reader = BoxReader()
-    for message in open_session(out).messages():
-        reader.feed(message)
+    for messages in open_session(out).batches():
+        reader.feed(messages)
     reader.finish()
     losses = reader.losses()
     assert (losses.frames_lost, losses.samples_lost, losses.samples_overrun) == (0, 0, 0)

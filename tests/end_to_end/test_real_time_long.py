@@ -7,7 +7,7 @@ import pytest
 from tests.end_to_end.conftest import truearm_process
 from tests.end_to_end.test_real_time import Simulator
 
-from truearm.session.sample_blocks import BoxReader
+from truearm.session.box_reader import BoxReader
 from truearm.session.session_file import open_session
 from truearm.workflows.inspect import ident_of
 
@@ -36,10 +36,10 @@ def test_everything_is_there_or_counted(tmp_path, rate, seconds, poses):
     assert done.returncode == 0, done.stderr
     session = open_session(tmp_path / "session.mcap")
     reader, taken, begin_us = BoxReader(ident_of(session)), 0, None
-    for blocks in (*(reader.feed(message) for message in session.messages()), reader.finish()):
-        for block in blocks:
-            taken, end_us = block.data.n0 + block.n, block.data.t0_us + block.n * block.data.period_ns / 1000
-            begin_us = block.data.t0_us if begin_us is None else begin_us
+    for blocks in (*(reader.feed(messages) for messages in session.batches()), reader.finish()):
+        for some in blocks:
+            taken, end_us = some.n0[-1] + some.n[-1], some.t0_us[-1] + some.n[-1] * some.period_ns[-1] / 1000
+            begin_us = some.t0_us[0] if begin_us is None else begin_us
     losses = reader.losses()
     print(f"{rate} Hz, {seconds} s: {losses}")
     assert losses.samples + losses.samples_lost + losses.samples_overrun == taken

@@ -14,8 +14,8 @@ from truearm.cli.main import main
 from truearm.files.rig_file import format_rig
 from truearm.record.recorder import RecordOptions, record
 from truearm.record.session_writer import SessionWriter
+from truearm.session.box_reader import BoxReader
 from truearm.session.joint_readings import JointReader
-from truearm.session.sample_blocks import BoxReader
 from truearm.session.session_file import open_session
 from truearm.workflows.inputs import Sources, observed
 from truearm.workflows.record import plan_rows
@@ -126,15 +126,15 @@ def test_cable_and_network(tmp_path, monkeypatch):
     assert back["link-back"]["device"] == cable.names[1]
     reader, joints = BoxReader(), JointReader()
     blocks = []
-    for message in open_session(out).messages():
-        joints.feed(message)
-        blocks += reader.feed(message)
+    for messages in open_session(out).batches():
+        joints.take(messages)
+        blocks += reader.feed(messages)
     blocks += reader.finish()
     assert {block.segment for block in blocks} == {0, 1}
     assert (reader.losses().samples_overrun, reader.losses().restarts) == (0, 1)
     for segment in (0, 1):  # each life of the box is whole: n0 counts on from block to block
-        n0 = np.array([block.data.n0 for block in blocks if block.segment == segment])
-        n = np.array([block.n for block in blocks if block.segment == segment])
+        n0 = np.concatenate([some.n0 for some in blocks if some.segment == segment])
+        n = np.concatenate([some.n for some in blocks if some.segment == segment])
         assert n0[0] == 0
         assert np.array_equal(n0[1:], n0[:-1] + n[:-1])
     stream = joints.finish()

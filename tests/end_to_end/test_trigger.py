@@ -38,7 +38,7 @@ def recorded(path, seed, seconds, rate=500.0):
 
 def surveyed(path):
     session = open_session(path)
-    return survey(session.messages)
+    return survey(session.batches)
 
 
 def errors_us(world, box, found):

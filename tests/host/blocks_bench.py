@@ -1,11 +1,15 @@
 """Streams of a box for tests of their accounting, and the account."""
 
 from dataclasses import asdict
+from typing import Any, NamedTuple
 
 import numpy as np
 from session_stream import CHANNELS, PERIOD_NS, Box
 
-from truearm.session.sample_blocks import BoxReader
+from truearm.session.box_ident import Ident
+from truearm.session.box_reader import BoxReader
+from truearm.session.data_frames import Data
+from truearm.session.message_columns import columns_of
 
 BLOCK_NS = 13 * PERIOD_NS
 COUNTS = np.arange(13 * CHANNELS).reshape(13, CHANNELS)
@@ -23,11 +27,35 @@ def box_with(blocks=20, seq=0):
     return box
 
 
+class Block(NamedTuple):
+    """A row of the reader's blocks."""
+
+    segment: int
+    run: int
+    gap: bool
+    n: int
+    t_host_ns: int
+    data: Data
+    counts: Any
+    ident: Ident
+
+
+def singly(blocks):
+    """The rows of blocks of one stream."""
+    counts = np.split(blocks.counts(), blocks.first[1:])
+    columns = (blocks.run, blocks.gap, blocks.n, blocks.t_host_ns, blocks.n0, blocks.t0_us, blocks.period_ns)
+    rows = zip(*(column.tolist() for column in columns), blocks.flags.tolist(), counts, strict=True)
+    for k, (run, gap, n, t_host_ns, n0, t0_us, period_ns, flags, samples) in enumerate(rows):
+        offsets = blocks.offsets_us.get(k, b"")
+        data = Data(-1, blocks.stream.id, n0, t0_us, period_ns, offsets, samples.tobytes(), flags)
+        yield Block(blocks.segment, run, gap, n, t_host_ns, data, samples, blocks.ident)
+
+
 def read(messages, ident=None):
+    """All blocks, and the reader that they are of."""
     reader = BoxReader(ident)
-    blocks = [block for message in messages for block in reader.feed(message)]
-    blocks += reader.finish()
-    return blocks, reader
+    found = [*reader.feed(columns_of(messages)), *reader.finish()]
+    return [block for blocks in found for block in singly(blocks)], reader
 
 
 def account(messages):

@@ -19,9 +19,10 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.session.box_messages import Exchange
+from truearm.session.box_reader import BoxReader
 from truearm.session.device_clock import ClockReport, fit_clock
+from truearm.session.message_columns import columns_of
 from truearm.session.robot_clock import Arrivals, fit_robot_clock
-from truearm.session.sample_blocks import BoxReader
 from truearm.types import Message
 from truearm_wire.messages import HEARTBEAT, SYNC_REPLY, encode_payload, names
 
@@ -120,7 +121,7 @@ def box_scenario(seed, seconds=240.0, nominal=False):
     for k, since in enumerate(boots):
         begin = max(0.0, wrap - rng.uniform(5.0, seconds)) if k == 0 else 2.0
         lives.append(crystal(rng, since, begin, fast=not nominal and rng.random() < 0.25))
-    reader, seq, last_life = BoxReader(), 0, 0
+    messages, seq, last_life = [], 0, 0
     t0 = np.arange(0.0, seconds, 0.25) + rng.uniform(0.0, 0.01, round(4 * seconds))
     arrive = np.maximum.accumulate(t0 + there.draw(rng, t0.size))
     leave = arrive + rng.uniform(20e-6, 600e-6, t0.size)
@@ -129,7 +130,7 @@ def box_scenario(seed, seconds=240.0, nominal=False):
         life = int(np.searchsorted(boots, arrive[k], side="right")) - 1
         if rng.random() < lost or life != int(np.searchsorted(boots, leave[k], side="right")) - 1:
             row = {"id": k, "t0_ns": HOST_NS + int(1e9 * t0[k]), "t1_us": None, "t2_us": None, "t3_ns": None}
-            reader.feed(Message("/sync", HOST_NS + int(1e9 * t3[k]), json.dumps(row).encode()))
+            messages.append(Message("/sync", HOST_NS + int(1e9 * t3[k]), json.dumps(row).encode()))
             continue
         if life != last_life:
             seq, last_life = 0, life
@@ -137,12 +138,15 @@ def box_scenario(seed, seconds=240.0, nominal=False):
         host = HOST_NS + int(np.ceil(1e9 * t3[k]))
         if k % 4 == 0:
             beat = dict.fromkeys(names(HEARTBEAT), 0) | {"seq": seq, "boot_id": 100 + life, "t_us": t1}
-            reader.feed(Message("/box/heartbeat", host, bytes(encode_payload([HEARTBEAT, *beat.values()]))))
+            messages.append(Message("/box/heartbeat", host, bytes(encode_payload([HEARTBEAT, *beat.values()]))))
             seq += 1
-        reader.feed(Message("/box/sync", host, bytes(encode_payload([SYNC_REPLY, seq, k, t1, t2]))))
+        messages.append(Message("/box/sync", host, bytes(encode_payload([SYNC_REPLY, seq, k, t1, t2]))))
         seq += 1
         row = {"id": k, "t0_ns": HOST_NS + int(1e9 * t0[k]), "t1_us": t1, "t2_us": t2, "t3_ns": host}
-        reader.feed(Message("/sync", host, json.dumps(row).encode()))
+        messages.append(Message("/sync", host, json.dumps(row).encode()))
+    reader = BoxReader()
+    reader.feed(columns_of(messages))
+    reader.finish()
     assert len(reader.segments) == len(lives)
     return _judged_box(reader, lives, [*boots, seconds])
 

@@ -6,12 +6,12 @@ Frames are written by ``truearm_wire``. The truth of everything is kept beside t
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 
 import cbor2
 import numpy as np
 
+from truearm.session.message_columns import Source, columns_of
 from truearm.types import BallBar, Message, Point, Rig
 from truearm_wire import messages as wire
 from truearm_wire.cbor import Tag
@@ -111,9 +111,9 @@ class Box:
         self.messages.append(Message("/sync", t3, json.dumps(exchange).encode()))
 
 
-def stream_of(messages: list[Message]) -> Callable[[Collection[str] | None], Iterator[Message]]:
-    """What a session file offers, of a list."""
-    return lambda topics: (m for m in messages if topics is None or m.topic in topics)
+def stream_of(messages: list[Message], size: int = 1000) -> Source:
+    """What a session file offers, of a list; ``size``: messages read together."""
+    return lambda: (columns_of(messages[at : at + size]) for at in range(0, len(messages), size))
 
 
 @dataclass(frozen=True)

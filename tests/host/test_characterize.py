@@ -128,7 +128,7 @@ def test_settling_times_are_those_of_the_bar_without_noise():
     """Each between what a band narrower and one wider by the noise allow, and a sample's period. Noise: five sigma of a sample
     and four of the dwell's mean. Of a wide band that says it to some samples, and the medians are alike."""
     result = observations(messages(1), standard_rig())
-    found = visits(messages(1), result, standard_rig(), BANDS)
+    found = visits(result, standard_rig(), BANDS)
     controller = world(1).controller
     for k, band in enumerate(BANDS):
         times = found.settling[:, k]
@@ -290,7 +290,7 @@ def write(path, kept, rig, of=None):
 
 
 def test_from_a_session_file_to_a_noise_file(tmp_path, run):
-    path, out = write(tmp_path / "s.mcap", messages(1)(None), standard_rig()), tmp_path / "noise.toml"
+    path, out = write(tmp_path / "s.mcap", messages_of(world(1), 1), standard_rig()), tmp_path / "noise.toml"
     code, text, err = run("characterize", path, "--robot", "puma560", "--within-mm", "0.02", "--out", out)
     assert (code, err) == (0, "")
     for word in (
@@ -310,8 +310,8 @@ def test_from_a_session_file_to_a_noise_file(tmp_path, run):
 
 def test_the_parts_of_a_session_are_one(tmp_path, run):
     """A break in the middle: the second part begins with what the box and the plan say, as the recorder writes it."""
-    said_first = [m for m in messages(1)(None) if m.topic in ("/box/ident", "/plan")]
-    told = [m for m in messages(1)(None) if m.topic not in ("/box/ident", "/plan")]
+    said_first = [m for m in messages_of(world(1), 1) if m.topic in ("/box/ident", "/plan")]
+    told = [m for m in messages_of(world(1), 1) if m.topic not in ("/box/ident", "/plan")]
     middle = told[len(told) // 2].t_host_ns
     begun = [Message(m.topic, middle, m.data) for m in said_first]
     first = write(tmp_path / "s.mcap", [*said_first, *(m for m in told if m.t_host_ns < middle)], standard_rig())
@@ -347,7 +347,7 @@ def rig_file(folder):
 
 
 def test_a_plan_serves_where_the_session_has_none(tmp_path, run):
-    kept = [message for message in messages(1)(None) if message.topic != "/plan"]
+    kept = [message for message in messages_of(world(1), 1) if message.topic != "/plan"]
     path, plan = write(tmp_path / "s.mcap", kept, standard_rig()), tmp_path / "plan.csv"
     write_plan(plan, world(1).controller.plan)
     code, _, err = run("characterize", path, "--robot", "puma560")
@@ -367,7 +367,7 @@ def test_a_plan_serves_where_the_session_has_none(tmp_path, run):
     ],
 )
 def test_what_cannot_be_done_is_said_in_one_line(tmp_path, run, more, says):
-    path = write(tmp_path / "s.mcap", list(messages(1)(None))[:3000], standard_rig())
+    path = write(tmp_path / "s.mcap", list(messages_of(world(1), 1))[:3000], standard_rig())
     code, text, err = run("characterize", path, *more)
     assert (code, text, err.count("\n")) == (2, "", 1)
     assert says in err

@@ -6,10 +6,13 @@ import os
 import subprocess
 import sys
 import tracemalloc
+from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pyarrow.parquet
 import pytest
+from blocks_bench import read
 from record_box import Lab
 from session_stream import BLOCK, PERIOD_NS, RIG, Box, metres_of, session, stream_of
 
@@ -19,8 +22,8 @@ from truearm.files.observation_table import read_table
 from truearm.files.rig_file import write_rig
 from truearm.record.session_writer import SessionWriter
 from truearm.session.joint_batch import parse_lines
-from truearm.session.pipeline import observations, survey
-from truearm.session.sample_blocks import blocks_of
+from truearm.session.message_columns import columns_of as message_columns
+from truearm.session.pipeline import Batches, observations, survey
 from truearm.session.session_columns import MAX_TABLES, tabulate
 from truearm.session.session_file import open_session
 from truearm.types import Message
@@ -94,8 +97,8 @@ def test_what_sync_sees(made, tmp_path, format):
     messages, path = made
     tables, said = export(path, tmp_path / "x", format)
     opened = open_session(path)
-    found = survey(opened.messages, ident_of(opened))
-    blocks = list(blocks_of(messages, None))
+    found = survey(opened.batches, ident_of(opened))
+    blocks = read(messages)[0]
     adc = tables["box_adc"]
     counts = np.concatenate([block.counts for block in blocks])
     np.testing.assert_array_equal(adc["lvdt_counts"], counts[:, 0])
@@ -128,7 +131,7 @@ def test_what_sync_sees(made, tmp_path, format):
     for title in ("t0_ns", "t1_us", "t2_us", "t3_ns"):
         np.testing.assert_array_equal(tables["sync"][title], [row[title] for row in exchanges])
 
-    result = observations(opened.messages, RIG, name="s.mcap")
+    result = observations(opened.batches, RIG, name="s.mcap")
     dwells = tables["dwells"]
     np.testing.assert_array_equal(dwells["value_m"], [dwell.value for dwell in result.dwells])
     assert dwells["reason"].tolist() == [dwell.reason for dwell in result.dwells]
@@ -145,7 +148,7 @@ def test_what_sync_sees(made, tmp_path, format):
 def test_the_observations_are_a_table_for_identify(made, tmp_path):
     _, path = made
     export(path, tmp_path / "x")
-    result = observations(open_session(path).messages, RIG)
+    result = observations(open_session(path).batches, RIG)
     read = read_table(tmp_path / "x" / "observations.csv")
     np.testing.assert_array_equal(read.value, result.table.value)
     np.testing.assert_array_equal(read.q, result.table.q)
@@ -175,7 +178,7 @@ def test_a_box_without_a_clock_and_a_reboot():
     for k in range(5):
         box.data(3 * 10**9 + k * BLOCK * PERIOD_NS, np.arange(4 * BLOCK).reshape(BLOCK, 4))
     messages = stream_of(box.messages)
-    batches = list(tabulate(messages, survey(messages)))
+    batches = list(tabulate(survey(messages)))
     assert [name for name, _ in batches] == ["box_adc", "box_adc"]
     (first, second) = (columns for _, columns in batches)
     assert set(first["host_time_ns"]) == {-1}
@@ -193,7 +196,7 @@ def test_optional_keys_of_readings():
     rows = [{"t": 0.1 * k, "seq": k, "q": [0.1, k]} for k in range(3)]
     rows += [{"t": 0.01 * k, "q": [0.1, k], "qd": [1.0, 2.0], "inputs": 5} for k in range(2)]
     messages = stream_of(joint_lines([{**row, "t": row["t"] + (5 if "seq" in row else 0)} for row in rows]))
-    ((name, columns),) = tabulate(messages, survey(messages), None, ("rad", "m"))
+    ((name, columns),) = tabulate(survey(messages), ("rad", "m"))
     assert name == "joints"
     assert list(columns)[-3:] == ["qd1_rad_s", "qd2_m_s", "inputs"]
     assert columns["segment"].tolist() == [0, 0, 0, 1, 1]
@@ -206,7 +209,7 @@ def test_keys_that_come_later_begin_another_table(monkeypatch):
     monkeypatch.setattr("truearm.session.session_columns.LINES", 4)
     rows = [{"t": 0.1 * k, "q": [0.1], **({"effort": [2.0]} if k >= 5 else {})} for k in range(12)]
     messages = stream_of(joint_lines(rows))
-    batches = list(tabulate(messages, survey(messages)))
+    batches = list(tabulate(survey(messages)))
     assert [(name, len(columns["q1_rad"])) for name, columns in batches] == [
         ("joints", 4),
         ("joints-2", 4),
@@ -231,7 +234,7 @@ def test_a_box_that_is_ever_another():
         box.data(10**9 + k * BLOCK * PERIOD_NS, np.zeros((BLOCK, 4), int))
     messages = stream_of(box.messages)
     with pytest.raises(SessionError, match="more than 100 tables"):
-        list(tabulate(messages, survey(messages)))
+        list(tabulate(survey(messages)))
 
 
 def test_memory_does_not_grow(made):
@@ -248,9 +251,10 @@ def test_memory_does_not_grow(made):
 
     def peak(times):
         tracemalloc.start()
-        rows = sum(
-            len(columns["segment"]) for name, columns in tabulate(lambda _: told(times), found) if name == "joints"
-        )
+        messages = told(times)
+        parts = iter(lambda: list(islice(messages, 1000)), [])
+        again = tabulate(replace(found, batches=Batches(lambda: map(message_columns, parts), None)))
+        rows = sum(len(columns["segment"]) for name, columns in again if name == "joints")
         _, peak_bytes = tracemalloc.get_traced_memory()
         tracemalloc.stop()
         assert rows == 3000 * times

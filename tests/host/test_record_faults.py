@@ -28,8 +28,8 @@ from record_files import events, received, run, topics
 from truearm.errors import LinkClosed
 from truearm.record.recorder import Hooks, RecordOptions
 from truearm.session.box_ident import parse_ident_json
+from truearm.session.box_reader import BoxReader
 from truearm.session.joint_readings import JointReader
-from truearm.session.sample_blocks import BoxReader
 from truearm.session.session_file import open_session
 
 
@@ -242,8 +242,8 @@ class TestFaults:
         summary = run(lab, box, path)
         assert (summary.counters.lost_frames, summary.counters.odd_frames, summary.counters.restarts) == (0, 1, 0)
         reader = BoxReader()
-        for message in open_session(path).messages():
-            reader.feed(message)
+        for messages in open_session(path).batches():
+            reader.feed(messages)
         reader.finish()
         assert (reader.losses().frames_lost, reader.losses().frames_malformed, len(reader.segments)) == (0, 1, 1)
 
@@ -254,9 +254,9 @@ class TestFaults:
         summary = run(lab, box, path)
         assert (summary.counters.lost_frames, summary.counters.restarts) == (0, 0)
         reader = BoxReader()
-        blocks = [block for message in open_session(path).messages() if (block := reader.feed(message))]
+        blocks = [some for messages in open_session(path).batches() for some in reader.feed(messages)]
         assert (reader.losses().frames_lost, len(reader.segments)) == (0, 2)
-        assert len(blocks) >= box.blocks - 1
+        assert sum(len(some) for some in blocks) >= box.blocks - 1
 
     def test_an_answer_that_was_under_way_for_less_than_the_box_held_it(self, lab, path):
         box = Box(lab)

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from blocks_bench import read
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mutations import (
@@ -34,7 +35,6 @@ from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
 from truearm.session.box_ident import parse_ident
 from truearm.session.data_frames import usual_data
-from truearm.session.sample_blocks import BoxReader
 from truearm.session.session_file import open_session
 from truearm.types import Message
 from truearm.workflows.inspect import describe
@@ -85,10 +85,10 @@ class Kept:
 
 def check_blocks(messages, of_ours=frozenset(PAYLOADS)):
     """The samples of all frames that are ours are what was sent; the numbers of samples seen, and the account."""
-    reader, seen = BoxReader(IDENT), []
-    sent = {data for payload in of_ours if (data := usual_data(payload)) is not None}
-    blocks = [block for message in messages for block in reader.feed(message)]
-    for block in (*blocks, *reader.finish()):
+    seen = []
+    sent = {data._replace(seq=-1) for payload in of_ours if (data := usual_data(payload)) is not None}
+    blocks, reader = read(messages, IDENT)
+    for block in blocks:
         if block.data in sent:
             np.testing.assert_array_equal(block.counts, counts_from(block.data.n0, block.n))
             seen.append(block.data.n0)

@@ -9,7 +9,6 @@ from blocks_bench import BLOCK_NS, COUNTS, account, box_with, data_places, read
 from session_stream import PERIOD_NS, Box, ident_document
 
 from truearm.session.box_ident import parse_ident
-from truearm.session.data_frames import Data
 from truearm.session.losses import Losses
 from truearm.session.sample_streams import StreamTrack
 from truearm.types import Message
@@ -70,11 +69,11 @@ def test_what_a_box_lost_before_it_was_started_is_not_the_sessions():
     """A killed recorder left it streaming: old blocks of its ring, a jump to those of now, the new start, and a loss behind that."""
     track = StreamTrack()
     for t0_us, n0 in enumerate((5000, 5013, 10_200, 10_213, 0, 13, 39)):
-        track.take(Data(0, 0, n0, 13_000 * t0_us, 983_040, b"", bytes(13 * 16), 0), 13, 0)
+        track.take(*np.array([[n0], [13], [13_000 * t0_us], [0], [0]]))
     assert (track.samples_overrun, track.starts, track.pieces) == (13, 1, 2)
     joined = StreamTrack()
     for t0_us, n0 in enumerate((5000, 5026)):  # never started: what is missing is missing
-        joined.take(Data(0, 0, n0, 13_000 * t0_us, 983_040, b"", bytes(13 * 16), 0), 13, 0)
+        joined.take(*np.array([[n0], [13], [13_000 * t0_us], [0], [0]]))
     assert (joined.samples_overrun, joined.pieces) == (13, 2)
 
 

@@ -10,7 +10,6 @@ from session_stream import PERIOD_NS, Box, ident_document
 
 from truearm.session.box_ident import parse_ident
 from truearm.session.data_frames import data_of, decode, usual_data
-from truearm.session.sample_blocks import BoxReader
 from truearm.types import Message
 from truearm_wire import messages as wire
 from truearm_wire.cbor import Tag
@@ -86,11 +85,8 @@ def test_any_mixture_of_faults_is_counted_exactly(plan, seq):
 @settings(max_examples=100, deadline=None)
 @given(st.lists(st.binary(max_size=260), max_size=20))
 def test_arbitrary_bytes_are_counted_as_malformed(payloads):
-    reader = BoxReader(parse_ident(ident_document()))
-    for payload in payloads:
-        reader.feed(Message("/box/adc", 0, payload))
-        reader.feed(Message("/sync", 0, payload))
-    reader.finish()
+    messages = [Message(topic, 0, payload) for payload in payloads for topic in ("/box/adc", "/sync")]
+    _, reader = read(messages, parse_ident(ident_document()))
     losses = reader.losses()
     others = losses.frames_duplicated + losses.frames_late + losses.frames_malformed
     assert losses.frames + others >= len(payloads)
@@ -128,9 +124,6 @@ ELEMENT = st.one_of(
     st.lists(st.tuples(st.sampled_from([16, 17, 18, 19, 33, 64, 65, 99]), st.lists(ELEMENT, max_size=14)), max_size=8)
 )
 def test_frames_of_wrong_elements_end_nowhere_but_in_the_account(frames):
-    reader = BoxReader(parse_ident(ident_document()))
-    for seq, (kind, elements) in enumerate(frames):
-        payload = cbor2.dumps([kind, seq, *elements])
-        reader.feed(Message("/box/other", 0, payload))
-    reader.finish()
+    payloads = [cbor2.dumps([kind, seq, *elements]) for seq, (kind, elements) in enumerate(frames)]
+    _, reader = read([Message("/box/other", 0, payload) for payload in payloads], parse_ident(ident_document()))
     assert reader.losses().blocks + reader.losses().frames_malformed <= 2 * len(frames)

@@ -7,6 +7,9 @@ from __future__ import annotations
 import json
 from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from truearm.session.data_frames import MAX_DEVICE_US
 from truearm_wire import messages as wire
 
@@ -36,9 +39,24 @@ def is_text(data: bytes) -> bool:
 def parse_exchange(data: bytes) -> Exchange | None:
     """A ``/sync`` message; None if it was not answered (or is no such message, which answers nothing either)."""
     try:
-        document = json.loads(data)
+        return _exchange(json.loads(data))
     except (ValueError, RecursionError):
         return None
+
+
+def parse_exchanges(lines: list[bytes]) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    """Which of several ``/sync`` messages were answered, and their times (k, 4)."""
+    try:
+        documents = json.loads(b"[" + b",".join(lines) + b"]")
+    except (ValueError, RecursionError):
+        documents = []
+    whole = len(documents) == len(lines)
+    found = [_exchange(document) for document in documents] if whole else [parse_exchange(line) for line in lines]
+    answered = np.array([i for i, one in enumerate(found) if one is not None], dtype=np.intp)
+    return answered, np.array([one for one in found if one is not None], dtype=np.int64).reshape(-1, 4)
+
+
+def _exchange(document: Any) -> Exchange | None:
     if not isinstance(document, dict):
         return None
     t0, t1, t2, t3 = (document.get(name) for name in ("t0_ns", "t1_us", "t2_us", "t3_ns"))

@@ -117,7 +117,7 @@ class ClockReport:
     changes: tuple[ClockChange, ...]
 
 
-def fit_clock(segment: int, exchanges: Sequence[Exchange]) -> tuple[DeviceClock, ClockReport] | None:
+def fit_clock(segment: int, exchanges: Sequence[Exchange] | Ints) -> tuple[DeviceClock, ClockReport] | None:
     """The clock of one segment and its report; None where no exchange is usable."""
     every = np.array(exchanges, dtype=np.int64).reshape(-1, 4)
     sane = every[(every[:, 1] <= every[:, 2]) & (every[:, 0] <= every[:, 3])]

@@ -13,47 +13,60 @@ a box that restarts begins a new count. What a frame is, is decided in this orde
    or that are **malformed** because nothing can have counted so far.
 
 So neither a late frame nor a doubled one is a restart: the boot id decides.
+
+Frames come in runs (``frame_columns``), whose seq goes on by one, whose device times do not run backward and whose heartbeats are of one boot. What holds
+for the first frame of a run therefore holds for as many more as ``_belonging`` says; a frame alone is a run of one.
 """
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Iterator
+from bisect import bisect_left
+from collections import deque
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from operator import attrgetter
+from typing import NamedTuple
 
 from truearm.session.data_frames import too_many
+from truearm.session.frame_columns import CIRCLE, Run
 
 REACH = 512  # frames that a late one may lag behind: some seconds of a box, less than what sessions hold back for late messages
 BEHIND_RUN = 64  # a heartbeat comes once in 80 to 350 frames and is hardly ever lost
 FAR_RUN = 2
 BEFORE_FIRST = 16  # frames that may have been overtaken by the first one of a session
-CIRCLE = 2**32
-
-
-class Frame(NamedTuple):
-    """A frame as it arrived; ``stamp`` is the kind of its device time and the time [µs], None for a frame without."""
-
-    seq: int
-    stamp: tuple[int, int] | None
-    is_boot: bool  # first page of the ident that a box sends unasked at boot
-    boot_id: int | None  # of a heartbeat
-    t_host_ns: int
-    payload: bytes
-    content: Any  # what it was decoded to
+_HALF = CIRCLE // 2
 
 
 class Placed(NamedTuple):
-    """A frame in its place. ``lost``: frames missing before it; ``restarts``: it is the first of a new count."""
+    """Frames in their place. ``lost``: frames missing before the first; ``restarts``: it is the first of a new count.
 
-    frame: Frame
+    ``at``: the row of the newest batch with which they came out, but for frames that arrived later themselves.
+    """
+
+    run: Run
     lost: int
     restarts: bool
+    at: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Held:
+    """A run that waits; ``count`` of its first frame."""
+
+    count: int
+    run: Run
+
+    @property
+    def end(self) -> int:
+        return self.count + len(self.run)
+
+
+_COUNT = attrgetter("count")
 
 
 @dataclass
 class FrameOrder:
-    """Takes frames as they arrive and gives them back in the order of sending; ``doubled``, ``late`` and ``malformed`` count the others."""
+    """Takes runs as they arrive and gives them back in the order of sending; ``doubled``, ``late`` and ``malformed`` count the other frames."""
 
     doubled: int = 0
     late: int = 0
@@ -62,13 +75,14 @@ class FrameOrder:
     _newest: int = 0  # the highest count that was taken
     _newest_host_ns: int = 0
     _uncounted: int = 0  # below it, missing frames were sent before the session began
-    _waiting: dict[int, Frame] = field(default_factory=dict)
-    _remembered: OrderedDict[int, bytes] = field(default_factory=OrderedDict)  # payloads by seq
+    _waiting: list[_Held] = field(default_factory=list)  # by ascending count
+    _remembered: deque[tuple[int, Run]] = field(default_factory=deque)  # as they were taken, each with its seq
+    _n_remembered: int = 0
     _times: dict[int, int] = field(default_factory=dict)  # newest device time of each kind
     _placed_times: dict[int, int] = field(default_factory=dict)  # of the frames that were given back
     _boot_id: int | None = None
     _restarting: bool = False  # the next frame that is given back is the first of a count
-    _suspects: list[Frame] = field(default_factory=list)
+    _suspects: list[Run] = field(default_factory=list)  # of one frame each
     _far: bool = False  # the suspects lie too far ahead
 
     @property
@@ -76,133 +90,163 @@ class FrameOrder:
         """Whether frames are held of which nobody knows yet what they are."""
         return bool(self._suspects)
 
-    def follows(self, seq: int, stamp: tuple[int, int], t_host_ns: int, payload: bytes) -> bool:
-        """Take a frame that is simply the next one, as nearly all are, and is due at once; False for any other."""
-        kind, time = stamp
-        if self._waiting or self._suspects or self._next < 0 or seq != self._next % CIRCLE or self._restarting:
-            return False
-        if time < self._times.get(kind, 0):
-            return False
-        self._newest, self._newest_host_ns, self._next = self._next, t_host_ns, self._next + 1
-        self._times[kind] = self._placed_times[kind] = time
-        self._remember(seq, payload)
-        return True
+    def parts(self, run: Run) -> Iterator[Run]:
+        """A run in parts that can be taken at once; to be asked for one by one, each when the one before was taken."""
+        while len(run):
+            head = run.first(max(1, self._belonging(run)))
+            yield head
+            run = run.after(head)
 
-    def take(self, frame: Frame) -> Iterator[Placed]:
-        """Take one frame; those that are due by then, in order."""
-        if self._remembered.get(frame.seq) == frame.payload:
-            self.doubled += 1
-        elif self._next < 0:
-            yield from self._begin(frame, max(0, frame.seq - BEFORE_FIRST), frame.seq)
-        elif self._belongs(frame):
-            yield from self._accept(frame)
-        elif frame.is_boot:
-            self._dismiss()
-            yield from self._restart([frame])
-        else:
-            yield from self._suspect(frame)
+    def take(self, part: Run) -> Iterator[Placed]:
+        """Take a part of a run; the frames that are due by then, in order."""
+        yield from self._take(part, part.row)
 
-    def finish(self) -> Iterator[Placed]:
+    def finish(self, at: int) -> Iterator[Placed]:
         """What is still held, at the end of the session."""
         self._dismiss()
-        yield from self._given_up(everything=True)
+        yield from self._all_waiting(at)
 
     def new_boot(self, boot_id: int) -> None:
         """The box said that it is of this boot; what is counted goes on."""
         self._boot_id = boot_id
 
+    def _take(self, run: Run, at: int) -> Iterator[Placed]:
+        """Take frames that belong to the count, or a single one of which that is not known."""
+        if len(run) > 1 or self._belonging(run):
+            yield from self._accept(run, at)
+        elif self._is_doubled(run):
+            self.doubled += 1
+        elif self._next < 0:
+            yield from self._begin(run, max(0, run.seq - BEFORE_FIRST), run.seq, at)
+        elif run.is_boot:
+            self._dismiss()
+            yield from self._restart([run], at)
+        else:
+            yield from self._suspect(run, at)
+
     # ------------------------------------------------------------------------------------------------ the count
 
-    def _begin(self, frame: Frame, first: int, uncounted: int) -> Iterator[Placed]:
-        self._next, self._newest, self._uncounted = first, frame.seq - 1, uncounted
-        self._newest_host_ns = frame.t_host_ns
-        yield from self._accept(frame)
+    def _begin(self, run: Run, first: int, uncounted: int, at: int) -> Iterator[Placed]:
+        self._next, self._newest, self._uncounted = first, run.seq - 1, uncounted
+        self._newest_host_ns = run.t_host_ns
+        yield from self._accept(run, at)
 
     def _unwrapped(self, seq: int) -> int:
         """The count that a seq stands for: the nearest to the newest one."""
-        half = CIRCLE // 2
-        return self._newest + (seq - self._newest + half) % CIRCLE - half
+        return self._newest + (seq - self._newest + _HALF) % CIRCLE - _HALF
 
-    def _belongs(self, frame: Frame) -> bool:
-        """Whether a frame is of this count and is still waited for (rule 3)."""
-        count = self._unwrapped(frame.seq)
-        if count < self._next or count in self._waiting:
-            return False
-        if self._boot_id is not None and frame.boot_id not in (None, self._boot_id):
-            return False
-        if frame.is_boot and self._times:  # what a box sends at boot it sends before everything that has a time
-            return False
-        kind, time = frame.stamp or (None, 0)
-        if count <= self._newest:  # late: sent after all that were given back
-            return kind is None or time >= self._placed_times.get(kind, 0)
-        if self._is_far(frame):
-            return False
-        return kind is None or time >= self._times.get(kind, 0)
-
-    def _is_far(self, frame: Frame) -> bool:
-        """Whether a frame lies further ahead than frames can have come since the newest."""
-        return too_many(self._unwrapped(frame.seq) - self._newest, frame.t_host_ns - self._newest_host_ns)
-
-    def _accept(self, frame: Frame) -> Iterator[Placed]:
-        count = self._unwrapped(frame.seq)
-        self._waiting[count] = frame
-        self._remember(frame.seq, frame.payload)
+    def _belonging(self, run: Run) -> int:
+        """How many of the first frames of a run are of this count and still waited for (rule 3)."""
+        count, n = self._unwrapped(run.seq), len(run)
+        if count < max(self._next, 0) or self._next < 0:
+            return 0
         if count > self._newest:
+            if self._is_far(run):
+                return 0
+            times = self._times
+        else:  # late: sent after all that were given back
+            place = bisect_left(self._waiting, count, key=_COUNT)
+            if (place and count < self._waiting[place - 1].end) or self._waiting[place].count == count:
+                return 0
+            n = min(n, self._waiting[place].count - count)
+            times = self._placed_times
+        if run.is_boot and self._times:  # what a box sends at boot it sends before everything that has a time
+            return 0
+        for kind, frame, t_us, _ in run.times():
+            if t_us < times.get(kind, 0):
+                n = min(n, frame - run.begin)
+        beat, boot_id = run.first_heartbeat()
+        if self._boot_id is not None and boot_id not in (None, self._boot_id):
+            n = min(n, beat - run.begin)
+        return n
+
+    def _is_far(self, run: Run) -> bool:
+        """Whether a frame lies further ahead than frames can have come since the newest."""
+        return too_many(self._unwrapped(run.seq) - self._newest, run.t_host_ns - self._newest_host_ns)
+
+    def _accept(self, run: Run, at: int) -> Iterator[Placed]:
+        held = _Held(self._unwrapped(run.seq), run)
+        self._waiting.insert(bisect_left(self._waiting, held.count, key=_COUNT), held)
+        self._remember(run)
+        if held.count > self._newest:
             self._dismiss()  # the count goes on
-            self._newest, self._newest_host_ns = count, frame.t_host_ns
-        if frame.stamp is not None:
-            kind, time = frame.stamp
-            self._times[kind] = max(time, self._times.get(kind, 0))
-        if frame.boot_id is not None and self._boot_id is None:
-            self._boot_id = frame.boot_id
-        yield from self._given_up(everything=False)
-
-    def _remember(self, seq: int, payload: bytes) -> None:
-        self._remembered[seq] = payload
-        if len(self._remembered) > 2 * REACH:
-            self._remembered.popitem(last=False)
-
-    def _given_up(self, everything: bool) -> Iterator[Placed]:
-        """The frames that nothing is waited for any more."""
+            self._newest, self._newest_host_ns = held.end - 1, run.last_host_ns
+        for kind, _, _, t_us in run.times():
+            self._times[kind] = max(t_us, self._times.get(kind, 0))
+        _, boot_id = run.first_heartbeat()
+        if self._boot_id is None:
+            self._boot_id = boot_id
         while self._waiting:
-            lost = 0
-            if self._next not in self._waiting:
-                if not everything and self._newest - self._next < REACH:
+            hole = self._waiting[0].count > self._next
+            if hole:
+                ahead = self._newest - self._next - REACH
+                if ahead < 0:
                     return
-                there = min(self._waiting)
-                lost = max(0, there - max(self._next, self._uncounted))
-                self._next = there
-            frame, restarts = self._waiting.pop(self._next), self._restarting
-            self._next, self._restarting = self._next + 1, False
-            if frame.stamp is not None:
-                self._placed_times[frame.stamp[0]] = frame.stamp[1]
-            yield Placed(frame, lost, restarts)
+                at = max(at, run.frames.row[run.end - 1 - ahead]) if ahead < len(run) - 1 else at
+            last = self._waiting[0] is held
+            yield self._given_back(at)
+            if last and len(run) > 1:
+                at = max(at, run.frames.row[run.end - 1])
+
+    def _all_waiting(self, at: int) -> Iterator[Placed]:
+        while self._waiting:
+            yield self._given_back(at)
+
+    def _given_back(self, at: int) -> Placed:
+        """The first run that waits."""
+        held = self._waiting.pop(0)
+        count, run = held.count, held.run
+        lost = max(0, count - max(self._next, self._uncounted)) if count > self._next else 0
+        restarts, self._restarting = self._restarting, False
+        self._next = count + len(run)
+        for kind, _, _, t_us in run.times():
+            self._placed_times[kind] = t_us
+        return Placed(run, lost, restarts, at)
+
+    def _remember(self, run: Run) -> None:
+        self._remembered.append((run.seq, run))
+        self._n_remembered += len(run)
+        while self._n_remembered > 2 * REACH:
+            seq, oldest = self._remembered.popleft()
+            forgotten = oldest.first(min(len(oldest), self._n_remembered - 2 * REACH))
+            self._n_remembered -= len(forgotten)
+            if len(forgotten) < len(oldest):
+                rest = oldest.after(forgotten)
+                self._remembered.appendleft(((seq + len(forgotten)) % CIRCLE, rest))
+
+    def _is_doubled(self, run: Run) -> bool:
+        """Whether the bytes of a frame are remembered under its seq."""
+        for seq, known in self._remembered:
+            place = (run.seq - seq) % CIRCLE
+            if place < len(known):
+                return run.payload == known.after(known.first(place)).payload
+        return False
 
     # ------------------------------------------------------------------------------------------------ another count
 
-    def _suspect(self, frame: Frame) -> Iterator[Placed]:
-        half = CIRCLE // 2
-        if self._suspects and abs((frame.seq - self._suspects[-1].seq + half) % CIRCLE - half) > REACH:
+    def _suspect(self, run: Run, at: int) -> Iterator[Placed]:
+        if self._suspects and abs((run.seq - self._suspects[-1].seq + _HALF) % CIRCLE - _HALF) > REACH:
             self._dismiss()
         if not self._suspects:
-            self._far = self._is_far(frame)
-        self._suspects.append(frame)
-        another = self._boot_id is not None and frame.boot_id not in (None, self._boot_id)
+            self._far = self._is_far(run)
+        self._suspects.append(run)
+        _, boot_id = run.first_heartbeat()
+        another = self._boot_id is not None and boot_id not in (None, self._boot_id)
         if another or len(self._suspects) >= (FAR_RUN if self._far else BEHIND_RUN):
             suspects, self._suspects = self._suspects, []
-            yield from self._restart(suspects)
+            yield from self._restart(suspects, at)
 
-    def _restart(self, frames: list[Frame]) -> Iterator[Placed]:
+    def _restart(self, runs: Sequence[Run], at: int) -> Iterator[Placed]:
         """The frames are the first of a new count; nothing more comes of the old one."""
-        yield from self._given_up(everything=True)
-        first, far = frames[0], self._far
-        self._remembered, self._times, self._placed_times = OrderedDict(), {}, {}
+        yield from self._all_waiting(at)
+        first, far = runs[0], self._far
+        self._remembered, self._n_remembered, self._times, self._placed_times = deque(), 0, {}, {}
         self._boot_id, self._restarting, self._far = None, True, False
         # The count of a box begins at 0; one that lies too far ahead says nothing of what was lost.
         from_ = first.seq if far else 0
-        yield from self._begin(first, from_, from_)
-        for frame in frames[1:]:
-            yield from self.take(frame)
+        yield from self._begin(first, from_, from_, at)
+        for run in runs[1:]:
+            yield from self._take(run, at)
 
     def _dismiss(self) -> None:
         if self._far:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from truearm.session.joint_batch import COLUMNS, JOINTS, JointBatch, concatenate, parse_lines, unpack
 from truearm.session.joint_line import UNNUMBERED
+from truearm.session.message_columns import Messages
 from truearm.session.missing_numbers import MissingNumbers
 from truearm.session.robot_clock import Arrivals, RobotClock, RobotClockReport, fit_robot_clock
 from truearm.session.robot_inputs import InputTrack
@@ -105,6 +106,36 @@ class JointReader:
             if batch is not None and len(batch) == len(self._lines):
                 self._lines, self._arrival_ns = [], []
                 self._wait(batch)
+
+    def take(self, messages: Messages) -> None:
+        """Take a batch of messages; those of other topics are ignored."""
+        lines = messages.rows(lambda topic: topic == JOINTS)
+        begin = 0
+        for row in messages.rows(lambda topic: topic in (COLUMNS, "/events")).tolist():
+            end = int(np.searchsorted(lines, row))
+            if len(self._lines) + end - begin >= CHUNK:
+                self._add(messages, lines[begin:end])
+                begin = end
+            if messages.topics[messages.topic[row]] == COLUMNS:
+                said = unpack(messages.payload(row))
+                if said is not None and len(said) == len(self._lines) + end - begin:
+                    self._lines, self._arrival_ns, begin = [], [], end
+                    self._wait(said)
+            elif _BACK in messages.payload(row):
+                self._add(messages, lines[begin:end])
+                self._flush()
+                self._returned, begin = True, end
+        self._add(messages, lines[begin:])
+
+    def _add(self, messages: Messages, rows: NDArray[np.intp]) -> None:
+        at = 0
+        while at < len(rows):
+            some = rows[at : at + CHUNK - len(self._lines)]
+            self._lines += messages.payloads(some)
+            self._arrival_ns += messages.t_host_ns[some].tolist()
+            at += len(some)
+            if len(self._lines) >= CHUNK:
+                self._flush()
 
     def finish(self) -> JointStream:
         """What all messages say; the reader is of no use afterwards."""

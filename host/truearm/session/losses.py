@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from truearm.session.heartbeats import NO_HEARTBEAT, Summary
-from truearm.types import Message
+from truearm.session.message_columns import Messages
 
 SILENT_NS = 2_000_000_000  # a box that is well sends a heartbeat every second
 _GONE = (b'"link-lost"', b'"box-gone"')  # however short the silence was then
@@ -60,15 +62,27 @@ class Silences:
         self._last_ns = 0
         self._gone = False  # the recorder says that it lost the box
 
-    def feed(self, message: Message) -> None:
-        """Take one message of the session, of whatever topic, in order."""
-        self._last_ns = max(self._last_ns, message.t_host_ns)
-        if message.topic.startswith("/box/"):
-            self._close(message.t_host_ns)
-            self._box_ns = message.t_host_ns
-            self._gone = False
-        elif message.topic == "/events":
-            self._gone |= any(kind in message.data for kind in _GONE)
+    def take(self, messages: Messages) -> None:
+        """Take a batch of messages of the session, of whatever topics."""
+        box = messages.rows(lambda topic: topic.startswith("/box/"))
+        events = messages.rows(lambda topic: topic == "/events")
+        gone = [row for row in events.tolist() if any(kind in messages.payload(row) for kind in _GONE)]
+        t_ns = messages.t_host_ns[box]
+        silent = np.diff(t_ns, prepend=t_ns[:1]) > SILENT_NS
+        silent[:1] = True
+        silent[[k for k in np.searchsorted(box, gone).tolist() if k < len(box)]] = True
+        for k in np.flatnonzero(silent).tolist():  # nothing was silent between the others
+            if k:
+                self._box_ns = int(t_ns[k - 1])
+                self._gone = any(box[k - 1] < row < box[k] for row in gone)
+            else:
+                self._gone |= any(row < box[0] for row in gone)
+            self._close(int(t_ns[k]))
+        if len(box):
+            self._box_ns, self._gone = int(t_ns[-1]), any(row > box[-1] for row in gone)
+        else:
+            self._gone |= bool(gone)
+        self._last_ns = max(self._last_ns, int(messages.t_host_ns.max(initial=0)))
 
     def finish(self) -> list[tuple[int, int]]:
         """All gaps, when the session is at its end."""

@@ -10,15 +10,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from truearm.session.box_ident import Channel, Ident, find_channel
+from truearm.session.box_ident import Channel
 from truearm.session.device_clock import DeviceClock
+from truearm.session.dwell_samples import ChannelBlocks
 from truearm.session.dwells import Dwell, DwellRules, find_stops
 from truearm.session.joint_readings import BIN_S, NOTED_S, Bins, JointStream
 from truearm.session.lvdt import extension, railed
-from truearm.session.sample_blocks import Block
 
 NO_STEP = np.zeros(1)
 
@@ -30,16 +32,15 @@ def has_manual_joints(stream: JointStream) -> bool:
 
 def manual_dwells(
     stream: JointStream,
-    blocks: Iterable[tuple[Block, Ident]],
+    blocks: Iterable[ChannelBlocks],
     clocks: Mapping[int, DeviceClock],
     rules: DwellRules,
-    channel: str = "lvdt",
 ) -> list[Dwell]:
     """One dwell a reading, in order; those in no rest of the sensor, or in one with another reading, carry their reason."""
     bins = stream.bins
     if bins is None:
         return []
-    sensor = sensor_bins(blocks, clocks, channel)
+    sensor = sensor_bins(blocks, clocks)
     rests = (
         [] if sensor is None else [stop for stop in find_stops(sensor, NO_STEP, rules) if stop.reason != "too short"]
     )
@@ -68,21 +69,21 @@ def manual_dwells(
     return dwells
 
 
-def sensor_bins(blocks: Iterable[tuple[Block, Ident]], clocks: Mapping[int, DeviceClock], channel: str) -> Bins | None:
+def sensor_bins(blocks: Iterable[ChannelBlocks], clocks: Mapping[int, DeviceClock]) -> Bins | None:
     """The sensor's extension in bins of BIN_S [s of the host's clock], as of a single joint; None where there is none.
 
     What stands at a rail is left out: an empty coil is quiet, but no rest. Raises SessionError where the channel has no calibration.
     """
     rows: list[tuple[int, float, float, int, float, float, float, bool]] = []
-    for placed, described, column in _chunks(blocks, clocks, channel):
-        counts = np.concatenate([block.counts[:, column] for block, _ in placed])
+    for placed in _chunks(blocks, clocks):
+        counts = np.concatenate([block.counts for block in placed])
         if np.any(railed(counts)):
             continue
-        metres = extension(counts, described)
-        (first_block, first), (last_block, last) = placed[0], placed[-1]
-        gap = first_block.gap or not rows or first - rows[-1][2] > BIN_S
-        last += 1e-9 * last_block.data.period_ns * (last_block.n - 1)
-        rows.append((first_block.segment, first, last, counts.size, metres.mean(), metres.min(), metres.max(), gap))
+        metres = extension(counts, placed[0].channel)
+        first, last = placed[0].host_s, placed[-1].host_s
+        gap = placed[0].gap or not rows or first - rows[-1][2] > BIN_S
+        last += 1e-9 * placed[-1].period_ns * (len(placed[-1].counts) - 1)
+        rows.append((placed[0].segment, first, last, counts.size, metres.mean(), metres.min(), metres.max(), gap))
     if not rows:
         return None
     segment, first_s, last_s, n, mean, low, high, gaps = (np.array(column) for column in zip(*rows, strict=True))
@@ -90,22 +91,42 @@ def sensor_bins(blocks: Iterable[tuple[Block, Ident]], clocks: Mapping[int, Devi
     return Bins(segment, first_s, last_s, n, mean[:, None], low[:, None], high[:, None], empty, gaps, nothing)
 
 
-def _chunks(
-    blocks: Iterable[tuple[Block, Ident]], clocks: Mapping[int, DeviceClock], channel: str
-) -> Iterator[tuple[list[tuple[Block, float]], Channel, int]]:
-    """Blocks of the channel with their host time [s], BIN_S of them together and none missing between; channel and its column."""
-    placed: list[tuple[Block, float]] = []
-    for block, ident in blocks:
-        found, clock = find_channel(ident, channel), clocks.get(block.segment)
-        if found is None or clock is None or found[0].id != block.data.stream:
-            continue
-        if placed and (block.gap or placed[0][0].segment != block.segment):
+class _Block(NamedTuple):
+    """The samples of one block, and when the first was taken."""
+
+    segment: int
+    host_s: float
+    counts: NDArray[np.int32]
+    period_ns: int  # as the block says it
+    sampled_ns: int  # how much time it covers
+    gap: bool
+    channel: Channel
+
+
+def _chunks(blocks: Iterable[ChannelBlocks], clocks: Mapping[int, DeviceClock]) -> Iterator[list[_Block]]:
+    """Blocks with their host time, BIN_S of them together and none missing between."""
+    placed: list[_Block] = []
+    for block in _singly(blocks, clocks):
+        if placed and (block.gap or placed[0].segment != block.segment):
             placed = []  # less than a bin before a gap
-        host, _ = clock.to_host_ns(np.array([block.data.t0_us], dtype=np.int64))
-        placed.append((block, 1e-9 * (int(host[0]) - found[0].group_delay_ns)))
-        if sum(one.n for one, _ in placed) * (block.data.period_ns or found[0].period_ns) >= 0.9e9 * BIN_S:
-            yield placed, found[0].channels[found[1]], found[1]
+        placed.append(block)
+        if sum(one.sampled_ns for one in placed) >= 0.9e9 * BIN_S:
+            yield placed
             placed = []
+
+
+def _singly(blocks: Iterable[ChannelBlocks], clocks: Mapping[int, DeviceClock]) -> Iterator[_Block]:
+    for some in blocks:
+        clock = clocks.get(some.segment)
+        if clock is None:
+            continue
+        host, _ = clock.to_host_ns(some.t0_us)
+        host_s = 1e-9 * (host - some.stream.group_delay_ns)
+        counts = np.split(some.counts[:, 0], some.first[1:])
+        columns = host_s.tolist(), some.n.tolist(), some.period_ns.tolist(), some.gap.tolist(), counts
+        for t_s, n, period_ns, gap, samples in zip(*columns, strict=True):
+            sampled_ns = n * (period_ns or some.stream.period_ns)
+            yield _Block(some.segment, t_s, samples, period_ns, sampled_ns, gap, some.channels[0])
 
 
 def _noted(stream: JointStream, bins: Bins, k: int, t_host_ns: int, reason: str = "", detail: str = "") -> Dwell:

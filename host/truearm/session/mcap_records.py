@@ -185,14 +185,15 @@ def stored(path: Path, data: bytes, channels: dict[int, str]) -> Iterator[tuple[
                 damaged(path, at)
             yield topic, sequence, log_ns, t_host_ns, begin, end
         elif opcode == Opcode.CHANNEL:
-            channel, topic = _channel(path, data[at:end], at)
+            channel, topic = channel_of(path, data[at:end], at)
             channels[channel] = topic
             if len(channels) > MAX_CHANNELS:
                 raise SessionError(f"{path}: has more than {MAX_CHANNELS} channels")
         at = end
 
 
-def _channel(path: Path, body: bytes, at: int) -> tuple[int, str]:
+def channel_of(path: Path, body: bytes, at: int) -> tuple[int, str]:
+    """Id and topic that a channel record declares."""
     try:
         record = Channel.read(ReadDataStream(io.BytesIO(body)))
     except UNREADABLE:

@@ -1,4 +1,4 @@
-"""What the box and the robot said during legs, message by message (hop 5): only the legs that are open are in memory.
+"""What the box and the robot said during legs, batch by batch (hop 5): only the legs that are open are in memory.
 
 A leg is closed when messages arrive that are later than its end by more than any link may delay. Samples and readings
 come out on the host's time scale, as pieces that are whole in themselves: a piece ends where samples are missing, where the
@@ -8,24 +8,25 @@ box restarted or flagged a fault, where a reading is missing and where the robot
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.session.box_ident import Channel, Ident, Stream, find_channel
+from truearm.session.box_ident import Channel
+from truearm.session.box_reader import Blocks
 from truearm.session.device_clock import DeviceClock
+from truearm.session.dwell_samples import ChannelBlocks, columns_in, of_channels
 from truearm.session.joint_batch import parse_lines
 from truearm.session.joint_line import UNNUMBERED
-from truearm.session.joint_readings import CHUNK, JointStream
+from truearm.session.joint_readings import JointStream
 from truearm.session.legs import Leg
-from truearm.session.sample_blocks import Block
-from truearm.types import Floats, Message
-from truearm_wire import messages as wire
+from truearm.session.mcap_records import LATEST_NS
+from truearm.session.message_columns import Ints, Messages
+from truearm.types import Floats
 
-Ints = NDArray[np.int64]
 LATE_NS = 10_000_000_000  # a message is older than its arrival by less
 EARLY_NS = 1_000_000_000  # and younger by less: what clocks may disagree
 LOST = 1.6  # periods of the robot from one reading to the next: one is missing
@@ -51,12 +52,10 @@ class Readings(NamedTuple):
 
 
 class _Piece(NamedTuple):
-    """A block of a wanted stream; ``whole``: it goes on where the one before ended."""
+    """Blocks of a wanted stream; ``whole`` (b,): a block goes on where the one before ended."""
 
-    block: Block
-    whole: bool
-    stream: Stream
-    columns: tuple[int, ...]
+    blocks: ChannelBlocks
+    whole: NDArray[np.bool_]
 
 
 @dataclass(eq=False)
@@ -66,8 +65,6 @@ class LegSamples:
     index: int
     leg: Leg
     pieces: dict[int, list[_Piece]] = field(default_factory=dict)  # by wanted stream
-    lines: list[bytes] = field(default_factory=list)
-    arrival_ns: list[int] = field(default_factory=list)
     readings: list[tuple[Floats, Ints, Floats]] = field(default_factory=list)
 
 
@@ -80,60 +77,62 @@ class Listener:
         self._open: list[LegSamples] = []
         self._wanted, self._joints = wanted, joints
         self._segment_from = np.array([clock.host_ref_ns for clock in joints.clocks], dtype=np.int64)
-        self._places: tuple[Ident | None, list[tuple[Stream, tuple[int, ...]] | None]] = (None, [])
-        self._follows: dict[int, tuple[int, int]] = {}  # wanted stream → segment and run of its last block
+        self._goes_on: dict[int, bool] = {}  # wanted stream → nothing is wrong with its last block
+        self._now_ns = -LATEST_NS
 
-    def line(self, message: Message) -> list[LegSamples]:
-        """Take a line of the robot."""
-        over = self._advance(message.t_host_ns)
-        for heard in self._open:
-            heard.lines.append(message.data)
-            heard.arrival_ns.append(message.t_host_ns)
-            if len(heard.lines) >= CHUNK:
-                self._parse(heard)
-        return over
-
-    def block(self, block: Block, ident: Ident) -> list[LegSamples]:
-        """Take a block of samples of any stream."""
-        over = self._advance(block.t_host_ns)
-        if self._places[0] is not ident:
-            self._places = ident, [_places(ident, names) for names in self._wanted]
-        for k, place in enumerate(self._places[1]):
-            if place is not None and place[0].id == block.data.stream:
-                self._keep(k, block, *place)
+    def take(self, messages: Messages, blocks: Sequence[Blocks]) -> list[LegSamples]:
+        """Take a batch of messages and the blocks that came out with them."""
+        lines = messages.rows(lambda topic: topic == "/robot/joints")
+        of = (lines, *(one.at for one in blocks))
+        turn = _ranks(np.concatenate(of))
+        arrival = np.concatenate([messages.t_host_ns[lines], *(one.t_host_ns for one in blocks)])
+        now = np.empty_like(arrival)
+        now[turn] = arrival
+        now = np.maximum.accumulate(np.concatenate([[self._now_ns], now]))
+        self._now_ns, now = int(now[-1]), now[1:]
+        line_turn, *block_turns = np.split(turn, np.cumsum([len(part) for part in of])[:-1])
+        pieces = [
+            (k, piece, turns)
+            for one, turns in zip(blocks, block_turns, strict=True)
+            for k, piece in self._wanted_of(one)
+        ]
+        begins = dict.fromkeys(self._open, 0)
+        while self._waiting and self._waiting[0].leg.start_host_ns < self._now_ns + EARLY_NS:
+            heard = self._waiting.popleft()
+            begins[heard] = int(np.searchsorted(now, heard.leg.start_host_ns - EARLY_NS, side="right"))
+        over: list[LegSamples] = []
+        self._open = []
+        for heard, begin in begins.items():
+            end = int(np.searchsorted(now, heard.leg.end_host_ns + LATE_NS, side="right"))
+            self._parse(heard, messages, lines[(line_turn >= begin) & (line_turn < end)])
+            for k, piece, turns in pieces:
+                during = (turns >= begin) & (turns < end) & ~piece.blocks.fault
+                if during.any():
+                    heard.pieces.setdefault(k, []).append(_Piece(piece.blocks.some(during), piece.whole[during]))
+            (over if end < len(now) else self._open).append(heard)
         return over
 
     def rest(self) -> list[LegSamples]:
         """The legs that were still open at the session's end, or had not begun."""
         over = [*self._open, *self._waiting]
-        for heard in over:
-            self._parse(heard)
         self._open, self._waiting = [], deque()
         return over
 
-    def _advance(self, now_ns: int) -> list[LegSamples]:
-        while self._waiting and self._waiting[0].leg.start_host_ns < now_ns + EARLY_NS:
-            self._open.append(self._waiting.popleft())
-        over = [heard for heard in self._open if heard.leg.end_host_ns + LATE_NS < now_ns]
-        if over:
-            self._open = [heard for heard in self._open if heard not in over]
-        for heard in over:
-            self._parse(heard)
-        return over
+    def _wanted_of(self, blocks: Blocks) -> Iterator[tuple[int, _Piece]]:
+        """The blocks for each wanted stream that they are of."""
+        for k, names in enumerate(self._wanted):
+            place = columns_in(blocks.ident, names)
+            if place is None or place[0].id != blocks.stream.id or not len(blocks):
+                continue
+            piece = of_channels(blocks, place[1])
+            well = ~piece.fault
+            before = np.concatenate([[self._goes_on.get(k, False)], well[:-1]])
+            self._goes_on[k] = bool(well[-1])
+            yield k, _Piece(piece, before & ~piece.gap)
 
-    def _keep(self, k: int, block: Block, stream: Stream, columns: tuple[int, ...]) -> None:
-        whole = not block.gap and self._follows.get(k) == (block.segment, block.run)
-        if block.data.flags & wire.FLAG_CONVERTER:
-            self._follows.pop(k, None)
-            return
-        self._follows[k] = block.segment, block.run
-        for heard in self._open:
-            heard.pieces.setdefault(k, []).append(_Piece(block, whole, stream, columns))
-
-    def _parse(self, heard: LegSamples) -> None:
+    def _parse(self, heard: LegSamples, messages: Messages, rows: NDArray[np.intp]) -> None:
         """Keep the readings of the leg's own segment and time."""
-        said = parse_lines(heard.lines, heard.arrival_ns, len(self._joints.step))
-        heard.lines, heard.arrival_ns = [], []
+        said = parse_lines(messages.payloads(rows), messages.t_host_ns[rows], len(self._joints.step))
         if len(said):
             segment = np.searchsorted(self._segment_from, said.arrival_ns, side="right") - 1
             mine = (segment == heard.leg.segment) & (said.t >= heard.leg.start_s) & (said.t <= heard.leg.end_s)
@@ -142,22 +141,23 @@ class Listener:
 
 def samples_of(heard: LegSamples, k: int, clocks: Mapping[int, DeviceClock]) -> Samples | None:
     """What a wanted stream showed during the leg; None if nothing that a clock places in time."""
-    pieces = [piece for piece in heard.pieces.get(k, []) if piece.block.segment in clocks]
+    pieces = [piece for piece in heard.pieces.get(k, []) if piece.blocks.segment in clocks]
     if not pieces:
         return None
-    times, bound_ns = _times(pieces, clocks)
-    broken = np.cumsum([not piece.whole for piece in pieces])
-    number = np.repeat(broken, [piece.block.n for piece in pieces])
-    counts = np.concatenate([piece.block.counts[:, piece.columns] for piece in pieces])
+    placed = [piece.blocks.times(clocks[piece.blocks.segment]) for piece in pieces]
+    times = np.concatenate([t_ns for t_ns, _ in placed])
+    bound_ns = max(float(np.max(bounds)) for _, bounds in placed)
+    broken = np.cumsum(~np.concatenate([piece.whole for piece in pieces]))
+    number = np.repeat(broken, np.concatenate([piece.blocks.n for piece in pieces]))
+    counts = np.concatenate([piece.blocks.counts for piece in pieces])
     inside = (times >= heard.leg.start_host_ns) & (times <= heard.leg.end_host_ns)
     if not inside.any():
         return None
     # Two lives of the box have two clocks, whose times may overlap by their errors.
     order = np.flatnonzero(inside)[np.argsort(times[inside], kind="stable")]
-    last = pieces[-1]
-    channels = tuple(last.stream.channels[column] for column in last.columns)
-    period = last.block.data.period_ns or last.stream.period_ns
-    return Samples(times[order], counts[order], number[order], channels, period, bound_ns)
+    last = pieces[-1].blocks
+    period = int(last.period_ns[-1]) or last.stream.period_ns
+    return Samples(times[order], counts[order], number[order], last.channels, period, bound_ns)
 
 
 def readings_of(heard: LegSamples, joints: JointStream) -> Readings:
@@ -175,29 +175,8 @@ def readings_of(heard: LegSamples, joints: JointStream) -> Readings:
     return Readings(joints.clocks[heard.leg.segment].to_host_ns(t), q, piece)
 
 
-def _places(ident: Ident, names: tuple[str, ...]) -> tuple[Stream, tuple[int, ...]] | None:
-    """The stream that has these channels, and their columns; None where no single stream has them all."""
-    found = [find_channel(ident, name) for name in names]
-    known = [place for place in found if place is not None]
-    if len(known) < len(names) or len({stream.id for stream, _ in known}) != 1:
-        return None
-    return known[0][0], tuple(column for _, column in known)
-
-
-def _times(pieces: list[_Piece], clocks: Mapping[int, DeviceClock]) -> tuple[Ints, float]:
-    """Host times [ns] of what all samples show, and the largest bound of their error."""
-    host, bounds = np.empty(len(pieces), np.int64), np.empty(len(pieces))
-    segment = np.array([piece.block.segment for piece in pieces])
-    t0_us = np.array([piece.block.data.t0_us for piece in pieces], dtype=np.int64)
-    for index in np.unique(segment):
-        host[segment == index], bounds[segment == index] = clocks[int(index)].to_host_ns(t0_us[segment == index])
-    host -= [piece.stream.group_delay_ns for piece in pieces]
-    within = [_within(piece.block) for piece in pieces]
-    return np.repeat(host, [len(times) for times in within]) + np.concatenate(within), float(bounds.max())
-
-
-def _within(block: Block) -> Ints:
-    """Time [ns] of each sample since the block's first."""
-    if block.data.period_ns:
-        return np.arange(block.n) * np.int64(block.data.period_ns)
-    return 1000 * np.frombuffer(block.data.offsets_us, "<u2").astype(np.int64)
+def _ranks(keys: Ints) -> NDArray[np.intp]:
+    """Which place each of several keys (n,) has in order; equal ones keep theirs."""
+    ranks = np.empty(len(keys), np.intp)
+    ranks[np.argsort(keys, kind="stable")] = np.arange(len(keys))
+    return ranks

@@ -1,14 +1,14 @@
-"""A session's messages → observations (hops 4 and 5), in two passes whose memory does not grow with the samples.
+"""A session's messages → observations (hops 4 and 5).
 
-The first pass (``survey``) accounts for every frame, gathers the clock exchanges and what the robot said, and finds the dwells
-and the legs. The second (``observations``) takes the samples of one dwell and one leg after another. A dwell gives one
-observation, a leg along a line device many, or they say why not.
+``survey`` reads the session: it accounts for every frame, gathers the clock exchanges and what the robot said, keeps the samples of the ball-bar,
+and finds the dwells and the legs. ``observations`` takes the samples of one dwell and one leg after another. Where they are more
+than memory is meant for, the session is read once more. A dwell gives one observation, a leg along a line device many, or they say why not.
 """
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, islice
 
@@ -16,10 +16,11 @@ import numpy as np
 
 from truearm.errors import RigError
 from truearm.session.box_ident import Ident
+from truearm.session.box_reader import Blocks, BoxReader
 from truearm.session.device_clock import ClockReport, DeviceClock, fit_clock
 from truearm.session.dwell_measurement import LEARNT, Sensing, measured, usual_noise, without_noisy
 from truearm.session.dwell_pairing import Marks, Plan, match_plan, nearest_pose
-from truearm.session.dwell_samples import collect_samples
+from truearm.session.dwell_samples import ChannelSamples, collect_samples
 from truearm.session.dwells import Dwell, DwellRules, find_dwells
 from truearm.session.joint_readings import JointReader, JointStream
 from truearm.session.legs import Leg, find_legs
@@ -27,14 +28,14 @@ from truearm.session.line_pairing import passes_of
 from truearm.session.line_passes import WANTED, LineRules, Pass, measure
 from truearm.session.losses import Losses
 from truearm.session.manual_joints import has_manual_joints, manual_dwells
+from truearm.session.message_columns import Messages, Source, columns_of
 from truearm.session.motion_samples import LegSamples, Listener
 from truearm.session.observation_rows import table_of
-from truearm.session.sample_blocks import Block, BoxReader, blocks_of
 from truearm.session.sample_streams import StreamReport
 from truearm.session.trigger_edges import Output, with_edges
-from truearm.types import BAR_MOUNTED, Message, ObservationTable, Rig
+from truearm.types import BAR_MOUNTED, ObservationTable, Rig
 
-Messages = Callable[[Collection[str] | None], Iterator[Message]]
+MOST_KEPT_BYTES = 64 << 20  # of messages, where legs are to be looked at
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,8 @@ class Survey:
     dwells: tuple[Dwell, ...]
     legs: tuple[Leg, ...]  # () where no line was planned or mounted
     marks: Marks
-    box_topics: frozenset[str]
+    samples: ChannelSamples  # of the ball-bar
+    batches: Batches
 
 
 @dataclass(frozen=True)
@@ -86,29 +88,62 @@ class SyncResult:
         return dict(Counter(one.reason for one in self.passes if one.reason))
 
 
-def survey(messages: Messages, ident: Ident | None = None, rules: DwellRules | None = None) -> Survey:
-    """One pass over all messages. ``ident`` (of the session's metadata) serves until the box itself says its own."""
-    box, robot, marks, topics = BoxReader(ident), JointReader(), Marks(), set[str]()
-    for message in messages(None):
-        if message.topic == "/robot/joints":
-            robot.feed(message)
-        elif message.topic.startswith("/box/"):
-            topics.add(message.topic)
-            box.feed(message)
-        elif message.topic == "/sync":
-            box.feed(message)
-        else:
-            robot.feed(message)  # an event may say that its link was lost
+class Batches:
+    """The messages of a session, batch by batch, with the blocks of samples that come out with each: kept, or read again."""
+
+    def __init__(self, source: Source, ident: Ident | None) -> None:
+        self.ident = ident  # what is known of the box beforehand
+        self._source = source
+        self._kept: list[tuple[Messages, list[Blocks]]] | None = []
+        self._bytes = 0
+
+    def read(self, box: BoxReader) -> Iterator[tuple[Messages, list[Blocks]]]:
+        """Read the session with this reader."""
+        for messages in self._source():
+            yield messages, box.feed(messages)
+        yield columns_of([]), box.finish()
+
+    def keep(self, messages: Messages, blocks: list[Blocks]) -> None:
+        """Keep a batch for a second time."""
+        self._bytes += len(messages.data)
+        if self._bytes > MOST_KEPT_BYTES:
+            self.drop()
+        if self._kept is not None:
+            self._kept.append((messages, blocks))
+
+    def drop(self) -> None:
+        """Keep nothing."""
+        self._kept = None
+
+    def __iter__(self) -> Iterator[tuple[Messages, list[Blocks]]]:
+        if self._kept is not None:
+            return iter(self._kept)
+        return self.read(BoxReader(self.ident, keep_exchanges=False))
+
+
+def survey(
+    source: Source, ident: Ident | None = None, rules: DwellRules | None = None, channel: str = "lvdt"
+) -> Survey:
+    """Read all messages. ``ident`` (of the session's metadata) serves until the box itself says its own; ``channel`` is the ball-bar's."""
+    box, robot, marks = BoxReader(ident), JointReader(), Marks()
+    batches = Batches(source, ident)
+    samples = ChannelSamples(channel, lambda: (one for _, blocks in batches for one in blocks))
+    for messages, blocks in batches.read(box):
+        robot.take(messages)
+        for message in messages.of(messages.rows(lambda topic: topic in ("/plan", "/events"))):
             marks.feed(message.topic, message.t_host_ns, message.data)
-    box.finish()
+        samples.keep(blocks)
+        if marks.names_lines:
+            batches.keep(messages, blocks)
+        else:  # if any line is named later, the session is read again
+            batches.drop()
     fits = {s.index: fit for s in box.segments if (fit := fit_clock(s.index, s.exchanges)) is not None}
     clocks = {index: clock for index, (clock, _) in fits.items()}
     outputs = {s.index: Output.of(s.output) for s in box.segments if s.output}
     joints = with_edges(robot.finish(), outputs, clocks)
     rules = rules or DwellRules()
     if has_manual_joints(joints):
-        blocks = _blocks(messages, topics, ident, None, lambda _: None)
-        dwells = manual_dwells(joints, blocks, clocks, rules)
+        dwells = manual_dwells(joints, samples, clocks, rules)
     else:
         dwells = [_on_host(dwell, joints) for dwell in find_dwells(joints, rules)]
     return Survey(
@@ -122,80 +157,65 @@ def survey(messages: Messages, ident: Ident | None = None, rules: DwellRules | N
         dwells=tuple(dwells),
         legs=tuple(find_legs(joints)) if marks.names_lines else (),
         marks=marks,
-        box_topics=frozenset(topics),
+        samples=samples,
+        batches=batches,
     )
 
 
 def observations(
-    messages: Messages,
+    source: Source,
     rig: Rig,
     ident: Ident | None = None,
     rules: DwellRules | None = None,
     name: str = "session",
-    channel: str = "lvdt",
     found: Survey | None = None,
     line_rules: LineRules | None = None,
 ) -> SyncResult:
-    """Observations of the ball-bar on ``channel`` and of a line device; ``messages`` is called twice, once if ``found`` is its survey.
+    """Observations of the ball-bar and of a line device; ``found`` is the survey of the same messages, if it was made already.
 
     ``name`` stands for the session in the table's ``source``. Raises RigError where a dwell's bar, chuck or sphere, a line
-    or its target is not in the rig, SessionError where the box has no such channel or no calibration of it.
+    or its target is not in the rig, SessionError where the box has no channel of the ball-bar or no calibration of it.
     """
     rules, line_rules = rules or DwellRules(), line_rules or LineRules()
     if rig.line_travel is not None:
         line_rules = replace(line_rules, reach=0.5 * rig.line_travel)
-    found = found or survey(messages, ident, rules)
+    found = found or survey(source, ident, rules)
     dwells = _pair(found, rig, rules)
-    passes: list[Pass | None] = list(passes_of(found.legs, found.marks, rig, line_rules.pose_tolerance))
-    legs = [(i, one.leg) for i, one in enumerate(passes) if one and one.reason not in ("too long", "ambiguous")]
-
-    def over(legs_over: list[LegSamples]) -> None:
-        for heard in legs_over:
-            one = passes[heard.index]
-            passes[heard.index] = one and measure(one, heard, found.clocks, found.joints, line_rules)
-
-    listener = Listener(legs, WANTED, found.joints)
-    blocks = _blocks(messages, found.box_topics, ident, listener if legs else None, over)
+    passes = passes_of(found.legs, found.marks, rig, line_rules.pose_tolerance)
     good = sorted((d.start_host_ns, d.end_host_ns, i) for i, d in enumerate(dwells) if not d.reason)
     if good:
+        found.samples.check()
         intervals = disjoint([(i, start, end) for start, end, i in good])
-        several = collect_samples(blocks, found.clocks, intervals, channel)
+        several = collect_samples(found.samples, found.clocks, intervals)
         first = list(islice(several, LEARNT))
         sensing = Sensing(rules, found.joints, bool(found.clocks), usual_noise(first))
         for taken in chain(first, several):
             dwell = dwells[taken.dwell]
             dwells[taken.dwell] = measured(dwell, taken, rig.bars[dwell.mounted["bar"]], sensing)
-    elif legs:
-        deque(blocks, maxlen=0)
-    over(listener.rest())
     dwells = without_noisy(dwells)
-    driven = tuple(one for one in passes if one is not None)
+    driven = _driven(passes, found, line_rules)
     used = sum(dwell.n_samples for dwell in dwells if not dwell.reason) + sum(one.n_samples for one in driven)
     bins = None if has_manual_joints(found.joints) else found.joints.bins
     table = table_of(dwells, driven, len(found.joints.step), name, bins)
     return SyncResult(table, tuple(dwells), driven, found, found.losses.samples, used)
 
 
-def _blocks(
-    messages: Messages,
-    topics: Collection[str],
-    ident: Ident | None,
-    listener: Listener | None,
-    over: Callable[[list[LegSamples]], None],
-) -> Iterator[tuple[Block, Ident]]:
-    """All blocks in the order of sending; the ``listener`` hears them too, and the robot, and ``over`` takes the legs that are over."""
+def _driven(planned: Sequence[Pass | None], found: Survey, rules: LineRules) -> tuple[Pass, ...]:
+    """The passes, each measured from what was heard during its leg."""
+    passes = list(planned)
+    legs = [(i, one.leg) for i, one in enumerate(passes) if one and one.reason not in ("too long", "ambiguous")]
+    if legs:
+        listener = Listener(legs, WANTED, found.joints)
+        over = chain.from_iterable(listener.take(*batch) for batch in found.batches)
+        for heard in chain(over, _rest(listener)):
+            one = passes[heard.index]
+            passes[heard.index] = one and measure(one, heard, found.clocks, found.joints, rules)
+    return tuple(one for one in passes if one is not None)
 
-    def of_box() -> Iterator[Message]:
-        for message in messages(topics if listener is None else {*topics, "/robot/joints"}):
-            if listener is not None and message.topic == "/robot/joints":
-                over(listener.line(message))
-            else:
-                yield message
 
-    for block in blocks_of(of_box(), ident):
-        if listener is not None:
-            over(listener.block(block, block.ident))
-        yield block, block.ident
+def _rest(listener: Listener) -> Iterator[LegSamples]:
+    """The legs that are open in the end, to be asked for then."""
+    yield from listener.rest()
 
 
 def _on_host(dwell: Dwell, joints: JointStream) -> Dwell:

@@ -1,24 +1,22 @@
 """What a session says of the way a robot comes to its poses: from which side, how fast it settles, what noise it rests in.
 
-A third pass over the samples, for ``truearm characterize``. From the dwells that gave an observation (``SyncResult``).
+A second look at the samples, for ``truearm characterize``. From the dwells that gave an observation (``SyncResult``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from truearm.session.allan import Allan, allan
 from truearm.session.approach_sides import came_from
-from truearm.session.box_ident import Ident
 from truearm.session.dwell_samples import collect_samples
 from truearm.session.dwells import Dwell
 from truearm.session.joint_readings import Bins
 from truearm.session.lvdt import bar_length, extension
-from truearm.session.pipeline import Messages, SyncResult, disjoint
-from truearm.session.sample_blocks import Block, blocks_of
+from truearm.session.pipeline import SyncResult, disjoint
 from truearm.session.sample_statistics import mean_variance
 from truearm.types import Floats, Rig
 
@@ -70,14 +68,11 @@ def joined(parts: Sequence[Visits]) -> Visits:
 
 
 def visits(
-    messages: Messages,
     result: SyncResult,
     rig: Rig,
     bands: Sequence[float],
-    ident: Ident | None = None,
-    channel: str = "lvdt",
 ) -> Visits:
-    """What the dwells of ``result`` have in common with ``messages``, whose they are. ``bands`` [m] are those of the settling."""
+    """What the dwells of ``result`` have in common with the samples around them. ``bands`` [m] are those of the settling."""
     used = [dwell for dwell in result.dwells if not dwell.reason]
     bins = result.survey.joints.bins
     rests: list[Floats] = []
@@ -85,9 +80,7 @@ def visits(
     before = round(1e9 * BEFORE_S)
     stood = [d.start_host_ns - round(1e9 * (d.start_s - d.stood_s)) for d in used]
     wanted = disjoint([(i, stood[i] - before, d.end_host_ns) for i, d in enumerate(used)])
-    for taken in collect_samples(
-        _blocks(messages, result.survey.box_topics, ident), result.survey.clocks, wanted, channel
-    ):
+    for taken in collect_samples(result.survey.samples, result.survey.clocks, wanted):
         dwell = used[taken.dwell]
         if taken.channel is None:
             continue
@@ -104,10 +97,6 @@ def visits(
     direction = np.array([came_from(bins, d) for d in used]).reshape(-1, j) if bins is not None else np.zeros((0, j))
     mean_var = np.array([_mean_var(bins, d) for d in used]).reshape(-1, j) if bins is not None else np.zeros((0, j))
     return Visits(tuple(used), direction, np.array(bands), settling, mean_var, period_s, spacing, tuple(rests))
-
-
-def _blocks(messages: Messages, topics: Collection[str], ident: Ident | None) -> Iterator[tuple[Block, Ident]]:
-    return ((block, block.ident) for block in blocks_of(messages(topics), ident))
 
 
 def stabilisation_time(deviation: Floats, band: float, period_s: float) -> float:

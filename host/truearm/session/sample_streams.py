@@ -11,8 +11,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from truearm.session.box_ident import Stream
-from truearm.session.data_frames import Data
+from truearm.session.message_columns import Ints
 from truearm_wire import messages as wire
 
 COUNTED = ("blocks", "samples", "samples_lost", "samples_overrun", "converter_faults", "starts")  # see Losses
@@ -53,46 +56,55 @@ class StreamTrack:
     whole_us: int = 0  # device time between blocks without a gap, and the samples that fill it
     whole_samples: int = 0
 
-    def take(self, data: Data, n: int, frames_lost: int) -> bool:
-        """Account for a block of n samples; whether samples are missing before it."""
-        gap = not (data.n0 == self.next_n0 and frames_lost == self.frames_lost and not data.flags)
-        gap = gap and self._unusual(data, frames_lost)
-        if gap:
-            self.pieces += 1
-        else:
-            self.whole_us += data.t0_us - self.last_t0_us
-            self.whole_samples += self.last_n
-        self.blocks += 1
-        self.samples += n
-        self.next_n0, self.last_t0_us, self.last_n, self.period_ns = data.n0 + n, data.t0_us, n, data.period_ns
-        return gap
+    def take(self, n0: Ints, n: Ints, t0_us: Ints, flags: Ints, frames_lost: Ints) -> tuple[NDArray[np.bool_], Ints]:
+        """Account for blocks (b,); before which of them samples are missing, and the run of each."""
+        expected = np.concatenate([[-1 if self.next_n0 is None else self.next_n0], (n0 + n)[:-1]])
+        lost_before = np.concatenate([[self.frames_lost], frames_lost[:-1]])
+        unusual = np.flatnonzero((n0 != expected) | (frames_lost != lost_before) | (flags != 0))
+        gap, run = np.zeros(len(n0), bool), np.full(len(n0), self.run)
+        for k in unusual.tolist():
+            if k:
+                self.next_n0 = int(expected[k])
+            before = self.run
+            gap[k] = self._unusual(int(n0[k]), int(flags[k]), int(frames_lost[k]), seen=bool(self.blocks or k))
+            self.pieces += bool(gap[k])
+            if self.run != before:
+                run[k:] = self.run
+        last_t0 = np.concatenate([[self.last_t0_us], t0_us[:-1]])
+        last_n = np.concatenate([[self.last_n], n[:-1]])
+        self.whole_us += int(np.sum((t0_us - last_t0)[~gap]))
+        self.whole_samples += int(np.sum(last_n[~gap]))
+        self.blocks += len(n0)
+        self.samples += int(np.sum(n))
+        self.next_n0, self.last_t0_us, self.last_n = int(n0[-1] + n[-1]), int(t0_us[-1]), int(n[-1])
+        return gap, run
 
     def restart(self, frames_lost: int) -> None:
         """The box restarted; ``n0`` counts from 0 again."""
         self.next_n0, self.frames_lost = None, frames_lost
 
-    def _unusual(self, data: Data, frames_lost: int) -> bool:
-        """Account for what is missing before a block; whether anything is."""
+    def _unusual(self, n0: int, flags: int, frames_lost: int, seen: bool) -> bool:
+        """Account for what is missing before a block, of which ``seen`` says whether it is not the stream's first; whether anything is."""
         with_frames, self.frames_lost = frames_lost != self.frames_lost, frames_lost
-        self.converter_faults += bool(data.flags & wire.FLAG_CONVERTER)
+        self.converter_faults += bool(flags & wire.FLAG_CONVERTER)
         expected = self.next_n0
         if expected is None:
             # Joined, or restarted. Without a frame lost the box had been sampling before the session began.
-            missing = data.n0 if with_frames else 0
-            self.joined = not (self.blocks or with_frames) and data.n0 > 0
-        elif data.n0 < expected:
+            missing = n0 if with_frames else 0
+            self.joined = not (seen or with_frames) and n0 > 0
+        elif n0 < expected:
             self.starts += 1
             self.run += 1
             if self.joined:
                 self.joined, self.samples_overrun, self.pieces = False, 0, 0
-            missing = data.n0
+            missing = n0
         else:
-            missing = data.n0 - expected
+            missing = n0 - expected
         if with_frames:
             self.samples_lost += missing
         else:
             self.samples_overrun += missing
-        return data.n0 != expected or bool(data.flags & wire.FLAG_OVERRUN)
+        return n0 != expected or bool(flags & wire.FLAG_OVERRUN)
 
     def report(self, stream_id: int, described: Stream) -> StreamReport:
         """The account, under the name that an ident gives the stream."""

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import json
 import re
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -18,18 +20,18 @@ from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
 
 from truearm.errors import SessionError
-from truearm.session.box_ident import Channel, Ident, Stream
+from truearm.session.box_ident import Channel
 from truearm.session.box_messages import parse_exchange
+from truearm.session.box_reader import Blocks, BoxReader
 from truearm.session.data_frames import decode
-from truearm.session.dwell_samples import sample_times, within_ns
 from truearm.session.joint_batch import JointBatch, parse_lines
 from truearm.session.joint_line import ARRAYS, UNNUMBERED
 from truearm.session.joint_readings import CHUNK as LINES
 from truearm.session.joint_readings import restarts
 from truearm.session.lvdt import extension, volts
-from truearm.session.pipeline import Messages, Survey
+from truearm.session.message_columns import Messages
+from truearm.session.pipeline import Survey
 from truearm.session.robot_inputs import UNKNOWN as NO_INPUTS
-from truearm.session.sample_blocks import Block, BoxReader
 from truearm.types import Message
 from truearm_wire import messages as wire
 
@@ -40,6 +42,7 @@ UNKNOWN = -1  # a whole number that is not known
 
 Columns = dict[str, NDArray[Any]]
 Batch = tuple[str, Columns]
+Ready = tuple[int, str, Columns]  # a batch and the message with which it is complete
 
 # Optional keys of a reading and how their columns are titled (docs/session-format.md).
 _TITLES = {
@@ -49,26 +52,18 @@ _TITLES = {
 _TORQUE = {"rad": "Nm", "m": "N"}
 
 
-def tabulate(
-    messages: Messages, found: Survey, ident: Ident | None = None, joint_units: Sequence[str] = ()
-) -> Iterator[Batch]:
-    """(table, columns) of all messages in one pass; memory does not grow with it.
+def tabulate(found: Survey, joint_units: Sequence[str] = ()) -> Iterator[Batch]:
+    """(table, columns) of all messages of the session that ``found`` is of, in one pass; memory does not grow with it.
 
-    ``found`` is the survey of the same messages, ``joint_units`` "rad" or "m" for each joint ("rad" where none is given).
+    ``joint_units``: "rad" or "m" for each joint ("rad" where none is given).
     Raises SessionError where the box describes itself in ever new ways.
     """
     names = _Names()
-    box, robot, rest = _Box(found, ident), _Robot(found, joint_units), _Rest()
-    for message in messages(None):
-        if message.topic == "/robot/joints":
-            batches = robot.feed(message)
-        elif message.topic.startswith("/box/"):
-            batches = box.feed(message)
-        elif message.topic == "/sync":
-            batches = box.exchange(message)
-        else:
-            batches = rest.feed(message)
-        for name, columns in batches:
+    reader = BoxReader(found.batches.ident, keep_exchanges=False)
+    box, robot, rest = _Box(found, reader), _Robot(found, joint_units), _Rest()
+    for messages, blocks in found.batches.read(reader):
+        tables = [*box.take(messages, blocks), *robot.take(messages), *rest.take(messages)]
+        for _, name, columns in sorted(tables, key=itemgetter(0)):
             yield names.of(name, columns), columns
     for part in (box, robot, rest):
         for name, columns in part.flush():
@@ -111,11 +106,11 @@ class _Small:
     def __init__(self) -> None:
         self._tables: dict[str, _Rows] = {}
 
-    def add(self, name: str, row: dict[str, Any]) -> Iterator[Batch]:
+    def add(self, at: int, name: str, row: dict[str, Any]) -> Iterator[Ready]:
         table = self._tables.setdefault(name, _Rows())
         table.rows.append(row)
         if len(table.rows) >= ROWS:
-            yield name, table.columns()
+            yield at, name, table.columns()
 
     def flush(self) -> Iterator[Batch]:
         for name, table in self._tables.items():
@@ -126,48 +121,54 @@ class _Small:
 class _Box(_Small):
     """Streams of samples, heartbeats, edges and clock exchanges."""
 
-    def __init__(self, found: Survey, ident: Ident | None) -> None:
+    def __init__(self, found: Survey, reader: BoxReader) -> None:
         super().__init__()
         self._found = found
-        self._reader = BoxReader(ident, keep_exchanges=False)
-        self._blocks: dict[int, list[Block]] = {}  # by stream: of one segment, ident and timing
-        self._stream: dict[int, Stream] = {}
+        self._reader = reader
+        self._blocks: dict[int, list[Blocks]] = {}  # by stream: of one segment, ident and timing
 
-    def feed(self, message: Message) -> Iterator[Batch]:
-        for block in self._reader.feed(message):
-            yield from self._block(block)
-        if message.topic in ("/box/heartbeat", "/box/event"):
-            yield from self._frame(message)
+    def take(self, messages: Messages, blocks: Sequence[Blocks]) -> Iterator[Ready]:
+        for one in blocks:
+            yield from self._stream(one)
+        rows = messages.rows(lambda topic: topic in ("/box/heartbeat", "/box/event", "/sync"))
+        segments = self._reader.segment_at(rows).tolist()
+        for at, segment, message in zip(rows.tolist(), segments, messages.of(rows), strict=True):
+            said = {"arrival_ns": message.t_host_ns, "segment": segment}
+            if message.topic == "/sync":
+                times = parse_exchange(message.data)
+                t0, t1, t2, t3 = (UNKNOWN,) * 4 if times is None else times
+                yield from self.add(at, "sync", {**said, "t0_ns": t0, "t1_us": t1, "t2_us": t2, "t3_ns": t3})
+            else:
+                yield from self._frame(at, message, said)
 
     def flush(self) -> Iterator[Batch]:
-        for block in self._reader.finish():
-            yield from self._block(block)
         for stream_id in list(self._blocks):
-            yield from self._flush_stream(stream_id)
+            yield self._gathered(stream_id)
         yield from super().flush()
 
-    def exchange(self, message: Message) -> Iterator[Batch]:
-        times = parse_exchange(message.data)
-        t0, t1, t2, t3 = (UNKNOWN,) * 4 if times is None else times
-        row = {"arrival_ns": message.t_host_ns, "segment": self._reader.segment.index}
-        yield from self.add("sync", {**row, "t0_ns": t0, "t1_us": t1, "t2_us": t2, "t3_ns": t3})
+    def _stream(self, blocks: Blocks) -> Iterator[Ready]:
+        """Blocks of one stream: tables of BLOCKS of one segment, ident and timing."""
+        key, begin = blocks.stream.id, 0
+        changes = [*(np.flatnonzero(np.diff(blocks.period_ns)) + 1).tolist(), len(blocks)]
+        while begin < len(blocks):
+            waiting = self._blocks.setdefault(key, [])
+            n = sum(map(len, waiting))
+            last = waiting[-1] if waiting else blocks
+            alike = last.segment == blocks.segment and last.stream is blocks.stream
+            if waiting and not (alike and last.period_ns[-1] == blocks.period_ns[begin] and n < BLOCKS):
+                yield int(blocks.at[begin]), *self._gathered(key)
+                continue
+            end = min(changes[bisect_right(changes, begin)], begin + BLOCKS - n)
+            waiting.append(blocks.part(begin, end))
+            begin = end
 
-    def _block(self, block: Block) -> Iterator[Batch]:
-        key, stream = block.data.stream, block.ident.streams[block.data.stream]
-        waiting = self._blocks.get(key)
-        if waiting:
-            last = waiting[-1]
-            alike = last.segment == block.segment and last.data.period_ns == block.data.period_ns
-            if not alike or self._stream[key] is not stream or len(waiting) >= BLOCKS:
-                yield from self._flush_stream(key)
-        self._stream[key] = stream
-        self._blocks.setdefault(key, []).append(block)
+    def _gathered(self, key: int) -> Batch:
+        waiting = self._blocks.pop(key)
+        parts = [samples(blocks, self._found) for blocks in waiting]
+        columns = {title: np.concatenate([part[title] for part in parts]) for title in parts[0]}
+        return f"box_{waiting[0].stream.name}", columns
 
-    def _flush_stream(self, key: int) -> Iterator[Batch]:
-        blocks, stream = self._blocks.pop(key), self._stream[key]
-        yield f"box_{stream.name}", samples(blocks, stream, self._found)
-
-    def _frame(self, message: Message) -> Iterator[Batch]:
+    def _frame(self, at: int, message: Message, said: dict[str, Any]) -> Iterator[Ready]:
         frame = decode(message.data)
         kind = message.topic.rpartition("/")[2]
         names = wire.names(wire.HEARTBEAT if kind == "heartbeat" else wire.EVENT)
@@ -176,45 +177,40 @@ class _Box(_Small):
         row = dict(zip(names, frame[1:], strict=False))
         if "t_us" not in row:
             return
-        clock = self._found.clocks.get(self._reader.segment.index)
+        clock = self._found.clocks.get(said["segment"])
         host, bound = (UNKNOWN, np.nan) if clock is None else (x[0] for x in clock.to_host_ns(np.array([row["t_us"]])))
-        said = {"arrival_ns": message.t_host_ns, "segment": self._reader.segment.index}
         times = {"host_time_ns": int(host), "host_bound_ns": float(bound)}
-        yield from self.add(f"box_{kind}", {**said, **times, **{name: row.get(name, UNKNOWN) for name in names}})
+        yield from self.add(at, f"box_{kind}", {**said, **times, **{name: row.get(name, UNKNOWN) for name in names}})
 
 
-def samples(blocks: Sequence[Block], stream: Stream, found: Survey) -> Columns:
-    """The samples of blocks of one segment and timing: when they were taken, counts and what these mean.
+def samples(blocks: Blocks, found: Survey) -> Columns:
+    """The samples of blocks: when they were taken, counts and what these mean.
 
     ``device_time_ns`` is the box's stamp; ``host_time_ns`` that instant on the host's clock less the converter's group delay, which
     is when the signal had that value, with the bound of its error. ``gap`` 1: samples are missing before this one.
     """
-    blocks = list(blocks)
-    n = np.array([block.n for block in blocks])
-    first = np.cumsum(n) - n
-    total = int(n.sum())
-    within = np.arange(total) - np.repeat(first, n)
-    clock = found.clocks.get(blocks[0].segment)
+    stream, n, within_ns = blocks.stream, blocks.n, blocks.within_ns()
+    counts = blocks.counts()
+    total = len(counts)
+    clock = found.clocks.get(blocks.segment)
     if clock is None:
         host, bounds = np.full(total, UNKNOWN, np.int64), np.full(total, np.nan)
     else:
-        host, block_bounds = sample_times(blocks, clock, stream)
+        block_host, block_bounds = clock.to_host_ns(blocks.t0_us)
+        host = np.repeat(block_host, n) + within_ns - stream.group_delay_ns
         bounds = np.repeat(block_bounds, n)
     gap = np.zeros(total, np.int8)
-    gap[first[[block.gap for block in blocks]]] = 1
-    t0_ns = 1000 * np.array([block.data.t0_us for block in blocks], np.int64)
+    gap[blocks.first[blocks.gap]] = 1
     columns: Columns = {
-        "segment": np.full(total, blocks[0].segment),
-        "run": np.repeat(np.array([block.run for block in blocks]), n),
-        "index": np.repeat(np.array([block.data.n0 for block in blocks], np.int64), n) + within,
+        "segment": np.full(total, blocks.segment),
+        "run": np.repeat(blocks.run, n),
+        "index": np.arange(total) + np.repeat(blocks.n0 - blocks.first, n),
         "gap": gap,
-        "device_time_ns": np.repeat(t0_ns, n) + within_ns(blocks),
+        "device_time_ns": np.repeat(1000 * blocks.t0_us, n) + within_ns,
         "host_time_ns": host,
         "host_bound_ns": bounds,
-        "flags": np.repeat(np.array([block.data.flags for block in blocks], np.int64), n),
+        "flags": np.repeat(blocks.flags, n),
     }
-    joined = b"".join(block.data.samples for block in blocks)
-    counts = np.frombuffer(joined, "<i4").reshape(total, blocks[0].channels)
     for k, channel in enumerate(stream.channels):
         for title, values in _channel(counts[:, k], channel, f"channel{k + 1}"):
             columns[title if title not in columns else f"channel{k + 1}_{title}"] = values
@@ -247,20 +243,25 @@ class _Robot:
         self._units = tuple(units) or ("rad",) * n
         if n and len(self._units) != n:
             raise SessionError(f"the session has readings of {n} joints, the robot has {len(self._units)}")
-        self._lines: list[Message] = []
+        self._lines: list[bytes] = []
+        self._arrival_ns: list[int] = []
         self._segment = -1
         self._latest_s = -np.inf
         self._keys: set[str] = set()  # optional ones that came so far
 
-    def feed(self, message: Message) -> Iterator[Batch]:
-        self._lines.append(message)
-        if len(self._lines) >= LINES:
-            yield from self.flush()
+    def take(self, messages: Messages) -> Iterator[Ready]:
+        rows = messages.rows(lambda topic: topic == "/robot/joints")
+        while len(rows):
+            some, rows = np.split(rows, [LINES - len(self._lines)])
+            self._lines += messages.payloads(some)
+            self._arrival_ns += messages.t_host_ns[some].tolist()
+            if len(self._lines) >= LINES:
+                for name, columns in self.flush():
+                    yield int(some[-1]), name, columns
 
     def flush(self) -> Iterator[Batch]:
-        lines, arrival_ns = [message.data for message in self._lines], [message.t_host_ns for message in self._lines]
-        batch = parse_lines(lines, arrival_ns, len(self._units) or None)
-        self._lines = []
+        batch = parse_lines(self._lines, self._arrival_ns, len(self._units) or None)
+        self._lines, self._arrival_ns = [], []
         if not len(batch):
             return
         t, seq = batch.t, batch.seq
@@ -309,10 +310,11 @@ class _Robot:
 class _Rest(_Small):
     """Events."""
 
-    def feed(self, message: Message) -> Iterator[Batch]:
-        if message.topic == "/events":
+    def take(self, messages: Messages) -> Iterator[Ready]:
+        rows = messages.rows(lambda topic: topic == "/events")
+        for at, message in zip(rows.tolist(), messages.of(rows), strict=True):
             text = message.data.decode(errors="backslashreplace")
-            yield from self.add("events", {"arrival_ns": message.t_host_ns, "kind": _kind(text), "event": text})
+            yield from self.add(at, "events", {"arrival_ns": message.t_host_ns, "kind": _kind(text), "event": text})
 
 
 def _kind(text: str) -> str:

@@ -39,6 +39,7 @@ from truearm.session.mcap_records import (
     records,
     stored,
 )
+from truearm.session.message_columns import Messages, batches
 from truearm.session.salvage import MAX_ITEMS, Damage, salvage
 from truearm.types import Message
 
@@ -73,6 +74,13 @@ class Session:
         channels = dict(self.channels)
         for data in self._packed():
             yield from chunk_messages(self.path, data, channels, wanted)
+
+    def batches(self) -> Iterator[Messages]:
+        """All messages as columns, some megabytes at a time, in the order in which they were written.
+
+        Raises SessionError where the file is damaged.
+        """
+        return batches(self.path, self._packed(), dict(self.channels))
 
     def numbered(self) -> Iterator[tuple[int, Message]]:
         """All messages, each with the number that its writer gave it within its topic."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,7 +31,8 @@ from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.model.chain import Chain, along, trace_point
 from truearm.session.box_ident import Ident
 from truearm.session.dwells import Dwell
-from truearm.session.pipeline import Messages, SyncResult, observations
+from truearm.session.message_columns import Messages, Source, columns_of
+from truearm.session.pipeline import SyncResult, observations
 from truearm.session.repeated_visits import Visits, joined, visits
 from truearm.session.session_file import Session, open_session
 from truearm.text import one_line
@@ -58,7 +59,7 @@ class CharacterizeFiles:
 class Part(NamedTuple):
     """One of the files of a session: its messages, its name and what the box in it says of itself beforehand."""
 
-    messages: Messages
+    messages: Source
     name: str
     ident: Ident | None = None
 
@@ -104,18 +105,18 @@ def _rig(opened: Mapping[Path, Session], given: Path | None) -> Rig:
     return first
 
 
-def _with_plan(session: Session, path: Path | None) -> Callable[[Collection[str] | None], Iterator[Message]]:
+def _with_plan(session: Session, path: Path | None) -> Source:
     """What the session holds, a plan file's rows in place of its own plan."""
     from truearm.workflows.record import plan_rows  # brings the live view along
 
     if path is None:
-        return lambda topics: session.messages(topics)
+        return session.batches
     rows = [Message("/plan", 0, json.dumps(row).encode()) for row in plan_rows(read_plan(path))]
 
-    def messages(topics: Collection[str] | None) -> Iterator[Message]:
-        if topics is None:
-            yield from rows
-        yield from (message for message in session.messages(topics) if message.topic != "/plan")
+    def messages() -> Iterator[Messages]:
+        yield columns_of(rows)
+        for batch in session.batches():
+            yield batch.without(lambda topic: topic == "/plan")
 
     return messages
 
@@ -179,7 +180,7 @@ def _synced(part: Part, chain: Chain, rig: Rig, bands: Sequence[float]) -> tuple
     n_joints = result.table.q.shape[1]
     if len(result.table) and n_joints != len(chain.joints):
         raise InputError(f"{part.name}: its robot has {n_joints} joints, the robot given has {len(chain.joints)}")
-    found = visits(part.messages, result, rig, bands, part.ident)
+    found = visits(result, rig, bands)
     if not found.dwells:  # what has no robot has no number of joints
         none = np.zeros((0, len(chain.joints)))
         found = replace(found, direction=none, mean_var=none)

@@ -23,7 +23,7 @@ from truearm.session.session_file import Session, open_session
 from truearm.text import one_line
 from truearm.types import Rig
 from truearm.workflows.inspect import ident_of
-from truearm.workflows.session_observations import attached_rig, messages_of
+from truearm.workflows.session_observations import attached_rig
 
 SAID = "session.json"
 
@@ -75,10 +75,10 @@ def _check_folder(out: Path) -> None:
 
 def _export(session: Session, folder: Path, format: str, rig: Rig | None, units: Sequence[str]) -> dict[str, Any]:
     """Write all tables; returns what session.json says."""
-    ident, messages = ident_of(session), messages_of(session)
-    found = survey(messages, ident)
+    ident = ident_of(session)
+    found = survey(session.batches, ident)
     tables = _Tables(folder, format)
-    for name, batch in tabulate(messages, found, ident, units):
+    for name, batch in tabulate(found, units):
         tables.write(name, batch)
     plan = plan_columns(found, units)
     if plan is not None:
@@ -112,7 +112,7 @@ def _observations(
     if rig is None:
         yield "dwells", dwell_columns(found, found.dwells, units)
         raise InputError("was recorded without a rig; give a rig to have observations")
-    result = observations(messages_of(session), rig, ident_of(session), name=session.path.name, found=found)
+    result = observations(session.batches, rig, name=session.path.name, found=found)
     yield "dwells", dwell_columns(found, result.dwells, units)
     if result.passes:
         yield "passes", pass_columns(result.passes)

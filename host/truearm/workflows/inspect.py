@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -15,12 +15,15 @@ from truearm.types import Move
 from truearm.units import NS, PPM
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from truearm.session.box_ident import Ident
     from truearm.session.dwells import Dwell
     from truearm.session.line_passes import Pass
+    from truearm.session.message_columns import Messages
     from truearm.session.pipeline import Survey, SyncResult
     from truearm.session.session_file import Session
-    from truearm.types import Message
 
 MAX_TOPICS = 1000
 CONSOLE_RUNS = 10  # shown of what the box printed
@@ -48,28 +51,38 @@ class Contents:
         self.console: list[bytes] = []
         self.other_joints = 0  # readings that the recorder did not take for such: of another number of joints
         self.silences = Silences()
+        self._watched = False
 
-    def watched(self, messages: Iterator[Message]) -> Iterator[Message]:
-        """The same messages."""
-        for message in messages:
-            self._count(message)
-            yield message
+    def watched(self, batches: Iterator[Messages]) -> Iterator[Messages]:
+        """The same messages; they are counted when they are read for the first time."""
+        if self._watched:
+            yield from batches
+            return
+        self._watched = True
+        for messages in batches:
+            for topic in messages.topics:
+                self._count(topic, messages, messages.rows(topic.__eq__))
+            self.silences.take(messages)
+            yield messages
 
-    def _count(self, message: Message) -> None:
-        topic, t = self.topics.get(message.topic), message.t_host_ns
+    def _count(self, name: str, messages: Messages, rows: NDArray[np.intp]) -> None:
+        if not len(rows):
+            return
+        t_ns, topic = messages.t_host_ns[rows], self.topics.get(name)
         if topic is None:
             if len(self.topics) >= MAX_TOPICS:
                 raise SessionError(f"the session has more than {MAX_TOPICS} topics; truearm record writes a dozen")
-            topic = self.topics[message.topic] = Topic(0, 0, t, t)
-        topic.messages += 1
-        topic.bytes += len(message.data)
-        topic.longest_silence_ns = max(topic.longest_silence_ns, t - topic.last_ns)
-        topic.last_ns = t
-        self.silences.feed(message)
-        if message.topic == "/robot/console":
-            self.other_joints += parse_reading(message.data) is not None
-        if message.topic == "/box/console" and len(self.console) < CONSOLE_RUNS:
-            self.console.append(message.data[:CONSOLE_BYTES])
+            topic = self.topics[name] = Topic(0, 0, int(t_ns[0]), int(t_ns[0]))
+        topic.messages += len(rows)
+        topic.bytes += int((messages.end[rows] - messages.begin[rows]).sum())
+        silence_ns = max(int(t_ns[0]) - topic.last_ns, int((t_ns[1:] - t_ns[:-1]).max(initial=0)))
+        topic.longest_silence_ns = max(topic.longest_silence_ns, silence_ns)
+        topic.last_ns = int(t_ns[-1])
+        if name == "/robot/console":
+            self.other_joints += sum(parse_reading(line) is not None for line in messages.payloads(rows))
+        if name == "/box/console":
+            said = messages.payloads(rows[: CONSOLE_RUNS - len(self.console)])
+            self.console += [data[:CONSOLE_BYTES] for data in said]
 
 
 def describe(session: Session) -> dict[str, Any]:
@@ -80,7 +93,7 @@ def describe(session: Session) -> dict[str, Any]:
     from truearm.session.pipeline import survey
 
     contents, ident = Contents(), ident_of(session)
-    found = survey(lambda topics: contents.watched(session.messages(topics)), ident)
+    found = survey(lambda: contents.watched(session.batches()), ident)
     times = [t for topic in contents.topics.values() for t in (topic.first_ns, topic.last_ns)]
     document = {
         "file": str(session.path),
@@ -100,7 +113,7 @@ def describe(session: Session) -> dict[str, Any]:
         "robot": _robot(found, contents),
         "events": found.marks.kinds,
         "plan_poses": len(found.marks.dwells),
-        **_measured(session, found, ident),
+        **_measured(session, found),
     }
     return without_nan(document)  # type: ignore[no-any-return]
 
@@ -166,7 +179,7 @@ def _robot(found: Survey, contents: Contents) -> dict[str, Any]:
     }
 
 
-def _measured(session: Session, found: Survey, ident: Ident | None) -> dict[str, Any]:
+def _measured(session: Session, found: Survey) -> dict[str, Any]:
     """Dwells by the joint readings and passes along lines; with a rig also what became of them."""
     rejected = [dwell.reason for dwell in found.dwells if dwell.reason]
     dwells: dict[str, Any] = {
@@ -185,7 +198,7 @@ def _measured(session: Session, found: Survey, ident: Ident | None) -> dict[str,
         dwells["not_paired"] = "no rig is attached"
         return document
     try:
-        result = _observations(session.messages, attached, found, ident)
+        result = _observations(session, attached, found)
     except InputError as exc:  # says what is in the file, so it says this too; the file itself was read to its end
         dwells["not_paired"] = one_line(str(exc))
         return document
@@ -206,9 +219,7 @@ def _measured(session: Session, found: Survey, ident: Ident | None) -> dict[str,
     return document
 
 
-def _observations(
-    messages: Callable[[Collection[str] | None], Iterator[Message]], attached: bytes, found: Survey, ident: Ident | None
-) -> SyncResult:
+def _observations(session: Session, attached: bytes, found: Survey) -> SyncResult:
     from truearm.files.rig_file import parse_rig
     from truearm.session.pipeline import observations
 
@@ -216,7 +227,7 @@ def _observations(
         text = attached.decode()
     except UnicodeDecodeError as exc:
         raise InputError("the attached rig.toml is no UTF-8 text") from exc
-    return observations(messages, parse_rig(text, "rig.toml"), ident, found=found)
+    return observations(session.batches, parse_rig(text, "rig.toml"), found=found)
 
 
 def _pass_row(number: int, one: Pass) -> dict[str, Any]:

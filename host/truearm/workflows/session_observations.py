@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +13,7 @@ from truearm.text import one_line
 if TYPE_CHECKING:
     from truearm.session.pipeline import SyncResult
     from truearm.session.session_file import Session
-    from truearm.types import Message, Rig
+    from truearm.types import Rig
 
 SUFFIX = ".mcap"
 RIG = "rig.toml"
@@ -58,11 +58,6 @@ def attached_rig(session: Session, path: Path) -> Rig | None:
         raise RigError(f"{path}: {RIG} is not UTF-8") from exc
 
 
-def messages_of(session: Session) -> Callable[[Collection[str] | None], Iterator[Message]]:
-    """What sync reads: it may be called several times."""
-    return lambda topics: session.messages(topics)
-
-
 def observations_of_session(path: Path, rig: Rig | None = None, options: SessionOptions | None = None) -> SyncResult:
     """Hops 4 and 5 of a session file. ``rig`` stands in for the one that was recorded.
 
@@ -84,7 +79,7 @@ def observations_of_session(path: Path, rig: Rig | None = None, options: Session
     if rig is None:
         raise RigError(f"{path}: was recorded without a rig; give one as ", Argument("rig"))
     rules = LineRules(points=options.line_points)
-    result = observations(messages_of(session), rig, ident=ident_of(session), name=path.name, line_rules=rules)
+    result = observations(session.batches, rig, ident=ident_of(session), name=path.name, line_rules=rules)
     if not len(result.table) and not options.may_be_empty:
         what, rejected = ("line", result.pass_reasons) if result.passes else ("dwell", result.reasons)
         reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(rejected.items()))

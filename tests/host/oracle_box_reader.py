@@ -1,4 +1,6 @@
-"""Box messages in the order of their arrival → blocks of samples, clock exchanges and exact losses.
+"""The reader of single messages that the reader of columns is held against: the same rules, each written for one frame.
+
+Box messages in the order of their arrival → blocks of samples, clock exchanges and exact losses.
 
 ``frame_order`` puts the frames into the order of sending, says what is missing between them and where the box restarted. A new **segment** begins
 there.
@@ -17,16 +19,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from oracle_frame_order import Frame, FrameOrder, Placed
 
 from truearm.errors import ProtocolError
 from truearm.session.box_ident import Ident, Stream, decode_ident
 from truearm.session.box_messages import Exchange, boot_id, device_time, is_boot, is_echo, is_text, parse_exchange
 from truearm.session.data_frames import MAX_DEVICE_US, Data, data_of, decode, usual_data
-from truearm.session.frame_order import Frame, FrameOrder, Placed
 from truearm.session.heartbeats import Heartbeats
 from truearm.session.losses import Losses
 from truearm.session.pages import Pages
-from truearm.session.sample_streams import COUNTED, StreamReport, StreamTrack
+from truearm.session.sample_streams import COUNTED, StreamReport
 from truearm.types import Message
 from truearm_wire import messages as wire
 
@@ -62,6 +64,81 @@ class Segment:
     ident: Ident | None = None
     exchanges: list[Exchange] = field(default_factory=list)
     output: list[tuple[int, bool]] = field(default_factory=list)  # edges of the trigger output: device time [µs], level
+
+
+@dataclass
+class StreamTrack:
+    """Where a stream stands, and its account."""
+
+    next_n0: int | None = None
+    frames_lost: int = 0  # on the link, when the last block came
+    run: int = 0
+    pieces: int = 0
+    blocks: int = 0
+    samples: int = 0
+    samples_lost: int = 0
+    samples_overrun: int = 0
+    converter_faults: int = 0
+    starts: int = 0
+    joined: bool = False  # the box was sampling before the session began, and was not started by it yet
+    period_ns: int = 0
+    last_t0_us: int = 0
+    last_n: int = 0
+    whole_us: int = 0  # device time between blocks without a gap, and the samples that fill it
+    whole_samples: int = 0
+
+    def take(self, data: Data, n: int, frames_lost: int) -> bool:
+        """Account for a block of n samples; whether samples are missing before it."""
+        gap = not (data.n0 == self.next_n0 and frames_lost == self.frames_lost and not data.flags)
+        gap = gap and self._unusual(data, frames_lost)
+        if gap:
+            self.pieces += 1
+        else:
+            self.whole_us += data.t0_us - self.last_t0_us
+            self.whole_samples += self.last_n
+        self.blocks += 1
+        self.samples += n
+        self.next_n0, self.last_t0_us, self.last_n, self.period_ns = data.n0 + n, data.t0_us, n, data.period_ns
+        return gap
+
+    def restart(self, frames_lost: int) -> None:
+        """The box restarted; ``n0`` counts from 0 again."""
+        self.next_n0, self.frames_lost = None, frames_lost
+
+    def _unusual(self, data: Data, frames_lost: int) -> bool:
+        """Account for what is missing before a block; whether anything is."""
+        with_frames, self.frames_lost = frames_lost != self.frames_lost, frames_lost
+        self.converter_faults += bool(data.flags & wire.FLAG_CONVERTER)
+        expected = self.next_n0
+        if expected is None:
+            # Joined, or restarted. Without a frame lost the box had been sampling before the session began.
+            missing = data.n0 if with_frames else 0
+            self.joined = not (self.blocks or with_frames) and data.n0 > 0
+        elif data.n0 < expected:
+            self.starts += 1
+            self.run += 1
+            if self.joined:
+                self.joined, self.samples_overrun, self.pieces = False, 0, 0
+            missing = data.n0
+        else:
+            missing = data.n0 - expected
+        if with_frames:
+            self.samples_lost += missing
+        else:
+            self.samples_overrun += missing
+        return data.n0 != expected or bool(data.flags & wire.FLAG_OVERRUN)
+
+    def report(self, stream_id: int, described: Stream) -> StreamReport:
+        """The account, under the name that an ident gives the stream."""
+        return StreamReport(
+            id=stream_id,
+            name=described.name,
+            channels=tuple(channel.name for channel in described.channels),
+            samples=self.samples,
+            pieces=self.pieces,
+            period_ns=self.period_ns,
+            measured_ns=1000.0 * self.whole_us / self.whole_samples if self.whole_samples else float("nan"),
+        )
 
 
 class BoxReader:

@@ -1,0 +1,402 @@
+"""Box messages in the order of their arrival → blocks of samples, clock exchanges and exact losses (hop 4).
+
+``frame_order`` puts the frames into the order of sending, says what is missing between them and where the box restarted. A new **segment** begins
+there. What comes of a batch of messages are columns: one row a data frame, of one stream, one segment and one ident.
+
+``n0`` counts samples. A jump with frames lost since the stream's last block: the samples went with them; without: the box
+overran. ``n0`` that falls back without a restart is a new ``start``, a new **run**. Device time belongs to a segment;
+samples are whole within a run between blocks marked ``gap``.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.errors import ProtocolError
+from truearm.session.box_ident import Ident, Stream, decode_ident
+from truearm.session.box_messages import is_text, parse_exchanges
+from truearm.session.data_frames import MAX_DEVICE_US, data_of
+from truearm.session.frame_columns import Frames, Run, frames_of, heartbeat_values
+from truearm.session.frame_order import FrameOrder, Placed
+from truearm.session.heartbeats import Heartbeats
+from truearm.session.losses import Losses
+from truearm.session.message_columns import Ints, Messages
+from truearm.session.pages import Pages
+from truearm.session.sample_streams import COUNTED, StreamReport, StreamTrack
+from truearm_wire import messages as wire
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Data frames (b,) of one stream, segment and ident, in the order of sending: ``n`` samples of each channel, from number ``n0`` on.
+
+    ``gap``: samples before the block are missing; ``period_ns`` 0: ``offsets_us`` of the block says when its samples were taken.
+    ``at``: with which message of the batch the block came out.
+    """
+
+    segment: int
+    ident: Ident
+    stream: Stream
+    run: Ints
+    gap: NDArray[np.bool_]
+    n: Ints
+    n0: Ints
+    t0_us: Ints
+    period_ns: Ints
+    flags: Ints
+    t_host_ns: Ints
+    at: Ints
+    data: bytes
+    samples_at: Ints
+    offsets_us: dict[int, bytes]
+
+    def __len__(self) -> int:
+        return len(self.n)
+
+    @property
+    def first(self) -> Ints:
+        """Where in ``counts`` each block begins."""
+        return np.asarray(np.cumsum(self.n) - self.n)
+
+    def part(self, begin: int, end: int) -> Blocks:
+        """The blocks from one on, up to another."""
+        cut = slice(begin, end)
+        columns = ("run", "gap", "n", "n0", "t0_us", "period_ns", "flags", "t_host_ns", "at", "samples_at")
+        offsets = {k - begin: value for k, value in self.offsets_us.items() if begin <= k < end}
+        return replace(self, **{name: getattr(self, name)[cut] for name in columns}, offsets_us=offsets)
+
+    def counts(self) -> NDArray[np.int32]:
+        """All samples as (Σ n, channels)."""
+        channels = len(self.stream.channels)
+        sizes = np.unique(self.n)
+        if len(sizes) == 1:
+            return self._counts_at(self.samples_at, int(sizes[0])).reshape(-1, channels)
+        found = np.empty((int(self.n.sum()), channels), np.int32)
+        for size in sizes.tolist():
+            alike = np.flatnonzero(self.n == size)
+            rows = self.first[alike][:, None] + np.arange(size)
+            found[rows] = self._counts_at(self.samples_at[alike], size).reshape(len(alike), size, channels)
+        return found
+
+    def _counts_at(self, at: Ints, n: int) -> NDArray[np.int32]:
+        window = np.lib.stride_tricks.sliding_window_view(
+            np.frombuffer(self.data, np.uint8), 4 * n * len(self.stream.channels)
+        )
+        return np.asarray(window[at]).view("<i4")
+
+    def within_ns(self) -> Ints:
+        """How long after its block's first sample each sample was taken [ns].
+
+        Samples are placed by the period as it stands: 13 ms at 1000 ppm are 13 ns.
+        """
+        place = np.arange(int(self.n.sum())) - np.repeat(self.first, self.n)
+        within = place * np.repeat(self.period_ns, self.n)
+        for block, offsets in self.offsets_us.items():
+            begin = int(self.first[block])
+            within[begin : begin + int(self.n[block])] = 1000 * np.frombuffer(offsets, "<u2").astype(np.int64)
+        return within
+
+
+@dataclass
+class Segment:
+    """One life of the box, from boot to reboot."""
+
+    index: int
+    booted: bool = False  # within the session
+    boot_id: int | None = None
+    ident: Ident | None = None
+    heard: list[Ints] = field(
+        default_factory=list
+    )  # (k, 4) each: host before write, device received, sent, host arrival
+    output: list[tuple[int, bool]] = field(default_factory=list)  # edges of the trigger output: device time [µs], level
+
+    @property
+    def exchanges(self) -> Ints:
+        """The clock exchanges (k, 4): host before write, device received, device sent, host arrival."""
+        return np.concatenate([np.empty((0, 4), np.int64), *self.heard])
+
+
+class BoxReader:
+    """Takes the box's and the clock's messages batch by batch; see the module's text for the rules.
+
+    ``ident`` describes the streams where the session itself holds no ident frames before the data. ``keep_exchanges``
+    False leaves the exchanges out (a second pass needs them no more).
+    """
+
+    def __init__(self, ident: Ident | None = None, keep_exchanges: bool = True) -> None:
+        self._segment = Segment(0, ident=ident)
+        self.segments = [self._segment]
+        self._keep_exchanges = keep_exchanges
+        self._count: Counter[str] = Counter()
+        self._order = FrameOrder()
+        self._exchanges = _Exchanges()
+        self._aside: list[Ints] = []  # exchanges that came while it was undecided whether the box had restarted
+        self._restarted_at: list[int] = []  # messages of the newest batch with which segments begin
+        self._streams: dict[int, StreamTrack] = {}
+        self._pages = Pages()
+        self._heartbeats = Heartbeats()
+        self._placed: list[
+            tuple[Placed, int]
+        ] = []  # usual frames that are to be accounted for, and frames lost by then
+        self._blocks: list[Blocks] = []
+        self._batch: Messages | None = None
+
+    @property
+    def segment(self) -> Segment:
+        """The segment that the last message belongs to."""
+        return self._segment
+
+    def feed(self, messages: Messages) -> list[Blocks]:
+        """Account for a batch; the blocks of samples that are due by then. Messages of other topics are ignored."""
+        self._batch = messages
+        frames = frames_of(messages)
+        self._count["frames_malformed"] += frames.malformed
+        self._console(messages)
+        self._restarted_at = []
+        if self._keep_exchanges:
+            requests, unanswered = self._exchanges.take(messages)
+            self._count.update(sync_requests=requests, sync_unanswered=unanswered)
+        for run in frames.runs():
+            for part in self._order.parts(run):
+                self._hear_until(part.row)
+                for placed in self._order.take(part):
+                    self._place(placed, part)
+                if self._aside and not self._order.undecided:
+                    self._hear_aside()
+        self._hear_until(len(messages))
+        return self._accounted()
+
+    def finish(self) -> list[Blocks]:
+        """The blocks that were held back for late frames, at the end of the session."""
+        end = 0 if self._batch is None else len(self._batch)
+        for placed in self._order.finish(end):
+            self._place(placed, None)
+        self._hear_aside()
+        return self._accounted()
+
+    def segment_at(self, rows: NDArray[np.intp]) -> Ints:
+        """The segment under way at messages (k,) of the newest batch."""
+        begun = len(self._restarted_at)
+        return self._segment.index - begun + np.searchsorted(self._restarted_at, rows, side="right")
+
+    def losses(self) -> Losses:
+        """The account so far."""
+        box = self._heartbeats.summary({s.index for s in self.segments if s.booted})
+        order = self._order
+        count = self._count + Counter(
+            frames_duplicated=order.doubled, frames_late=order.late, frames_malformed=order.malformed
+        )
+        known = {name: count[name] for name in Losses.__dataclass_fields__ if name != "box"}
+        for name in COUNTED:
+            known[name] = sum(getattr(stream, name) for stream in self._streams.values())
+        return Losses(**known, box=box)
+
+    def streams(self) -> tuple[StreamReport, ...]:
+        """The streams so far."""
+        return tuple(stream.report(k, self._described(k)) for k, stream in sorted(self._streams.items()))
+
+    def _described(self, stream_id: int) -> Stream:
+        """A stream is only counted while an ident describes it, but the last boot may have said none."""
+        idents = [s.ident for s in self.segments if s.ident is not None and stream_id in s.ident.streams]
+        return idents[-1].streams[stream_id]
+
+    # ------------------------------------------------------------------------------------------------ frames
+
+    def _place(self, placed: Placed, arriving: Run | None) -> None:
+        """Account for frames in their place: usual ones together later, others now."""
+        if placed.restarts:
+            self._account()
+            self._restart(placed.at, arriving)
+        self._count["frames"] += len(placed.run)
+        self._count["frames_lost"] += placed.lost
+        self._count["loss_events"] += placed.lost > 0
+        run = placed.run
+        elements = run.frames.single.get(run.begin)
+        if elements is not None:
+            self._account()
+            self._segment.booted |= run.is_boot
+            self._content(elements, placed.at, arriving)
+            return
+        beat, boot_id = run.first_heartbeat()
+        if boot_id is not None:
+            if self.segment.boot_id not in (None, boot_id) and beat > run.begin:
+                self._placed.append((placed._replace(run=Run(run.frames, run.begin, beat)), self._count["frames_lost"]))
+                placed = placed._replace(run=Run(run.frames, beat, run.end))
+            at = max(placed.at, int(run.frames.row[beat])) if run.frames.messages is self._batch else placed.at
+            self._boot_id(boot_id, at, arriving)
+        self._placed.append((placed, self._count["frames_lost"]))
+
+    def _content(self, elements: list[Any], at: int, arriving: Run | None) -> None:
+        kind = elements[0]
+        if kind == wire.DATA:
+            self._count["frames_malformed" if data_of(elements) is None else "blocks_without_ident"] += 1
+        elif kind == wire.HEARTBEAT:
+            values = heartbeat_values(elements)
+            if values is None:
+                self._count["frames_malformed"] += 1
+            else:
+                self._boot_id(values[0], at, arriving)
+                self._heartbeats.take(self.segment.index, values)
+        elif kind == wire.EVENT:
+            self._event(elements)
+        elif kind == wire.IDENT:
+            self._ident_page(elements, at, arriving)
+        elif kind not in wire.LAYOUT:
+            self._count["frames_unknown"] += 1
+
+    def _restart(self, at: int, arriving: Run | None) -> None:
+        if arriving is not None:
+            if at > arriving.row and not self._order.undecided:
+                self._hear_aside()
+            self._hear_until(at)
+        self._restarted_at.append(at)
+        self._count["restarts"] += 1
+        self._segment = Segment(len(self.segments), booted=True, ident=self.segment.ident)
+        self.segments.append(self._segment)
+        self._pages = Pages()
+        for stream in self._streams.values():
+            stream.restart(self._count["frames_lost"])
+
+    def _boot_id(self, boot_id: int, at: int, arriving: Run | None) -> None:
+        if self.segment.boot_id not in (None, boot_id):
+            self._account()
+            self._restart(at, arriving)
+        self.segment.boot_id = boot_id
+        self._order.new_boot(boot_id)
+
+    # ------------------------------------------------------------------------------------------------ contents
+
+    def _accounted(self) -> list[Blocks]:
+        self._account()
+        blocks, self._blocks = self._blocks, []
+        return blocks
+
+    def _account(self) -> None:
+        """Account for the usual frames that are in their place."""
+        waiting, self._placed = self._placed, []
+        for _, parts in groupby(waiting, key=lambda part: id(part[0].run.frames)):
+            self._account_for(list(parts))
+
+    def _account_for(self, parts: list[tuple[Placed, int]]) -> None:
+        """Runs of one batch."""
+        frames = parts[0][0].run.frames
+        index = np.concatenate([np.arange(placed.run.begin, placed.run.end) for placed, _ in parts])
+        n = [len(placed.run) for placed, _ in parts]
+        lost = np.repeat([lost for _, lost in parts], n)
+        at = np.repeat([placed.at for placed, _ in parts], n)
+        if frames.messages is self._batch:
+            at = np.maximum(at, frames.row[index])
+        for beat in index[frames.boot_id[index] >= 0].tolist() if frames.beats else ():
+            self._heartbeats.take(self.segment.index, frames.heartbeats[beat])
+        kind = np.where(frames.is_data[index], frames.kind[index], -1)
+        ident = self._segment.ident
+        for stream_id in np.unique(kind[kind >= 0]).tolist():
+            mine = np.flatnonzero(kind == stream_id)
+            if ident is None or stream_id not in ident.streams:
+                self._count["blocks_without_ident"] += len(mine)
+            else:
+                self._stream(frames, index[mine], lost[mine], at[mine], ident, ident.streams[stream_id])
+
+    def _stream(self, frames: Frames, index: Ints, lost: Ints, at: Ints, ident: Ident, stream: Stream) -> None:
+        """The data frames of one stream."""
+        n, rest = np.divmod(frames.samples_bytes[index], 4 * len(stream.channels))
+        period_ns = frames.period_ns[index]
+        whole = (rest == 0) & (n > 0)
+        for k in np.flatnonzero(period_ns == 0).tolist():
+            whole[k] &= len(frames.offsets_us[int(index[k])]) == 2 * n[k]
+        if not whole.all():
+            self._count["frames_malformed"] += int(np.count_nonzero(~whole))
+            index, lost, at, n, period_ns = index[whole], lost[whole], at[whole], n[whole], period_ns[whole]
+        track = self._streams.setdefault(stream.id, StreamTrack())
+        if not len(index):
+            return
+        n0, t0_us, flags = frames.n0[index], frames.t_us[index], frames.flags[index]
+        gap, run = track.take(n0, n, t0_us, flags, lost)
+        track.period_ns = int(period_ns[-1])
+        offsets = {k: frames.offsets_us[int(index[k])] for k in np.flatnonzero(period_ns == 0).tolist()}
+        self._blocks.append(
+            Blocks(
+                segment=self._segment.index,
+                ident=ident,
+                stream=stream,
+                run=run,
+                gap=gap,
+                n=n,
+                n0=n0,
+                t0_us=t0_us,
+                period_ns=period_ns,
+                flags=flags,
+                t_host_ns=frames.t_host_ns[index],
+                at=at,
+                data=frames.messages.data,
+                samples_at=frames.samples_at[index],
+                offsets_us=offsets,
+            )
+        )
+
+    def _event(self, frame: list[Any]) -> None:
+        if len(frame) < 5 or any(type(v) is not int for v in frame[2:5]) or not 0 <= frame[3] < MAX_DEVICE_US:
+            self._count["frames_malformed"] += 1
+        elif frame[2] == wire.OUTPUT_LINE and self._keep_exchanges:
+            self.segment.output.append((frame[3], bool(frame[4])))
+
+    def _ident_page(self, frame: list[Any], at: int, arriving: Run | None) -> None:
+        if len(frame) < 6 or any(type(v) is not int for v in frame[2:5]) or type(frame[5]) is not bytes:
+            self._count["frames_malformed"] += 1
+            return
+        document = self._pages.push(*frame[2:6])
+        if document is None:
+            return
+        try:
+            ident = decode_ident(document)
+        except ProtocolError:
+            self._count["frames_malformed"] += 1
+            return
+        self._boot_id(ident.boot_id, at, arriving)
+        self.segment.ident = ident
+
+    # ------------------------------------------------------------------------------------------------ not frames
+
+    def _console(self, messages: Messages) -> None:
+        for data in messages.payloads(messages.rows(lambda topic: topic == "/box/console")):
+            self._count.update(console_runs=1, console_bytes=len(data), console_text_runs=int(is_text(data)))
+
+    def _hear_until(self, row: int) -> None:
+        """The clock exchanges before a message of the batch belong to the segment under way, if it is known which that is."""
+        exchanges = self._exchanges.before(row)
+        if self._order.undecided:
+            self._aside.append(exchanges)
+        elif len(exchanges):
+            self.segment.heard.append(exchanges)
+
+    def _hear_aside(self) -> None:
+        """The exchanges that came while it was undecided whether the box had restarted."""
+        self.segment.heard += [exchanges for exchanges in self._aside if len(exchanges)]
+        self._aside = []
+
+
+class _Exchanges:
+    """The clock exchanges of a batch."""
+
+    def __init__(self) -> None:
+        self._rows: Ints = np.empty(0, np.int64)
+        self._times: Ints = np.empty((0, 4), np.int64)
+        self._next = 0
+
+    def take(self, messages: Messages) -> tuple[int, int]:
+        """How many there are, and how many of them were not answered."""
+        rows = messages.rows(lambda topic: topic == "/sync")
+        answered, self._times = parse_exchanges(messages.payloads(rows))
+        self._rows, self._next = rows[answered], 0
+        return len(rows), len(rows) - len(answered)
+
+    def before(self, row: int) -> Ints:
+        """The times (k, 4) of those before a message that were not asked for yet."""
+        first, self._next = self._next, max(self._next, int(np.searchsorted(self._rows, row)))
+        return self._times[first : self._next]

@@ -1,0 +1,194 @@
+"""Messages of a session as columns (hop 4): some megabytes of records at a time, each message a row.
+
+Python looks at a record once, to learn how long it is. All that stands in the heads of the records numpy reads in one go.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.opcode import Opcode
+from numpy.typing import NDArray
+
+from truearm.errors import SessionError
+from truearm.session.mcap_records import LATEST_NS, MAX_CHANNELS, channel_of, damaged
+from truearm.types import Message
+
+BATCH_BYTES = 2 << 20  # of records, read together: what numpy needs to be quick, and little memory
+MARGIN = 64  # zero bytes behind the last record: a head may be read beyond the end of a short one
+
+Ints = NDArray[np.int64]
+
+# A message's record: opcode, length, channel, number within the topic, UTC (not read), host time.
+_HEAD = np.dtype(
+    {
+        "names": ["opcode", "length", "channel", "sequence", "t_host_ns"],
+        "formats": ["u1", "<u8", "<u2", "<u4", "<u8"],
+        "offsets": [0, 1, 9, 11, 23],
+        "itemsize": 31,
+    }
+)
+_RECORD_BYTES = 9
+_LENGTH = struct.Struct("<Q").unpack_from
+
+
+@dataclass(frozen=True, eq=False)
+class Messages:
+    """Messages (m,) in the order in which they were written; bytes ``begin`` to ``end`` of ``data`` are what each holds.
+
+    ``topic`` is an index of ``topics``; ``sequence`` the number within the topic.
+    """
+
+    data: bytes
+    topics: tuple[str, ...]
+    topic: NDArray[np.int64]
+    t_host_ns: Ints
+    begin: Ints
+    end: Ints
+    sequence: Ints
+
+    def __len__(self) -> int:
+        return len(self.topic)
+
+    @property
+    def bytes_u1(self) -> NDArray[np.uint8]:
+        """``data`` as numbers."""
+        return np.frombuffer(self.data, np.uint8)
+
+    def rows(self, wanted: Callable[[str], bool]) -> NDArray[np.intp]:
+        """The rows of the topics that are wanted, in order."""
+        of_topic = np.array([wanted(topic) for topic in self.topics], dtype=bool)
+        return np.flatnonzero(of_topic[self.topic]) if of_topic.any() else np.empty(0, np.intp)
+
+    def payload(self, row: int) -> bytes:
+        """The bytes of one message."""
+        return self.data[self.begin[row] : self.end[row]]
+
+    def payloads(self, rows: NDArray[np.intp]) -> list[bytes]:
+        """The bytes of several messages."""
+        data = self.data
+        return [data[a:b] for a, b in zip(self.begin[rows].tolist(), self.end[rows].tolist(), strict=True)]
+
+    def without(self, wanted: Callable[[str], bool]) -> Messages:
+        """The same but for the messages of some topics."""
+        rows = self.rows(lambda topic: not wanted(topic))
+        return Messages(
+            self.data,
+            self.topics,
+            self.topic[rows],
+            self.t_host_ns[rows],
+            self.begin[rows],
+            self.end[rows],
+            self.sequence[rows],
+        )
+
+    def of(self, rows: NDArray[np.intp]) -> Iterator[Message]:
+        """Some of the messages one by one."""
+        columns = (column[rows].tolist() for column in (self.topic, self.t_host_ns, self.begin, self.end))
+        for topic, t_host_ns, begin, end in zip(*columns, strict=True):
+            yield Message(self.topics[topic], t_host_ns, self.data[begin:end])
+
+
+def columns_of(messages: Iterable[Message]) -> Messages:
+    """Single messages as columns; ``sequence`` counts them."""
+    messages = list(messages)
+    numbers: dict[str, int] = {}
+    topic = np.array([numbers.setdefault(m.topic, len(numbers)) for m in messages], dtype=np.int64)
+    size = np.array([len(m.data) for m in messages], dtype=np.int64)
+    end = np.cumsum(size)
+    return Messages(
+        data=b"".join([*(m.data for m in messages), bytes(MARGIN)]),
+        topics=tuple(numbers),
+        topic=topic,
+        t_host_ns=np.array([m.t_host_ns for m in messages], dtype=np.int64),
+        begin=end - size,
+        end=end,
+        sequence=np.arange(len(messages), dtype=np.int64),
+    )
+
+
+def batches(path: Path, packed: Iterable[bytes], channels: dict[int, str]) -> Iterator[Messages]:
+    """The messages among the records of chunks; ``channels`` gains those that they declare.
+
+    Raises SessionError where records are not whole, or a message is of a channel that nothing declares.
+    """
+    gathered: list[bytes] = []
+    size = 0
+    for data in packed:
+        gathered.append(data)
+        size += len(data)
+        if size >= BATCH_BYTES:
+            yield _batch(path, gathered, channels)
+            gathered, size = [], 0
+    if gathered:
+        yield _batch(path, gathered, channels)
+
+
+def _batch(path: Path, chunks: Sequence[bytes], channels: dict[int, str]) -> Messages:
+    data = b"".join([*chunks, bytes(MARGIN)])
+    begin = np.array(_starts(path, data, [len(chunk) for chunk in chunks]), dtype=np.int64)
+    end = np.append(begin[1:], len(data) - MARGIN)[: len(begin)]
+    head = heads(data, begin, _HEAD)
+    opcode = head["opcode"]
+    topics: dict[str, int] = {}
+    of_channel = np.full(1 << 16, -1)
+
+    def known(channel: int, topic: str) -> None:
+        of_channel[channel] = topics.setdefault(topic, len(topics))
+
+    for channel, topic in channels.items():
+        known(channel, topic)
+    is_message = opcode == Opcode.MESSAGE
+    number = np.full(len(begin), -1)
+    before = 0
+    for at in np.flatnonzero(opcode == Opcode.CHANNEL).tolist():
+        number[before:at] = of_channel[head["channel"][before:at]]
+        before = at
+        channel, topic = channel_of(path, data[begin[at] + _RECORD_BYTES : end[at]], int(begin[at]))
+        channels[channel] = topic
+        known(channel, topic)
+        if len(channels) > MAX_CHANNELS:
+            raise SessionError(f"{path}: has more than {MAX_CHANNELS} channels")
+    number[before:] = of_channel[head["channel"][before:]]
+    t_host_ns = head["t_host_ns"]
+    bad = is_message & ((end - begin < _HEAD.itemsize) | (number < 0) | (t_host_ns >= LATEST_NS))
+    if bad.any():
+        damaged(path, int(begin[np.argmax(bad)]))
+    rows = np.flatnonzero(is_message)
+    return Messages(
+        data=data,
+        topics=tuple(topics),
+        topic=number[rows],
+        t_host_ns=t_host_ns[rows].astype(np.int64),
+        begin=begin[rows] + _HEAD.itemsize,
+        end=end[rows],
+        sequence=head["sequence"][rows].astype(np.int64),
+    )
+
+
+def _starts(path: Path, data: bytes, sizes: Sequence[int]) -> list[int]:
+    """Where each record begins; the records of a chunk fill it."""
+    starts: list[int] = []
+    add, length_at, at, end = starts.append, _LENGTH, 0, 0
+    for size in sizes:
+        end += size
+        while at < end:
+            add(at)
+            at += _RECORD_BYTES + length_at(data, at + 1)[0]
+        if at != end:
+            damaged(path, starts[-1])
+    return starts
+
+
+def heads(data: bytes, begin: NDArray[np.integer[Any]], kind: np.dtype[Any]) -> NDArray[Any]:
+    """What stands from ``begin`` (n,) on, read as a record of this kind; it ends within MARGIN of the last message."""
+    window = np.lib.stride_tricks.sliding_window_view(np.frombuffer(data, np.uint8), kind.itemsize)
+    return np.asarray(window[begin]).view(kind)[:, 0]
+
+
+Source = Callable[[], Iterator[Messages]]  # all messages of a session; may be called several times

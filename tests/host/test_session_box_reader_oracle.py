@@ -1,0 +1,215 @@
+"""The reader of columns against the reader of single messages, whatever became of the frames and wherever a batch ends."""
+
+import json
+from dataclasses import asdict
+
+import cbor2
+import numpy as np
+import oracle_box_reader as oracle
+import pytest
+from blocks_bench import BLOCK_NS, COUNTS
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from session_stream import CHANNELS, PERIOD_NS, Box, ident_document
+
+from truearm.session.box_ident import parse_ident
+from truearm.session.box_reader import BoxReader
+from truearm.session.message_columns import columns_of
+from truearm.types import Message
+from truearm_wire import messages as wire
+from truearm_wire.cbor import Tag
+
+FATES = st.sampled_from(["lost", "doubled", "doubled later", "flipped", "swapped", "late", "console"])
+
+
+class TwoStreams(Box):
+    """A box with a second stream, whose frames say when each sample was taken."""
+
+    n0_mag = 0
+
+    def offsets(self, t_host_ns, n=5):
+        times = Tag(69, (np.arange(n) * 900).astype("<u2").tobytes())
+        samples = Tag(78, np.arange(n, dtype="<i4").tobytes())
+        self.frame("mag", t_host_ns, wire.DATA, 1, self.n0_mag, self.device_us(t_host_ns), times, samples, 0)
+        self.n0_mag += n
+
+
+def described():
+    document = ident_document(7)
+    channel = {"name": "magnetostrictive", "unit": "s", "scale": [8, -9]}
+    mag = {"id": 1, "name": "mag", "period_ns": PERIOD_NS, "osr": 0, "group_delay_ns": 0, "channels": [channel]}
+    document["streams"].append(mag)
+    return parse_ident(document)
+
+
+def recording(rng, frames, seq=0, reboots=()):
+    """A box that streams, with everything that it sends now and then."""
+    box = TwoStreams(seq=seq)
+    box.ident(0)
+    t = 0
+    for k in range(frames):
+        t += BLOCK_NS
+        if k in reboots:
+            t += 10**8
+            box.reboot(t)
+            box.n0_mag = 0
+            box.ident(t)
+        box.data(t, COUNTS[: int(rng.integers(1, 14))], int(rng.random() < 0.02), int(rng.random() < 0.02) * 5)
+        if rng.random() < 0.1:
+            box.offsets(t)
+        if rng.random() < 0.05:
+            box.heartbeat(t)
+        if rng.random() < 0.1:
+            box.sync(t, 1e5, 1e5)
+        if rng.random() < 0.03:
+            box.frame("event", t, wire.EVENT, int(rng.integers(0, 3)), box.device_us(t), 1)
+        if rng.random() < 0.02:
+            box.n0 = 0  # started anew
+    return box.messages
+
+
+def suffered(rng, messages, share, fates):
+    """The messages as they arrive: of some, something became."""
+    received = []
+    later = []
+    for k, message in enumerate(messages):
+        received += [m for at, m in later if at == k]
+        fate = fates[int(rng.integers(len(fates)))] if rng.random() < share and message.topic != "/sync" else "kept"
+        if fate == "flipped":
+            data = bytearray(message.data)
+            data[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
+            received.append(message._replace(data=bytes(data)))
+        elif fate == "console":
+            received.append(message._replace(topic="/box/console"))
+        elif fate == "swapped" and received:
+            received.insert(len(received) - int(rng.integers(1, min(4, len(received)) + 1)), message)
+        elif fate == "late":
+            later.append((k + int(rng.integers(1, 700)), message))
+        elif fate != "lost":
+            received.append(message)
+            if fate == "doubled":
+                received.append(message)
+            elif fate == "doubled later":
+                later.append((k + int(rng.integers(1, 700)), message))
+    return received
+
+
+def one_by_one(messages, ident):
+    """What the oracle makes of messages: blocks with the message with which each came out, and the rest."""
+    reader, blocks = oracle.BoxReader(ident), []
+    for at, message in enumerate(messages):
+        blocks += [(at, block) for block in reader.feed(message)]
+    blocks += [(len(messages), block) for block in reader.finish()]
+    streams = {}
+    for at, b in blocks:
+        stream = streams.setdefault(b.data.stream, [])
+        values = b.segment, b.run, b.gap, b.n, b.data.n0, b.data.t0_us, b.data.period_ns, b.data.flags, b.t_host_ns, at
+        stream.append((*values, b.data.offsets_us, b.counts.tobytes(), b.ident))
+    return streams, summary(reader)
+
+
+def in_batches(messages, ident, cuts):
+    """The same by the reader of columns, fed with batches that end at these messages."""
+    reader, streams, begin = BoxReader(ident), {}, 0
+
+    def keep(blocks, begin):
+        for b in blocks:
+            counts = np.split(b.counts(), b.first[1:])
+            columns = b.run, b.gap, b.n, b.n0, b.t0_us, b.period_ns, b.flags, b.t_host_ns, begin + b.at
+            for k, row in enumerate(zip(*(column.tolist() for column in columns), strict=True)):
+                offsets = b.offsets_us.get(k, b"")
+                streams.setdefault(b.stream.id, []).append((b.segment, *row, offsets, counts[k].tobytes(), b.ident))
+
+    for end in [*cuts, len(messages)]:
+        keep(reader.feed(columns_of(messages[begin:end])), begin)
+        begin, last = end, begin
+    keep(reader.finish(), last)
+    return streams, summary(reader)
+
+
+def summary(reader):
+    segments = [
+        (s.booted, s.boot_id, s.ident, np.reshape(s.exchanges, (-1, 4)).tolist(), s.output)
+        for s in reader.segments
+    ]  # fmt: skip
+    return asdict(reader.losses()), str(reader.streams()), segments
+
+
+def assert_same(messages, ident, cuts):
+    assert in_batches(messages, ident, cuts) == one_by_one(messages, ident)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    st.integers(0, 2**32),
+    st.sampled_from([0, 700, 2**31 - 40, 2**32 - 90]),
+    st.sampled_from([0.0, 0.01, 0.1, 0.5]),
+    st.lists(FATES, min_size=1, max_size=7),
+    st.lists(st.integers(0, 400), max_size=3),
+    st.lists(st.integers(0, 400), max_size=6),
+    st.booleans(),
+)
+def test_the_columns_say_what_the_single_messages_say(seed, seq, share, fates, reboots, cuts, known):
+    rng = np.random.default_rng(seed)
+    messages = suffered(rng, recording(rng, int(rng.integers(1, 400)), seq, reboots), share, fates)
+    cuts = sorted(min(cut, len(messages)) for cut in cuts)
+    assert_same(messages, described() if known else None, cuts)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_at_every_end_of_a_batch(seed):
+    rng = np.random.default_rng(seed)
+    fates = ["lost", "doubled", "doubled later", "flipped", "swapped", "late", "console"]
+    messages = suffered(rng, recording(rng, 90, reboots=(40,)), 0.1, fates)
+    expected = one_by_one(messages, described())
+    for cut in range(len(messages) + 1):
+        assert in_batches(messages, described(), [cut]) == expected
+
+
+def test_long_loss_and_late_seconds():
+    """More than the reach is missing; seconds that arrive in the wrong order, and some frames twice."""
+    rng = np.random.default_rng(3)
+    messages = recording(rng, 3000)
+    del messages[1200:1900]
+    for k in range(200, len(messages) - 200, 160):
+        messages[k : k + 80], messages[k + 80 : k + 160] = messages[k + 80 : k + 160], messages[k : k + 80]
+    for k in rng.choice(len(messages) - 100, 46, replace=False).tolist():
+        messages.insert(k + 60, messages[k])
+    assert_same(messages, described(), [500, 1000, 1003])
+
+
+FRAME = st.one_of(
+    st.binary(max_size=260),
+    st.tuples(st.sampled_from([16, 17, 18, 19, 33, 64, 99]), st.integers(0, 3), st.lists(
+        st.one_of(st.integers(-5, 40), st.integers(0, 2**64 - 1), st.binary(max_size=40), st.just(cbor2.CBORTag(78, bytes(16)))),
+        max_size=18,
+    )).map(lambda f: cbor2.dumps([f[0], f[1], *f[2]])),
+)  # fmt: skip
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(FRAME, max_size=12), st.integers(0, 2**32), st.integers(0, 60))
+def test_strangers_frames_among_the_boxs(payloads, seed, cut):
+    rng = np.random.default_rng(seed)
+    messages = recording(rng, 40)
+    for payload in payloads:
+        messages.insert(int(rng.integers(len(messages) + 1)), Message("/box/other", 5, payload))
+    assert_same(messages, described(), [min(cut, len(messages))])
+
+
+def test_exchanges_of_odd_text():
+    lines = [b"{}", b"1],[2", b'{"t0_ns":1', json.dumps({"t0_ns": 1, "t1_us": 2, "t2_us": True, "t3_ns": 4}).encode()]
+    good = json.dumps({"t0_ns": 1, "t1_us": 2, "t2_us": 3, "t3_ns": 4}).encode()
+    messages = [Message("/sync", k, line) for k, line in enumerate([good, *lines, good])]
+    assert_same(messages, None, [2])
+
+
+def test_counts_of_frames_of_several_lengths():
+    box = Box()
+    box.ident(0)
+    sent = [np.arange(n * CHANNELS).reshape(n, CHANNELS) - 7 * n for n in (13, 13, 4, 1, 13, 2)]
+    for k, counts in enumerate(sent):
+        box.data((k + 1) * BLOCK_NS, counts)
+    (blocks,) = BoxReader().feed(columns_of(box.messages))
+    np.testing.assert_array_equal(blocks.counts(), np.concatenate(sent))
+    assert blocks.within_ns().tolist() == [k * PERIOD_NS for counts in sent for k in range(len(counts))]
