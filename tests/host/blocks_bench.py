@@ -34,6 +34,7 @@ class Block(NamedTuple):
     run: int
     gap: bool
     n: int
+    channels: int
     t_host_ns: int
     data: Data
     counts: Any
@@ -48,7 +49,7 @@ def singly(blocks):
     for k, (run, gap, n, t_host_ns, n0, t0_us, period_ns, flags, samples) in enumerate(rows):
         offsets = blocks.offsets_us.get(k, b"")
         data = Data(-1, blocks.stream.id, n0, t0_us, period_ns, offsets, samples.tobytes(), flags)
-        yield Block(blocks.segment, run, gap, n, t_host_ns, data, samples, blocks.ident)
+        yield Block(blocks.segment, run, gap, n, samples.shape[1], t_host_ns, data, samples, blocks.ident)
 
 
 def read(messages, ident=None):

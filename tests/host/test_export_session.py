@@ -261,7 +261,9 @@ def test_memory_does_not_grow(made):
         return peak_bytes
 
     peak(1)
-    assert peak(6) < 1.2 * peak(1) + 100_000
+    assert (
+        peak(12) < 1.2 * peak(2) + 100_000
+    )  # in the first part the batches that are held together are not yet as many
 
 
 class TestRefusals:

@@ -139,7 +139,7 @@ def assert_same(messages, ident, cuts):
     assert in_batches(messages, ident, cuts) == one_by_one(messages, ident)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(
     st.integers(0, 2**32),
     st.sampled_from([0, 700, 2**31 - 40, 2**32 - 90]),
@@ -187,7 +187,7 @@ FRAME = st.one_of(
 )  # fmt: skip
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(st.lists(FRAME, max_size=12), st.integers(0, 2**32), st.integers(0, 60))
 def test_strangers_frames_among_the_boxs(payloads, seed, cut):
     rng = np.random.default_rng(seed)

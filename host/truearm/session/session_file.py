@@ -72,7 +72,7 @@ class Session:
         """
         wanted = None if topics is None else frozenset([topics] if isinstance(topics, str) else topics)
         channels = dict(self.channels)
-        for data in self._packed():
+        for data in self.packed():
             yield from chunk_messages(self.path, data, channels, wanted)
 
     def batches(self) -> Iterator[Messages]:
@@ -80,16 +80,16 @@ class Session:
 
         Raises SessionError where the file is damaged.
         """
-        return batches(self.path, self._packed(), dict(self.channels))
+        return batches(self.path, self.packed(), dict(self.channels))
 
     def numbered(self) -> Iterator[tuple[int, Message]]:
         """All messages, each with the number that its writer gave it within its topic."""
         channels = dict(self.channels)
-        for data in self._packed():
+        for data in self.packed():
             for topic, sequence, _, t_host_ns, begin, end in stored(self.path, data, channels):
                 yield sequence, Message(topic, t_host_ns, data[begin:end])
 
-    def _packed(self) -> Iterator[bytes]:
+    def packed(self) -> Iterator[bytes]:
         """The records of one chunk after the other."""
         with open_file(self.path) as file:
             for start, end in self.spans:

@@ -1,0 +1,201 @@
+"""What it costs to read a session, stage by stage: beside unpacking alone, and beside the reader of single messages that the tests keep.
+
+    .venv/bin/python bench/session.py             # 73 and 292 minutes, two seeds, and one with faults
+    .venv/bin/python bench/session.py --quick     # 10 minutes
+
+The sessions are made here: a box at 1017 samples a second with four channels, a robot that says its joints 50 times a second, a dwell every 2.7 s.
+Faulty ones have 1 % of the box's frames lost, doubled, flipped or swapped, and restarts. Seconds are of the processor, on one
+thread; all ratios are of stages that ran in turn in one process. The oracle's observations are its two readings of the file, as they were before
+there were columns, and everything behind them as it is now.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+import gc
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "host"))
+import oracle_box_reader as oracle
+import session_stream
+
+from truearm.record.links import HostClock
+from truearm.record.session_writer import SessionWriter
+from truearm.session.box_reader import BoxReader
+from truearm.session.dwell_pairing import Marks
+from truearm.session.joint_readings import JointReader
+from truearm.session.pipeline import observations
+from truearm.session.session_file import Session, open_session
+from truearm.types import Message
+
+DWELL_S = 2.7
+RUNS = 3
+
+
+def main(quick: bool) -> None:
+    lengths = (10,) if quick else (73, 292)
+    print(f"{'session':28}{'stage':26}{'CPU s':>9}{'of unpacking':>14}{'of the oracle':>15}")
+    with tempfile.TemporaryDirectory() as folder:
+        for minutes in lengths:
+            for seed in (1, 2):
+                path = Path(folder) / f"{minutes}-{seed}.mcap"
+                write(path, minutes, seed, faulty=False)
+                show(f"{minutes} min, seed {seed}", path)
+                path.unlink()
+        path = Path(folder) / "faulty.mcap"
+        write(path, lengths[0], 3, faulty=True)
+        show(f"{lengths[0]} min, 1 % faulty", path)
+        print(f"\n{'length':>12}{'peak memory MB':>18}")
+        for minutes in (lengths[0] // 2, *lengths):
+            path = Path(folder) / "memory.mcap"
+            write(path, minutes, 1, faulty=False)
+            print(f"{minutes:>8} min{peak_mb(path):>18.0f}")
+            path.unlink()
+
+
+def write(path: Path, minutes: float, seed: int, faulty: bool) -> None:
+    rng = np.random.default_rng(seed)
+    messages, _ = session_stream.session(rng, dwells=round(60 * minutes / DWELL_S), robot_hz=50.0)
+    with SessionWriter(path, HostClock()) as writer:
+        for message in with_faults(rng, messages) if faulty else messages:
+            writer.add(*message)
+
+
+def with_faults(rng: np.random.Generator, messages: list[Message]) -> list[Message]:
+    """One frame in a hundred lost, doubled, flipped or swapped with the next, and ten restarts."""
+    received: list[Message] = []
+    restarts = set(rng.integers(len(messages), size=10).tolist())
+    seq_off = 0
+    fates = rng.integers(4, size=len(messages))
+    hit = rng.random(len(messages)) < 0.01
+    ident = [message for message in messages if message.topic == "/box/ident"]
+    for k, message in enumerate(messages):
+        if not message.topic.startswith("/box/"):
+            received.append(message)
+            continue
+        if k in restarts:
+            first = renumbered(ident[0], 0)
+            received += [first._replace(t_host_ns=message.t_host_ns), *ident[1:]]
+            seq_off = sequence(message) - len(ident)
+        message = renumbered(message, (sequence(message) - seq_off) % 2**32)
+        fate = int(fates[k]) if hit[k] else -1
+        if fate == 0:
+            continue
+        if fate == 2:
+            data = bytearray(message.data)
+            data[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
+            message = message._replace(data=bytes(data))
+        received.append(message)
+        if fate == 1:
+            received.append(message)
+        if fate == 3 and len(received) > 1:
+            received[-2:] = received[:-3:-1]
+    return received
+
+
+def sequence(message: Message) -> int:
+    at = message.data.index(0x1A, 1) + 1
+    return int.from_bytes(message.data[at : at + 4], "big")
+
+
+def renumbered(message: Message, seq: int) -> Message:
+    at = message.data.index(0x1A, 1) + 1
+    return message._replace(data=message.data[:at] + seq.to_bytes(4, "big") + message.data[at + 4 :])
+
+
+def show(name: str, path: Path) -> None:
+    session = open_session(path)
+    stages: dict[str, Callable[[], Any]] = {
+        "unpacking alone": lambda: sum(map(len, session.packed())),
+        "open and check the file": lambda: open_session(path),
+        "columns of messages": lambda: sum(map(len, session.batches())),
+        "samples": lambda: samples(session),
+        "oracle: samples": lambda: oracle_samples(session),
+        "observations": lambda: observations(open_session(path).batches, session_stream.RIG),
+        "oracle: its two readings": lambda: oracle_readings(session),
+    }
+    seconds = {stage: [] for stage in stages}
+    for _ in range(RUNS):
+        for stage, job in stages.items():
+            gc.collect()
+            begin = time.process_time()
+            job()
+            seconds[stage].append(time.process_time() - begin)
+    least = {stage: min(times) for stage, times in seconds.items()}
+    floor = least["unpacking alone"]
+    least["oracle: observations"] = least["observations"] - shared_reading(session) + least["oracle: its two readings"]
+    ratio = {"samples": least["oracle: samples"], "observations": least["oracle: observations"]}
+    for stage, value in least.items():
+        of_oracle = f"{value / ratio[stage]:15.2f}" if stage in ratio else ""
+        print(f"{name:28}{stage:26}{value:9.3f}{value / floor:14.1f}{of_oracle}", flush=True)
+
+
+def samples(session: Session) -> int:
+    reader, total = BoxReader(), 0
+    for messages in session.batches():
+        total += sum(len(some.counts()) for some in reader.feed(messages))
+    return total + sum(len(some.counts()) for some in reader.finish())
+
+
+def oracle_samples(session: Session) -> int:
+    reader, total = oracle.BoxReader(), 0
+    for message in session.messages():
+        total += sum(len(block.counts) for block in reader.feed(message))
+    return total + sum(len(block.counts) for block in reader.finish())
+
+
+def oracle_readings(session: Session) -> None:
+    """What was done with single messages: everything once, and the box's messages a second time for the samples."""
+    box, robot, marks = oracle.BoxReader(), JointReader(), Marks()
+    for message in session.messages():
+        if message.topic == "/robot/joints":
+            robot.feed(message)
+        elif message.topic.startswith("/box/") or message.topic == "/sync":
+            box.feed(message)
+        else:
+            marks.feed(message.topic, message.t_host_ns, message.data)
+    again = oracle.BoxReader(keep_exchanges=False)
+    for message in session.messages({"/box/adc", "/box/ident", "/box/heartbeat", "/box/sync"}):
+        again.feed(message)
+
+
+def shared_reading(session: Session) -> float:
+    """CPU seconds of the part of ``observations`` that takes the place of the oracle's two readings."""
+    times = []
+    for _ in range(RUNS):
+        begin = time.process_time()
+        box, robot, marks = BoxReader(), JointReader(), Marks()
+        for messages in session.batches():
+            robot.take(messages)
+            for message in messages.of(messages.rows(lambda topic: topic in ("/plan", "/events"))):
+                marks.feed(message.topic, message.t_host_ns, message.data)
+            for some in box.feed(messages):
+                some.counts()
+        times.append(time.process_time() - begin)
+    return min(times)
+
+
+def peak_mb(path: Path) -> float:
+    """Peak memory of a process that makes observations of a session."""
+    done = subprocess.run([sys.executable, __file__, "--memory", str(path)], check=True, capture_output=True, text=True)
+    return float(done.stdout)
+
+
+if __name__ == "__main__":
+    if "--memory" in sys.argv:
+        observations(open_session(Path(sys.argv[-1])).batches, session_stream.RIG)
+        print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+    else:
+        main("--quick" in sys.argv)
