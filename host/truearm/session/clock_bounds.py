@@ -9,6 +9,8 @@ that is empty for any two of them, the clock was not steady in it: it is refuted
 **The range of rates.** y′ lies within WANDER, 30 ppm, of the usual rate, which may change slowly or for good: the median of the slopes over 10 s
 within two minutes about t, which neither steps nor slews that last for less than half of the time can move. Where it does change, the range spans the
 medians of half a minute before and after. To that comes how well exchanges show a rate at all: their round trip over the time that the slopes cover.
+About the first and last SPAN exchanges there are no others on one side, which would show that the rate was another there: the range also holds all
+rates that the outer 10 s allow.
 
 **What is claimed.** The bound holds at t if
 
