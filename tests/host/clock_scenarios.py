@@ -266,8 +266,9 @@ def exchanged(seed, change):
 
 
 class Changing(NamedTuple):
-    """Errors against bounds of a scenario with changes, what was reported of it, and the largest bound [µs] within 50 ms of each step."""
+    """Errors against bounds at true times [s] of a scenario with changes, what was reported of it, and the largest bound [µs] within 50 ms of each step."""
 
+    t: np.ndarray
     outcome: Outcome
     report: ClockReport
     known: Exchanged
@@ -286,7 +287,7 @@ def changing_scenario(seed, change):
     error = (host - HOST_NS) - known.truth_ns(device_us)
     near = np.abs(t - known.host.at[:, None]) < 0.05
     at_step = np.max(np.where(near, 1e-3 * bound, 0.0), axis=1)
-    return Changing(Outcome(1e-3 * error, 1e-3 * bound, 0.0), report, known, at_step)
+    return Changing(t, Outcome(1e-3 * error, 1e-3 * bound, 0.0), report, known, at_step)
 
 
 def robot_scenario(seed, seconds=240.0, host_steps=0, robot_steps=0, slews=0):

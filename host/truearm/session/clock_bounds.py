@@ -20,7 +20,8 @@ rates that the outer 10 s allow.
 3. some window that touches t is refuted: then only two consecutive exchanges are asked together, and of the rate only that it is below 1000 ppm; and if two of those
    contradict each other, each by itself.
 
-What remains are two steps against each other within SPAN exchanges, each too small to contradict any exchange: nothing can show them.
+What remains is a stretch of fewer than SPAN exchanges, between two steps against each other or between a step and the first or last exchange, that contradicts no other
+exchange, or holds none: nothing can show it.
 """
 
 from __future__ import annotations
