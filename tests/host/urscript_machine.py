@@ -7,6 +7,7 @@ its ``end`` there, all other lines are indented, and it runs when the ``end`` ha
 
 import re
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,7 +15,7 @@ from tests.host.controllers import ProgramFault, pose_from
 
 TOKEN = re.compile(
     r"""(?P<string>"[^"\n]*"|'[^'\n]*')|(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<pose>p(?=\[))|(?P<name>[A-Za-z_]\w*)
-        |(?P<sign>==|!=|<=|>=|[-+*/()\[\],:=<>])|(?P<space>[ \t]+)""",
+        |(?P<sign>==|!=|<=|>=|[-+*/()\[\],:=<>.])|(?P<space>[ \t]+)""",
     re.VERBOSE,
 )
 KEYWORDS = {"def", "end", "while", "if", "else", "elif", "global", "local", "and", "or", "not", "True", "False", "return", "thread", "sec"}  # fmt: skip
@@ -46,10 +47,23 @@ def without_comment(line):
     return re.sub(r"""("[^"\n]*"|'[^'\n]*')|#.*""", lambda m: m[1] or "", line)
 
 
+def logical_lines(text):
+    """(number, text) of each line that says something; what stands in an open bracket goes on in the next."""
+    out, open_brackets = [], 0
+    for number, line in enumerate(text.splitlines(), start=1):
+        line = without_comment(line).rstrip()
+        if open_brackets:
+            out[-1] = (out[-1][0], f"{out[-1][1]} {line.strip()}")
+        elif line and not line.lstrip().startswith("$"):  # a step of PolyScope's tree
+            out.append((number, line))
+        plain = re.sub(r"""("[^"\n]*"|'[^'\n]*')""", "", line)
+        open_brackets += sum(plain.count(c) for c in "([") - sum(plain.count(c) for c in ")]")
+    return out
+
+
 def run_urscript(text, controller):
     """Execute a program as the controller does that it is sent to."""
-    lines = [(i, without_comment(line).rstrip()) for i, line in enumerate(text.splitlines(), start=1)]
-    lines = [(i, line) for i, line in lines if line]
+    lines = logical_lines(text)
     if not re.fullmatch(r"def [A-Za-z_]\w*\(\):", lines[0][1]):
         raise ProgramFault("the first line is no def in the first column")
     if lines[0][1][4:-3] in KEYWORDS | set(BUILTINS):
@@ -61,48 +75,139 @@ def run_urscript(text, controller):
     return machine
 
 
+class Returned(Exception):
+    """A routine ends with a value."""
+
+
+class Left(Exception):
+    """break or continue."""
+
+
+OPENING = {"while", "if", "def", "thread"}
+
+
 class Machine:
-    """Variables, and the built-in functions."""
+    """Variables, routines, and the built-in functions."""
 
     def __init__(self, controller):
-        self.controller, self.variables = controller, {}
+        self.controller, self.routines = controller, {}
+        self.scopes = [{}]  # the program's, then one for each call
+
+    @property
+    def variables(self):
+        return self.scopes[-1]
 
     def block(self, lines):
         i = 0
         while i < len(lines):
-            number, tokens = lines[i]
+            number = lines[i][0]
             try:
-                if tokens[0] == ("name", "while"):
-                    body = self._body(lines, i)
-                    while self._whole(tokens[1:-1]) is True:
-                        self.block(body)
-                    i += len(body) + 1
-                else:
-                    self._simple(tokens)
+                i = self._statement(lines, i)
             except ProgramFault as exc:
                 raise exc if "line" in str(exc) else ProgramFault(f"line {number}: {exc}") from exc
-            i += 1
 
-    def _body(self, lines, start):
+    def _statement(self, lines, i):
+        """Execute what begins at a line; the line after it."""
+        tokens = lines[i][1]
+        word = tokens[0][1] if tokens[0][0] == "name" else ""
+        if word in ("while", "def", "thread"):
+            end = self._end(lines, i)
+            body = lines[i + 1 : end]
+            if word == "while":
+                self._while(tokens, body)
+            else:
+                self._define(tokens, body)
+            return end + 1
+        if word == "if":
+            end = self._end(lines, i)
+            self._if(lines[i : end + 1])
+            return end + 1
+        if word == "return":
+            raise Returned(self._whole(tokens[1:]) if len(tokens) > 1 else None)
+        if word in ("break", "continue"):
+            raise Left(word)
+        self._simple(tokens)
+        return i + 1
+
+    def _end(self, lines, start):
+        """The line of the end that closes what opens at a line."""
         if lines[start][1][-1] != ("sign", ":"):
-            raise ProgramFault("a while without a colon")
+            raise ProgramFault("no colon at the end of the line")
         depth = 0
         for k in range(start, len(lines)):
-            depth += lines[k][1][0] == ("name", "while")
+            depth += lines[k][1][0][1] in OPENING
             depth -= lines[k][1] == [("name", "end")]
             if depth == 0:
-                return lines[start + 1 : k]
-        raise ProgramFault("a while without an end")
+                return k
+        raise ProgramFault("an end is missing")
+
+    def _while(self, tokens, body):
+        turns = 0
+        while self._whole(tokens[1:-1]) is True:
+            turns += 1
+            if turns > 1000:
+                raise ProgramFault("a loop without end")
+            try:
+                self.block(body)
+            except Left as left:
+                if str(left) == "break":
+                    return
+
+    def _define(self, tokens, body):
+        name, parameters = tokens[1][1], [word for kind, word in tokens[3:-2] if kind == "name"]
+        if name in KEYWORDS | set(BUILTINS):
+            raise ProgramFault(f"{name} redefines what the language has")
+        self.routines[name] = parameters, body
+
+    def _if(self, lines):
+        depth, parts = 0, []
+        for k, (_, tokens) in enumerate(lines):
+            if depth == 1 and tokens[0][1] in ("elif", "else"):
+                parts.append(k)
+            depth += tokens[0][1] in OPENING
+            depth -= tokens == [("name", "end")]
+        parts = [0, *parts, len(lines) - 1]
+        for start, end in pairwise(parts):
+            tokens = lines[start][1]
+            if tokens[0][1] == "else" or self._whole(tokens[1:-1]) is True:
+                self.block(lines[start + 1 : end])
+                return
 
     def _simple(self, tokens):
-        if tokens[0] in (("name", "global"), ("name", "local")):
+        scope = self.variables
+        if tokens[0][1] in ("global", "local"):
+            scope = self.scopes[0] if tokens[0][1] == "global" else scope
             tokens = tokens[1:]
-        if len(tokens) > 2 and tokens[0][0] == "name" and tokens[1] == ("sign", "="):
-            if tokens[0][1] in KEYWORDS | set(BUILTINS):
-                raise ProgramFault(f"{tokens[0][1]} is no name for a variable")
-            self.variables[tokens[0][1]] = self._whole(tokens[2:])
+        at = next((k for k, token in enumerate(tokens) if token == ("sign", "=")), None)
+        if at is not None and tokens[0][0] == "name" and tokens[1][1] in ("=", "[", "."):
+            name, path = tokens[0][1], tokens[1:at]
+            if name in KEYWORDS | set(BUILTINS):
+                raise ProgramFault(f"{name} is no name for a variable")
+            value = self._whole(tokens[at + 1 :])
+            if not path:
+                if name not in scope and name in self.scopes[0]:
+                    scope = self.scopes[0]
+                scope[name] = value
+            elif path[0][1] == ".":
+                self._known(name)[path[1][1]] = value
+            else:
+                self._put(name, int(self._whole(path[1:-1])), value)
             return
         self._whole(tokens)
+
+    def _put(self, name, k, value):
+        held = self._known(name)
+        if isinstance(held, Pose):
+            scope = self.variables if name in self.variables else self.scopes[0]
+            scope[name] = Pose((*held.six[:k], value, *held.six[k + 1 :]))
+        else:
+            held[k] = value
+
+    def _known(self, name):
+        for scope in (self.variables, self.scopes[0]):
+            if name in scope:
+                return scope[name]
+        raise ProgramFault(f"{name!r} is not known here")
 
     def _whole(self, tokens):
         value, at = self._either(tokens, 0)
@@ -139,11 +244,26 @@ class Machine:
             }[sign]
         return value, at
 
-    def _sum(self, tokens, at):
+    def _postfix(self, tokens, at):
         value, at = self._atom(tokens, at)
+        while at < len(tokens) and tokens[at][1] in ("[", "."):
+            if tokens[at][1] == ".":
+                value, at = value[tokens[at + 1][1]], at + 2
+                continue
+            k, at = self._either(tokens, at + 1)
+            if tokens[at][1] != "]":
+                raise ProgramFault("an index is not closed")
+            items = value.six if isinstance(value, Pose) else value
+            if not 0 <= k < len(items):
+                raise ProgramFault("an index beyond the list")
+            value, at = items[int(k)], at + 1
+        return value, at
+
+    def _sum(self, tokens, at):
+        value, at = self._postfix(tokens, at)
         while at < len(tokens) and tokens[at][1] in ("+", "-"):
             sign = -1.0 if tokens[at][1] == "-" else 1.0
-            other, at = self._atom(tokens, at + 1)
+            other, at = self._postfix(tokens, at + 1)
             value = value + sign * other
         return value, at
 
@@ -167,10 +287,18 @@ class Machine:
             return Pose(tuple(six)), at
         if word == "[":
             return self._list(tokens, at)
+        if word == "(":
+            value, at = self._either(tokens, at + 1)
+            if at >= len(tokens) or tokens[at][1] != ")":
+                raise ProgramFault("a bracket is not closed")
+            return value, at + 1
+        if word == "not":
+            value, at = self._comparison(tokens, at + 1)
+            return not value, at
         if kind == "name" and at + 1 < len(tokens) and tokens[at + 1][1] == "(":
             return self._call(tokens, at)
-        if kind == "name" and word in self.variables:
-            return self.variables[word], at + 1
+        if kind == "name":
+            return self._known(word), at + 1
         raise ProgramFault(f"{word!r} is not known here")
 
     def _list(self, tokens, at):
@@ -185,7 +313,7 @@ class Machine:
 
     def _call(self, tokens, at):
         name, values, named = tokens[at][1], [], {}
-        if name not in BUILTINS:
+        if name not in BUILTINS and name not in self.routines and name != "struct":
             raise ProgramFault(f"no function {name}")
         at += 2
         while tokens[at][1] != ")":
@@ -199,10 +327,27 @@ class Machine:
             if at >= len(tokens) or tokens[at][1] not in (",", ")"):
                 raise ProgramFault(f"the arguments of {name} are not closed")
             at += tokens[at][1] == ","
+        if name == "struct":
+            return dict(named), at + 1
+        if name in self.routines:
+            return self._routine(name, values), at + 1
         try:
             return BUILTINS[name](self, *values, **named), at + 1
         except TypeError as exc:
             raise ProgramFault(f"{name}: {exc}") from exc
+
+    def _routine(self, name, values):
+        parameters, body = self.routines[name]
+        if len(values) != len(parameters):
+            raise ProgramFault(f"{name} takes {len(parameters)} arguments")
+        self.scopes.append(dict(zip(parameters, values, strict=True)))
+        try:
+            self.block(body)
+        except Returned as returned:
+            return returned.args[0]
+        finally:
+            self.scopes.pop()
+        return None
 
     # the manual's functions, with its names of arguments and defaults
 
@@ -225,7 +370,64 @@ class Machine:
         there = pose.matrix() if isinstance(pose, Pose) else self.controller.pose_of(self._joints(pose))
         self.controller.move_line(there, v)
 
-    def set_tcp(self, pose):
+    movep = movel
+
+    def optimovej(self, goal, a=1.0, v=1.0, r=0):
+        self.movej(goal)
+
+    def optimovel(self, goal, a=1.0, v=1.0, r=0):
+        self.movel(goal)
+
+    def movec(self, pose_via, pose_to, a=1.2, v=0.25, r=0, mode=0):
+        """The circle itself is not driven: both of its points are."""
+        self.movel(pose_via, v=v)
+        self.movel(pose_to, v=v)
+
+    def servoc(self, pose, a=1.2, v=0.25, r=0):
+        self.movel(pose)
+
+    def servoj(self, q, a=0, v=0, t=0.002, lookahead_time=0.1, gain=300):
+        self.controller.move_joints(self._joints(q), t)
+
+    def get_inverse_kin(self, x, qnear=None, maxPositionError=1e-10, maxOrientationError=1e-10, tcp=None):
+        near = self.controller.q if qnear is None else np.array(qnear)
+        before = self.controller.tcp
+        self.controller.tcp = before if tcp is None else tcp.matrix()
+        q = self.controller.solved(x.matrix(), near)
+        self.controller.tcp = before
+        return q.tolist()
+
+    @staticmethod
+    def _pose(matrix):
+        return Pose((*matrix[:3, 3], *Rotation.from_matrix(matrix[:3, :3]).as_rotvec()))
+
+    def pose_trans(self, p_from, p_from_to):
+        return self._pose(p_from.matrix() @ p_from_to.matrix())
+
+    def pose_inv(self, p_from):
+        return self._pose(np.linalg.inv(p_from.matrix()))
+
+    def pose_add(self, p_1, p_2):
+        turn = Rotation.from_rotvec(p_1.six[3:]) * Rotation.from_rotvec(p_2.six[3:])
+        return Pose((*(a + b for a, b in zip(p_1.six[:3], p_2.six[:3], strict=True)), *turn.as_rotvec()))
+
+    def pose_sub(self, p_to, p_from):
+        turn = Rotation.from_rotvec(p_to.six[3:]) * Rotation.from_rotvec(p_from.six[3:]).inv()
+        return Pose((*(a - b for a, b in zip(p_to.six[:3], p_from.six[:3], strict=True)), *turn.as_rotvec()))
+
+    def get_actual_tcp_pose(self):
+        return self._pose(self.controller.pose_of(self.controller.q))
+
+    def get_tcp_offset(self):
+        return self._pose(self.controller.tcp)
+
+    def random(self):
+        return 0.25
+
+    def set_payload(self, mass, cog=None, inertia=None):
+        pass
+
+    def set_tcp(self, pose, tcp_name=""):
         self.controller.tcp = pose.matrix()
 
     def sleep(self, t):
@@ -252,6 +454,7 @@ class Machine:
 
 BUILTINS = {
     name: getattr(Machine, name)
-    for name in ("movej", "movel", "set_tcp", "sleep", "popup", "textmsg", "set_standard_digital_out",
+    for name in ("movej", "movel", "movep", "movec", "servoj", "servoc", "optimovej", "optimovel", "get_inverse_kin", "pose_trans", "pose_inv", "pose_add",
+                 "pose_sub", "get_actual_tcp_pose", "get_tcp_offset", "random", "set_payload", "set_tcp", "sleep", "popup", "textmsg", "set_standard_digital_out",
                  "get_standard_digital_in")
 }  # fmt: skip

@@ -1,0 +1,170 @@
+"""Corrected URScripts, executed: the true arm goes where a perfect one would, move by move, or the program was refused.
+
+The interpreter (``urscript_machine``) has nothing in common with what reads programs in truearm. It runs the program as it was on a controller whose model is true,
+and as it was corrected on one with the nominal model in front of the true arm.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from tests.host import correct_bench
+from tests.host.controllers import Controller
+from tests.host.puma_bench import CHAIN, DESIGN, TRUTH
+from tests.host.urscript_machine import run_urscript
+
+from truearm.correct.correction import MARGIN
+from truearm.correct.joint_moves import JointMoves
+from truearm.correct.model_pair import Pair
+from truearm.model.chain import forward
+from truearm.model.poses import apart
+from truearm.workflows.correct_program import (
+    CalibrationFrames,
+    HowCorrected,
+    ProgramOptions,
+    ProgramRefused,
+    correct_program,
+)
+
+Q = correct_bench.good_poses(12)
+POSES = correct_bench.nominal_poses(Q)
+HERE = CalibrationFrames("base", "tool0", brought=True, own=False)
+TOOLS = [(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.005, 0.02, 0.03, 0.0, 0.05), (0.01, 0.0, 0.03, 0.0, 0.0, 1.0)]
+FEATURE = (0.1, -0.05, 0.02, 0.0, 0.0, 1.2)
+
+
+def six(pose):
+    numbers = (*pose[:3, 3], *Rotation.from_matrix(pose[:3, :3]).as_rotvec())
+    return f"p[{', '.join(f'{value:.12f}' for value in numbers)}]"
+
+
+def written(numbers):
+    return f"[{', '.join(f'{value:.12f}' for value in numbers)}]"
+
+
+def matrix(numbers):
+    out = np.eye(4)
+    out[:3, 3], out[:3, :3] = numbers[:3], Rotation.from_rotvec(numbers[3:]).as_matrix()
+    return out
+
+
+def program(*lines):
+    return "\n".join(["def work():", *(f"  {line}" for line in lines), "end", ""])
+
+
+def corrected(tmp_path, text, **options):
+    """The corrected text. Raises ProgramRefused."""
+    path = Path(tmp_path) / "p.script"
+    path.write_text(text)
+    how = HowCorrected(Pair(CHAIN, DESIGN, TRUTH), "newton", 1, Q[0], MARGIN)
+    given = {"joint_moves": JointMoves.CORRECT, "tool": TOOLS[0], **options}
+    return correct_program(path, how, HERE, ProgramOptions(**given)).text.decode("latin-1")
+
+
+def driven(text):
+    machine = Controller(CHAIN, DESIGN, Q[0])
+    run_urscript(text, machine)
+    return machine.moves
+
+
+def misses(text, after):
+    """(n, 2) [m, rad] how far the true arm's tool ends each move from where a perfect arm's would."""
+    asked, done = driven(text), driven(after)
+    assert [move.kind for move in asked] == [move.kind for move in done]
+    q = np.array([move.q for move in done])
+    tools = np.linalg.inv(forward(CHAIN, DESIGN, q)) @ np.array([move.pose for move in done])
+    error = apart(np.array([move.pose for move in asked]), forward(CHAIN, TRUTH, q) @ tools)
+    return np.stack([np.linalg.norm(error[:, :3], axis=1), np.linalg.norm(error[:, 3:], axis=1)], axis=1)
+
+
+def tool_point(k, tool):
+    """The pose of a tool with the arm at the k-th good pose."""
+    return POSES[k] @ matrix(TOOLS[tool])
+
+
+def in_feature(pose):
+    return np.linalg.inv(matrix(FEATURE)) @ pose
+
+
+NEAR = f"qnear={written(Q[1])}"
+FORMS = {
+    "polyscope": (f"global W_p={six(POSES[1])}", f"global W_q={written(Q[1])}", '$ 2 "MoveJ"', '$ 3 "W" "breakAfter"', "movej(get_inverse_kin(W_p, qnear=W_q), a=1.4, v=1.0)"),
+    "servoj": (f"servoj(get_inverse_kin({six(POSES[1])}, {NEAR}), t=0.008)",),
+    "path": (f"path=[{six(POSES[1])},", f"  {six(POSES[2])}]", "i = 0", "while i < 2:", "  movej(path[i])", "  i = i + 1", "end"),
+    "struct": (f"w = struct(pose={six(POSES[1])})", "movej(w.pose)"),
+    "feature": (f"Plane = {six(matrix(FEATURE))}", f"W_p = {six(in_feature(POSES[1]))}", "movel(pose_trans(Plane, W_p))"),
+    "optimove": (f"optimovej({six(POSES[1])})", f"optimovel({six(POSES[2])})"),
+    "circle": (f"movej({six(POSES[1])})", f"movec({six(POSES[2])}, {six(POSES[3])})"),
+    "joints": (f"movej({written(Q[1])})", f"movel({written(Q[2])})"),
+    "approach": (f"W = {six(POSES[1])}", "movej(pose_trans(W, p[0,0,-0.02,0,0,0]))", "movel(W)"),
+    "added": (f"movej(pose_add({six(POSES[1])}, p[0,0,0.01,0,0,0.1]))", f"movel(pose_sub({six(POSES[2])}, p[0,0.01,0,0.1,0,0]))"),
+    "inverse": (f"movej(pose_inv({six(np.linalg.inv(POSES[1]))}))",),
+    "routine": ("def go(w):", "  movej(w)", "end", f"go({six(POSES[1])})", f"go({six(POSES[2])})"),
+    "three tools": tuple(line for k in range(3) for line in (f"set_tcp(p{written(TOOLS[k])})", f"movej({six(tool_point(k + 1, k))})", f"movel({six(tool_point(k + 4, k))})")),
+    "tool of its own": (f"movej(get_inverse_kin({six(tool_point(1, 2))}, {NEAR}, tcp=p{written(TOOLS[2])}))",),
+    "assigned twice": (f"W = {six(POSES[1])}", "movej(W)", f"W = {six(POSES[2])}", "movej(W)"),
+    "branch": (f"W = {six(POSES[1])}", "if random() > 0.5:", f"  W = {six(POSES[2])}", "end", "movej(W)"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_the_true_arm_goes_where_a_perfect_one_would(tmp_path, form):
+    """Within 1 µm of the identified arm: numbers are written to 1 nm and 1 nrad."""
+    text = program(*FORMS[form])
+    before = misses(text, text)
+    assert before[:, 0].min() > 5e-3
+    assert misses(text, corrected(tmp_path, text)).max() < 1e-6
+
+
+def test_one_point_under_two_tools_is_split(tmp_path):
+    text = program(f"W = {six(POSES[1])}", "movej(W)", f"set_tcp(p{written(TOOLS[1])})", "movej(W)")
+    with pytest.raises(ProgramRefused) as caught:
+        corrected(tmp_path, text)
+    assert [(one.line, one.remedy) for one in caught.value.refused] == [(5, "split")]
+    assert "than line 3 does" in caught.value.refused[0].why
+    assert misses(text, corrected(tmp_path, text, split=True)).max() < 1e-6
+
+
+# programs from a grammar: each statement moves, and some cannot be corrected
+
+
+@st.composite
+def statements(draw):
+    """Lines of a program over names that a table of points gives."""
+    lines = [f"W{k} = {six(POSES[k])}" for k in range(1, 5)] + [f"Plane = {six(matrix(FEATURE))}"]
+    lines += [f"F{k} = {six(in_feature(POSES[k]))}" for k in (5, 6)] + [
+        f"path = [{six(POSES[7])}, {six(POSES[8])}]",
+        f"q9 = {written(Q[9])}",
+        "i = 0",
+    ]
+    certain = [
+        "movej(W1)", "movel(W2)", "movej(get_inverse_kin(W3))", "movel(pose_trans(Plane, F5))", "movej(pose_trans(Plane, F6))", "movej(path[i])", "movej(path[1])",
+        "movej(q9)", f"movel({six(POSES[10])})", "V = W4", "movej(V)", "W1 = W2", "i = 1", f"set_tcp(p{written(TOOLS[1])})", f"set_tcp(p{written(TOOLS[0])})",
+        "if random() > 0.5:\n    W2 = W3\n    movej(W1)\n  else:\n    movej(W4)\n  end",
+        "k = 0\n  while k < 2:\n    movej(path[k])\n    k = k + 1\n  end",
+        "if i == 0:\n    W3 = W4\n  end",
+    ]  # fmt: skip
+    doubtful = [
+        "movel(pose_trans(get_actual_tcp_pose(), p[0,0,0.005,0,0,0]))", "W1[2] = W1[2] + 0.005", "movej(pose_trans(W3, p[0,0,0.005,0,0,0]))", "W2 = pose_trans(W2, p[0,0,0.004,0,0,0])",
+        "z = 0.01\n  movej(pose_trans(W4, p[0,0,z,0,0,0]))", "n = 0\n  while n < 3:\n    W4 = pose_add(W4, p[0,0,0.003,0,0,0])\n    movej(W4)\n    n = n + 1\n  end",
+    ]  # fmt: skip
+    body = draw(st.lists(st.sampled_from(certain + doubtful), min_size=1, max_size=7))
+    return program(*lines, *body, "movej(W2)")
+
+
+@settings(max_examples=30, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(statements(), st.booleans())
+def test_no_move_is_left_uncorrected_in_silence(tmp_path, text, split):
+    """Whatever the program does: it is refused with a line and a reason, or every move of the true arm ends where it should."""
+    refused = ()
+    try:
+        after = corrected(tmp_path, text, split=split)
+    except ProgramRefused as exc:
+        refused = exc.refused
+    if refused:
+        assert all(one.why and text.splitlines()[one.line - 1].strip() for one in refused)
+    else:
+        assert misses(text, after).max() < 1e-6
