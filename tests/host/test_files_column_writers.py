@@ -1,0 +1,45 @@
+"""CSV tables: numbers come back bit for bit, whichever way they were written; NaN is an empty cell."""
+
+import csv
+import io
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from truearm.files.column_writers import CsvTable
+
+floats = arrays(np.float64, 5, elements=st.floats(width=64))
+whole = arrays(np.int64, 5, elements=st.integers(-(2**63), 2**63 - 1))
+
+
+def written(path, *batches):
+    table = CsvTable(path, batches[0])
+    for batch in batches:
+        table.write(batch)
+    table.close()
+    header, *rows = csv.reader(io.StringIO(path.read_text(encoding="utf-8"), newline=""))
+    assert header == list(batches[0])
+    assert table.rows == len(rows)
+    return list(zip(*rows, strict=True))
+
+
+@given(x=floats, n=whole, text=st.lists(st.text(max_size=5), min_size=5, max_size=5))
+def test_bit_for_bit(tmp_path_factory, x, n, text):
+    """Numbers alone go another way than numbers beside text; infinities and the empty batch too."""
+    path = tmp_path_factory.mktemp("t") / "t.csv"
+    numbers = {"x": x, "n": n}
+    for columns in (numbers, {**numbers, "text": np.array(text, dtype=np.str_)}):
+        cells = written(path, columns, {title: column[:0] for title, column in columns.items()}, columns)
+        read = np.array([np.nan if cell == "" else float(cell) for cell in cells[0]])
+        np.testing.assert_array_equal(
+            read.view(np.int64)[~np.isnan(read)], np.tile(x, 2).view(np.int64)[~np.isnan(read)]
+        )
+        np.testing.assert_array_equal(np.isnan(read), np.isnan(np.tile(x, 2)))
+        assert [int(cell) for cell in cells[1]] == np.tile(n, 2).tolist()
+
+
+def test_one_column_of_one_row(tmp_path):
+    assert written(tmp_path / "t.csv", {"x": np.array([-0.0])}) == [("-0.0",)]
+    assert (tmp_path / "t.csv").read_bytes() == b"x\n-0.0\n"
