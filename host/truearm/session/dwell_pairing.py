@@ -23,7 +23,6 @@ from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from truearm.session.joint_line import MAX_JOINTS
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Floats, Move
@@ -33,6 +32,7 @@ FITTINGS = (*NAMED, "shell")
 MAX_NAME = 64
 REPEAT = 0.25
 BACK = 1.125
+WIDER = 1.0 + 1e-9  # than the tolerance: rounding must not cost a pose that is just within it
 
 
 @dataclass(frozen=True)
@@ -155,14 +155,19 @@ def _near_pairs(q: Floats, plan: Plan, tolerance: float, said: Sequence[Mapping[
     """Near pairs by dwell, then by pose."""
     if not len(q) or q.shape[1] != plan.q.shape[1]:
         return []
-    near = KDTree(plan.q).query_ball_point(q, tolerance, p=np.inf)
+    order = np.argsort(plan.q[:, 0])
+    first, last = (
+        np.searchsorted(plan.q[order, 0], q[:, 0] + side) for side in (-WIDER * tolerance, WIDER * tolerance)
+    )
     scale = REPEAT / (tolerance * (len(q) + 1))
-    return [
-        _Pair(dwell, pose, scale * (tolerance - float(np.max(np.abs(q[dwell] - plan.q[pose])))))
-        for dwell, poses in enumerate(near)
-        for pose in sorted(poses)
-        if not _contradict(said[dwell], plan.mounted[pose])
-    ]
+    pairs = []
+    for dwell in range(len(q)):
+        poses = np.sort(order[first[dwell] : last[dwell]])
+        away = np.max(np.abs(plan.q[poses] - q[dwell]), axis=1, initial=0.0)
+        for pose, distance in zip(poses.tolist(), away.tolist(), strict=True):
+            if distance <= tolerance and not _contradict(said[dwell], plan.mounted[pose]):
+                pairs.append(_Pair(dwell, pose, scale * (tolerance - distance)))
+    return pairs
 
 
 def _contradict(said: Mapping[str, str], planned: Mapping[str, str]) -> bool:
