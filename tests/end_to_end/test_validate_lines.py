@@ -52,7 +52,7 @@ def test_a_calibration_by_the_ball_bar_holds_on_lines(found, judged):
     due = told["expected"]
     assert due["by_noise_mm"] == pytest.approx(1e3 * np.linalg.norm(line_rig().line_sigma), rel=0.02)
     assert told["rms_after_mm"] == pytest.approx(due["rms_mm"], rel=0.15)
-    assert told["verdict"].startswith("The calibration holds: noise")
+    assert told["verdict"].startswith("The calibration holds: the errors are consistent")
     assert {"line=l1", "line=l2", "line=l3"} < {region["region"] for region in told["regions"]}
 
 
@@ -93,4 +93,4 @@ def test_as_text(found, capsys):
     said = capsys.readouterr().out.splitlines()
     assert said[0].split() == ["error", "[mm]", "without", "with", "expected", "rows"]
     assert any(line.startswith("19 unknowns of the rig were settled") for line in said)
-    assert said[-1].startswith("The calibration holds: noise")
+    assert said[-1].startswith("The calibration holds: the errors are consistent")

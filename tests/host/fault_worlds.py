@@ -123,3 +123,10 @@ def tool_shift(one, other):
     """RMS distance [m] of the end's origin by two estimates over the planned poses."""
     at = [forward(CHAIN, of.value[: of.n_robot_parameters], plan().q)[:, :3, 3] for of in (one, other)]
     return float(np.sqrt(((at[0] - at[1]) ** 2).sum(axis=1).mean()))
+
+
+def chucks_off(plan, rng, size=0.2e-3):
+    """Every chuck is elsewhere than measured, each in a direction of its own, from the start."""
+    off = {name: size * direction(rng) for name in RIG.chucks}
+    each = np.array([off[name] for name in plan.chuck])
+    return table(plan, lengths(plan, each) + SIGMA * rng.normal(size=len(plan)))

@@ -108,13 +108,17 @@ def test_orientations_are_judged_in_degrees(folder, tmp_path, run):
     assert due["by_noise_deg"] == pytest.approx(np.degrees(1e-3 * np.sqrt(3.0)), rel=0.06)
     assert document["rms_after_deg"] == pytest.approx(due["rms_deg"], rel=0.2)
     assert document["rms_before_deg"] > 5.0 * document["rms_after_deg"]
-    assert re.search(r"explain such an error \(0\.\d{3} mm and 0\.\d{4} deg\)", document["verdict"])
+    assert re.search(r"consistent with .* \(0\.\d{3} mm and 0\.\d{4} deg\)", document["verdict"])
     header, errors = (re.findall(pattern, text, re.M) for pattern in (r"^error \[(\w+)\]", r"^all, RMS.* +40$"))
     assert header == ["mm", "deg"]
     assert len(errors) == 2
     assert errors[1].split()[2:4] == [f"{document[f'rms_{name}_deg']:.5f}" for name in ("before", "after")]
     document, text = found(slice(80))  # angles that are too noisy are no error of position
-    assert re.search(r"leaves \d\.\d times the error .* explain \(0\.\d{4} deg\)", document["verdict"])
+    assert re.search(r"but \d\.\d{3} mm and \d\.\d{4} deg RMS is unexplained", document["verdict"])
+    assert not document["consistent"]
+    # Half the rows have ten times the declared angle, three components of 1e-2 rad: √(3·(1e-4 − 1e-6)/2) rad, σ 8 % by 40 rows.
+    assert document["unexplained_deg"] == pytest.approx(np.degrees(np.sqrt(1.5 * 0.99e-4)), rel=0.25)
+    assert document["worst_region"] == "shell=two"
     regions = {region["region"]: region for region in document["regions"]}
     assert regions["shell=two"]["rms_after_deg"] > 5.0 * regions["shell=one"]["rms_after_deg"]
     assert regions["shell=two"]["rms_after_mm"] < 1.3 * regions["shell=one"]["rms_after_mm"]

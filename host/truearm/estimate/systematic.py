@@ -82,6 +82,10 @@ class FitChi2(NamedTuple):
     freedom: float
     explained: bool
 
+    def less(self, drop: float, freedom: int) -> FitChi2:
+        """With something more as parameters; gross errors leave nothing but rounding."""
+        return FitChi2(max(self.chi2 - drop, 1e-9 * self.chi2), max(self.freedom - freedom, 1.0), self.explained)
+
 
 class _Whitened(NamedTuple):
     """The rows' m scalar residuals in the order of measurement, the parameters' part taken off."""
@@ -144,8 +148,7 @@ def systematic_errors(
         near = sorted((of for of in beyond_chance if of is not best), key=lambda of: -of.evidence)
         rivals.append(tuple(_label(of, how) for of in near if of.evidence > best.evidence - AS_LIKELY))
         found.append(best)
-        left = max(state.chi2 - best.drop, 1e-9 * state.chi2)  # by rounding or curvature a drop may exceed χ²
-        rows, state = more, FitChi2(left, state.freedom - best.freedom, state.explained)
+        rows, state = more, state.less(best.drop, best.freedom)
     if not found:
         return None
     first = _whitened(problem, x, columns, fit)

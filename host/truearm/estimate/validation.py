@@ -8,6 +8,12 @@ with noise ε and the robot's error δ, r = ε − A δ, the rig's unknowns J u 
 take the part H r away, H = U₁U₁ᵀ of the thin SVD's U₁ beside J. What is left has the covariance
 
     (I − H) + (I − H) A P Aᵀ (I − H) .
+
+Whether the errors are of that size is one χ² test. With P as the prior of the robot's parameters about the identified ones the
+least sum of squares, data and priors together, is χ² with as many degrees of freedom as there are residuals and priors more
+than unknowns: rᵀ(I + A P Aᵀ)⁻¹r after the rig. What rows share, the robot's error and the rig's, is in it exactly, and so is
+how much n rows can tell. Directions of the robot that the identification did not see have no prior. The residuals of that fit are
+tested for systematic errors as those of any other (``systematic``).
 """
 
 from __future__ import annotations
@@ -17,18 +23,22 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
 from truearm.estimate.fit import fit
-from truearm.estimate.information import RANK_TOLERANCE
+from truearm.estimate.information import RANK_TOLERANCE, fold, half, observe, seen, spectrum, with_prior
 from truearm.estimate.lm import DAMPING_START
+from truearm.estimate.measured_order import measured_order
 from truearm.estimate.prediction import MOVES
 from truearm.estimate.problem import Problem, Rigs, build_problem, settled, without_knowledge
 from truearm.estimate.solution import Options
+from truearm.estimate.systematic import FitChi2, systematic_errors
 from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.kinds.group import unit_columns
 from truearm.model.chain import Chain
-from truearm.types import Floats, ObservationTable, Residuals
+from truearm.types import Floats, ObservationTable, Residuals, SystematicErrors
 
+LEVEL = 0.99  # of consistent sessions that are called so
 LEAST_FREEDOM = 1e-6  # share of a row's residuals that must be left to judge by; rounding leaves 1e-12
 
 
@@ -51,10 +61,6 @@ class Expected(NamedTuple):
     by_noise: Floats  # (n,) by the sigmas that rig and table declare
     by_parameters: Floats  # (n,) by the parameters' covariance
     unseen: NDArray[np.bool_]  # (n,) rows that a direction moves of which the identification saw nothing
-
-    def scaled(self, factor: float) -> Expected:
-        """With mean squares that are ``factor`` times as large."""
-        return Expected(factor * self.by_noise, factor * self.by_parameters, self.unseen)
 
 
 def judge(chain: Chain, rig: Rigs, table: ObservationTable, params: Floats) -> Judgement:
@@ -95,6 +101,58 @@ def expected(judgement: Judgement, covariance: Floats, unseen: Floats) -> Mappin
             to.unseen[part.row] = np.abs(by_robot @ unseen).max(axis=(1, 2), initial=0.0) > MOVES
         at += n * width
     return due
+
+
+class Consistency(NamedTuple):
+    """How the rows agree with declared noise and the calibration's covariance.
+
+    ``chi2`` of ``freedom`` degrees is at most ``limit`` with probability LEVEL if the robot is as identified.
+    """
+
+    chi2: float
+    freedom: int
+    limit: float
+    systematic: SystematicErrors | None
+
+    @property
+    def explained(self) -> bool:
+        """Whether noise and covariance explain the errors, and nothing is off."""
+        return self.chi2 <= self.limit and self.systematic is None
+
+
+def consistency(
+    judgement: Judgement, table: ObservationTable, covariance: Floats, unseen: Floats
+) -> Consistency | None:
+    """Test a judgement of the ``table``'s rows; arguments as of ``expected``. None without a degree of freedom."""
+    problem, x, p = judgement.problem, judgement.x, judgement.problem.n_robot
+    known = np.diag(covariance) > 0.0
+    columns = np.concatenate([known | unseen.any(axis=1), np.ones(x.size - p, dtype=bool)])
+    prior = np.concatenate([np.full(int(columns[:p].sum()), np.inf), problem.prior_sigma[p:]])
+    information = with_prior(observe(problem, x, columns), (problem.start - x)[columns], prior)
+    rows = _precision_root(covariance[np.ix_(columns[:p], columns[:p])])
+    k = int(columns.sum())
+    triangle = np.zeros((k + 1, k + 1))
+    triangle[:k, :k], triangle[:k, k] = information.root, information.rhs
+    triangle = fold(triangle, np.pad(rows, ((0, 0), (0, k + 1 - rows.shape[1]))))
+    whole = information._replace(root=triangle[:k, :k], rhs=triangle[:k, k])
+    parts = spectrum(whole.root)
+    fitted = half(parts).T @ (whole.root.T @ whole.rhs)
+    freedom = information.n_residuals + len(rows) - int(seen(parts).sum())
+    if freedom < 1:
+        return None
+    chi2 = max(information.chi2 - float(fitted @ fitted), 0.0)
+    limit = float(special.chdtri(freedom, 1.0 - LEVEL))
+    how = measured_order(table, np.ones(len(table), dtype=bool))
+    wrong = systematic_errors(problem, x, columns, whole, FitChi2(chi2, freedom, chi2 <= limit), how)
+    return Consistency(chi2, freedom, limit, wrong)
+
+
+def _precision_root(covariance: Floats) -> Floats:
+    """(r, k) rows whose squares are the inverse of a covariance (k, k) along the directions in which it is not 0."""
+    scale = np.sqrt(np.where(np.diag(covariance) > 0.0, np.diag(covariance), 1.0))
+    values, vectors = np.linalg.eigh(covariance / scale / scale[:, None])
+    some = values > RANK_TOLERANCE * values.max(initial=0.0)
+    return np.asarray((vectors[:, some] / np.sqrt(values[some])).T / scale)
 
 
 def _taken(jac: Floats, prior_sigma: Floats) -> Floats:

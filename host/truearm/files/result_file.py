@@ -34,6 +34,7 @@ from truearm.types import (
     Relabelling,
     Residuals,
     SystematicError,
+    SystematicErrors,
 )
 from truearm.units import UNITS, key, shown
 
@@ -107,7 +108,7 @@ def document_of(
     how far the tool may be off, ``defaults`` what is held or believed without having been asked for.
     """
     names = np.array(estimate.parameter_names)
-    units, found = residual_units(estimate), estimate.systematic
+    units = residual_units(estimate)
     return {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
@@ -148,10 +149,7 @@ def document_of(
         "chi2_band": _numbers(estimate.chi2_band),
         "chi2_freedom": _number(estimate.chi2_freedom),
         "suspect": _suspects(estimate, table),
-        "systematic": [] if found is None else [_systematic(one, table) for one in found.found],
-        "without_systematic": None
-        if found is None
-        else {"chi2_reduced": _number(found.chi2_reduced), "tool_moves_mm": _shown(found.moves, "m")},
+        **systematic_entries(estimate.systematic, table),
         "held_out_by": list(held_out_by),
         "held_out": _held_out(estimate.held_out, units),
         "held_out_before": _held_out(estimate.held_out_before, units),
@@ -255,6 +253,14 @@ def _suspects(estimate: Estimate, table: ObservationTable) -> list[dict[str, Any
         }
         for row in rows[np.argsort(-estimate.distance[rows], kind="stable")]
     ]
+
+
+def systematic_entries(found: SystematicErrors | None, table: ObservationTable) -> dict[str, Any]:
+    """The fields ``systematic`` and ``without_systematic`` for what was found to be off in the table's rows."""
+    if found is None:
+        return {"systematic": [], "without_systematic": None}
+    would_be = {"chi2_reduced": _number(found.chi2_reduced), "tool_moves_mm": _shown(found.moves, "m")}
+    return {"systematic": [_systematic(one, table) for one in found.found], "without_systematic": would_be}
 
 
 def _systematic(found: SystematicError, table: ObservationTable) -> dict[str, Any]:

@@ -1,7 +1,9 @@
 """The work of ``truearm validate``: errors of the robot as described and as identified, by region, and a verdict.
 
-The verdict holds the error against what is to be expected: the noise that rig and table declare, and what the identification did
-not know better. The error that the calibration had on its own data is no measure of rows of another kind, or of another place.
+The verdict holds the errors against what is to be expected: the noise that rig and table declare, and what the identification did
+not know better (``estimate.validation.consistency``). How large the calibration's own residuals were is no measure: a calibration
+that fits badly would be judged leniently for it. There are three answers. The errors are consistent with that; or they are smaller
+than without the calibration, but a part of them is unexplained; or they are not smaller.
 """
 
 from __future__ import annotations
@@ -17,11 +19,12 @@ from numpy.typing import NDArray
 
 from truearm.errors import InputError
 from truearm.estimate.problem import Rigs
-from truearm.estimate.validation import Expected, expected, judge
-from truearm.files.result_file import Input
+from truearm.estimate.validation import Expected, consistency, expected, judge
+from truearm.files.result_file import Input, systematic_entries
 from truearm.files.robot_file import RobotChoice
 from truearm.kinds.registry import regions as regions_of_kinds
 from truearm.model.chain import forward
+from truearm.report.systematic_words import systematic_sentences
 from truearm.text import counted, one_line
 from truearm.types import Figures, Floats, ObservationTable
 from truearm.units import MM, SUFFIXES, UNITS, Scale, key, shown, title
@@ -32,8 +35,7 @@ from truearm.workflows.session_parts import with_parts
 Mask = NDArray[np.bool_]
 
 LEAST_ROWS = 5  # of a region: fewer say little
-AS_GOOD = 1.5  # times the error to be expected
-HELPS = 0.9  # of the error without it
+BETTER = 3.0  # standard errors by which a mean square must differ from another to count as different
 
 
 ByUnit = Mapping[str, Figures]
@@ -120,9 +122,9 @@ def validated(calibration: Calibration, rig: Rigs, table: ObservationTable, inpu
     if not judging.any():
         raise InputError("no row can judge: each fits unknowns of the rig whatever it says; measure more there")
     due = expected(after, calibration.covariance, calibration.unseen)
-    chi2 = _chi2_beyond(calibration.stored.document)
+    test = consistency(after, table, calibration.covariance, calibration.unseen)
     errors = {
-        si: Errors(before.error[si], error, due[si].scaled(chi2), judging & np.isfinite(error))
+        si: Errors(before.error[si], error, due[si], judging & np.isfinite(error))
         for si, error in after.error.items()
         if np.isfinite(error[judging]).any()
     }
@@ -146,6 +148,14 @@ def validated(calibration: Calibration, rig: Rigs, table: ObservationTable, inpu
         **_figure_entries(*figures),
         "unseen": unseen,
         "expected": due_entries,
+        **{key("unexplained", si): _shown(_unexplained(of, of.rows), si) for si, of in errors.items()},
+        "better": {UNITS[si].scale.suffix: _is_better(of) for si, of in errors.items()},
+        "consistent": None if test is None else test.explained,
+        "chi2_reduced": None if test is None else test.chi2 / test.freedom,
+        "chi2_limit": None if test is None else test.limit / test.freedom,
+        "chi2_freedom": None if test is None else test.freedom,
+        **systematic_entries(None if test is None else test.systematic, table),
+        "worst_region": _worst_region(errors, judging, _named_regions(calibration, table)),
         "regions": [_region_entry(region) for region in regions],
     }
     words = verdict(document)
@@ -160,6 +170,36 @@ class Errors(NamedTuple):
     after: Floats
     due: Expected
     rows: Mask
+
+
+def _unexplained(of: Errors, rows: Mask) -> float:
+    """RMS of what declared noise and covariance leave of the errors of some rows; NaN where what they explain is not known."""
+    rows = rows & ~of.due.unseen
+    left = of.after[rows] ** 2 - of.due.by_noise[rows] - of.due.by_parameters[rows]
+    return math.sqrt(max(float(left.mean()), 0.0)) if left.size else math.nan
+
+
+def _is_better(of: Errors) -> bool:
+    """Whether the errors are smaller with the calibration than without, beyond chance."""
+    gain = of.before[of.rows] ** 2 - of.after[of.rows] ** 2
+    return bool(gain.mean() * math.sqrt(gain.size) > BETTER * gain.std())
+
+
+def _worst_region(errors: Mapping[str, Errors], judging: Mask, regions: Sequence[tuple[str, Mask]]) -> str | None:
+    """The region whose errors exceed those expected most, where they do so by more than elsewhere, beyond chance."""
+    worst: tuple[float, str] | None = None
+    for of in errors.values():
+        rows = judging & of.rows & ~of.due.unseen
+        ratio = np.where(rows, of.after**2 / np.maximum(of.due.by_noise + of.due.by_parameters, 1e-300), np.nan)
+        for name, mine in regions:
+            here, there = ratio[rows & mine], ratio[rows & ~mine]
+            if min(here.size, there.size) < LEAST_ROWS:
+                continue
+            apart = here.mean() - there.mean()
+            error = math.sqrt(here.var() / here.size + there.var() / there.size)
+            if apart > BETTER * error and (worst is None or apart > worst[0]):
+                worst = float(apart), name
+    return worst[1] if worst else None
 
 
 def _figures(errors: Mapping[str, Errors], rows: Mask) -> tuple[ByUnit, ByUnit]:
@@ -190,15 +230,6 @@ def _shown(value: float, si: str) -> float | None:
 def _root_mean(square: Floats) -> float:
     """NaN of no rows, and where one of them has no such square."""
     return float(np.sqrt(np.mean(square))) if square.size else math.nan
-
-
-def _chi2_beyond(document: Mapping[str, Any]) -> float:
-    """By how much the noise was larger than declared in the identification's own residuals; 1 within chance."""
-    chi2, band = document.get("chi2_reduced"), document.get("chi2_band")
-    if not (isinstance(chi2, int | float) and isinstance(band, list) and len(band) == 2):
-        return 1.0
-    beyond = isinstance(band[1], int | float) and chi2 > band[1]
-    return float(chi2) if beyond else 1.0
 
 
 def _expected(errors: Mapping[str, Errors]) -> tuple[dict[str, float], dict[str, float | None] | None]:
@@ -234,19 +265,22 @@ def _regions(
 ) -> tuple[ValidationRegion, ...]:
     """Groups that the rows name, and four parts of the space where the end was."""
     squares = {si: np.where(of.due.unseen, np.nan, of.due.by_noise + of.due.by_parameters) for si, of in errors.items()}
-    regions = []
-    for column in regions_of_kinds():
-        names = [str(name) for name in np.unique(table.column(column)) if name]
-        if len(names) > 1:
-            regions += [(f"{column}={name}", table.column(column) == name) for name in names]
-    regions += _parts(calibration, table)
     found = []
-    for name, mine in regions:
+    for name, mine in _named_regions(calibration, table):
         rows = mine & judging
         if rows.sum() >= LEAST_ROWS:
             due = {si: _root_mean(squares[si][rows & of.rows]) for si, of in errors.items()}
             found.append(ValidationRegion(name, int(rows.sum()), *_figures(errors, rows), due))
     return tuple(found)
+
+
+def _named_regions(calibration: Calibration, table: ObservationTable) -> list[tuple[str, Mask]]:
+    regions = []
+    for column in regions_of_kinds():
+        names = [str(name) for name in np.unique(table.column(column)) if name]
+        if len(names) > 1:
+            regions += [(f"{column}={name}", table.column(column) == name) for name in names]
+    return regions + _parts(calibration, table)
 
 
 def _parts(calibration: Calibration, table: ObservationTable) -> list[tuple[str, Mask]]:
@@ -268,26 +302,29 @@ def _parts(calibration: Calibration, table: ObservationTable) -> list[tuple[str,
 def verdict(document: Mapping[str, Any]) -> str:
     """What the numbers mean, in words."""
     units = [SUFFIXES[suffix] for suffix in document["residual_units"]]
-    helped = [u.suffix for u in units if document[f"rms_after_{u.suffix}"] < HELPS * document[f"rms_before_{u.suffix}"]]
-    predicted = [_Told.of(document["expected"], unit) for unit in units if _Told.known(document["expected"], unit)]
-    if not helped:
+    helped = [suffix for suffix, better in document["better"].items() if better]
+    told = [_Told.of(document["expected"], unit) for unit in units if _Told.known(document["expected"], unit)]
+    if document["consistent"] and told:
+        explained = " and ".join(of.text(of.rms) for of in told)
+        words = f"The calibration holds: the errors are consistent with declared noise and its own uncertainty ({explained})."
+        if unsure := [of for of in told if of.by_parameters > of.by_noise]:
+            words = (
+                "The calibration holds, as far as it says anything here: its own uncertainty leaves "
+                f"{unsure[0].text(unsure[0].by_parameters)}. To know this place better, identify from it too."
+            )
+    elif not helped:
         words = "The calibration does not help here: identify again, from measurements of this place and tool."
-    elif not predicted:
+    elif document["consistent"] is None or not told:
         words = "The calibration helps, but how far it holds cannot be told here."
-    elif (worst := max(predicted, key=lambda of: of.excess)).excess > AS_GOOD:
-        words = (
-            f"The calibration helps, but leaves {worst.excess:.1f} times the error that noise and its own "
-            f"uncertainty explain ({worst.text(worst.rms)}): the arm, its tool or its load has changed, or it errs in ways that "
-            "the parameters do not hold."
-        )
-    elif unsure := [of for of in predicted if of.by_parameters > of.by_noise]:
-        words = (
-            "The calibration holds, as far as it says anything here: its own uncertainty leaves "
-            f"{unsure[0].text(unsure[0].by_parameters)}. To know this place better, identify from it too."
-        )
     else:
-        explained = " and ".join(of.text(of.rms) for of in predicted)
-        words = f"The calibration holds: noise and its own uncertainty explain such an error ({explained})."
+        explained = " and ".join(of.text(of.rms) for of in told)
+        left = " and ".join(of.text(document[f"unexplained_{of.unit.suffix}"]) for of in told)
+        where = f", most of it in {document['worst_region']}" if document["worst_region"] else ""
+        words = (
+            f"The errors are smaller than without the calibration, but {left} RMS is unexplained{where}: declared noise and its own "
+            f"uncertainty explain {explained}. The arm, its tool or its load has changed, the rig is not as described, here or when it "
+            "was identified, or it errs in ways that the parameters do not hold."
+        )
     if document["unseen"]:
         words += (
             f" {counted(document['unseen'], 'row hangs', 'rows hang')} on combinations of parameters that it did not see when it "
@@ -308,14 +345,10 @@ class _Told(NamedTuple):
     rms: float
     by_noise: float
     by_parameters: float
-    excess: float  # what is left with the calibration over what is expected
 
     @classmethod
     def of(cls, due: Mapping[str, Any], unit: Scale) -> _Told:
-        rms, by_noise, by_parameters, after = (
-            due[f"{name}_{unit.suffix}"] for name in ("rms", "by_noise", "by_parameters", "rms_after")
-        )
-        return cls(unit, rms, by_noise, by_parameters, after / rms if rms > 0.0 else math.inf)
+        return cls(unit, *(due[f"{name}_{unit.suffix}"] for name in ("rms", "by_noise", "by_parameters")))
 
     @staticmethod
     def known(due: Mapping[str, Any] | None, unit: Scale) -> bool:
@@ -334,6 +367,11 @@ def validation_lines(document: Mapping[str, Any]) -> list[str]:
     """The document as a person reads it: a table a unit, and what it means."""
     lines = [line for suffix in document["residual_units"] for line in _error_lines(document, SUFFIXES[suffix])]
     lines.append("Expected is, with the calibration, what declared noise and its own uncertainty explain.")
+    if document["chi2_reduced"] is not None:
+        lines.append(
+            f"χ² per degree of freedom {document['chi2_reduced']:.3g}; consistent up to {document['chi2_limit']:.3g} (99 %)."
+        )
+    lines += systematic_sentences(document)
     if document["settled"]:
         lines.append(f"{document['settled']} unknowns of the rig were settled on these rows, without and with alike.")
     if document["left_out"]:

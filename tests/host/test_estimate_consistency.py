@@ -1,0 +1,63 @@
+"""The χ² test behind the verdict: consistent where only noise is, not where something was off in either session."""
+
+import fault_worlds as worlds
+import numpy as np
+import pytest
+from puma_bench import CHAIN, TRUTH
+
+from truearm.estimate.validation import consistency, judge
+
+FAULTS = {
+    "chucks 0.2 mm off": worlds.chucks_off,
+    "bar 0.1 mm long": lambda plan, rng: worlds.wrong_bar(plan, rng, 0.1e-3),
+    "bar 0.1 mm short": lambda plan, rng: worlds.wrong_bar(plan, rng, -0.1e-3),
+    "drift 0.2 mm": lambda plan, rng: worlds.drifting(plan, rng, 0.2e-3),
+}
+PLACES = ("fitted", "judging")
+
+
+def result_of(seed, fitted=worlds.clean, judging=worlds.clean):
+    """A calibration from one session of 360 rows, tested by another of the same plan."""
+    rng, plan = np.random.default_rng(seed), worlds.plan()
+    estimate = worlds.identified(fitted(plan, rng))
+    p = estimate.n_robot_parameters
+    rows = judging(plan, rng)
+    judgement = judge(CHAIN, worlds.RIG, rows, estimate.value[:p])
+    return consistency(judgement, rows, estimate.covariance[:p, :p], np.zeros((p, 0)))
+
+
+def share_consistent(seeds, **worlds_of):
+    return np.mean([result_of(seed, **worlds_of).explained for seed in seeds])
+
+
+def test_chi2_is_that_of_its_degrees_of_freedom():
+    """Noise and the calibration's covariance, nothing scaled: the mean of 6 values of 360 degrees, ± 5 σ."""
+    found = [result_of(seed) for seed in range(6)]
+    assert {of.freedom for of in found} == {360}, "every residual counts: the prior takes the robot's parameters off"
+    assert np.mean([of.chi2 for of in found]) == pytest.approx(360.0, abs=5.0 * np.sqrt(720.0 / 6.0))
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("place", PLACES)
+def test_a_fault_in_either_session_is_not_consistent(fault, place):
+    assert not result_of(1, **{place: FAULTS[fault]}).explained
+
+
+def test_an_exact_calibration_is_judged_by_noise_alone():
+    rows = worlds.clean(worlds.plan(), np.random.default_rng(3))
+    p = TRUTH.size
+    found = consistency(judge(CHAIN, worlds.RIG, rows, TRUTH), rows, np.zeros((p, p)), np.zeros((p, 0)))
+    assert found.freedom == 360
+    assert found.explained
+
+
+@pytest.mark.soak
+def test_97_of_100_clean_sessions_are_consistent():
+    assert share_consistent(range(200)) >= 0.97
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("place", PLACES)
+def test_faults_are_called_consistent_in_5_of_100_at_most(fault, place):
+    assert share_consistent(range(40), **{place: FAULTS[fault]}) <= 0.05
