@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 
 from truearm.errors import Argument, InputError
 
+_encoder = msgspec.json.Encoder()
+
 Columns = Mapping[str, NDArray[Any]]  # titles and columns of equal length
 
 
@@ -74,9 +76,9 @@ def _is_plain(column: NDArray[Any]) -> bool:
 def _rows(columns: Columns) -> str:
     """Rows of numbers, by an encoder of JSON: 1.3 µs for 17 columns, where the csv module takes 5."""
     rows = list(zip(*(column.tolist() for column in columns.values()), strict=True))
-    if not rows:
-        return ""
-    return msgspec.json.encode(rows)[2:-2].replace(b"],[", b"\n").replace(b"null", b"").decode() + "\n"
+    text = _encoder.encode_lines(rows).translate(None, b"[]").decode()
+    missing = any(column.dtype.kind == "f" and np.isnan(column).any() for column in columns.values())
+    return text.replace("null", "") if missing else text
 
 
 def _cells(column: NDArray[Any]) -> list[Any]:
