@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 from truearm.errors import Argument, InputError, SessionError
 from truearm.files.disk import same_file
-from truearm.session.joint_line import are_joints
 
 if TYPE_CHECKING:
     from truearm.live.progress import SessionProgress
@@ -166,6 +165,8 @@ def _opened(path: Path) -> Session:
 
 def _planned(row: dict[str, Any], rows: list[dict[str, Any]], path: Path) -> dict[str, Any]:
     """A row of the plan, with as many joints as those before it."""
+    from truearm.session.joint_line import are_joints
+
     q = row.get("q")
     if not are_joints(q) or (rows and len(rows[0]["q"]) != len(q)):
         raise SessionError(Argument("resume"), f" {path}: its plan is damaged; give it anew with ", Argument("plan"))
