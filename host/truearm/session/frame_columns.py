@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.session.box_messages import boot_id, device_time, is_boot, is_echo
-from truearm.session.data_frames import MAX_DEVICE_US, MAX_N0, MAX_PAYLOAD, Data, data_of, decode
+from truearm.session.data_frames import MAX_DEVICE_US, MAX_N0, MAX_PAYLOAD, data_of, decode
 from truearm.session.message_columns import Ints, Messages, heads
 from truearm_wire import messages as wire
 
@@ -302,18 +302,3 @@ def _run_begins(
     alone = np.array(list(single), dtype=np.intp)
     cut[alone] = cut[alone + 1] = True
     return np.flatnonzero(cut[:-1])
-
-
-def data_at(frames: Frames, i: int) -> Data:
-    """One data frame."""
-    at = int(frames.samples_at[i])
-    return Data(
-        seq=int(frames.seq[i]),
-        stream=int(frames.kind[i]),
-        n0=int(frames.n0[i]),
-        t0_us=int(frames.t_us[i]),
-        period_ns=int(frames.period_ns[i]),
-        offsets_us=frames.offsets_us.get(i, b""),
-        samples=frames.messages.data[at : at + int(frames.samples_bytes[i])],
-        flags=int(frames.flags[i]),
-    )

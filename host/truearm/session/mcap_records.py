@@ -22,7 +22,6 @@ from mcap.records import Attachment, Channel, Chunk, Metadata
 from mcap.writer import MCAP0_MAGIC
 
 from truearm.errors import Argument, SessionError
-from truearm.types import Message
 
 MAX_CHUNK_BYTES = 64 << 20
 MAX_ATTACHMENT_BYTES = 16 << 20
@@ -33,9 +32,6 @@ CRC = "crc32"  # a key of every metadata record of ours
 CHANNELS = "channels"  # the metadata record that says again which channel is which topic
 
 RECORD = struct.Struct("<BQ")
-MESSAGE = struct.Struct("<HIQQ")
-_IS_MESSAGE = int(Opcode.MESSAGE)
-_STORED = struct.Struct("<BQHIQQ")  # both
 LATEST_NS = 1 << 62  # 146 years; differences of later times would not fit int64
 FOOTER_BYTES = 20
 # What the library raises for a record that ends early, holds no UTF-8 or claims a length beyond 63 bits.
@@ -149,47 +145,6 @@ def _decompress(chunk: Chunk) -> bytes | None:
         data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=MAX_CHUNK_BYTES + 1)
         return data if len(data) <= MAX_CHUNK_BYTES else None
     return chunk.data if chunk.compression == "" else None
-
-
-def chunk_messages(
-    path: Path, data: bytes, channels: dict[int, str], wanted: frozenset[str] | None
-) -> Iterator[Message]:
-    """The wanted messages among the records ``data``; ``channels`` gains those that it declares."""
-    for topic, _, _, t_host_ns, begin, end in stored(path, data, channels):
-        if wanted is None or topic in wanted:
-            yield Message(topic, t_host_ns, data[begin:end])
-
-
-def stored(path: Path, data: bytes, channels: dict[int, str]) -> Iterator[tuple[str, int, int, int, int, int]]:
-    """All messages among the records ``data``: topic, number within the topic, UTC and host time, and where their bytes begin and end.
-
-    ``channels`` gains those that ``data`` declares. MCAP's log time is UTC, its publish time the host's clock; in earlier
-    sessions both are the host's clock.
-    """
-    at, size = 0, len(data)
-    head = RECORD.size + MESSAGE.size
-    while at < size:
-        if at + head <= size:  # nearly all records are messages
-            opcode, length, channel, sequence, log_ns, t_host_ns = _STORED.unpack_from(data, at)
-        elif at + RECORD.size <= size:
-            opcode, length = RECORD.unpack_from(data, at)
-        else:
-            damaged(path, at)
-        begin, at = at + head, at + RECORD.size
-        end = at + length
-        if end > size:
-            damaged(path, at)
-        if opcode == _IS_MESSAGE:
-            topic = channels.get(channel) if begin <= end else None
-            if topic is None or t_host_ns >= LATEST_NS:
-                damaged(path, at)
-            yield topic, sequence, log_ns, t_host_ns, begin, end
-        elif opcode == Opcode.CHANNEL:
-            channel, topic = channel_of(path, data[at:end], at)
-            channels[channel] = topic
-            if len(channels) > MAX_CHANNELS:
-                raise SessionError(f"{path}: has more than {MAX_CHANNELS} channels")
-        at = end
 
 
 def channel_of(path: Path, body: bytes, at: int) -> tuple[int, str]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +24,12 @@ MARGIN = 64  # zero bytes behind the last record: a head may be read beyond the 
 
 Ints = NDArray[np.int64]
 
-# A message's record: opcode, length, channel, number within the topic, UTC (not read), host time.
+# A message's record. MCAP's log time is UTC, its publish time the host's clock; in sessions before version 0.5 both are the host's clock.
 _HEAD = np.dtype(
     {
-        "names": ["opcode", "length", "channel", "sequence", "t_host_ns"],
-        "formats": ["u1", "<u8", "<u2", "<u4", "<u8"],
-        "offsets": [0, 1, 9, 11, 23],
+        "names": ["opcode", "length", "channel", "sequence", "log_ns", "t_host_ns"],
+        "formats": ["u1", "<u8", "<u2", "<u4", "<u8", "<u8"],
+        "offsets": [0, 1, 9, 11, 15, 23],
         "itemsize": 31,
     }
 )
@@ -41,7 +41,7 @@ _LENGTH = struct.Struct("<Q").unpack_from
 class Messages:
     """Messages (m,) in the order in which they were written; bytes ``begin`` to ``end`` of ``data`` are what each holds.
 
-    ``topic`` is an index of ``topics``; ``sequence`` the number within the topic.
+    ``topic`` is an index of ``topics``; ``sequence`` the number within the topic; ``log_ns`` MCAP's log time.
     """
 
     data: bytes
@@ -51,6 +51,7 @@ class Messages:
     begin: Ints
     end: Ints
     sequence: Ints
+    log_ns: NDArray[np.uint64]
 
     def __len__(self) -> int:
         return len(self.topic)
@@ -77,15 +78,8 @@ class Messages:
     def without(self, wanted: Callable[[str], bool]) -> Messages:
         """The same but for the messages of some topics."""
         rows = self.rows(lambda topic: not wanted(topic))
-        return Messages(
-            self.data,
-            self.topics,
-            self.topic[rows],
-            self.t_host_ns[rows],
-            self.begin[rows],
-            self.end[rows],
-            self.sequence[rows],
-        )
+        columns = ("topic", "t_host_ns", "begin", "end", "sequence", "log_ns")
+        return replace(self, **{name: getattr(self, name)[rows] for name in columns})
 
     def of(self, rows: NDArray[np.intp]) -> Iterator[Message]:
         """Some of the messages one by one."""
@@ -109,6 +103,7 @@ def columns_of(messages: Iterable[Message]) -> Messages:
         begin=end - size,
         end=end,
         sequence=np.arange(len(messages), dtype=np.int64),
+        log_ns=np.array([m.t_host_ns for m in messages], dtype=np.uint64),
     )
 
 
@@ -168,6 +163,7 @@ def _batch(path: Path, chunks: Sequence[bytes], channels: dict[int, str]) -> Mes
         begin=begin[rows] + _HEAD.itemsize,
         end=end[rows],
         sequence=head["sequence"][rows].astype(np.int64),
+        log_ns=head["log_ns"][rows],
     )
 
 

@@ -14,7 +14,6 @@ import io
 import os
 import re
 import struct
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
@@ -34,14 +33,13 @@ from truearm.session.mcap_records import (
     RECORD,
     UNREADABLE,
     body_of,
-    chunk_messages,
     chunk_records,
     has_footer,
     parse_attachment,
     parse_metadata,
     records,
-    stored,
 )
+from truearm.session.message_columns import batches
 
 MAX_BAD = 1000  # records; each may have cost the unpacking of a chunk
 MAX_TRIES = 100_000  # places looked at in one search; a file of chunks has none that is not one
@@ -195,10 +193,10 @@ def _is_whole(path: Path, file: BinaryIO, opcode: int, at: int, length: int, who
 
 def _take_messages(path: Path, data: bytes, whole: Whole) -> None:
     channels = dict(whole.channels)
-    times = [log_ns for _, _, log_ns, _, _, _ in stored(path, data, channels)]
+    (messages,) = batches(path, [data], channels)
     whole.channels.update(channels)
-    if times:
-        whole.saw(min(times), max(times))
+    if len(messages):
+        whole.saw(int(messages.log_ns.min()), int(messages.log_ns.max()))
 
 
 def _may_begin(file: BinaryIO, at: int, size: int) -> bool:
@@ -269,7 +267,7 @@ def _summary(path: Path, file: BinaryIO, size: int) -> _Summary:
         for opcode, at, length in records(file, size, start):
             if opcode == Opcode.CHANNEL:
                 body = RECORD.pack(opcode, length) + body_of(path, file, at, length, MAX_METADATA_BYTES)
-                _drain(chunk_messages(path, body, channels, None))
+                list(batches(path, [body], channels))
             elif opcode == Opcode.STATISTICS:
                 body = body_of(path, file, at, length, MAX_METADATA_BYTES)
                 statistics = Statistics.read(ReadDataStream(io.BytesIO(body)))
@@ -278,8 +276,3 @@ def _summary(path: Path, file: BinaryIO, size: int) -> _Summary:
     except (SessionError, *UNREADABLE):  # the summary is damaged too: what was read of it serves
         pass
     return channels, span, counts
-
-
-def _drain(messages: Iterator[object]) -> None:
-    for _ in messages:
-        pass

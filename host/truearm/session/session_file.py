@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Statistics
@@ -29,7 +30,6 @@ from truearm.session.mcap_records import (
     RECORD,
     UNREADABLE,
     body_of,
-    chunk_messages,
     chunk_records,
     damaged,
     has_footer,
@@ -37,7 +37,6 @@ from truearm.session.mcap_records import (
     parse_attachment,
     parse_metadata,
     records,
-    stored,
 )
 from truearm.session.message_columns import Messages, batches
 from truearm.session.salvage import MAX_ITEMS, Damage, salvage
@@ -71,9 +70,8 @@ class Session:
         Raises SessionError where the file is damaged.
         """
         wanted = None if topics is None else frozenset([topics] if isinstance(topics, str) else topics)
-        channels = dict(self.channels)
-        for data in self.packed():
-            yield from chunk_messages(self.path, data, channels, wanted)
+        for messages in self.batches():
+            yield from messages.of(messages.rows(lambda topic: wanted is None or topic in wanted))
 
     def batches(self) -> Iterator[Messages]:
         """All messages as columns, some megabytes at a time, in the order in which they were written.
@@ -84,10 +82,8 @@ class Session:
 
     def numbered(self) -> Iterator[tuple[int, Message]]:
         """All messages, each with the number that its writer gave it within its topic."""
-        channels = dict(self.channels)
-        for data in self.packed():
-            for topic, sequence, _, t_host_ns, begin, end in stored(self.path, data, channels):
-                yield sequence, Message(topic, t_host_ns, data[begin:end])
+        for messages in self.batches():
+            yield from zip(messages.sequence.tolist(), messages.of(np.arange(len(messages))), strict=True)
 
     def packed(self) -> Iterator[bytes]:
         """The records of one chunk after the other."""
