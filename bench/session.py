@@ -34,9 +34,9 @@ import session_stream
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.session.box_reader import BoxReader
-from truearm.session.dwell_pairing import Marks
 from truearm.session.joint_readings import JointReader
-from truearm.session.pipeline import observations
+from truearm.session.observations import observations
+from truearm.session.plan_matching import Marks
 from truearm.session.session_file import Session, open_session
 from truearm.types import Message
 

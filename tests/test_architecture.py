@@ -344,6 +344,6 @@ def test_pages_about_the_code_name_what_exists(page):
 
 def test_the_check_of_the_page_finds_what_is_gone():
     known = defined_names()
-    page = "`Box.step()` `Box.nothing()` `session.pipeline.survey()` `session.hull.survey()` `gone()` `Gone` `session/gone.py`"
+    page = "`Box.step()` `Box.nothing()` `session.observations.survey()` `session.hull.survey()` `gone()` `Gone` `session/gone.py`"
     assert missing_names(page, known) == {"Box.nothing", "session.hull.survey", "gone", "Gone"}
     assert missing_files(page) == {"session/gone.py"}

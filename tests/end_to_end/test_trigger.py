@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from truearm.cli.main import app
 from truearm.record.recorder import RecordOptions, record
 from truearm.record.session_writer import SessionWriter
-from truearm.session.pipeline import survey
+from truearm.session.observations import survey
 from truearm.session.session_file import open_session
 from truearm_sim.chip import ChipBox
 from truearm_sim.lab import HOST_AT_START_NS, Lab

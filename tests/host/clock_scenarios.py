@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from truearm.session.box_messages import Exchange
+from truearm.session.box_frames import Exchange
 from truearm.session.box_reader import BoxReader
 from truearm.session.device_clock import ClockReport, fit_clock
 from truearm.session.message_columns import columns_of

@@ -22,13 +22,24 @@ from numpy.typing import NDArray
 from oracle_frame_order import Frame, FrameOrder, Placed
 
 from truearm.errors import ProtocolError
+from truearm.session.box_frames import (
+    MAX_DEVICE_US,
+    Data,
+    Exchange,
+    Pages,
+    boot_id,
+    data_of,
+    decode,
+    device_time,
+    is_boot,
+    is_echo,
+    is_text,
+    parse_exchange,
+    usual_data,
+)
 from truearm.session.box_ident import Ident, Stream, decode_ident
-from truearm.session.box_messages import Exchange, boot_id, device_time, is_boot, is_echo, is_text, parse_exchange
-from truearm.session.data_frames import MAX_DEVICE_US, Data, data_of, decode, usual_data
 from truearm.session.heartbeats import Heartbeats
-from truearm.session.losses import Losses
-from truearm.session.pages import Pages
-from truearm.session.sample_streams import COUNTED, StreamReport
+from truearm.session.losses import COUNTED, Losses, StreamReport
 from truearm.types import Message
 from truearm_wire import messages as wire
 

@@ -22,7 +22,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from truearm.session.data_frames import too_many
+from truearm.session.box_frames import too_many
 
 REACH = 512  # frames that a late one may lag behind: some seconds of a box, less than what sessions hold back for late messages
 BEHIND_RUN = 64  # a heartbeat comes once in 80 to 350 frames and is hardly ever lost

@@ -10,8 +10,8 @@ from record_box import ident
 from truearm.live.progress import SessionProgress
 from truearm.live.state import LiveState
 from truearm.record.status import Counters, Status
+from truearm.session.box_frames import Data
 from truearm.session.box_ident import decode_ident
-from truearm.session.data_frames import Data
 from truearm.types import BallBar, Point, Rig
 
 S = 1_000_000_000

@@ -21,8 +21,7 @@ from truearm.model.chain import along, trace_point
 from truearm.model.robot import builtin_robot
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
-from truearm.session.approach_sides import came_from
-from truearm.session.pipeline import observations
+from truearm.session.observations import came_from, observations
 from truearm.session.repeated_visits import visits
 from truearm.types import Message
 from truearm.workflows.characterize import Part, characterized

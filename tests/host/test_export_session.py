@@ -23,9 +23,9 @@ from truearm.files.rig_file import write_rig
 from truearm.record.session_writer import SessionWriter
 from truearm.session.joint_batch import parse_lines
 from truearm.session.message_columns import columns_of as message_columns
-from truearm.session.pipeline import Batches, observations, survey
-from truearm.session.session_columns import MAX_TABLES, tabulate
+from truearm.session.observations import Batches, observations, survey
 from truearm.session.session_file import open_session
+from truearm.session.session_tables import MAX_TABLES, tabulate
 from truearm.types import Message
 from truearm.workflows.inspect import ident_of
 
@@ -206,7 +206,7 @@ def test_optional_keys_of_readings():
 
 
 def test_keys_that_come_later_begin_another_table(monkeypatch):
-    monkeypatch.setattr("truearm.session.session_columns.LINES", 4)
+    monkeypatch.setattr("truearm.session.session_tables.LINES", 4)
     rows = [{"t": 0.1 * k, "q": [0.1], **({"effort": [2.0]} if k >= 5 else {})} for k in range(12)]
     messages = stream_of(joint_lines(rows))
     batches = list(tabulate(survey(messages)))

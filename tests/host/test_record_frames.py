@@ -17,7 +17,7 @@ from truearm.record.frames import (
     frame_type,
     payload_of,
 )
-from truearm.session.data_frames import data_of, decode, usual_data
+from truearm.session.box_frames import data_of, decode, usual_data
 
 VECTORS = Path(__file__).parents[2] / "protocol" / "vectors"
 

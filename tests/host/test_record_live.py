@@ -12,8 +12,8 @@ from record_live import NOISE, PAIRS, S, Session, plan
 from truearm.live.progress import SessionProgress
 from truearm.live.state import LiveState
 from truearm.record.status import Counters, Status
+from truearm.session.box_frames import Data
 from truearm.session.box_ident import decode_ident
-from truearm.session.data_frames import Data
 
 
 class TestDwells:

@@ -13,7 +13,7 @@ from truearm.live.keyboard import LONGEST, Typed
 from truearm.live.progress import SessionProgress
 from truearm.live.state import LiveState
 from truearm.live.view import WAITING, View
-from truearm.session.data_frames import Data
+from truearm.session.box_frames import Data
 from truearm.types import Rig
 
 

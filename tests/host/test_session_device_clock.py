@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from truearm.session.box_messages import Exchange
+from truearm.session.box_frames import Exchange
 from truearm.session.clock_windows import RATE_LIMIT
 from truearm.session.device_clock import fit_clock
 from truearm.session.hull import line_under, lower_hull

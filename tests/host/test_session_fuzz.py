@@ -33,8 +33,8 @@ from truearm.record.probes import Probes
 from truearm.record.recover import recover
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
+from truearm.session.box_frames import usual_data
 from truearm.session.box_ident import parse_ident
-from truearm.session.data_frames import usual_data
 from truearm.session.session_file import open_session
 from truearm.types import Message
 from truearm.workflows.inspect import describe

@@ -15,7 +15,7 @@ from truearm.errors import RigError
 from truearm.session.legs import find_legs
 from truearm.session.line_passes import REASONS, LineRules
 from truearm.session.local_fit import MISSED, fit_locally
-from truearm.session.pipeline import observations, survey
+from truearm.session.observations import observations, survey
 from truearm.types import Device, Point, Rig
 
 LATENCY_S = 0.4e-3  # shortest of the robot's link: it stays in the joints' time, as part of τ

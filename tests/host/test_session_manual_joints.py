@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from session_stream import RIG, session, stream_of
 
-from truearm.session.pipeline import observations
+from truearm.session.observations import observations
 from truearm.types import Message
 
 

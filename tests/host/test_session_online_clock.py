@@ -7,7 +7,7 @@ import pytest
 from tests.host.clock_scenarios import CHANGES, HOST_NS, exchanged
 from tests.host.test_session_device_clock import TAIL_NS, True_, exchanges, shape
 
-from truearm.session.box_messages import Exchange
+from truearm.session.box_frames import Exchange
 from truearm.session.device_clock import MOST_EXCHANGES, OnlineClock, fit_clock
 
 

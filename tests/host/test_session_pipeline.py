@@ -9,14 +9,14 @@ import pytest
 from session_stream import PERIOD_NS, RIG, Box, counts_of, ident_document, renumber, session, stream_of
 
 from truearm.errors import RigError, SessionError
+from truearm.session.box_frames import Exchange
 from truearm.session.box_ident import parse_ident
-from truearm.session.box_messages import Exchange
 from truearm.session.box_reader import BoxReader
 from truearm.session.device_clock import fit_clock
 from truearm.session.dwell_samples import collect_samples, of_channels
 from truearm.session.dwells import REASONS, DwellRules
 from truearm.session.message_columns import columns_of
-from truearm.session.pipeline import observations, survey
+from truearm.session.observations import observations, survey
 from truearm.types import Message
 
 

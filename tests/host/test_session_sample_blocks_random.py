@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from session_stream import PERIOD_NS, Box, ident_document
 
+from truearm.session.box_frames import data_of, decode, usual_data
 from truearm.session.box_ident import parse_ident
-from truearm.session.data_frames import data_of, decode, usual_data
 from truearm.types import Message
 from truearm_wire import messages as wire
 from truearm_wire.cbor import Tag

@@ -12,7 +12,7 @@ from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prior import wide_prior
 from truearm.model.rotation import rotation_vector
 from truearm.session.line_passes import LineRules
-from truearm.session.pipeline import observations
+from truearm.session.observations import observations
 from truearm.types import Device, Point, Rig
 
 DELAY_S = 8e-3

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from truearm.session.box_messages import Exchange
+from truearm.session.box_frames import Exchange
 from truearm.session.device_clock import fit_clock
 from truearm.session.joint_batch import parse_lines
 from truearm.session.joint_readings import JointReader

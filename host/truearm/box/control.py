@@ -17,9 +17,8 @@ from truearm.record.fields import fields_of
 from truearm.record.frames import FrameSplitter, frame_seq, frame_type
 from truearm.record.links import Clock, Link
 from truearm.record.requests import Requests
+from truearm.session.box_frames import Data, Pages, data_of, decode, usual_data
 from truearm.session.box_ident import Ident, decode_ident
-from truearm.session.data_frames import Data, data_of, decode, usual_data
-from truearm.session.pages import Pages
 from truearm_wire import messages as wire
 from truearm_wire.cbor import CborError, encode
 

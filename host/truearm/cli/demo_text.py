@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.session.pipeline import SyncResult
+from truearm.session.observations import SyncResult
 from truearm.types import Figures, ObservationTable
 from truearm.units import MM, NS, US
 from truearm.workflows.demo_ball_bar import BallBarCalibration

@@ -22,8 +22,8 @@ from truearm.units import MM, MM_S, NS, UM, US
 
 if TYPE_CHECKING:
     from truearm.record.status import Status
+    from truearm.session.box_frames import Data
     from truearm.session.box_ident import Ident
-    from truearm.session.data_frames import Data
     from truearm.session.device_clock import OnlineEstimate
     from truearm.types import Floats, Rig
 

@@ -25,8 +25,8 @@ from truearm.text import one_line
 
 if TYPE_CHECKING:
     from truearm.record.status import Status
+    from truearm.session.box_frames import Data
     from truearm.session.box_ident import Ident
-    from truearm.session.data_frames import Data
     from truearm.session.device_clock import OnlineClock, OnlineEstimate
 
 LIVE_S, PLAIN_S = 0.25, 1.0

@@ -1,10 +1,10 @@
-"""Elements of the box's frames by name, checked; data frames have a reader of their own (session/data_frames.py)."""
+"""Elements of the box's frames by name, checked; data frames have a reader of their own (session/box_frames.py)."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from truearm.session.data_frames import decode
+from truearm.session.box_frames import decode
 from truearm_wire.messages import ERROR, EVENT, HEARTBEAT, IDENT, REPLY, SYNC_REPLY, names, needed
 
 _NAMES = {kind: names(kind) for kind in (EVENT, HEARTBEAT, IDENT, SYNC_REPLY, REPLY, ERROR)}

@@ -23,10 +23,9 @@ from truearm.record.probes import Probes
 from truearm.record.session_schemas import PREVIEW
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
+from truearm.session.box_frames import Data, Pages, data_of, decode, too_many, usual_data
 from truearm.session.box_ident import Ident, decode_ident
-from truearm.session.data_frames import Data, data_of, decode, too_many, usual_data
 from truearm.session.lvdt import shown
-from truearm.session.pages import Pages
 from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, IDENT, REPLY, SYNC_REPLY
 
 _TOPICS = {

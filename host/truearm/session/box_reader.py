@@ -19,16 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import ProtocolError
+from truearm.session.box_frames import MAX_DEVICE_US, Pages, data_of, is_text, parse_exchanges
 from truearm.session.box_ident import Ident, Stream, decode_ident
-from truearm.session.box_messages import is_text, parse_exchanges
-from truearm.session.data_frames import MAX_DEVICE_US, data_of
 from truearm.session.frame_columns import Frames, Run, frames_of, heartbeat_values
 from truearm.session.frame_order import FrameOrder, Placed
 from truearm.session.heartbeats import Heartbeats
-from truearm.session.losses import Losses
+from truearm.session.losses import COUNTED, Losses, StreamReport, StreamTrack
 from truearm.session.message_columns import Ints, Messages
-from truearm.session.pages import Pages
-from truearm.session.sample_streams import COUNTED, StreamReport, StreamTrack
 from truearm_wire import messages as wire
 
 
@@ -392,7 +389,9 @@ class _Exchanges:
     def take(self, messages: Messages) -> tuple[int, int]:
         """How many there are, and how many of them were not answered."""
         rows = messages.rows(lambda topic: topic == "/sync")
-        answered, self._times = parse_exchanges(messages.payloads(rows))
+        found = parse_exchanges(messages.payloads(rows))
+        answered = np.array([i for i, one in enumerate(found) if one is not None], dtype=np.intp)
+        self._times = np.array([one for one in found if one is not None], dtype=np.int64).reshape(-1, 4)
         self._rows, self._next = rows[answered], 0
         return len(rows), len(rows) - len(answered)
 

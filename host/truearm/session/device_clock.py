@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.session.box_messages import Exchange
+from truearm.session.box_frames import Exchange
 from truearm.session.clock_bounds import SPAN, Change, ClockBounds
 from truearm.session.clock_windows import (
     RATE_LIMIT,

@@ -20,12 +20,13 @@ from truearm.session.dwell_samples import DwellSamples
 from truearm.session.dwells import Dwell, DwellRules, begun_at
 from truearm.session.joint_readings import JointStream
 from truearm.session.lvdt import bar_length, extension, out_of_travel, railed
-from truearm.session.sample_statistics import MeanOfSamples, mean_of
-from truearm.session.settling import (
+from truearm.session.sample_statistics import (
     LEAST_BLOCKS,
+    MeanOfSamples,
     Settled,
     block_means,
     block_variance,
+    mean_of,
     quick_noise,
     rings,
     settled_from,

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.session.joint_readings import Bins, JointStream
-from truearm.session.settling import LEAST_BLOCKS, settled_from
+from truearm.session.sample_statistics import LEAST_BLOCKS, settled_from
 from truearm.types import Floats
 
 WINDOW_BINS = 4

@@ -16,8 +16,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.session.box_messages import boot_id, device_time, is_boot, is_echo
-from truearm.session.data_frames import MAX_DEVICE_US, MAX_N0, MAX_PAYLOAD, data_of, decode
+from truearm.session.box_frames import (
+    MAX_DEVICE_US,
+    MAX_N0,
+    MAX_PAYLOAD,
+    boot_id,
+    data_of,
+    decode,
+    device_time,
+    is_boot,
+    is_echo,
+)
 from truearm.session.message_columns import Ints, Messages, heads
 from truearm_wire import messages as wire
 

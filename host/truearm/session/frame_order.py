@@ -27,7 +27,7 @@ from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import NamedTuple
 
-from truearm.session.data_frames import too_many
+from truearm.session.box_frames import too_many
 from truearm.session.frame_columns import CIRCLE, Run
 
 REACH = 512  # frames that a late one may lag behind: some seconds of a box, less than what sessions hold back for late messages

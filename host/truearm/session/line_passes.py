@@ -35,10 +35,9 @@ from numpy.typing import NDArray
 
 from truearm.session.device_clock import DeviceClock
 from truearm.session.joint_readings import JointStream
-from truearm.session.legs import Leg
+from truearm.session.legs import Leg, LegSamples, Readings, Samples, readings_of, samples_of
 from truearm.session.local_fit import LEAST, MISSED, fit_locally
 from truearm.session.lvdt import extension, railed
-from truearm.session.motion_samples import LegSamples, Readings, Samples, readings_of, samples_of
 from truearm.session.sample_statistics import mean_variance
 from truearm.types import Floats
 

@@ -10,14 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truearm.session.allan import Allan, allan
-from truearm.session.approach_sides import came_from
 from truearm.session.dwell_samples import collect_samples
 from truearm.session.dwells import Dwell
 from truearm.session.joint_readings import Bins
 from truearm.session.lvdt import bar_length, extension
-from truearm.session.pipeline import SyncResult, disjoint
-from truearm.session.sample_statistics import mean_variance
+from truearm.session.observations import SyncResult, came_from, disjoint
+from truearm.session.sample_statistics import Allan, allan, mean_variance
 from truearm.types import Floats, Rig
 
 BEFORE_S = 0.6  # of the approach, looked at with each dwell

@@ -10,7 +10,7 @@ from truearm.workflows.demo_steps import VALIDATED, ClockTruth, Steps, recording
 
 if TYPE_CHECKING:
     from truearm.model.robot import Robot
-    from truearm.session.pipeline import SyncResult
+    from truearm.session.observations import SyncResult
     from truearm.types import Estimate, Floats, ObservationTable, PredictedError, Rig
 
 

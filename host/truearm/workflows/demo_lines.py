@@ -16,7 +16,7 @@ from truearm.workflows.demo_steps import FITTED, VALIDATED, ClockTruth, Steps, r
 
 if TYPE_CHECKING:
     from truearm.model.robot import Robot
-    from truearm.session.pipeline import SyncResult
+    from truearm.session.observations import SyncResult
     from truearm.types import Estimate, Floats, ObservationTable, Plan, PredictedError, Rig
     from truearm_sim.world import World
 

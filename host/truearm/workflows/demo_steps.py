@@ -15,7 +15,7 @@ from truearm.workflows.session_observations import Say
 
 if TYPE_CHECKING:
     from truearm.record.status import Status
-    from truearm.session.pipeline import SyncResult
+    from truearm.session.observations import SyncResult
     from truearm.types import Plan
     from truearm_sim.simbox import SimulatedBox
     from truearm_sim.world import World

@@ -16,10 +16,9 @@ from truearm.files.observation_table import table_columns
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import load_robot
 from truearm.files.strict_json import strict_json
-from truearm.session.pipeline import Survey, observations, survey
-from truearm.session.result_columns import dwell_columns, pass_columns, plan_columns
-from truearm.session.session_columns import tabulate
+from truearm.session.observations import Survey, observations, survey
 from truearm.session.session_file import Session, open_session
+from truearm.session.session_tables import dwell_columns, pass_columns, plan_columns, tabulate
 from truearm.text import one_line
 from truearm.types import Rig
 from truearm.workflows.inspect import ident_of

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from truearm.session.dwells import Dwell
     from truearm.session.line_passes import Pass
     from truearm.session.message_columns import Messages
-    from truearm.session.pipeline import Survey, SyncResult
+    from truearm.session.observations import Survey, SyncResult
     from truearm.session.session_file import Session
 
 MAX_TOPICS = 1000
@@ -90,7 +90,7 @@ def describe(session: Session) -> dict[str, Any]:
 
     Raises SessionError where the file is damaged.
     """
-    from truearm.session.pipeline import survey
+    from truearm.session.observations import survey
 
     contents, ident = Contents(), ident_of(session)
     found = survey(lambda: contents.watched(session.batches()), ident)
@@ -221,7 +221,7 @@ def _measured(session: Session, found: Survey) -> dict[str, Any]:
 
 def _observations(session: Session, attached: bytes, found: Survey) -> SyncResult:
     from truearm.files.rig_file import parse_rig
-    from truearm.session.pipeline import observations
+    from truearm.session.observations import observations
 
     try:
         text = attached.decode()

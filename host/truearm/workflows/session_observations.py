@@ -11,7 +11,7 @@ from truearm.errors import Argument, RigError, SessionError
 from truearm.text import one_line
 
 if TYPE_CHECKING:
-    from truearm.session.pipeline import SyncResult
+    from truearm.session.observations import SyncResult
     from truearm.session.session_file import Session
     from truearm.types import Rig
 
@@ -64,7 +64,7 @@ def observations_of_session(path: Path, rig: Rig | None = None, options: Session
     Raises SessionError for a file that is none or gave no observation, RigError if there is no rig.
     """
     from truearm.session.line_passes import LineRules
-    from truearm.session.pipeline import observations
+    from truearm.session.observations import observations
     from truearm.session.salvage import words_of
     from truearm.session.session_file import open_session
     from truearm.workflows.inspect import ident_of

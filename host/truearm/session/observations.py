@@ -19,21 +19,17 @@ from truearm.session.box_ident import Ident
 from truearm.session.box_reader import Blocks, BoxReader
 from truearm.session.device_clock import ClockReport, DeviceClock, fit_clock
 from truearm.session.dwell_measurement import LEARNT, Sensing, measured, usual_noise, without_noisy
-from truearm.session.dwell_pairing import Marks, Plan, match_plan, nearest_pose
 from truearm.session.dwell_samples import ChannelSamples, collect_samples
 from truearm.session.dwells import Dwell, DwellRules, find_dwells
-from truearm.session.joint_readings import JointReader, JointStream
-from truearm.session.legs import Leg, find_legs
-from truearm.session.line_pairing import passes_of
+from truearm.session.joint_readings import Bins, JointReader, JointStream
+from truearm.session.legs import Leg, LegSamples, Listener, find_legs
 from truearm.session.line_passes import WANTED, LineRules, Pass, measure
-from truearm.session.losses import Losses
+from truearm.session.losses import Losses, StreamReport
 from truearm.session.manual_joints import has_manual_joints, manual_dwells
 from truearm.session.message_columns import Messages, Source, columns_of
-from truearm.session.motion_samples import LegSamples, Listener
-from truearm.session.observation_rows import table_of
-from truearm.session.sample_streams import StreamReport
+from truearm.session.plan_matching import Marks, Plan, match_plan, nearest_pose, passes_of
 from truearm.session.trigger_edges import Output, with_edges
-from truearm.types import BAR_MOUNTED, ObservationTable, Rig
+from truearm.types import BAR_MOUNTED, Floats, ObservationTable, Rig, Strings
 
 MOST_KEPT_BYTES = 64 << 20  # of messages, where legs are to be looked at
 
@@ -277,3 +273,72 @@ def _check_rig(mounted: dict[str, str], rig: Rig) -> None:
         if mounted[key] not in known:
             names = ", ".join(sorted(known)) or "none"
             raise RigError(f"the session names {key} {mounted[key]!r}, which the rig does not have (it has {names})")
+
+
+def table_of(
+    dwells: Sequence[Dwell], passes: Sequence[Pass], joints: int, name: str, bins: Bins | None
+) -> ObservationTable:
+    """A row of each dwell without a reason, then all rows of the passes; ``name`` is the session's, for ``source``.
+
+    ``bins``: of the joints, which say from where they came to a dwell.
+    """
+    parts = [_of_dwells(dwells, joints, name, bins)]
+    parts += [_of_pass(one, number, name) for number, one in enumerate(passes, start=1) if not one.reason]
+    return ObservationTable.joined(parts)
+
+
+def _of_dwells(dwells: Sequence[Dwell], joints: int, name: str, bins: Bins | None) -> ObservationTable:
+    rows = [(i, dwell) for i, dwell in enumerate(dwells, start=1) if not dwell.reason]
+
+    def words(key: str) -> Strings:
+        return np.array([dwell.mounted.get(key, "") for _, dwell in rows], dtype=np.str_)
+
+    side = np.full((len(rows), joints), np.nan)
+    if bins is not None and rows:
+        side[:] = [came_from(bins, dwell) for _, dwell in rows]
+    return ObservationTable(
+        q=np.array([dwell.q for _, dwell in rows]).reshape(len(rows), joints),
+        kind=np.array(["ball_bar"] * len(rows), dtype=np.str_),  # np.full would keep one letter
+        value=np.array([dwell.value for _, dwell in rows], dtype=np.float64),
+        sigma=np.array([dwell.sigma for _, dwell in rows], dtype=np.float64),
+        source=np.array([f"{name} dwell {i}" for i, _ in rows], dtype=np.str_),
+        side=np.where(side == 0.0, np.nan, side),
+        bar=words("bar"),
+        chuck=words("chuck"),
+        sphere=words("sphere"),
+        shell=words("shell"),
+    )
+
+
+def _of_pass(one: Pass, number: int, name: str) -> ObservationTable:
+    n = len(one.xyz)
+    return ObservationTable(
+        q=one.q,
+        kind=np.full(n, "line"),
+        source=np.array([f"{name} pass {number}.{i}" for i in range(1, n + 1)], dtype=np.str_),
+        shell=np.full(n, one.group),
+        line=np.full(n, one.mounted.get("line", "")),
+        target=np.full(n, one.mounted.get("target", "")),
+        xyz=one.xyz,
+        xyz_sigma=one.xyz_sigma,
+        q_rate=one.q_rate,
+    )
+
+
+LEAST = 5e-4  # rad or m; a joint that moved less has come from nowhere: a swing about its place is no approach
+BACK_BINS = 200  # how far back the last motion is looked for: 10 s
+
+
+def came_from(bins: Bins, dwell: Dwell) -> Floats:
+    """Direction (j,) of the last motion of each joint before a dwell: −1 or 1, 0 where it did not move or nobody knows."""
+    direction = np.zeros(dwell.q.size)
+    last = dwell.bins[0]
+    while last > 0 and bins.t_first_s[last - 1] >= dwell.stood_s and bins.segment[last - 1] == dwell.segment:
+        last -= 1
+    for k in range(last - 1, max(-1, last - 1 - BACK_BINS), -1):
+        if bins.gap[k + 1] or bins.segment[k] != dwell.segment or np.all(direction):
+            break
+        above, below = bins.high[k] - dwell.q, dwell.q - bins.low[k]
+        new = (direction == 0.0) & (np.maximum(above, below) > LEAST)
+        direction[new] = np.where(above > below, -1.0, 1.0)[new]
+    return direction

@@ -1,0 +1,200 @@
+"""A box's single frames → checked values (protocol/SPEC.md §4, §5): data, clock exchanges, and documents joined from their pages.
+
+For the recorder, and for everything that reads a session. Files are strangers': each answer is None where something is amiss.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from typing import Any, NamedTuple
+
+import cbor2
+
+from truearm_wire import messages as wire
+from truearm_wire.messages import PAGE_BYTES, PAGES_MAX
+
+TAG_INT32 = 78
+TAG_UINT16 = 69
+MAX_PAYLOAD = 250
+MAX_DEVICE_US = 2**53  # 285 years: beyond it nothing but a damaged or hostile file lies, and ns stay within 63 bits
+MAX_N0 = 2**62
+_FRAMES_PER_NS = 20_000e-9  # fifty times what the fastest box sends
+_FRAMES_AT_ONCE = 1000  # of a link that delivers late
+
+# A data frame as the box writes it: array(8), type, seq, stream < 24, n0, t0_us, period_ns, tag 78, byte string of 24 … 255.
+_USUAL = struct.Struct(">3sIBBQBQBI3sB")
+_USUAL_MARKS = (b"\x88\x10\x1a", 0x1B, 0x1B, 0x1A, b"\xd8\x4e\x58")
+
+
+class Data(NamedTuple):
+    """A data frame. ``period_ns`` 0: ``offsets_us`` holds uint16, one a sample."""
+
+    seq: int
+    stream: int
+    n0: int
+    t0_us: int
+    period_ns: int
+    offsets_us: bytes
+    samples: bytes
+    flags: int
+
+
+def usual_data(payload: bytes) -> Data | None:
+    """A data frame of the usual layout, without a CBOR decoder: nine of ten frames are such, 0.8 µs instead of 1.8 µs.
+
+    None for all others, which ``decode`` and ``data_of`` then judge; the answer is the same (a test holds it).
+    """
+    if len(payload) < _USUAL.size + 1 or len(payload) > MAX_PAYLOAD:
+        return None
+    begin, seq, stream, m_n0, n0, m_t0, t0_us, m_period, period_ns, tag, size = _USUAL.unpack_from(payload)
+    flags = payload[-1]
+    usual = (begin, m_n0, m_t0, m_period, tag) == _USUAL_MARKS and size == len(payload) - _USUAL.size - 1
+    if not usual or stream > 23 or flags > 23 or not period_ns or t0_us >= MAX_DEVICE_US or n0 >= MAX_N0:
+        return None
+    return Data(seq, stream, n0, t0_us, period_ns, b"", payload[_USUAL.size : -1], flags)
+
+
+def decode(payload: bytes) -> list[Any] | None:
+    """The elements of a payload; None if it is not [type, seq, …]."""
+    if len(payload) > MAX_PAYLOAD:
+        return None
+    try:
+        frame = cbor2.loads(payload, max_depth=4, allow_indefinite=False)
+    except cbor2.CBORError:
+        return None
+    if type(frame) is not list or len(frame) < 2 or type(frame[0]) is not int or type(frame[1]) is not int:
+        return None
+    return frame if 0 <= frame[1] < 2**32 else None
+
+
+def data_of(frame: list[Any]) -> Data | None:
+    """A decoded data frame, checked."""
+    if len(frame) < 8:
+        return None
+    _, seq, stream, n0, t0_us, timing, samples, flags = frame[:8]
+    if not (type(stream) is type(n0) is type(t0_us) is type(flags) is int and min(stream, n0, flags) >= 0):
+        return None
+    if not (0 <= t0_us < MAX_DEVICE_US and n0 < MAX_N0 and _is_array(samples, TAG_INT32)):
+        return None
+    if type(timing) is int and 0 < timing < 2**32:
+        return Data(seq, stream, n0, t0_us, timing, b"", samples.value, flags)
+    if _is_array(timing, TAG_UINT16):
+        return Data(seq, stream, n0, t0_us, 0, timing.value, samples.value, flags)
+    return None
+
+
+def too_many(lost: int, elapsed_ns: int) -> bool:
+    """Whether more frames would be lost than any link carries in the host's time between two of them: the count is not to be believed."""
+    return lost > _FRAMES_AT_ONCE + _FRAMES_PER_NS * max(0, elapsed_ns)
+
+
+def _is_array(value: object, tag: int) -> bool:
+    return isinstance(value, cbor2.CBORTag) and value.tag == tag and type(value.value) is bytes
+
+
+MAX_HOST_NS = 2**62
+
+_TIME_AT = {wire.DATA: 4, wire.HEARTBEAT: 3, wire.SYNC_REPLY: 3}  # where a frame has its device time
+
+
+class Exchange(NamedTuple):
+    """An answered clock request: host before write, device received, device sent, host arrival."""
+
+    t0_ns: int
+    t1_us: int
+    t2_us: int
+    t3_ns: int
+
+
+def is_text(data: bytes) -> bool:
+    """Whether bytes are text that a program printed rather than a damaged frame."""
+    try:
+        text = data.decode()
+    except UnicodeDecodeError:
+        return False
+    return all(character.isprintable() or character.isspace() for character in text)
+
+
+def parse_exchange(data: bytes) -> Exchange | None:
+    """A ``/sync`` message; None if it was not answered (or is no such message, which answers nothing either)."""
+    try:
+        return _exchange(json.loads(data))
+    except (ValueError, RecursionError):
+        return None
+
+
+def parse_exchanges(lines: list[bytes]) -> list[Exchange | None]:
+    """What ``parse_exchange`` makes of each of several messages."""
+    try:
+        documents = json.loads(b"[" + b",".join(lines) + b"]")
+    except (ValueError, RecursionError):
+        documents = []
+    whole = len(documents) == len(lines)
+    return [_exchange(document) for document in documents] if whole else [parse_exchange(line) for line in lines]
+
+
+def _exchange(document: Any) -> Exchange | None:
+    if not isinstance(document, dict):
+        return None
+    t0, t1, t2, t3 = (document.get(name) for name in ("t0_ns", "t1_us", "t2_us", "t3_ns"))
+    host = type(t0) is int and type(t3) is int and abs(t0) < MAX_HOST_NS and abs(t3) < MAX_HOST_NS
+    device = type(t1) is int and type(t2) is int and 0 <= t1 < MAX_DEVICE_US and 0 <= t2 < MAX_DEVICE_US
+    return Exchange(t0, t1, t2, t3) if host and device else None  # type: ignore[arg-type]
+
+
+def is_echo(frame: list[Any]) -> bool:
+    """Whether a frame is of a type that only a host sends (SPEC §6)."""
+    return bool(frame[0] == wire.SYNC_REQUEST or 48 <= frame[0] < 64)
+
+
+def device_time(frame: list[Any]) -> tuple[int, int] | None:
+    """The kind of device time (a stream's id, or a negative number) and its value, of a frame that has one."""
+    kind = frame[0]
+    if kind not in _TIME_AT or len(frame) <= _TIME_AT[kind]:
+        return None
+    stream, value = frame[2], frame[_TIME_AT[kind]]
+    if type(value) is not int or not 0 <= value < MAX_DEVICE_US:
+        return None
+    if kind == wire.DATA:
+        return (stream, value) if type(stream) is int and stream >= 0 else None
+    return -kind, value
+
+
+def is_boot(frame: list[Any]) -> bool:
+    """Whether a frame is the first page of the ident that a box sends unasked at boot (SPEC §5: req_id 0)."""
+    return frame[0] == wire.IDENT and frame[2:4] == [0, 0]
+
+
+def boot_id(frame: list[Any]) -> int | None:
+    """The boot that a heartbeat is of; None for other frames."""
+    return frame[2] if frame[0] == wire.HEARTBEAT and len(frame) > 2 and type(frame[2]) is int else None
+
+
+class Pages:
+    """Joins the pages of one document at a time; what it holds is bounded by the specification.
+
+    Page 0 begins a document and drops an unfinished one. A page that repeats an earlier one is ignored, and so is a page
+    of another document; one that contradicts an earlier one, or comes before its turn, drops the document.
+    """
+
+    def __init__(self) -> None:
+        self._key: tuple[int, int] | None = None  # req_id and number of pages of the document being joined
+        self._parts: list[bytes] = []
+
+    def push(self, req_id: int, page: int, pages: int, data: bytes) -> bytes | None:
+        """The document, if this page completes it."""
+        if not 0 <= page < pages <= PAGES_MAX or len(data) > PAGE_BYTES:
+            return None
+        if page == 0:
+            self._key, self._parts = (req_id, pages), []
+        if self._key != (req_id, pages) or self._parts[page : page + 1] == [data]:
+            return None
+        if page != len(self._parts):
+            self._key = None
+            return None
+        self._parts.append(data)
+        if len(self._parts) < pages:
+            return None
+        self._key = None
+        return b"".join(self._parts)
