@@ -571,6 +571,15 @@ class Defaults:
     believed: tuple[str, ...] = ()
 
 
+class WithOutliers(NamedTuple):
+    """The fit of all rows, where ``n`` of them were found to be bad and the estimate rests on the others."""
+
+    n: int
+    value: Floats  # (p,) of all parameters
+    rms_after: Mapping[str, float]  # by SI unit
+    chi2_reduced: float
+
+
 class PredictedError(NamedTuple):
     """How far the measured point of the robot's end errs by the parameters' covariance, over poses that were measured.
 
@@ -650,3 +659,4 @@ class Estimate:
         default_factory=lambda: np.zeros(0, dtype=bool)
     )  # (n,) neither fitted nor held out
     systematic: SystematicErrors | None = None  # what is off beyond chance; None: nothing, or it was not looked for
+    with_outliers: WithOutliers | None = None  # all rows, where bad ones were left out of the fit (estimate.outliers)

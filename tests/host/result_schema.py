@@ -45,6 +45,7 @@ OBJECTS = {
     "robot",
     "defaults",
     "without_systematic",
+    "with_outliers",
     "held_out",
     "held_out_before",
     "covariance",

@@ -30,6 +30,7 @@ MAX_TERMS = 4
 SMALLEST_WEIGHT = 0.005  # below it "0.00" would be shown
 MAX_ROWS = 6
 MAX_NAMES = 12
+OUTLIERS = 0.05  # of the rows: more are no bad rows (estimate.outliers)
 CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
 
 
@@ -292,15 +293,29 @@ def chi2_notes(document: Document) -> list[str]:
 
 def suspects(document: Document) -> list[str]:
     """The rows that disagree with all others."""
-    rows = document["suspect"]
+    rows, fitted = document["suspect"], document["n_observations"]
     if not rows:
         return []
+    if len(rows) > OUTLIERS * fitted and all(row["weight"] == 1.0 for row in rows):
+        return [
+            f"{len(rows)} of {counted(fitted, 'row')} disagree with all others beyond chance: too many to be bad rows. The model is "
+            "wrong, or the sigmas are too small."
+        ]
     named = ", ".join(f"{one_line(row['source'])} ({row['distance']:.1f} σ)" for row in rows[:MAX_ROWS])
     more = f" and {len(rows) - MAX_ROWS} more (suspect in the JSON result)" if len(rows) > MAX_ROWS else ""
     out = sum(row["weight"] == 0.0 for row in rows)
     end = f"; {out} left out of the fit" if out else ""
     who = "1 row disagrees" if len(rows) == 1 else f"{len(rows)} rows disagree"
-    return [f"{who} with all others beyond chance{end}: {named}{more}."]
+    lines = [f"{who} with all others beyond chance{end}: {named}{more}."]
+    every = document["with_outliers"]
+    if every is not None:
+        units = [SUFFIXES[suffix] for suffix in document["residual_units"]]
+        rms = (f"{_cell(every[f'rms_after_{u.suffix}'], UNITS[u.si].decimals)} {u.symbol}" for u in units)
+        lines.append(
+            f"The parameters are fitted without {'it' if every['n'] == 1 else 'them'}. Fitted to all rows: RMS {' and '.join(rms)}, χ² per degree of "
+            f"freedom {every['chi2_reduced']:.3g}."
+        )
+    return lines
 
 
 def held_out_notes(document: Document) -> list[str]:

@@ -1,6 +1,7 @@
 """The batch fit behind ``lm`` and ``map``: one cost, observations and one fixed prior, minimised from x.
 
-With a robust loss the fit runs in stages, least squares first (robust.py says why). With uncertain joint readings the
+With a robust loss the fit runs in stages, least squares first (robust.py says why); each has all the iterations that were granted,
+and whether the last converged is what the result says. With uncertain joint readings the
 weights belong to the x at which they were computed: they are renewed at each linearisation, and two x are compared
 under those of the first (``information.weighed``).
 """
@@ -33,7 +34,7 @@ def fit(
         minimum = lm.minimise(
             linearise,
             part,
-            options.max_iterations - iterations,
+            options.max_iterations,
             _counted(iterations, options),
             damping=damping,
             plain=options.plain,
@@ -42,7 +43,7 @@ def fit(
         )
         part, iterations = minimum.x, iterations + minimum.iterations
     x = whole(x, columns, part)
-    message = minimum.message.replace(f"after {minimum.iterations} ", f"after {iterations} ")
+    message = minimum.message if options.loss is Loss.LINEAR else f"{options.loss} loss: {minimum.message}"
     if options.loss is Loss.LINEAR:
         claimed = covariance(spectrum(minimum.information.root))
         weights, information = np.ones(problem.n_rows), minimum.information

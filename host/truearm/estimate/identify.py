@@ -26,6 +26,7 @@ from truearm.estimate.identifiability import (
 from truearm.estimate.information import Information, half, observe, spectrum, with_prior
 from truearm.estimate.label_search import relabellings
 from truearm.estimate.measured_order import measured_order
+from truearm.estimate.outliers import without_outliers
 from truearm.estimate.prior import weak_prior
 from truearm.estimate.problem import Problem, Rigs, build_problem, settled, without_knowledge
 from truearm.estimate.solution import Options, Solution, of_data
@@ -36,7 +37,17 @@ from truearm.estimate.uncertainty import goodness, prior_shares
 from truearm.estimate.validation import has_freedom
 from truearm.estimate.whitened_rows import only, standardised
 from truearm.model.chain import Chain, forward
-from truearm.types import Effect, Estimate, Figures, Floats, HeldOut, NullDirection, ObservationTable, Residuals
+from truearm.types import (
+    Effect,
+    Estimate,
+    Figures,
+    Floats,
+    HeldOut,
+    NullDirection,
+    ObservationTable,
+    Residuals,
+    WithOutliers,
+)
 from truearm.units import UNITS
 
 TIME_OFFSET = "time_offset"
@@ -54,6 +65,7 @@ class SolverOptions:
     progress : called with (iteration, RMS by SI unit) after each step.
     effects : systematic errors that are estimated too, their rows counted in the table.
     leave_out : rows that are neither fitted nor judged: first, and the one after the last, from 0.
+    reject : fit again without single bad rows (``outliers``), of a least-squares fit by lm or map.
     """
 
     solver: str = "lm"
@@ -63,6 +75,7 @@ class SolverOptions:
     progress: Progress | None = None
     effects: tuple[Effect, ...] = ()
     leave_out: tuple[tuple[int, int], ...] = ()
+    reject: bool = False
 
 
 DEFAULTS = SolverOptions()
@@ -116,7 +129,14 @@ def identify(
     how_to = Options(options.max_iterations, Loss(options.loss), options.damping == "plain", on_step)
     # To find the robot and a far-off rig at once is a curved valley; from a rig that has a prior the mode is nearer (decision 19).
     start = x_raw if SOLVERS[options.solver].starts_from_rig else problem.start
-    found = solver_of(options.solver)(problem, columns, start, how_to)
+    found = every = solver_of(options.solver)(problem, columns, start, how_to)
+    if (
+        options.reject
+        and SOLVERS[options.solver].has_loss
+        and options.loss == Loss.LINEAR
+        and found.status == "converged"
+    ):
+        found = without_outliers(problem, columns, every, how_to) or every
     x, information = found.x, found.information
     parts = spectrum(information.root)
     fit_quality = goodness(*of_data(problem, columns, found), prior_shares(half(parts), found.prior_sigma))
@@ -187,8 +207,16 @@ def identify(
         relabellings=labels.found,
         relabelling_search=labels.status,
         systematic=wrong,
+        with_outliers=None if found is every else _with_all_rows(problem, columns, every, found),
     )
     return replace(estimate, seconds=time.perf_counter() - started)
+
+
+def _with_all_rows(problem: Problem, columns: NDArray[np.bool_], every: Solution, found: Solution) -> WithOutliers:
+    """The fit of all rows, beside that without the bad ones."""
+    shares = prior_shares(half(spectrum(every.information.root)), every.prior_sigma)
+    chi2 = goodness(*of_data(problem, columns, every), shares).reduced
+    return WithOutliers(int((found.weight == 0.0).sum()), every.x, _rms(every.information.residual), chi2)
 
 
 def _left_out(spans: Sequence[tuple[int, int]], n: int) -> NDArray[np.bool_]:

@@ -224,7 +224,7 @@ def minimise(
                 on_pass(passes, x)
             continue
         distance = deleted_distance(rows.jac, rows.residual, state.root, used.astype(float))
-        chosen = _within(distance, limit, used)
+        chosen = within(distance, limit, used)
         rounds += 1
         if np.array_equal(chosen, used):
             return _ending(x, "converged", _verdict(used), passes, state, used, rows, first)
@@ -284,7 +284,7 @@ def _cost(there: Rows, here: Rows, used: NDArray[np.bool_], prior: Floats) -> fl
     return float((residual[used] ** 2).sum() + prior @ prior)
 
 
-def _within(distance: Floats, limit: Floats, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def within(distance: Floats, limit: Floats, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """The rows for the next round: the farthest out, those that came back in."""
     far = distance / limit
     worst = far[used].max(initial=0.0)

@@ -108,12 +108,20 @@ def standardised(
     problem: Problem, x: Floats, columns: NDArray[np.bool_], covariance_root: Floats, weight: Floats
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """(n_rows,) distance of each row from what all others say of it, in σ, and whether it lies beyond the gate."""
-    distance, beyond = np.full(problem.n_rows, np.nan), np.zeros(problem.n_rows, dtype=bool)
+    square, limit = squared_distances(problem, x, columns, covariance_root, weight)
+    return np.sqrt(square), square > limit
+
+
+def squared_distances(
+    problem: Problem, x: Floats, columns: NDArray[np.bool_], covariance_root: Floats, weight: Floats
+) -> tuple[Floats, Floats]:
+    """(n_rows,) squared distance of each row from what all others say of it, and the gate's for its number of residuals."""
+    square, limit = np.full(problem.n_rows, np.nan), np.full(problem.n_rows, np.inf)
     for block in whitened_blocks(problem, x, columns):
         if block.row is not None:
-            square = deleted_distance(block.jac, block.residual, covariance_root, weight[block.row])
-            distance[block.row], beyond[block.row] = np.sqrt(square), square > gate(block.residual.shape[1])
-    return distance, beyond
+            square[block.row] = deleted_distance(block.jac, block.residual, covariance_root, weight[block.row])
+            limit[block.row] = gate(block.residual.shape[1])
+    return square, limit
 
 
 def only(problem: Problem, used: NDArray[np.bool_]) -> Problem:

@@ -150,6 +150,7 @@ def document_of(
         "chi2_freedom": _number(estimate.chi2_freedom),
         "suspect": _suspects(estimate, table),
         **systematic_entries(estimate.systematic, table),
+        "with_outliers": _with_outliers(estimate, units),
         "held_out_by": list(held_out_by),
         "held_out": _held_out(estimate.held_out, units),
         "held_out_before": _held_out(estimate.held_out_before, units),
@@ -240,6 +241,20 @@ def _relabelling(relabelling: Relabelling, table: ObservationTable) -> dict[str,
 def _source(table: ObservationTable, row: int) -> str:
     """Where a row comes from, without the folder, as in ``input_of``."""
     return Path(str(table.source[row])).name
+
+
+def _with_outliers(estimate: Estimate, units: Sequence[str]) -> dict[str, Any] | None:
+    """The fit of all rows, where bad ones were left out."""
+    every = estimate.with_outliers
+    if every is None:
+        return None
+    return {
+        "n": every.n,
+        **_by_unit("rms_after", every.rms_after, units),
+        "chi2_reduced": _number(every.chi2_reduced),
+        "names": list(estimate.parameter_names),
+        "value": _numbers(every.value),
+    }
 
 
 def _suspects(estimate: Estimate, table: ObservationTable) -> list[dict[str, Any]]:

@@ -233,6 +233,7 @@ def identified(
             progress=progress,
             effects=tuple(map(parse_effect, options.allow)),
             leave_out=tuple(map(parse_rows, options.leave_out)),
+            reject=True,
         ),
         prefer=default_free(robot),
     )
