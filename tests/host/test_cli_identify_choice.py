@@ -12,7 +12,10 @@ NAMES = ("joint1.offset", "joint1.gain", "link2.x", "link2.y")
 
 
 def seats(place: str, n: int, socket: str = "0") -> ObservationTable:
-    return parse_table("kind,q1_rad,place,socket\n" + f"seat,0.5,{place},{socket}\n" * n, "t.csv")
+    """Rows of different poses."""
+    return parse_table(
+        "kind,q1_rad,place,socket\n" + "".join(f"seat,{0.01 * i:.2f},{place},{socket}\n" for i in range(n)), "t.csv"
+    )
 
 
 TABLE = concatenate([seats("a", 3), seats("b", 5), seats("c", 2)])

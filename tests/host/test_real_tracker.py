@@ -10,6 +10,8 @@ from tests.host.ur10_bench import RIG, ROBOT, tracked
 
 import truearm
 from truearm.cli import identify_text
+from truearm.files.observation_table import concatenate
+from truearm.workflows.selection import held_out_rows
 
 FRAMES = {"base.x", "base.y", "base.z", "base.alpha", "base.beta", "base.gamma"}
 
@@ -49,6 +51,15 @@ def test_what_the_prior_holds_is_still_called_hardly_seen():
     free = truearm.identify(ROBOT, table, RIG, options=truearm.IdentifyOptions(prior="none", max_iterations=4))
     assert free.document["prior"] == "none"
     assert free.document["defaults"]["believed"] == []
+
+
+def test_a_fraction_held_out_is_of_poses():
+    """Three reflectors on the tool, seen in each pose: rows of one pose err together, so none may judge another."""
+    one = tracked("c", "position", every=10)
+    three = concatenate([one, one, one])
+    held = held_out_rows(three, ["0.2"], 0)
+    assert held.sum() == 3 * round(0.2 * len(one))
+    np.testing.assert_array_equal(held.reshape(3, -1), np.tile(held_out_rows(one, ["0.2"], 0), (3, 1)))
 
 
 def test_a_fit_that_did_not_converge_leads_with_that():

@@ -198,7 +198,7 @@ def test_recovery_without_noise(clean):
     e = identify(CHAIN, RIG, t, free=FREE, hold_out=held)
     assert e.status == "converged"
     assert e.iterations <= 8
-    assert e.rms_before["m"] > 5e-3  # the error was there
+    assert e.rms_raw["m"] > 5e-3  # the error was there
     assert e.rms_after["m"] < 1e-10
     assert e.held_out.figures["m"].max < 1e-10
     np.testing.assert_allclose(e.value, TRUTH, atol=1e-10)

@@ -18,8 +18,14 @@ SAME_POSE = 1e-3  # rad or m: joint readings that differ by less are of one pose
 def measured_order(table: ObservationTable, rows: NDArray[np.bool_]) -> Measured:
     """How the ``rows`` (n,) of a table were measured; rows of a table stand in the order of measurement."""
     some = table.select(rows)
-    _, pose = np.unique(np.round(some.q / SAME_POSE), axis=0, return_inverse=True)
-    return Measured(np.flatnonzero(rows), len(table), sessions(some), mountings(some), pose.ravel())
+    return Measured(np.flatnonzero(rows), len(table), sessions(some), mountings(some), poses(some))
+
+
+def poses(table: ObservationTable) -> Indices:
+    """(n,) numbers of the poses of rows, in the order in which they first appear: rows of the same joint readings."""
+    rounded = np.round(table.q / SAME_POSE)
+    _, first, pose = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+    return np.argsort(np.argsort(first))[pose.ravel()]
 
 
 def sessions(table: ObservationTable) -> Indices:

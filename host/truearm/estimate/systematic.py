@@ -309,7 +309,7 @@ def _log_chance(drop: Floats, freedom: Indices, state: FitChi2) -> Floats:
     else:
         # F(d, ν − d) of drop/d over the variance that is left; its tail is an incomplete beta function of what is left of χ².
         a = np.maximum(state.freedom - d, 0.5) / 2.0
-        left = np.clip(1.0 - drop / state.chi2, 1e-300, 1.0)
+        left = np.clip(1.0 - drop / state.chi2, 1e-300, 1.0 - 1e-15)  # of a drop by rounding alone
         p = special.betainc(a, d / 2.0, left)
         tail = a * np.log(left) + (d / 2.0 - 1.0) * np.log1p(-left) - np.log(a) - special.betaln(a, d / 2.0)
     deep = p < 1e-280

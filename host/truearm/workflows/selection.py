@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import Argument, InputError
+from truearm.estimate.measured_order import poses
 from truearm.kinds.registry import GROUPS, drawn_from, identifiers
 from truearm.text import listed
 from truearm.types import Effect, ObservationTable
@@ -95,18 +96,23 @@ def _listed(what: str, known: Sequence[str]) -> str:
 
 
 def _random_rows(table: ObservationTable, fraction: float, seed: int) -> Mask:
-    """Every row gets its place in a random order of its own group, as a share of the group; the lowest are taken."""
+    """Every pose gets its place in a random order of its own group, as a share of the group; the lowest are taken.
+
+    Rows of one pose (the same joint readings, several reflectors say) err together: they are held out together, or not.
+    """
     rng = np.random.default_rng(seed)
     keys = np.stack([table.kind.astype("U64"), *(table.column(c).astype("U64") for c in drawn_from())], axis=1)
     _, group = np.unique(keys, axis=0, return_inverse=True)
-    share = np.empty(len(table))
+    _, first, pose = np.unique(np.stack([poses(table), group.ravel()]), axis=1, return_index=True, return_inverse=True)
+    of_pose = group.ravel()[first]
+    share = np.empty(first.size)
     for index in range(int(group.max()) + 1):
-        rows = np.flatnonzero(group.ravel() == index)
+        mine = np.flatnonzero(of_pose == index)
         # The random start lets small groups round up in one draw and down in another.
-        share[rows] = (rng.permutation(rows.size) + rng.random()) / rows.size
-    mask = np.zeros(len(table), dtype=bool)
-    mask[np.argsort(share, kind="stable")[: round(fraction * len(table))]] = True
-    return mask
+        share[mine] = (rng.permutation(mine.size) + rng.random()) / max(mine.size, 1)
+    drawn = np.zeros(first.size, dtype=bool)
+    drawn[np.argsort(share, kind="stable")[: round(fraction * first.size)]] = True
+    return np.asarray(drawn[pose.ravel()])
 
 
 def free_parameters(
