@@ -17,6 +17,7 @@ from truearm.model.robot import builtin_robot
 from truearm.plan.ball_bar_plan import Wanted, all_pairings, make_site, plan_ballbar
 from truearm.plan.bar_paths import Pace
 from truearm.plan.forecast import Known
+from truearm.plan.route import Visits
 from truearm.types import ObservationTable
 
 STANDARD = plan_bench.RIGS["puma560"]
@@ -25,20 +26,16 @@ TOOL = np.array([0.0, 0.0, 0.04])  # m, between the spheres: where the true tool
 
 
 @cache
-def plan():
+def plan(times=1, check_poses=10):
+    """360 poses as ``truearm plan ballbar`` orders them."""
     known = Known.design(builtin_robot("puma560"), RIG)
     site = make_site(known, plan_bench.LIMITS, plan_bench.SIZES)
-    return plan_ballbar(site, known, all_pairings(RIG), Wanted(n_poses=360, n_candidates=800), Pace()).route.plan
+    wanted = Wanted(n_poses=360, n_candidates=800, visits=Visits(times, check_poses if times == 1 else 0))
+    return plan_ballbar(site, known, all_pairings(RIG), wanted, Pace()).route.plan
 
 
-@cache
 def plan_of_two_visits():
-    """Every mount twice: every other pose of each, then the rest."""
-    once = plan()
-    mounts = [
-        np.flatnonzero((once.chuck == c) & (once.sphere == s)) for c, s in dict.fromkeys(zip(once.chuck, once.sphere))
-    ]
-    return once.select(np.concatenate([rows[i::2] for i in (0, 1) for rows in mounts]))
+    return plan(2)
 
 
 def lengths(plan, chuck_off=0.0, q_off=0.0, sphere=None):

@@ -14,6 +14,7 @@ from truearm.model.robot import builtin_robot
 from truearm.plan.ball_bar_plan import Wanted, all_pairings, plan_ballbar
 from truearm.plan.bar_paths import Pace
 from truearm.plan.forecast import Aim, bar_table, forecast
+from truearm.plan.route import Visits
 from truearm.types import Plan
 
 each_robot = pytest.mark.parametrize("name", bench.ROBOTS)
@@ -249,3 +250,40 @@ def test_what_cannot_be_planned_is_said():
         plan_ballbar(site, known, all_pairings(known.rig), Wanted(), Pace())
     with pytest.raises(PlanError, match="bar 'b9' is not in the rig"):
         all_pairings(known.rig, ["b9"])
+
+
+def visited(plan):
+    """The mounts in order, each with its poses."""
+    names = np.stack([plan.bar, plan.chuck, plan.sphere], axis=1)
+    starts = np.flatnonzero(np.r_[True, (names[1:] != names[:-1]).any(axis=1)])
+    return [(tuple(names[a]), plan.q[a:b]) for a, b in zip(starts, np.r_[starts[1:], len(plan)], strict=True)]
+
+
+def test_check_poses_of_the_first_mount_come_again_in_the_middle_and_at_the_end():
+    site, known = bench.site("irb120"), bench.known("irb120")
+    wanted = Wanted(n_poses=54, n_candidates=150, passes=0, visits=Visits(check_poses=2))
+    plan = plan_ballbar(site, known, all_pairings(known.rig), wanted, Pace()).route.plan
+    mounts = visited(plan)
+    assert len(plan) == 54
+    first, *between, last = mounts
+    assert first[0] == last[0]
+    middle = [i for i, mount in enumerate(between) if mount[0] == first[0]]
+    assert middle == [(len(mounts) - 1) // 2 - 1]
+    for _, q in (last, between[middle[0]]):
+        assert len(q) == 2
+        assert all((first[1] == pose).all(axis=1).any() for pose in q), "the same joints each time"
+
+
+def test_two_visits_split_the_poses_of_every_mount():
+    site, known = bench.site("irb120"), bench.known("irb120")
+    wanted = Wanted(n_poses=54, n_candidates=150, passes=0, visits=Visits(times=2))
+    route = plan_ballbar(site, known, all_pairings(known.rig), wanted, Pace()).route
+    mounts = visited(route.plan)
+    of_name = {name: [len(q) for other, q in mounts if other == name] for name, _ in mounts}
+    assert any(len(sizes) == 2 for sizes in of_name.values())
+    for sizes in of_name.values():
+        assert len(sizes) == min(2, sum(sizes)), "a mount of one pose is visited once"
+        assert max(sizes) - min(sizes) <= 1
+    first = [name for name, _ in mounts][: len(of_name)]
+    assert len(set(first)) == len(of_name), "no mount again before all were visited"
+    assert len(route.plan) == len(np.unique(route.plan.q, axis=0)) == 54

@@ -149,6 +149,21 @@ def ballbar(
         ),
     ] = 0.0,
     dwell_s: Annotated[float, typer.Option(min=0.5, max=600.0, metavar="S", help="Rest at a pose.")] = 2.0,
+    visits: Annotated[
+        int,
+        typer.Option(
+            min=1, max=10, metavar="N", help="Visits to every mount; with 2 drift and slip show (docs/rig.md)."
+        ),
+    ] = 1,
+    check_poses: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            max=100,
+            metavar="N",
+            help="Poses of the first mount that are visited again in the middle and at the end; not with --visits 2.",
+        ),
+    ] = 10,
     seed: SeedOption = 0,
     out: OutOption = None,
     program: ProgramOption = None,
@@ -189,6 +204,8 @@ def ballbar(
         spread=MM.to_si(spread),
         dwell=dwell_s,
         seed=seed,
+        visits=visits,
+        check_poses=check_poses,
     )
     _print(plan_ball_bar_files(files, Budget(poses, minutes), options, _progress(as_json)), forecast_lines, as_json)
 

@@ -31,7 +31,8 @@ def _visits(document: Mapping[str, Any]) -> list[str]:
     if "lines" not in document:
         return [
             f"{document['poses']} poses, {document['via_points']} via points, {document['mounts']} mounts of the bar: "
-            f"{document['minutes']:.0f} minutes"
+            f"{document['minutes']:.0f} minutes",
+            *_against_drift(document),
         ]
     lines = []
     for place in document["lines"]:
@@ -41,6 +42,16 @@ def _visits(document: Mapping[str, Any]) -> list[str]:
             f"{place['line']:<8} {ends} mm, rotation_rad = [{turn}]; error before about {place['a_priori_mm']:.1f} mm"
         )
     return [*lines, f"{len(document['lines'])} lines: {document['minutes']:.0f} minutes"]
+
+
+def _against_drift(document: Mapping[str, Any]) -> list[str]:
+    if document["visits"] > 1:
+        return [f"every mount is visited {document['visits']} times: drift and slip show"]
+    if document["check_poses"]:
+        return [
+            f"{document['check_poses']} check poses of the first mount again in the middle and at the end: drift shows"
+        ]
+    return []
 
 
 def _known_after(document: Mapping[str, Any]) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,8 +15,8 @@ from truearm.plan.collision_shapes import Sizes, make_shapes
 from truearm.plan.forecast import Aim, Forecast, Known, bar_table, candidate_rows, forecast, known_arm, region_root
 from truearm.plan.measurement_limits import Limits, Pairing, Site
 from truearm.plan.region import Region, around, poses_in
-from truearm.plan.roadmap import Roadmap, roadmaps
-from truearm.plan.route import Route, route
+from truearm.plan.roadmap import roadmaps
+from truearm.plan.route import ONCE, Route, Visits, n_checks, route
 from truearm.plan.shells import candidates
 from truearm.types import Floats, Plan, Rig
 
@@ -36,6 +36,7 @@ class Wanted(NamedTuple):
     n_candidates: int = 5000
     spread: float = 0.0  # m
     seed: int = 0
+    visits: Visits = ONCE  # ``n_poses`` counts check poses every time
 
 
 class BallBarPlan(NamedTuple):
@@ -113,29 +114,35 @@ def plan_ballbar(
         return found.select(np.sort(order))
 
     if wanted.n_poses is not None:
-        best = chosen(wanted.n_poses)
+        best = _with_room(site, chosen, wanted.n_poses, len(found), wanted.visits)
         say(f"the order of {len(best)} visits, and ways between them")
-        way = route(site, best, pace, graphs)
+        way = route(site, best, pace, graphs, wanted.visits)
     else:
-        way = _within(site, chosen, len(found), wanted.minutes or 0.0, pace, graphs)
+        way = _within(
+            lambda n: route(site, chosen(n), pace, graphs, wanted.visits), len(found), wanted.minutes or 0.0, pace
+        )
     return BallBarPlan(way, forecast(known, bar_table(known, way.plan), aim))
 
 
-def _within(
-    site: Site,
-    chosen: Callable[[int], Plan],
-    most: int,
-    minutes: float,
-    pace: Pace,
-    graphs: Mapping[Pairing, Roadmap],
-) -> Route:
+def _with_room(site: Site, chosen: Callable[[int], Plan], n: int, most: int, visits: Visits) -> Plan:
+    """Poses that make ``n`` visits with the check poses among them; the first mount may have fewer poses than are wanted."""
+    best = chosen(max(n - 2 * visits.check_poses, 1) if n <= most else n)
+    for _ in range(TRIALS):
+        short = n - len(best) - n_checks(site, best, visits)
+        if short <= 0:
+            break
+        best = chosen(len(best) + short)
+    return best
+
+
+def _within(planned: Callable[[int], Route], most: int, minutes: float, pace: Pace) -> Route:
     """As many poses as the minutes allow: the time is nearly linear in their number, so few trials meet it."""
     most = min(most, int(60.0 * minutes / pace.dwell))
     n, best, low, high = min(most, 60), None, 0, most + 1
     for _ in range(TRIALS):
         if not low < n < high:
             break
-        way = route(site, chosen(n), pace, graphs)
+        way = planned(n)
         if way.minutes <= minutes:
             low, best = n, way
             if way.minutes >= MEETS * minutes:

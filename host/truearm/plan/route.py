@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +18,20 @@ from truearm.plan.visit_order import short_tour
 from truearm.types import BAR_MOUNTED, Floats, Move, Plan
 
 NEAR = 12  # poses to which the way is looked at before the order is chosen
+
+
+class Visits(NamedTuple):
+    """How often mounts are visited, so that what drifts or slips shows (docs/rig.md).
+
+    ``times``: every mount so many times, with its share of the poses each. ``check_poses``: so many poses of the first mount are
+    visited again when half the mounts are done, and at the end.
+    """
+
+    times: int = 1
+    check_poses: int = 0
+
+
+ONCE = Visits()
 
 
 class Route(NamedTuple):
@@ -73,13 +87,19 @@ class Route(NamedTuple):
         return out
 
 
-def route(site: Site, plan: Plan, pace: Pace, graphs: Mapping[Pairing, Roadmap] | None = None) -> Route:
-    """Visit all poses of a plan, in an order of its own.
+def route(
+    site: Site,
+    plan: Plan,
+    pace: Pace,
+    graphs: Mapping[Pairing, Roadmap] | None = None,
+    visits: Visits = ONCE,
+) -> Route:
+    """Visit all poses of a plan, in an order of its own, check poses more than once.
 
     Where a straight way fails it may go over candidates by the ``graphs`` of ``roadmaps``; default: over the plan's own.
     Raises PlanError where no way to a pose is free.
     """
-    plan = ordered(site, plan, pace)
+    plan = ordered(site, plan, pace, visits)
     graphs = dict(graphs or {})
     stops: list[tuple[Floats, int, bool]] = []
     for i in range(len(plan)):
@@ -97,12 +117,15 @@ def route(site: Site, plan: Plan, pace: Pace, graphs: Mapping[Pairing, Roadmap] 
     return Route(plan, q, pose, mounts, _durations(site, plan, q, pose, pace), pace)
 
 
-def ordered(site: Site, plan: Plan, pace: Pace) -> Plan:
+def ordered(site: Site, plan: Plan, pace: Pace, visits: Visits = ONCE) -> Plan:
     """The poses in the order of their visits: pairings together, neighbours in it sharing a chuck or a sphere."""
     here = 0.5 * (site.arm.branch.lower + site.arm.branch.upper)
-    parts = []
-    for pairing in _pairings_in_order(site, plan):
-        rows = np.flatnonzero(of_pairing(plan, pairing))
+    parts: list[NDArray[np.intp]] = []
+    pairings = _pairings_in_order(site, plan)
+    for visit, pairing in ((visit, pairing) for visit in range(visits.times) for pairing in pairings):
+        rows = np.flatnonzero(of_pairing(plan, pairing))[visit :: visits.times]
+        if not rows.size:
+            continue
         q = plan.q[rows]
         weights = np.full(q.shape[1], 1.0 / pace.joint_speed)
         rig = site.rig
@@ -113,7 +136,24 @@ def ordered(site: Site, plan: Plan, pace: Pace) -> Plan:
         order = short_tour(np.abs((q - here) * weights).max(axis=1), cost)
         parts.append(rows[order])
         here = q[order[-1]]
-    return plan.select(np.concatenate(parts))
+    return plan.select(np.concatenate(_with_checks(parts, visits.check_poses)))
+
+
+def n_checks(site: Site, plan: Plan, visits: Visits) -> int:
+    """How many visits of check poses ``route`` adds to a plan."""
+    sizes = [int(of_pairing(plan, pairing).sum()) for pairing in _pairings_in_order(site, plan)]
+    parts = [np.arange(size) for size in sizes] * visits.times
+    return sum(part.size for part in _with_checks(parts, visits.check_poses)) - sum(sizes) * visits.times
+
+
+def _with_checks(parts: Sequence[NDArray[np.intp]], check_poses: int) -> list[NDArray[np.intp]]:
+    """The mounts' poses with those of the first visited again in the middle and at the end, spread over its tour."""
+    if check_poses == 0 or len(parts) < 2:
+        return list(parts)
+    some = np.unique(np.linspace(0, parts[0].size - 1, check_poses).astype(np.intp))
+    middle = (len(parts) + 1) // 2
+    between = [parts[0][some]] if middle > 1 else []  # beside the first mount it would be one long visit
+    return [*parts[:middle], *between, *parts[middle:], parts[0][some]]
 
 
 def _passable(site: Site, q: Floats, cost: Floats, pairing: Pairing) -> NDArray[np.bool_]:

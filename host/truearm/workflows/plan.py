@@ -20,7 +20,7 @@ from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.model.robot import Robot
 from truearm.model.workspace import Branch
 from truearm.plan.approaches import ApproachesWanted, plan_approaches
-from truearm.plan.ball_bar_plan import BallBarPlan, Wanted, all_pairings, make_site, plan_ballbar
+from truearm.plan.ball_bar_plan import MOVE, BallBarPlan, Wanted, all_pairings, make_site, plan_ballbar
 from truearm.plan.bar_paths import Pace
 from truearm.plan.branches import branch_of
 from truearm.plan.cartesian_lines import Shape
@@ -30,6 +30,7 @@ from truearm.plan.forecast import Forecast, Known, with_rig_values
 from truearm.plan.line_plan import LinePlan, LinesWanted, plan_lines
 from truearm.plan.measurement_limits import Limits, Pairing
 from truearm.plan.region import Region
+from truearm.plan.route import Visits
 from truearm.plan.route_program import DIALECTS, check_suffix, program
 from truearm.plan.route_stops import Signals, Stop, Task
 from truearm.types import Floats, Rig
@@ -43,6 +44,7 @@ from truearm.workflows.session_parts import with_parts
 DESIGN_RESERVE = 22e-3  # m of travel for what the model does not know
 RESULT_RESERVE = 3e-3  # m
 APPROACH_CANDIDATES = 400
+POSES_A_CHECK = 36  # check poses are visited twice more: not more than a twentieth of the poses
 NO_SIGNALS = Signals()
 LEFT = 2e-3  # m of travel that the ways between poses need at least
 
@@ -103,6 +105,11 @@ class BallBarOptions:
         Rest at a pose [s], 0.5 to 600.
     seed : int
         Random seed; 0 or more.
+    visits : int
+        Visits to every mount, 1 to 10, with its share of the poses each: what drifts or slips shows.
+    check_poses : int
+        Poses of the first mount that are visited again in the middle and at the end, 0 to 100; none with several visits, and of
+        few poses one in 36 at most.
 
     Raises
     ------
@@ -124,6 +131,8 @@ class BallBarOptions:
     spread: Annotated[float, Within(0.0)] = 0.0
     dwell: Annotated[float, Within(0.5, 600.0)] = 2.0
     seed: Annotated[int, Within(0)] = 0
+    visits: Annotated[int, Within(1, 10)] = 1
+    check_poses: Annotated[int, Within(0, 100)] = 10
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -175,9 +184,18 @@ def plan_ball_bar_files(files: PlanFiles, budget: Budget, options: BallBarOption
         "poses": len(route.plan),
         "via_points": int(np.sum(route.pose < 0)),
         "mounts": route.n_mounts,
+        "visits": options.visits,
+        "check_poses": _visits(budget, options).check_poses,
         "minutes": route.minutes,
         "written": _written(files),
     }
+
+
+def _visits(budget: Budget, options: BallBarOptions) -> Visits:
+    """How often mounts are visited; every mount twice needs no check poses."""
+    poses = budget.n if budget.n is not None else int(60.0 * (budget.minutes or 0.0) / (options.dwell + MOVE))
+    checks = min(options.check_poses, poses // POSES_A_CHECK) if options.visits == 1 else 0
+    return Visits(options.visits, checks)
 
 
 def planned_ball_bar(known: Known, budget: Budget, options: BallBarOptions, say: Say = silent) -> BallBarPlan:
@@ -187,7 +205,15 @@ def planned_ball_bar(known: Known, budget: Budget, options: BallBarOptions, say:
     """
     limits = _limits(options.reserve)
     _check_travel(known, limits.reserve, options.spread)
-    wanted = Wanted(budget.n, budget.minutes, options.criterion, 1, options.candidates, options.spread, options.seed)
+    wanted = Wanted(
+        budget.n,
+        budget.minutes,
+        options.criterion,
+        n_candidates=options.candidates,
+        spread=options.spread,
+        seed=options.seed,
+        visits=_visits(budget, options),
+    )
     site = make_site(known, limits, Sizes(), options.seed)
     pairings, pace = all_pairings(known.rig, options.bars), Pace(dwell=options.dwell)
     return plan_ballbar(site, known, pairings, wanted, pace, options.region, say)
