@@ -571,6 +571,16 @@ class Defaults:
     believed: tuple[str, ...] = ()
 
 
+class MeanError(NamedTuple):
+    """The mean error of ``n`` poses that were not fitted, held out or left out in turn, and where it lies with 95 %."""
+
+    mean: float
+    low: float
+    high: float
+    n: int
+    held_out: bool
+
+
 class WithOutliers(NamedTuple):
     """The fit of all rows, where ``n`` of them were found to be bad and the estimate rests on the others."""
 
@@ -659,4 +669,5 @@ class Estimate:
         default_factory=lambda: np.zeros(0, dtype=bool)
     )  # (n,) neither fitted nor held out
     systematic: SystematicErrors | None = None  # what is off beyond chance; None: nothing, or it was not looked for
+    unexplained: Mapping[str, MeanError] = field(default_factory=dict)  # by SI unit, where χ² is above its band
     with_outliers: WithOutliers | None = None  # all rows, where bad ones were left out of the fit (estimate.outliers)

@@ -46,6 +46,7 @@ OBJECTS = {
     "defaults",
     "without_systematic",
     "with_outliers",
+    "unexplained",
     "held_out",
     "held_out_before",
     "covariance",

@@ -19,9 +19,10 @@ from truearm.estimate.solvers import SOLVERS, Loss, Prior
 from truearm.kinds.registry import kinds
 from truearm.report.parameter_cells import parameter_cells
 from truearm.report.systematic_words import systematic_sentences
-from truearm.report.words import drawing, kind_name, time_offset
+from truearm.report.words import drawing, kind_name, time_offset, unexplained_words
 from truearm.text import counted, one_line
-from truearm.units import SUFFIXES, UNITS, title
+from truearm.types import MeanError
+from truearm.units import SUFFIXES, UNITS, from_shown, title
 
 Document = Mapping[str, Any]
 
@@ -243,6 +244,8 @@ def predicted(document: Document) -> list[str]:
     error = document["predicted_error"]
     if document["status"] != "converged":
         return []
+    if document["unexplained"] is not None:
+        return [_unexplained(document["unexplained"])]
     if error is None:
         return ["How far the tool may be off is not determined: what is not seen, or hardly, would move it."]
     where = " (the base's own place apart)" if error["relative"] else ""
@@ -250,6 +253,15 @@ def predicted(document: Document) -> list[str]:
         f"By these sigmas the tool errs by {_cell(error['rms_mm'])} mm RMS over {error['n']} poses{where}, at most "
         f"{_cell(error['max_mm'])} mm, at {one_line(error['at'])}."
     ]
+
+
+def _unexplained(error: Document) -> str:
+    """The mean error of poses that were not fitted, where the declared noise explains less."""
+    found = {}
+    for unit in (SUFFIXES[name[5:]] for name in error if name.startswith("mean_")):
+        mean, low, high = (from_shown(error[f"{name}_{unit.suffix}"], unit.si) for name in ("mean", "low", "high"))
+        found[unit.si] = MeanError(mean, low, high, error[f"n_{unit.suffix}"], error["by"] == "held out")
+    return unexplained_words(found)
 
 
 def seen(document: Document) -> list[str]:
@@ -353,7 +365,7 @@ def advice(document: Document, out: Path | None) -> list[str]:
         lines.append(
             f"Residuals are {factor:.1f} times what the declared sigmas allow: the robot has errors that these parameters "
             f"do not model, or the sigmas are too small{prior}."
-            + " The sigmas above are too small by as much."
+            + " The sigmas above rest on the declared noise alone."
             * (not read_off)
         )
     spare = sum(len(kinds()[k["kind"]].components) * k["fitted"] for k in document["observations"]) - document["rank"]

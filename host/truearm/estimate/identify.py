@@ -25,7 +25,8 @@ from truearm.estimate.identifiability import (
 )
 from truearm.estimate.information import Information, half, observe, spectrum, with_prior
 from truearm.estimate.label_search import relabellings
-from truearm.estimate.measured_order import measured_order
+from truearm.estimate.mean_error import left_out_errors, mean_errors
+from truearm.estimate.measured_order import measured_order, poses
 from truearm.estimate.outliers import without_outliers
 from truearm.estimate.prior import weak_prior
 from truearm.estimate.problem import Problem, Rigs, build_problem, settled, without_knowledge
@@ -43,6 +44,7 @@ from truearm.types import (
     Figures,
     Floats,
     HeldOut,
+    MeanError,
     NullDirection,
     ObservationTable,
     Residuals,
@@ -158,12 +160,20 @@ def identify(
     wrong = systematic_errors(taken, x, columns, information, FitChi2(chi2, freedom, explained), how)
     if wrong is not None:
         wrong = replace(wrong, moves=_moves(chain, x, x + wrong.shift, table.q[fitted]))
+    pose = poses(table.select(fitted))
     distance, beyond = standardised(problem, x, columns, half(parts), found.weight)
     identifiable = _spread(sight.identifiable & ~np.isin(names, untimed), columns)
     matrix = np.zeros((x.size, x.size))
     matrix[np.ix_(columns, columns)] = found.covariance
     held_before, error_before = _judge(problem, x_before, rig, table, held, modelled)
     held_after, error_after = _judge(problem, x, rig, table, held, modelled)
+    unexplained: Mapping[str, MeanError] = {}
+    # Robust losses and the solvers that read the noise from the residuals have it in their covariance.
+    if not (explained or options.loss != Loss.LINEAR or SOLVERS[options.solver].reads_noise):
+        unexplained = mean_errors(error_after, poses(table.select(held)), held_out=True)
+        if not unexplained:
+            errors = left_out_errors(taken, x, columns, half(parts), pose)
+            unexplained = mean_errors(errors, pose, held_out=False)
     estimate = Estimate(
         status=found.status,
         message=found.message,
@@ -207,6 +217,7 @@ def identify(
         relabellings=labels.found,
         relabelling_search=labels.status,
         systematic=wrong,
+        unexplained=unexplained,
         with_outliers=None if found is every else _with_all_rows(problem, columns, every, found),
     )
     return replace(estimate, seconds=time.perf_counter() - started)

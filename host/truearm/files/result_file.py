@@ -150,6 +150,7 @@ def document_of(
         "chi2_freedom": _number(estimate.chi2_freedom),
         "suspect": _suspects(estimate, table),
         **systematic_entries(estimate.systematic, table),
+        "unexplained": _unexplained(estimate),
         "with_outliers": _with_outliers(estimate, units),
         "held_out_by": list(held_out_by),
         "held_out": _held_out(estimate.held_out, units),
@@ -241,6 +242,19 @@ def _relabelling(relabelling: Relabelling, table: ObservationTable) -> dict[str,
 def _source(table: ObservationTable, row: int) -> str:
     """Where a row comes from, without the folder, as in ``input_of``."""
     return Path(str(table.source[row])).name
+
+
+def _unexplained(estimate: Estimate) -> dict[str, Any] | None:
+    """The mean error where nothing was fitted, by unit; None where the declared noise explains the residuals."""
+    if not estimate.unexplained:
+        return None
+    out: dict[str, Any] = {"by": "cross-validation"}
+    for si, error in estimate.unexplained.items():
+        out |= {key(name, si): _shown(getattr(error, name), si) for name in ("mean", "low", "high")}
+        out |= {key("n", si): error.n}
+        if error.held_out:
+            out["by"] = "held out"
+    return out
 
 
 def _with_outliers(estimate: Estimate, units: Sequence[str]) -> dict[str, Any] | None:

@@ -192,7 +192,7 @@ def doubts(page: CalibrationPage) -> list[str]:
     if e.chi2_reduced > CHI2_DOUBTFUL:
         found.append(
             f"Residuals are {figures(math.sqrt(e.chi2_reduced), 2)} times what the declared sigmas allow; the σ of the "
-            "parameters are too small by as much."
+            "parameters rest on the declared noise alone."
         )
     return found
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from truearm.kinds.registry import NAMES, kinds
 from truearm.text import with_article
-from truearm.units import MS, UNITS, tolerances
+from truearm.types import MeanError
+from truearm.units import MS, UNITS, number, symbol, tolerances
 
 PARTS = {"m": "position", "rad": "rotation"}  # of a kind that has residuals of both units
 
@@ -28,6 +31,19 @@ def time_offset(name: str, value_s: float | None, sigma_s: float | None) -> str:
     return (
         f"{name}: the joint readings are {MS.text(abs(value_s), '.3f')} {late} ({MS.text(sigma_s, '.2g')}); the links' shortest "
         "latencies are part of it."
+    )
+
+
+def unexplained_words(errors: Mapping[str, MeanError]) -> str:
+    """The mean error by SI unit of poses that were not fitted, where the declared noise explains less."""
+    parts = []
+    for si, error in errors.items():
+        low, high = (number(value, si) for value in (error.low, error.high))
+        parts.append(f"{number(error.mean, si)} {symbol(si)} (95 %: {low} to {high})")
+    n, held_out = max(error.n for error in errors.values()), any(error.held_out for error in errors.values())
+    of = f"{n} poses held out" if held_out else f"{n} poses, each predicted without its own rows"
+    return (
+        f"The declared noise does not explain the residuals. Expect errors of {' and '.join(parts)}, the mean of {of}."
     )
 
 

@@ -39,10 +39,10 @@ def write_page(path: Path, found: Identification, command: str = "") -> None:
         longitude=longitudes(found.chain, found.rig, table, estimate),
         command=command,
         prior=found.prior,
-        predicted=found.predicted,
+        predicted=None if estimate.unexplained else found.predicted,
         facts=_facts(table),
         systematic=tuple(systematic_sentences(found.document)),
-        notes=(*_timing(estimate), *(() if found.predicted else (UNPREDICTED,))),
+        notes=(*_timing(estimate), *_error_elsewhere(found)),
     )
     write_atomic(path, render(page))
 
@@ -51,6 +51,15 @@ def _facts(table: ObservationTable) -> tuple[tuple[str, str], ...]:
     """What each kind says of its rows, as label and value."""
     every = ((kind, table.select(table.kind == name)) for name, kind in kinds().items())
     return tuple(fact for kind, rows in every if kind.facts and len(rows) for fact in kind.facts(rows))
+
+
+def _error_elsewhere(found: Identification) -> list[str]:
+    """What is known of the error where nothing was measured, if it does not follow from the parameters' covariance."""
+    from truearm.report.words import unexplained_words
+
+    if found.estimate.unexplained:
+        return [unexplained_words(found.estimate.unexplained)]
+    return [] if found.predicted else [UNPREDICTED]
 
 
 def _timing(estimate: Estimate) -> list[str]:

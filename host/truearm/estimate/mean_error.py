@@ -1,0 +1,66 @@
+"""How large the error is where it was not fitted, with its interval: what holds where the model leaves something unexplained.
+
+The covariance of the parameters rests on the declared noise, so it says nothing of errors that the model does not have. Rows
+that were held out do. Without such rows each pose is left out in turn: with the leverage H = J P Jᵀ of all its rows together,
+the fit without them leaves the residual (I − H)⁻¹e, to first order, and nothing has to be fitted again.
+
+Rows of one pose err together, so it is poses that count: the interval is that of a mean of their mean errors (Student's t).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from truearm.estimate.problem import Problem
+from truearm.estimate.whitened_rows import ALONE, whitened_blocks
+from truearm.kinds.group import unit_columns
+from truearm.kinds.linearised import Indices
+from truearm.types import Floats, MeanError, Residuals
+
+LEVEL = 0.95
+LEAST_POSES = 2
+
+
+def mean_errors(error: Residuals, pose: Indices, held_out: bool) -> Mapping[str, MeanError]:
+    """By SI unit, of the errors (n,) of rows, NaN for none, and the numbers (n,) of their poses. Nothing of fewer than two poses."""
+    out = {}
+    for unit, of in error.items():
+        some = np.isfinite(of)
+        _, number, count = np.unique(pose[some], return_inverse=True, return_counts=True)
+        if count.size < LEAST_POSES:
+            continue
+        means = np.bincount(number.ravel(), np.abs(of[some])) / count
+        half = float(special.stdtrit(count.size - 1, (1.0 + LEVEL) / 2.0) * means.std(ddof=1) / np.sqrt(count.size))
+        mean = float(means.mean())
+        out[unit] = MeanError(mean, max(mean - half, 0.0), mean + half, int(count.size), held_out)
+    return out
+
+
+def left_out_errors(
+    problem: Problem, x: Floats, columns: NDArray[np.bool_], covariance_root: Floats, pose: Indices
+) -> Residuals:
+    """(n_rows,) by SI unit: the size of each row's error by a fit without its pose, NaN where that leaves something undetermined."""
+    parts = [block for block in whitened_blocks(problem, x, columns) if block.row is not None]
+    out = problem.no_residuals()
+    numbers = np.concatenate([np.repeat(pose[block.row], block.residual.shape[1]) for block in parts])
+    seen = np.concatenate(
+        [(block.jac @ covariance_root).reshape(block.residual.size, covariance_root.shape[1]) for block in parts]
+    )
+    left = np.concatenate([block.residual.ravel() for block in parts])
+    order = np.argsort(numbers, kind="stable")
+    for rows in np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1):
+        rest = np.eye(rows.size) - seen[rows] @ seen[rows].T
+        determined = np.linalg.eigvalsh(rest)[0] > ALONE
+        left[rows] = np.linalg.solve(rest, left[rows]) if determined else np.nan
+    at = 0
+    for block in parts:
+        n, width = block.residual.shape
+        error = (block.noise_root @ left[at : at + n * width].reshape(n, width, 1))[..., 0]
+        for unit, of in unit_columns(block.components).items():
+            out[unit][block.row] = np.linalg.norm(error[:, of], axis=1)
+        at += n * width
+    return out
