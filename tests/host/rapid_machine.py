@@ -1,9 +1,12 @@
 """RAPID for tests: the part of the language that measuring and corrected programs use, executed; anything else is a fault.
 
-After ABB's technical reference manual (RAPID instructions, functions and data types): identifiers have at most 32 characters, strings 80;
-names in a module are unique. Independent of ``truearm.plan.route_rapid`` and of ``truearm.files.programs``.
+After ABB's technical reference manual (RAPID instructions, functions and data types, RAPID kernel): identifiers have at most 32 characters, strings 80;
+words are the same in upper and lower case; names in a module are unique; arrays count from 1. Independent of ``truearm.plan.route_rapid`` and of
+``truearm.files.programs``: statements become closures over a frame of variables, and the program's branches are those that its values choose.
 """
 
+import copy
+import operator
 import re
 
 import numpy as np
@@ -12,22 +15,36 @@ from tests.host.controllers import ProgramFault, pose_from
 
 TOKEN = re.compile(
     r"""(?P<comment>![^\n]*)|(?P<string>"[^"\n]*")|(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[A-Za-z]\w*)
-        |(?P<sign>:=|[-+*/()\[\]{},;\\])|(?P<space>\s+)""",
+        |(?P<sign>:=|<>|<=|>=|[-+*/()\[\]{},;:\\.=<>?])|(?P<space>\s+)""",
     re.VERBOSE,
 )
 RESERVED = {"module", "endmodule", "proc", "endproc", "var", "pers", "const", "if", "then", "endif", "while", "do", "endwhile", "for",
-            "return", "true", "false", "local", "task", "func", "trap", "record", "alias", "connect", "error", "undo", "main"}  # fmt: skip
+            "return", "true", "false", "local", "task", "func", "trap", "record", "alias", "connect", "error", "undo", "main", "test", "endtest",
+            "case", "default", "else", "elseif", "endfor", "from", "to", "step", "endfunc", "endrecord", "not", "and", "or", "xor", "div", "mod"}  # fmt: skip
 SPEEDS = {
     f"v{n}": [float(n), 500.0, 5000.0, 1000.0]
     for n in (5, 10, 20, 30, 40, 50, 60, 80, 100, 150, 200, 300, 400, 500, 1000)
 }
+NO_FRAME = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]]
+TOOL0 = [True, NO_FRAME, [0.001]]
 DATA = {
     **SPEEDS,
     "fine": "fine",
     "z10": "z10",
-    "wobj0": np.eye(4),
-    "tool0": [True, [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]], [0.001]],
+    "wobj0": [False, True, "", NO_FRAME, NO_FRAME],
+    "tool0": TOOL0,
 }
+COMPONENTS = {
+    "trans": 0, "rot": 1, "robconf": 2, "extax": 3, "robax": 0, "x": 0, "y": 1, "z": 2, "q1": 0, "q2": 1, "q3": 2, "q4": 3,
+    "robhold": 0, "tframe": 1, "tload": 2, "ufprog": 1, "ufmec": 2, "uframe": 3, "oframe": 4,
+}  # fmt: skip
+OPERATORS = {
+    "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv, "div": operator.floordiv, "mod": operator.mod,
+    "=": operator.eq, "<>": operator.ne, "<": operator.lt, ">": operator.gt, "<=": operator.le, ">=": operator.ge,
+    "and": lambda a, b: a and b, "or": lambda a, b: a or b, "xor": operator.ne,
+}  # fmt: skip
+LEVELS = (("or", "xor"), ("and",), ("=", "<>", "<", ">", "<=", ">="), ("+", "-"), ("*", "/", "div", "mod"))
+TURNS = 10_000  # of all loops together: a program that goes on is no test
 
 
 def tokens_of(text):
@@ -46,133 +63,445 @@ def tokens_of(text):
     return out
 
 
-def run_rapid(text, controller):
-    """Load a module and execute its main."""
-    machine = Machine(tokens_of(text), controller)
+def run_rapid(text, controller, choices=()):
+    """Load a module and execute its main. ``choices``: what its inputs (DInput) are, one after the other."""
+    machine = Machine(tokens_of(text), controller, choices)
     machine.module()
     return machine
 
 
-class Machine:
-    """A module's data, and the built-in instructions and functions."""
+class Cell:
+    """A variable, or an argument that stands for one."""
 
-    def __init__(self, tokens, controller):
+    def __init__(self, value):
+        self.value = value
+
+
+class Part:
+    """An element of an array or a component of a record, as a variable."""
+
+    def __init__(self, of, at):
+        self.of, self.at = of, at
+        if self.of.value is None or not 0 <= at < len(self.of.value):
+            raise ProgramFault("no such element")
+
+    @property
+    def value(self):
+        return self.of.value[self.at]
+
+    @value.setter
+    def value(self, new):
+        self.of.value[self.at] = new
+
+
+class Returned(Exception):
+    """The end of a routine."""
+
+
+class Machine:
+    """A module's data and routines, and the built-in instructions and functions."""
+
+    def __init__(self, tokens, controller, choices=()):
         self.tokens, self.at = [*tokens, ("end", "")], 0
-        self.controller, self.data, self.names = controller, dict(DATA), set()
+        self.controller, self.names, self.routines = controller, set(), {}
+        self.data = {name: Cell(copy.deepcopy(value)) for name, value in DATA.items()}
+        self.components = dict(COMPONENTS)
         self.configurations = {"ConfJ": True, "ConfL": True}
+        self.choices, self.turns = list(choices), TURNS
 
     # grammar
 
     def word(self):
-        return self.tokens[self.at][1]
+        kind, word = self.tokens[self.at]
+        return word.lower() if kind == "name" else word
 
     def take(self, *expected):
         kind, word = self.tokens[self.at]
-        if expected and word not in expected:
+        if expected and self.word() not in expected:
             raise ProgramFault(f"{word!r} stands where {' or '.join(expected)} was expected")
         self.at += 1
-        return kind, word
+        return kind, word.lower() if kind == "name" else word
+
+    def taken(self, *expected):
+        """Whether one of these stands here; it is taken."""
+        if self.word() in expected and self.tokens[self.at][0] != "string":
+            self.at += 1
+            return True
+        return False
 
     def new_name(self):
         kind, name = self.take()
-        if (
-            kind != "name"
-            or name.lower() in RESERVED - {"main"}
-            or name.lower() in self.names | {d.lower() for d in DATA}
-        ):
+        if kind != "name" or name in RESERVED - {"main"} or name in self.names | set(DATA):
             raise ProgramFault(f"{name!r} is no new name")
-        self.names.add(name.lower())
+        self.names.add(name)
+        return name
 
+    def local_name(self):
+        kind, name = self.take()
+        if kind != "name" or name in RESERVED:
+            raise ProgramFault(f"{name!r} is no name")
         return name
 
     def module(self):
-        self.take("MODULE")
+        self.take("module")
         self.new_name()
-        while self.word() in ("VAR", "PERS", "CONST"):
-            self.declaration()
-        found_main = False
-        while self.word() == "PROC":
-            self.take()
-            found_main |= self.new_name() == "main"
-            self.take("(")
-            self.take(")")
-            while self.word() != "ENDPROC":
-                self.statement()
-            self.take()
-        self.take("ENDMODULE")
-        if not found_main or self.tokens[self.at][0] != "end":
-            raise ProgramFault("a module has a main and ends with ENDMODULE")
+        if self.taken("("):
+            while not self.taken(")"):
+                self.take()
+        declarations = []
+        while not self.taken("endmodule"):
+            self.taken("local") or self.taken("task")
+            if self.word() in ("var", "pers", "const"):
+                declarations.append(self.declaration(self.new_name))
+            elif self.word() == "record":
+                self.record()
+            else:
+                self.routine()
+        if self.tokens[self.at][0] != "end":
+            raise ProgramFault("a module ends with ENDMODULE")
+        frame = {}
+        for name, value in declarations:
+            self.data[name] = Cell(value(frame))
+        if "main" not in self.routines:
+            raise ProgramFault("a program has a main")
+        self.enter("main", [], {}, {})
 
-    def declaration(self):
+    def record(self):
         self.take()
-        self.take()  # the type
-        name = self.new_name()
-        self.data[name] = None
-        if self.word() == "{":
-            self.at += 3
-        if self.word() == ":=":
+        self.new_name()
+        place = 0
+        while not self.taken("endrecord"):
             self.take()
-            self.data[name] = self.value()
+            name = self.take()[1]
+            if self.components.setdefault(name, place) != place:
+                raise ProgramFault(f"{name} is another component too; this interpreter has no types")
+            self.take(";")
+            place += 1
+
+    def declaration(self, new_name):
+        """A name, and what gives its first value."""
+        self.take("var", "pers", "const")
+        kind = self.take()[1]
+        name = new_name()
+        sizes = []
+        if self.taken("{"):
+            sizes = [int(self.take()[1])]
+            while self.taken(","):
+                sizes.append(int(self.take()[1]))
+            self.take("}")
+        first = {"num": 0.0, "bool": False, "string": ""}.get(kind)
+
+        def empty(_):
+            value = first
+            for size in reversed(sizes):
+                value = [copy.deepcopy(value) for _ in range(size)]
+            return value
+
+        value = self.expression() if self.taken(":=") else empty
         self.take(";")
+        return name, lambda frame: copy.deepcopy(value(frame))
+
+    def routine(self):
+        kind = self.take("proc", "func", "trap")[1]
+        if kind == "func":
+            self.take()
+        name, parameters = self.new_name(), []
+        if kind != "trap":
+            self.take("(")
+            while not self.taken(")"):
+                optional = self.taken("\\")
+                mode = self.take()[1] if self.word() in ("inout", "var", "pers", "switch") else ""
+                if mode != "switch":
+                    self.take()
+                parameters.append((self.local_name(), optional, mode in ("inout", "var", "pers")))
+                if self.taken("{"):
+                    while not self.taken("}"):
+                        self.take()
+                self.taken(",")
+        local = []
+        while self.word() in ("var", "pers", "const"):
+            local.append(self.declaration(self.local_name))
+        body = self.block(f"end{kind}", "error", "undo")
+        while not self.taken(f"end{kind}"):  # no error is raised here
+            self.take("error", "undo")
+            self.block(f"end{kind}", "error", "undo")
+        self.routines[name] = parameters, local, body
+
+    def block(self, *ends):
+        """Statements up to one of the words that end them, which is left."""
+        steps = []
+        while self.word() not in ends:
+            if self.tokens[self.at][0] == "end":
+                raise ProgramFault(f"the file ends where {' or '.join(ends)} should stand")
+            steps.append(self.statement())
+        return lambda frame: [step(frame) for step in steps]
 
     def statement(self):
+        word = self.word()
+        known = {"if": self.choice, "for": self.counted, "while": self.loop, "test": self.test, "return": self.returned}
+        if word in known:
+            self.take()
+            return known[word]()
+        if self.tokens[self.at + 1][1] in (":=", "{", "."):
+            place = self.place()
+            self.take(":=")
+            value = self.expression()
+            self.take(";")
+
+            def assigned(frame):
+                place(frame).value = copy.deepcopy(value(frame))
+
+            return assigned
         kind, name = self.take()
-        if kind != "name" or name not in INSTRUCTIONS:
+        if kind != "name":
             raise ProgramFault(f"no instruction {name!r}")
-        values, options = self.arguments(";")
-        self.call(INSTRUCTIONS, name, values, options)
+        arguments = self.arguments(";")
+        return lambda frame: self.call(INSTRUCTIONS, name, arguments, frame)
+
+    def choice(self):
+        conditions, blocks = [self.expression()], []
+        if self.word() != "then":
+            step = self.statement()
+            return lambda frame: step(frame) if conditions[0](frame) else None
+        self.take("then")
+        blocks.append(self.block("elseif", "else", "endif"))
+        while self.taken("elseif"):
+            conditions.append(self.expression())
+            self.take("then")
+            blocks.append(self.block("elseif", "else", "endif"))
+        if self.taken("else"):
+            conditions.append(lambda _: True)
+            blocks.append(self.block("endif"))
+        self.take("endif")
+
+        def chosen(frame):
+            for condition, block in zip(conditions, blocks, strict=True):
+                if condition(frame):
+                    block(frame)
+                    return
+
+        return chosen
+
+    def test(self):
+        value, cases = self.expression(), []
+        while self.taken("case"):
+            values = [self.expression()]
+            while self.taken(","):
+                values.append(self.expression())
+            self.take(":")
+            cases.append((values, self.block("case", "default", "endtest")))
+        other = None
+        if self.taken("default"):
+            self.take(":")
+            other = self.block("endtest")
+        self.take("endtest")
+
+        def tested(frame):
+            here = value(frame)
+            for values, block in cases:
+                if any(one(frame) == here for one in values):
+                    block(frame)
+                    return
+            if other:
+                other(frame)
+
+        return tested
+
+    def counted(self):
+        name = self.local_name()
+        self.take("from")
+        first = self.expression()
+        self.take("to")
+        last = self.expression()
+        step = self.expression() if self.taken("step") else None
+        self.take("do")
+        block = self.block("endfor")
+        self.take("endfor")
+
+        def run(frame):
+            k, end = first(frame), last(frame)
+            by = step(frame) if step else (1.0 if end >= k else -1.0)
+            while (k - end) * by <= 0.0:
+                self.turn()
+                block({**frame, name: Cell(k)})
+                k += by
+
+        return run
+
+    def loop(self):
+        condition = self.expression()
+        self.take("do")
+        block = self.block("endwhile")
+        self.take("endwhile")
+
+        def run(frame):
+            while condition(frame):
+                self.turn()
+                block(frame)
+
+        return run
+
+    def turn(self):
+        self.turns -= 1
+        if self.turns < 0:
+            raise ProgramFault("a loop without an end")
+
+    def returned(self):
+        value = None if self.word() == ";" else self.expression()
+        self.take(";")
+
+        def leave(frame):
+            raise Returned(copy.deepcopy(value(frame)) if value else None)
+
+        return leave
 
     def arguments(self, end):
+        """What gives the arguments: those in order, and those by name. A variable gives its cell."""
         values, options = [], {}
-        while self.word() != end:
-            if self.word() == "\\":
-                self.take()
-                option, options_value = self.take()[1], True
-                if self.word() == ":=":
-                    self.take()
-                    options_value = self.value()
-                options[option.lower()] = options_value
-            elif self.word() == ",":
-                self.take()
-            else:
-                values.append(self.value())
-        self.take(end)
+        while not self.taken(end):
+            if self.taken("\\"):
+                option = self.take()[1]
+                options[option] = lambda _: True
+                if self.taken(":="):
+                    options[option] = self.reference()
+                elif self.taken("?"):
+                    source = self.take()[1]
+                    options[option] = lambda frame, source=source: frame.get(source)
+            elif not self.taken(","):
+                values.append(self.reference())
         return values, options
 
-    def call(self, table, name, values, options):
+    def reference(self):
+        """An argument: a variable's place where it is one."""
+        start = self.at
+        if self.tokens[self.at][0] == "name" and self.word() not in ("true", "false", "not"):
+            try:
+                place = self.place()
+            except ProgramFault:
+                place = None
+            if place is not None and self.word() in (",", ";", ")", "\\"):
+                return place
+        self.at = start
+        return self.expression()
+
+    def call(self, table, name, arguments, frame):
+        values = [one(frame) for one in arguments[0]]
+        options = {key: one(frame) for key, one in arguments[1].items()}
+        options = {
+            key: value for key, value in options.items() if value is not None
+        }  # a \name?parameter that is absent
+        if name in self.routines:
+            return self.enter(name, values, options, frame)
+        if name not in table:
+            raise ProgramFault(f"no routine {name!r}")
+        if name not in WRITES:
+            values = [value_of(value) for value in values]
+            options = {key: value_of(value) for key, value in options.items()}
         try:
             return table[name](self, *values, **options)
         except TypeError as exc:
             raise ProgramFault(f"{name}: {exc}") from exc
 
-    def value(self):
-        kind, word = self.take()
+    def enter(self, name, values, options, frame):
+        parameters, local, body = self.routines[name]
+        required = [one for one in parameters if not one[1]]
+        if len(values) != len(required):
+            raise ProgramFault(f"{name} has {len(required)} arguments")
+        inner = {}
+        for (parameter, _, shared), value in zip(required, values, strict=True):
+            inner[parameter] = value if shared else Cell(copy.deepcopy(value_of(value)))
+            if not isinstance(inner[parameter], Cell | Part):
+                raise ProgramFault(f"{parameter} of {name} needs a variable")
+        for parameter, optional, shared in parameters:
+            if optional and parameter in options:
+                value = options[parameter]
+                inner[parameter] = value if shared else Cell(copy.deepcopy(value_of(value)))
+        for variable, value in local:
+            inner[variable] = Cell(value(inner))
+        try:
+            body(inner)
+        except Returned as exc:
+            return exc.args[0]
+        return None
+
+    def place(self):
+        """What gives the cell of a variable, an element or a component."""
+        kind, name = self.take()
+        if kind != "name" or self.word() == "(":
+            raise ProgramFault(f"{name!r} is no variable")
+
+        def root(frame):
+            if name in frame:
+                return frame[name]
+            if name in self.data:
+                return self.data[name]
+            if name in ("dotruearm", "ditruearm"):
+                return Cell(name)
+            raise ProgramFault(f"{name!r} is not known here")
+
+        found = root
+        while self.word() in ("{", ".") and self.tokens[self.at][0] == "sign":
+            if self.taken("."):
+                component = self.take()[1]
+                if component not in self.components:
+                    raise ProgramFault(f"no component {component!r}")
+                found = self.part(found, lambda _, k=self.components[component]: k)
+                continue
+            self.take("{")
+            while True:
+                index = self.expression()
+                found = self.part(found, lambda frame, index=index: int(index(frame)) - 1)
+                if self.take(",", "}")[1] == "}":
+                    break
+        return found
+
+    @staticmethod
+    def part(of, at):
+        return lambda frame: Part(of(frame), at(frame))
+
+    def expression(self, level=0):
+        if level == len(LEVELS):
+            return self.unary()
+        left = self.expression(level + 1)
+        while self.word() in LEVELS[level] and self.tokens[self.at][0] != "string":
+            function, right, first = OPERATORS[self.take()[1]], self.expression(level + 1), left
+            left = lambda frame, f=function, a=first, b=right: f(a(frame), b(frame))  # noqa: E731
+        return left
+
+    def unary(self):
+        kind, word = self.tokens[self.at][0], self.word()
+        if kind == "sign" and word in "+-":
+            self.take()
+            inner = self.unary()
+            return lambda frame: inner(frame) * (-1.0 if word == "-" else 1.0)
+        if self.taken("not"):
+            inner = self.unary()
+            return lambda frame: not inner(frame)
         if kind == "number":
-            return float(word)
+            self.take()
+            return lambda _: float(word)
         if kind == "string":
-            return word[1:-1]
-        if word in ("+", "-"):
-            return self.value() * (-1.0 if word == "-" else 1.0)
-        if word in ("TRUE", "FALSE"):
-            return word == "TRUE"
-        if word == "[":
-            values = [self.value()]
+            self.take()
+            return lambda _: word[1:-1]
+        if kind == "sign" and self.taken("("):
+            inner = self.expression()
+            self.take(")")
+            return inner
+        if kind == "sign" and self.taken("["):
+            values = [self.expression()]
             while self.take(",", "]")[1] == ",":
-                values.append(self.value())
-            return values
-        if kind == "name" and self.word() == "(":
+                values.append(self.expression())
+            return lambda frame: [value(frame) for value in values]
+        if kind == "name" and word in ("true", "false"):
             self.take()
-            return self.call(FUNCTIONS, word, *self.arguments(")"))
-        if kind == "name" and self.word() == "{":
+            return lambda _: word == "true"
+        if kind == "name" and self.tokens[self.at + 1][1] == "(":
             self.take()
-            index = int(self.value())
-            self.take("}")
-            return self.data[word][index - 1]
-        if word in self.data:
-            return self.data[word]
-        if word in ("doTruearm", "diTruearm"):
-            return word
-        raise ProgramFault(f"{word!r} is not known here")
+            self.take("(")
+            arguments = self.arguments(")")
+            return lambda frame: self.call(FUNCTIONS, word, arguments, frame)
+        place = self.place()
+        return lambda frame: place(frame).value
 
     # what the values mean
 
@@ -183,10 +512,18 @@ class Machine:
             raise ProgramFault("the orientation is not normalised")
         return pose_from(1e-3 * np.array([x, y, z]), Rotation.from_quat([i, j, k, w]))
 
-    def use(self, tool):
-        if tool is not DATA["tool0"] and not tool[2][0] > 0.0:
+    def use(self, tool, work=None):
+        """Take a tool, and give the object frame of a work object in the base."""
+        if tool != TOOL0 and not tool[2][0] > 0.0:
             raise ProgramFault("a tool weighs more than nothing")
+        if tool[0] is not True:
+            raise ProgramFault("a tool that the robot does not hold")
         self.controller.tcp = self.pose(tool[1])
+        if work is None:
+            return np.eye(4)
+        if len(work) != 5 or work[0] or not work[1] or work[2]:
+            raise ProgramFault("a work object that is held or moved")
+        return self.pose(work[3]) @ self.pose(work[4])
 
     @staticmethod
     def jointtarget(target):
@@ -205,17 +542,44 @@ class Machine:
         self.use(tool)
         self.controller.move_joints(self.jointtarget(target), t)
 
-    def MoveJ(self, target, speed, zone, tool):
-        self.use(tool)
-        pose = self.robtarget(target)
+    def MoveJ(self, target, speed, zone, tool, wobj=None):
+        pose = self.use(tool, wobj) @ self.robtarget(target)
         self.controller.move_joints(self.controller.solved(pose, self.controller.q))
 
-    def MoveL(self, target, speed, zone, tool):
-        self.use(tool)
+    def MoveL(self, target, speed, zone, tool, wobj=None):
+        frame = self.use(tool, wobj)
         if self.configurations["ConfL"] and isinstance(target, Computed):
             raise ProgramFault("a computed target while configurations are watched")
-        pose = self.robtarget(target)
-        self.controller.move_line(pose, 1e-3 * speed[0])
+        self.controller.move_line(frame @ self.robtarget(target), 1e-3 * speed[0])
+
+    def MoveC(self, circle, target, speed, zone, tool, wobj=None):
+        """The circle itself is not driven: both of its points are."""
+        self.MoveL(circle, speed, zone, tool, wobj)
+        self.MoveL(target, speed, zone, tool, wobj)
+
+    def TriggL(self, target, speed, trigger, zone, tool, t2=None, t3=None, wobj=None):
+        self.MoveL(target, speed, zone, tool, wobj)
+
+    def TriggJ(self, target, speed, trigger, zone, tool, t2=None, wobj=None):
+        self.MoveJ(target, speed, zone, tool, wobj)
+
+    def SearchL(self, signal, found, target, speed, tool, stop=False, pstop=False, flanks=False, wobj=None):
+        """Nothing is found on the way: the search ends at its target, and that is where it stopped."""
+        work = [False, True, "", NO_FRAME, NO_FRAME] if wobj is None else wobj.value
+        self.MoveL(target.value, value_of(speed), "fine", value_of(tool), work)
+        found.value = copy.deepcopy(target.value)
+
+    def ArcL(self, target, speed, seam, weld, zone, tool, weave=None, wobj=None):
+        self.MoveL(target, speed, zone, tool, wobj)
+
+    def ArcC(self, circle, target, speed, seam, weld, zone, tool, weave=None, wobj=None):
+        self.MoveC(circle, target, speed, zone, tool, wobj)
+
+    def SpotL(self, target, speed, spot, gun, tool, inpos=False, wobj=None):
+        self.MoveL(target, speed, "fine", tool, wobj)
+
+    def SpotJ(self, target, speed, spot, gun, tool, inpos=False, wobj=None):
+        self.MoveJ(target, speed, "fine", tool, wobj)
 
     def ConfJ(self, off=False, on=False):
         self.configurations["ConfJ"] = not off
@@ -224,7 +588,7 @@ class Machine:
         self.configurations["ConfL"] = not off
 
     def SetDO(self, signal, level):
-        if signal != "doTruearm" or level not in (0.0, 1.0):
+        if signal != "dotruearm" or level not in (0.0, 1.0):
             raise ProgramFault("an output is 0 or 1")
         self.controller.put_out(level == 1.0)
 
@@ -232,7 +596,7 @@ class Machine:
         self.controller.t += seconds
 
     def WaitDI(self, signal, level, maxtime=None, timeflag=""):
-        if signal != "diTruearm" or maxtime is None or timeflag is not None:  # a bool without a value
+        if signal != "ditruearm" or maxtime is None or timeflag is not False:  # a bool
             raise ProgramFault("an input that may never come is waited for with MaxTime and TimeFlag")
         self.controller.wait_for(level == 1.0, maxtime)
 
@@ -242,22 +606,64 @@ class Machine:
     def Stop(self):
         self.controller.said.append((len(self.controller.moves), self.text))
 
-    def CalcRobT(self, target, tool):
-        self.use(tool)
-        pose = self.controller.pose_of(self.jointtarget(target))
+    def Add(self, variable, by):
+        variable.value += value_of(by)
+
+    def Incr(self, variable):
+        variable.value += 1.0
+
+    def Decr(self, variable):
+        variable.value -= 1.0
+
+    def Clear(self, variable):
+        variable.value = 0.0
+
+    def CalcRobT(self, target, tool, wobj=None):
+        frame = self.use(tool, wobj)
+        pose = np.linalg.inv(frame) @ self.controller.pose_of(self.jointtarget(target))
+        return Computed([*self.numbers(pose), [0.0] * 4, [9e9] * 6])
+
+    @staticmethod
+    def numbers(pose):
         i, j, k, w = Rotation.from_matrix(pose[:3, :3]).as_quat().tolist()
-        return Computed([(1e3 * pose[:3, 3]).tolist(), [w, i, j, k], [0.0] * 4, [9e9] * 6])
+        return [(1e3 * pose[:3, 3]).tolist(), [w, i, j, k]]
+
+    def CRobT(self, tool=None, wobj=None):
+        """Where the tool is."""
+        frame = self.use(TOOL0 if tool is None else tool, wobj)
+        here = self.controller.pose_of(self.controller.q)
+        return [*self.numbers(np.linalg.inv(frame) @ here), [0.0] * 4, [9e9] * 6]
 
     def Offs(self, target, x, y, z):
-        return Computed([[a + b for a, b in zip(target[0], (x, y, z), strict=True)], *target[1:]])
+        """Along the axes of the work object; what was taught keeps its configuration."""
+        return type(target)([[a + b for a, b in zip(target[0], (x, y, z), strict=True)], *target[1:]])
+
+    def RelTool(self, target, x, y, z, rx=0.0, ry=0.0, rz=0.0):
+        """Along the axes of the tool; turns about x, then the new y, then the new z."""
+        turn = Rotation.from_rotvec([np.deg2rad(rx), 0, 0]) * Rotation.from_rotvec([0, np.deg2rad(ry), 0])
+        turn = turn * Rotation.from_rotvec([0, 0, np.deg2rad(rz)])
+        pose = self.pose(target) @ pose_from(1e-3 * np.array([x, y, z]), turn)
+        return type(target)([*self.numbers(pose), *target[2:]])
+
+    def DInput(self, signal):
+        return float(self.choices.pop(0)) if self.choices else 0.0
+
+    def Dim(self, array, dimension):
+        return float(len(array))
 
 
 class Computed(list):
     """A robtarget that no one has taught."""
 
 
+def value_of(of):
+    return of.value if isinstance(of, Cell | Part) else of
+
+
 INSTRUCTIONS = {
-    name: getattr(Machine, name)
-    for name in ("MoveAbsJ", "MoveJ", "MoveL", "ConfJ", "ConfL", "SetDO", "WaitTime", "WaitDI", "TPWrite", "Stop")
-}
-FUNCTIONS = {name: getattr(Machine, name) for name in ("CalcRobT", "Offs")}
+    name.lower(): getattr(Machine, name)
+    for name in ("MoveAbsJ", "MoveJ", "MoveL", "MoveC", "TriggL", "TriggJ", "SearchL", "ArcL", "ArcC", "SpotL", "SpotJ", "ConfJ", "ConfL", "SetDO", "WaitTime",
+                 "WaitDI", "TPWrite", "Stop", "Add", "Incr", "Decr", "Clear")
+}  # fmt: skip
+FUNCTIONS = {name.lower(): getattr(Machine, name) for name in ("CalcRobT", "CRobT", "Offs", "RelTool", "DInput", "Dim")}
+WRITES = ("searchl", "add", "incr", "decr", "clear")  # arguments that they change

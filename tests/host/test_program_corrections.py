@@ -1,19 +1,20 @@
-"""Corrected URScripts, executed: the true arm goes where a perfect one would, move by move, or the program was refused.
+"""Corrected programs, executed: the true arm goes where a perfect one would, move by move, or the program was refused.
 
-The interpreter (``urscript_machine``) has nothing in common with what reads programs in truearm. It runs the program as it was on a controller whose model is true,
-and as it was corrected on one with the nominal model in front of the true arm.
+The interpreters (``urscript_machine``, ``rapid_machine``) have nothing in common with what reads programs in truearm. They run the program as it was on a controller
+whose model is true, and as it was corrected on one with the nominal model in front of the true arm.
 """
 
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, assume, event, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from tests.host import correct_bench
-from tests.host.controllers import Controller
+from tests.host.controllers import Controller, ProgramFault
 from tests.host.puma_bench import CHAIN, DESIGN, TRUTH
+from tests.host.rapid_machine import run_rapid
 from tests.host.urscript_machine import run_urscript
 
 from truearm.correct.correction import MARGIN
@@ -57,16 +58,16 @@ def program(*lines):
 
 def corrected(tmp_path, text, **options):
     """The corrected text. Raises ProgramRefused."""
-    path = Path(tmp_path) / "p.script"
+    path = Path(tmp_path) / ("p.mod" if text.startswith("MODULE") else "p.script")
     path.write_text(text)
     how = HowCorrected(Pair(CHAIN, DESIGN, TRUTH), "newton", 1, Q[0], MARGIN)
-    given = {"joint_moves": JointMoves.CORRECT, "tool": TOOLS[0], **options}
+    given = {"joint_moves": JointMoves.CORRECT, **({} if path.suffix == ".mod" else {"tool": TOOLS[0]}), **options}
     return correct_program(path, how, HERE, ProgramOptions(**given)).text.decode("latin-1")
 
 
 def driven(text):
     machine = Controller(CHAIN, DESIGN, Q[0])
-    run_urscript(text, machine)
+    (run_rapid if text.startswith("MODULE") else run_urscript)(text, machine)
     return machine.moves
 
 
@@ -168,3 +169,153 @@ def test_no_move_is_left_uncorrected_in_silence(tmp_path, text, split):
         assert all(one.why and text.splitlines()[one.line - 1].strip() for one in refused)
     else:
         assert misses(text, after).max() < 1e-6
+
+
+# RAPID
+
+FREE = "[9E9,9E9,9E9,9E9,9E9,9E9]"
+OBJECTS = [
+    ((0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
+    ((0.3, -0.2, 0.1, 0.0, 0.0, 0.7), (0.02, 0.01, 0.0, 0.3, 0.0, 0.0)),
+    ((-0.1, 0.4, 0.05, 0.0, 0.1, -1.1), (0.0, 0.0, -0.03, 0.0, 0.2, 0.1)),
+]
+
+
+def mm(pose):
+    x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat()
+    place = ",".join(f"{1e3 * value:.9f}" for value in pose[:3, 3])
+    return f"[{place}],[{','.join(f'{value:.12f}' for value in (w, x, y, z))}]"
+
+
+def robtarget(k, tool=0, work=0):
+    """The k-th good pose of a tool in a work object. The configuration is that of the controller's model."""
+    users, own = (matrix(frame) for frame in OBJECTS[work])
+    quarters = np.floor(Q[k] / (0.5 * np.pi)).astype(int)
+    return (
+        f"[{mm(np.linalg.inv(users @ own) @ tool_point(k, tool))},[{quarters[0]},{quarters[3]},{quarters[5]},0],{FREE}]"
+    )
+
+
+def jointtarget(k):
+    return f"[[{','.join(f'{value:.12f}' for value in np.rad2deg(Q[k]))}],{FREE}]"
+
+
+DATA = tuple(f"PERS tooldata t{k}:=[TRUE,[{mm(matrix(TOOLS[k]))}],[1,[0,0,1],[1,0,0,0],0,0,0]];" for k in range(3))
+DATA += tuple(
+    f'PERS wobjdata w{k}:=[FALSE,TRUE,"",[{mm(matrix(OBJECTS[k][0]))}],[{mm(matrix(OBJECTS[k][1]))}]];'
+    for k in range(3)
+)
+
+
+def module(data, main, *routines):
+    return "\r\n".join(
+        [
+            "MODULE Work",
+            *(f"  {line}" for line in (*DATA, *data)),
+            "PROC main()",
+            *(f"  {line}" for line in main),
+            "ENDPROC",
+            *routines,
+            "ENDMODULE",
+            "",
+        ]
+    )
+
+
+A = f"CONST robtarget a:={robtarget(1)};"
+B = f"CONST robtarget b:={robtarget(2)};"
+LIST = f"CONST robtarget list{{3}}:=[{robtarget(1)},\r\n    {robtarget(2)},\r\n    {robtarget(3)}];"
+RAPID_FORMS = {
+    "names": ([A, B], ["MoveJ a,v100,fine,t0;", "movel B,v100,fine,T0\\WObj:=W0;"]),
+    "in place": ([], [f"MoveJ {robtarget(1)},v100,fine,t0;"]),
+    "three tools and work objects": ([], [f"{move} {robtarget(1 + k, tool, work)},v100,fine,t{tool}\\WObj:=w{work};" for k, (move, tool, work) in enumerate((move, tool, work) for tool in range(3) for work in range(3) for move in ("MoveJ",))]),
+    "assigned": ([A, B, "VAR robtarget now;"], ["now:=a;", "MoveJ now,v100,fine,t0;", "now:=b;", "MoveJ now,v100,fine,t0;"]),
+    "array": ([LIST], ["FOR i FROM 1 TO Dim(list,1) DO", "  MoveJ list{i},v100,fine,t0;", "ENDFOR", "MoveJ list{2},v100,fine,t0;"]),
+    "while": ([LIST, "VAR num n:=1;"], ["WHILE n<=3 DO", "  MoveJ list{n},v100,fine,t0;", "  Incr n;", "ENDWHILE"]),
+    "test": ([A, B, "VAR num n:=2;"], ["TEST n", "CASE 1,3:", "  MoveJ a,v100,fine,t0;", "DEFAULT:", "  MoveJ b,v100,fine,t0;", "ENDTEST"]),
+    "if": ([A, B, "VAR robtarget now;"], ["IF DInput(di1)=1 THEN", "  now:=a;", "ELSEIF DInput(di1)=2 THEN", "  now:=a;", "ELSE", "  now:=b;", "ENDIF", "IF TRUE MoveJ now,v100,fine,t0;"]),
+    "record": (["RECORD stop", "  robtarget at;", "  num wait;", "ENDRECORD", f"VAR stop s:=[{robtarget(1)},0.5];"], ["MoveJ s.at,v100,fine,t0;", "WaitTime s.wait;"]),
+    "offset": ([A, B], ["MoveJ a,v100,fine,t0;", "MoveL Offs(b,0,0,20),v100,fine,t0;"]),
+    "along the tool": ([A], [r"MoveJ RelTool(a,0,5,-20\Rx:=3\Ry:=-4\Rz:=10),v100,fine,t0;"]),
+    "circle": ([A, B], [f"MoveJ {robtarget(3)},v100,fine,t0;", "MoveC a,b,v100,fine,t0;"]),
+    "joints": ([f"CONST jointtarget home:={jointtarget(4)};"], ["MoveAbsJ home\\NoEOffs,v100,fine,t0;"]),
+    "arc": ([f"CONST robtarget a:={robtarget(1, 1, 1)};", f"CONST robtarget b:={robtarget(2, 1, 1)};"], ["MoveJ a,v100,fine,t1\\WObj:=w1;", "ArcL b,v100,sm1,wd1\\Weave:=wv1,fine,t1\\WObj:=w1;"]),
+    "spot": ([A, B], ["MoveJ a,v100,fine,t0;", "SpotL b,v100,spot1\\InPos,gun1,t0;"]),
+    "trigger": ([A, B], ["MoveJ a,v100,fine,t0;", "TriggL b,v100,tr1\\T2:=tr2,fine,t0;"]),
+    "search": ([A, B, "VAR robtarget found;"], ["MoveJ a,v100,fine,t0;", "SearchL\\Stop,di1,found,b,v100,t0;"]),
+    "routine": ([A, B], ["go a,20;", "go b,0;"], "PROC go(robtarget x,num high)", "  IF high>0 THEN", "    MoveJ x,v100,fine,t0;", "  ENDIF", "  MoveJ x,v100,z10,t0;", "ENDPROC"),
+    "function": ([A, B], ["MoveJ at(1),v100,fine,t0;", "MoveJ at(2),v100,fine,t0;"], "FUNC robtarget at(num k)", "  IF k=1 THEN", "    RETURN a;", "  ENDIF", "  RETURN b;", "ENDFUNC"),
+    "optional work object": ([A], ["go a;"], "PROC go(robtarget x\\PERS wobjdata WObj)", "  MoveJ x,v100,fine,t0\\WObj?WObj;", "ENDPROC"),
+    "given work object": ([f"CONST robtarget a:={robtarget(1, 0, 1)};"], ["go a\\WObj:=w1;"], "PROC go(robtarget x\\PERS wobjdata WObj)", "  MoveJ x,v100,fine,t0\\WObj?WObj;", "ENDPROC"),
+    "error handler": ([A, B], ["MoveJ a,v100,fine,t0;", "RETURN;", "ERROR", "  MoveJ b,v100,fine,t0;", "  TRYNEXT;"]),
+}  # fmt: skip
+EXTRA = (
+    "sm1",
+    "wd1",
+    "wv1",
+    "spot1",
+    "gun1",
+    "tr1",
+    "tr2",
+    "di1",
+)  # data of the process, of which truearm needs nothing
+
+
+@pytest.mark.parametrize("form", RAPID_FORMS)
+def test_the_true_arm_goes_where_a_perfect_one_would_in_rapid(tmp_path, form):
+    """Within 1 µm of the identified arm: numbers are written to 10 nm and 1e-10 of a quaternion."""
+    data, main, *routines = RAPID_FORMS[form]
+    text = module([*(f"VAR num {name}:=0;" for name in EXTRA), *data], main, *routines)
+    assert misses(text, text)[:, 0].max() > 5e-3
+    assert misses(text, corrected(tmp_path, text)).max() < 1e-6
+
+
+@st.composite
+def modules(draw):
+    """Statements over data of a module: some move, some change what later ones go to, some cannot be corrected."""
+    body = draw(
+        st.lists(
+            st.sampled_from(
+                [
+                    "MoveJ a,v100,fine,t0;", "MoveJ now,v100,fine,t0;", "MoveJ list{n},v100,fine,t0;", "MoveJ Offs(now,0,0,x),v100,fine,t0;", "MoveJ list{1},v100,fine,now_t;",
+                    "MoveJ inw,v100,fine,t0\\WObj:=w1;", "MoveJ s.at,v100,fine,t0;", "now:=b;", "now:=list{2};", "a_is:=now;", "MoveJ a_is,v100,fine,t0;", "Incr n;", "n:=1;", "Add x,5;", "x:=0;",
+                    "now_t:=t1;", "s.at:=a;", "s.at.trans.z:=s.at.trans.z+4;", "set_now;", "shift now;", "shift list{2};", "shift s.at;", "MoveJ RelTool(at(n),0,0,-x),v100,fine,t0;",
+                    "w1.oframe.trans.x:=w1.oframe.trans.x+2;", "IF DInput(di1)=1 THEN\n  now:=a;\n  set_now;\nENDIF", "FOR k FROM 1 TO 2 DO\n  go list{k};\n  now:=list{k};\nENDFOR",
+                    "WHILE n<3 DO\n  go Offs(now,0,0,n);\n  n:=n+1;\nENDWHILE\nn:=1;", "now:=CRobT(\\Tool:=t0);", "SearchL\\Stop,di1,now,b,v100,t0;", "go now;", "twice;",
+                ]
+            ),
+            min_size=1,
+            max_size=7,
+        )
+    )  # fmt: skip
+    data = ["VAR num di1:=0;", "VAR num n:=1;", "VAR num x:=0;", f"CONST robtarget a:={robtarget(1)};", f"CONST robtarget b:={robtarget(2)};"]  # fmt: skip
+    data += [
+        LIST.replace("CONST", "PERS").replace("\r\n", "\n"),
+        f"VAR robtarget now:={robtarget(4)};",
+        f"VAR robtarget a_is:={robtarget(5)};",
+    ]
+    data += [f"CONST robtarget inw:={robtarget(6, 0, 1)};", DATA[0].replace("t0", "now_t", 1)]
+    data += ["RECORD stop", "  robtarget at;", "  num wait;", "ENDRECORD", f"VAR stop s:=[{robtarget(3)},0.5];"]
+    routines = ["PROC set_now()", "  now:=list{1};", "ENDPROC", "PROC shift(INOUT robtarget p)", "  p.trans.y:=p.trans.y+3;", "ENDPROC"]  # fmt: skip
+    routines += ["PROC go(robtarget p)", "  MoveJ p,v100,fine,t0;", "ENDPROC", "FUNC robtarget at(num k)", "  IF k=1 RETURN a;", "  RETURN now;", "ENDFUNC"]  # fmt: skip
+    routines += ["PROC twice()", "  go now;", "  now:=b;", "  go now;", "ENDPROC"]
+    return module(data, [*body, "MoveJ now,v100,fine,t0;"], *routines)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(modules(), st.booleans())
+def test_no_move_of_a_module_is_left_uncorrected_in_silence(tmp_path, text, split):
+    """Whatever the module does: it is refused with a line and a reason, or every move of the true arm ends where it should."""
+    refused = ()
+    try:
+        after = corrected(tmp_path, text, split=split)
+    except ProgramRefused as exc:
+        refused = exc.refused
+    event("refused" if refused else "corrected")
+    if refused:
+        assert all(one.why and text.splitlines()[one.line - 1].strip() for one in refused)
+        return
+    try:
+        assert misses(text, after).max() < 1e-6
+    except ProgramFault:
+        assume(False)  # the program itself faults: a list's element that is none

@@ -73,7 +73,10 @@ class Motion:
 
 
 class Language(Protocol):
-    """What the functions and operators of a language mean."""
+    """What the functions and operators of a language mean. ``outer_names``: an assignment in a routine is to the name outside, where there is one."""
+
+    @property
+    def outer_names(self) -> bool: ...
 
     def call(self, flow: Flow, call: Call, arguments: Sequence[Values], named: Mapping[str, Values]) -> Values | None:
         """What a built-in function gives, after its effect; None where it is none."""
@@ -87,12 +90,16 @@ class Language(Protocol):
     def literal(self, of: Taught) -> Value:
         """What a literal is by itself."""
 
+    def changed_by(self, call: Call) -> Sequence[Expression]:
+        """The arguments of a built-in instruction that it may assign to."""
+
 
 class Environment:
     """Variables with their possibilities, in layers: a branch writes to its own, which is then taken off and joined."""
 
     def __init__(self) -> None:
         self.layers: list[dict[Key, Values]] = [{}]
+        self.records: list[dict[Key, dict[Value, None]]] = []  # of all that names stood for since each began
 
     def get(self, key: Key) -> Values | None:
         for layer in reversed(self.layers):
@@ -101,6 +108,11 @@ class Environment:
         return None
 
     def set(self, key: Key, values: Values) -> None:
+        for record in self.records:
+            seen = record.get(key)
+            if seen is None:
+                seen = record[key] = dict.fromkeys(self.get(key) or ())
+            seen.update(dict.fromkeys(values))
         self.layers[-1][key] = values
 
     def since(self, depth: int) -> dict[Key, Values]:
@@ -152,26 +164,41 @@ class Flow:
         self.called: set[str] = set()
         self.volatile: set[str] = set()
         for routine in routines:
-            self._declare(routine, None, False)
+            self._declare(routine, None)
+        self._find_volatile()
         self.steps = STEPS + STEPS_EACH * sum(1 for one in self.routines.values() for _ in _within(one.body))
         self.scopes = GLOBAL
         self.stack = [_Activation(None, GLOBAL, None, 0)]
         self.turns: list[_Turn] = []
 
-    def _declare(self, routine: Routine, parent: str | None, beside: bool) -> None:
+    def _declare(self, routine: Routine, parent: str | None) -> None:
         if routine.name in self.routines:
             raise self.source.wrong(routine.start, f"{routine.name} is defined twice")
         self.routines[routine.name], self.parents[routine.name] = routine, parent
-        beside |= routine.kind == "beside"
-        for statement in _within(routine.body):
-            if isinstance(statement, Routine):
-                continue
-            if beside and isinstance(statement, Assign):
-                self.volatile.add(_root(statement.target))
-            if beside and isinstance(statement, Do) and isinstance(statement.what, Call):
-                self.volatile |= {TOOL} if statement.what.function == "set_tcp" else set()
         for inner in _routines(routine.body):
-            self._declare(inner, routine.name, beside)
+            self._declare(inner, routine.name)
+
+    def _find_volatile(self) -> None:
+        """Note what may change at any time: all that is assigned in what runs beside the rest, and in the routines that it calls."""
+        blocks = [block for one in self.routines.values() for block in one.handlers]
+        blocks += [one.body for one in self.routines.values() if one.kind == "beside"]
+        seen: set[str] = set()
+        while blocks:
+            block = blocks.pop()
+            self.volatile |= {
+                _root(one.target) for one in _within(block) if isinstance(one, Assign) and one.scope != "local"
+            }
+            for call in calls_in(block):
+                routine = self.routines.get(call.function)
+                self.volatile |= {TOOL} if call.function == "set_tcp" else set()
+                if routine is None:
+                    self.volatile |= {_root(one) for one in self.language.changed_by(call)}
+                elif _assigns_parameters(routine):
+                    self.volatile |= {_root(one) for one in call.arguments}
+                if routine is not None and routine.name not in seen:
+                    seen.add(routine.name)
+                    blocks.append(routine.body)
+        self.volatile.discard("")
 
     # variables
 
@@ -197,8 +224,8 @@ class Flow:
             outside = [(one.scope, name) for one in _upward(at)] + [(GLOBAL, name)]
             for key in outside:
                 if key != own and (before := self.environment.get(key)) is not None:
-                    self.environment.set(key, joined(before, values))
-                    break
+                    self.environment.set(key, values if self.language.outer_names else joined(before, values))
+                    return
         self.environment.set(own, values)
 
     # statements
@@ -322,6 +349,9 @@ class Flow:
             return self.enter(routine, call, arguments, named)
         found = self.language.call(self, call, arguments, named)
         if found is not None:
+            for argument in self.language.changed_by(call):
+                if isinstance(argument, Name | Element) and self.get(_root(argument)) is not None:
+                    self._assign(argument, (Unknown(f"{call.function} changes it at run time", call.start),), "")
             return found
         self.uncertain(
             call.function,
@@ -350,6 +380,7 @@ class Flow:
         )
         self.scopes += 1
         here = _Activation(routine, self.scopes, parent, len(self.environment.layers))
+        record: dict[Key, dict[Value, None]] = {}
         self.environment.layers.append({})
         self.stack.append(here)
         required = [one for one in routine.parameters if not one.optional or one.default is not None]
@@ -358,10 +389,17 @@ class Flow:
             value = given.get(parameter.name)
             if value is None and parameter.default is not None:
                 value = self.value(parameter.default)
+            if value is None and parameter.optional and call is not None:
+                value = (Truth(False),)
             why = f"{parameter.name} is an argument of {routine.name} that nothing in this file gives"
             self.set(parameter.name, value or (Unknown(why, routine.start),), "local")
         outer, self.turns = self.turns, []
+        if routine.handlers:
+            self.environment.records.append(record)
         reached = self.run(routine.body)
+        if routine.handlers:
+            self.environment.records.pop()
+            self._any_time(record, routine.handlers)
         self.turns = outer
         self.stack.pop()
         end = self.environment.layers.pop()
@@ -375,9 +413,16 @@ class Flow:
             places = dict(zip((one.name for one in required), call.arguments, strict=False)) | dict(call.named)
             for name, place in places.items():
                 for way in after:
-                    if isinstance(place, Name) and way.get(name, given[name]) != given[name]:
-                        self.set(place.name, joined(self.get(place.name), way[name]))
+                    if isinstance(place, Name | Element) and way.get(name, given[name]) != given[name]:
+                        self._assign(place, joined(self.value(place), way[name]), "")
         return results or (Unknown(f"{routine.name} gives nothing", routine.start),)
+
+    def _any_time(self, record: Mapping[Key, Mapping[Value, None]], blocks: Sequence[Block]) -> None:
+        """Run blocks with all that a record holds. What they assign is volatile, so nothing of it is kept."""
+        for block in blocks:
+            self.environment.layers.append({key: tuple(seen) for key, seen in record.items()})
+            self.run(block)
+            self.environment.layers.pop()
 
     # moves
 
@@ -453,6 +498,23 @@ def _root(target: Expression) -> str:
     while isinstance(target, Element):
         target = target.of
     return target.name if isinstance(target, Name) else ""
+
+
+def _assigns_parameters(routine: Routine) -> bool:
+    """Whether a routine may change a variable that is given to it; what it gives on to others counts."""
+    names = {one.name for one in routine.parameters}
+    assigned = {_root(one.target) for one in _within(routine.body) if isinstance(one, Assign)}
+    given = {_root(argument) for call in calls_in(routine.body) for argument in call.arguments}
+    return bool(names & (assigned | given))
+
+
+def calls_in(node: object) -> Iterator[Call]:
+    """The calls in a block, a statement or an expression, but for those of routines that are defined there."""
+    if isinstance(node, Call):
+        yield node
+    if isinstance(node, tuple) and not isinstance(node, Number | Taught | Routine):
+        for inner in node:
+            yield from calls_in(inner)
 
 
 def _upward(at: _Activation | None) -> Iterator[_Activation]:

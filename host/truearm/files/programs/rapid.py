@@ -58,6 +58,7 @@ _TOKENS = re.compile(
 _BINDS = {"or": 1, "xor": 1, "and": 2, "=": 4, "<>": 4, "<": 4, ">": 4, "<=": 4, ">=": 4}
 _BINDS |= {"+": 5, "-": 5, "*": 6, "/": 6, "div": 6, "mod": 6}
 _NOT, _MINUS = 3, 7
+PASSED = r"\?"  # what stands for \name?parameter: the parameter where it is given
 _ENDS = {"proc": "endproc", "func": "endfunc", "trap": "endtrap"}
 _CLOSING = frozenset(
     {*_ENDS.values(), "else", "elseif", "endif", "endfor", "endwhile", "endtest", "case", "default", "error", "undo", "backward"}
@@ -197,14 +198,15 @@ class _Reader(Reader):
                     Assign(Name(datum.name, datum.start, datum.start), Truth(False), "local", datum.start, datum.start)
                 )
         body += self.block()
+        handlers: list[Block] = []
         while self.is_word("error", "undo", "backward"):
             self.step()
             if self.here.text == "(":
                 self.step()
                 self.bracketed(")")
-            body.append(If((), (self.block(),), False))
+            handlers.append(self.block())
         self.take(_ENDS[kind])
-        return Routine(name, parameters, tuple(body), "beside" if kind == "trap" else "routine", start)
+        return Routine(name, parameters, tuple(body), "beside" if kind == "trap" else "routine", start, tuple(handlers))
 
     def parameters(self) -> tuple[Parameter, ...]:
         found: list[Parameter] = []
@@ -379,9 +381,10 @@ class _Reader(Reader):
                 if self.here.text == ":=":
                     self.step()
                     value = self.expression()
-                elif self.here.text == "?":
+                elif self.here.text == "?":  # as the routine's own optional parameter, or not at all
                     self.step()
-                    self.word("a parameter")
+                    at = self.here
+                    value = Call(PASSED, (Name(self.word("a parameter"), at.start, at.end),), (), at.start, at.end)
                 named.append((name, value))
             else:
                 values.append(self.expression())

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 from scipy.spatial.transform import Rotation
 
-from truearm.files.programs.dataflow import UNDECLARED, Flow
-from truearm.files.programs.rapid import Module
-from truearm.files.programs.syntax import Call, Form, Number, Source, Taught, Text, Truth, words
+from truearm.files.programs.dataflow import UNDECLARED, Flow, Key, calls_in
+from truearm.files.programs.rapid import PASSED, Module
+from truearm.files.programs.syntax import Call, Expression, Form, Number, Source, Taught, Text, Truth, words
 from truearm.files.programs.values import (
     NOWHERE,
     Listed,
@@ -74,7 +74,7 @@ AIMLESS = words(
 )
 QUIET = words(
     """
-    accset acteventbuffer actunit add aliasio aliasioreset bitclear bitset bookerrno break callbyvar cancelload
+    accset acteventbuffer actunit add aliasio aliasioreset bitclear bitset bookerrno break cancelload
     checkprogref cirpathmode clear cleariobuff clearpath clearrawbytes clkreset clkstart clkstop close closedir comment
     confj confl copyfile copyrawbytes corrclear corrcon corrdiscon corrwrite cssact cssdeact deacteventbuffer deactunit
     decr ditheract ditherdeact dropsensor dropwobj egmactjoint egmactmove egmactpose egmgetid egmreset egmsetupai
@@ -86,8 +86,8 @@ QUIET = words(
     pathlengthstart pathlengthstop pathrecmovebwd pathrecmovefwd pathrecstart pathrecstop pathresol procerrrecovery
     pulsedo raisetouser readanybin readblock readcfgdata readerrdata readrawbytes removedir removefile renamefile reset
     resetppmoved resetretrycount restopath rewind rmqemptyqueue rmqfindslot rmqgetmessage rmqgetmsgdata rmqgetmsgheader
-    rmqreadwait rmqsendmessage rmqsendwait save savecfgdata scwrite sendevice set setalldataval setao setdatasearch
-    setdataval setdo setgo setleadthrough setsysdata singarea skipwarn socketaccept socketbind socketclose socketconnect
+    rmqreadwait rmqsendmessage rmqsendwait save savecfgdata scwrite sendevice set setao setdatasearch
+    setdo setgo setleadthrough setsysdata singarea skipwarn socketaccept socketbind socketclose socketconnect
     socketcreate socketlisten socketreceive socketreceivefrom socketsend socketsendto softact softdeact speedlimaxis
     speedlimcheckpoint speedrefresh spystart spystop startload startmove startmoveretry stcalib stclose stepbwdpath
     stindgun stindgunreset stop stopen stopmove stopmovereset storepath sttune sttunereset supsyncsensoroff
@@ -119,6 +119,18 @@ FUNCTIONS = words(
     uiclientexist uidnumentry uidnumtune uilistview uimessagebox uinumentry uinumtune validio valtostr vectmagn
     """
 )
+BY_NAME = words("callbyvar setalldataval setdataval")
+SEARCHES = words("searchc searchj searchl")
+READING = words(
+    """
+    accset clkreset clkstart clkstop confj confl errlog errwrite gripload idisable ienable invertdo isignaldi itimer iwatch motionsup pulsedo reset save set setao setdo
+    setgo singarea socketsend softact stop tpwrite triggequip triggio triggint uimsgwrite uishow velset waitai waitdi waitdo waitgi waittime waituntil worldacclim
+    write writebin writestrbin
+    """
+)
+WRITING_FUNCTIONS = words(
+    "dnumtostr getnextmechunit getnextsym readdir strtobyte strtoval testandset uimessagebox uilistview"
+)
 _FIELDS: Mapping[str, int] = {
     **{"trans": 0, "rot": 1, "robconf": 2, "extax": 3, "robax": 0, "x": 0, "y": 1, "z": 2, "robhold": 0, "tframe": 1, "tload": 2},
     **{"ufprog": 1, "ufmec": 2, "uframe": 3, "oframe": 4, "q1": 0, "q2": 1, "q3": 2, "q4": 3, "cf1": 0, "cf4": 1, "cf6": 2, "cfx": 3},
@@ -135,6 +147,18 @@ class Rapid:
     fields: Mapping[str, int]
     harmless: frozenset[str] = frozenset()
 
+    @property
+    def outer_names(self) -> bool:
+        """A name that a routine does not declare is the module's."""
+        return True
+
+    def changed_by(self, call: Call) -> Sequence[Expression]:
+        """The arguments that an instruction may assign to: all but of those that are known to read them."""
+        if call.function in SEARCHES:
+            return call.arguments[1:2]
+        writes = call.function in WRITING_FUNCTIONS or (call.function in QUIET and call.function not in READING)
+        return (*call.arguments, *(argument for _, argument in call.named)) if writes else ()
+
     def literal(self, of: Taught) -> Value:
         """A literal robtarget or jointtarget, as it is."""
         return of
@@ -145,6 +169,11 @@ class Rapid:
         if name in MOVES:
             self._move(flow, call, arguments, named)
             return ()
+        if name in BY_NAME:
+            flow.uncertain(
+                name, at, call.end, f"{name} changes data, or calls a routine, by a name that only the run knows"
+            )
+            return ()
         if name in AIMLESS:
             flow.uncertain(name, at, call.end, f"{name} moves the robot without a target that is in the program")
             return ()
@@ -154,6 +183,8 @@ class Rapid:
         if name in ("pdispoff", "eoffsoff"):
             flow.set(DISPLACED, (NOWHERE,), "global")
             return ()
+        if name == PASSED:
+            return arguments[0]
         if name == "offs" and len(arguments) == 4:
             return combined(at, lambda *given: _offs(given, at), arguments)
         if name == "reltool" and len(arguments) == 4:
@@ -191,7 +222,9 @@ class Rapid:
         if "corr" in named:
             flow.uncertain(name, at, call.end, r"\Corr changes the path at run time")
         tools = tuple(_tool(value, at) for value in arguments[move.tool])
-        objects = tuple(_object(value, at) for value in named.get("wobj", (NOWHERE,)))
+        absent = (Truth(False),)  # an optional parameter that is passed on and was not given
+        given = named.get("wobj", absent)
+        objects = tuple(NOWHERE if value in absent else _object(value, at) for value in given)
         displaced = flow.get(DISPLACED) or (NOWHERE,)
         objects = tuple(value for value in displaced if isinstance(value, Unknown)) + objects
         targets = [(tuple(_target(value, at) for value in arguments[k]), call.arguments[k]) for k in move.targets]
@@ -225,13 +258,16 @@ def analyse(source: Source, modules: Sequence[Module], frames: Mapping[str, Pose
                 begin[datum.name] = flow.value(datum.value)
             flow.environment.set((0, datum.name), begin[datum.name])
     kept = _assigned_elsewhere(modules)
-    entries = [one for one in routines if one.name == "main"] or [one for one in routines if one.kind == "routine"]
-    entries += [one for one in routines if one.kind == "beside"]
+    used = {
+        call.function for one in routines for call in calls_in((one.body, one.handlers)) if call.function != one.name
+    }
+    entries = sorted((one for one in routines if one.name not in used), key=lambda one: one.name != "main")
+    entries += [one for one in routines if one.name == "main" and one not in entries]
+    record: dict[Key, dict[Value, None]] = {}
+    flow.environment.records.append(record)
     for turn in range(MAX_ROUNDS):
         grown = False
         for routine in entries:
-            if routine.name in flow.called and turn == 0 and routine.name != "main" and routine.kind != "beside":
-                continue
             flow.environment.layers.append({})
             flow.enter(routine, None, (), {})
             way = flow.environment.layers.pop()
@@ -246,6 +282,12 @@ def analyse(source: Source, modules: Sequence[Module], frames: Mapping[str, Pose
         if turn == MAX_ROUNDS - 2:
             for name in kept:
                 flow.environment.set((0, name), (Unknown(f"{name} changes from run to run", 0),))
+    flow.environment.records.pop()
+    for routine in routines:  # what may be run at any time: traps, service routines, and what only such routines call
+        if routine.name != "main" and (routine in entries or routine.name not in flow.called):
+            flow.environment.layers.append({key: tuple(seen) for key, seen in record.items()})
+            flow.enter(routine, None, (), {})
+            flow.environment.layers.pop()
     return flow
 
 

@@ -174,6 +174,7 @@ class Routine(NamedTuple):
     body: Block
     kind: Literal["routine", "beside"]  # "beside": runs beside or in between the rest, as threads and traps do
     start: int
+    handlers: tuple[Block, ...] = ()  # may be run from any place of the body, and go back to it
 
 
 Statement = Assign | Do | If | Loop | Return | Leave | Jump | Routine

@@ -13,7 +13,19 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from truearm.files.programs.dataflow import TOOL, Flow
-from truearm.files.programs.syntax import Block, Call, Form, Number, Routine, Source, Taught, Text, Truth, words
+from truearm.files.programs.syntax import (
+    Block,
+    Call,
+    Expression,
+    Form,
+    Number,
+    Routine,
+    Source,
+    Taught,
+    Text,
+    Truth,
+    words,
+)
 from truearm.files.programs.values import (
     Fields,
     Listed,
@@ -108,6 +120,15 @@ class UrScript(NamedTuple):
     """URScript's meaning. ``harmless``: functions from elsewhere that a person says do not move the robot."""
 
     harmless: frozenset[str] = frozenset()
+
+    @property
+    def outer_names(self) -> bool:
+        """What a function assigns without ``global`` or ``local`` may be its own or the program's."""
+        return False
+
+    def changed_by(self, call: Call) -> Sequence[Expression]:
+        """None: arguments are copies."""
+        return ()
 
     def literal(self, of: Taught) -> Value:
         """A literal p[…] is a pose, […] six joint readings or six numbers."""
