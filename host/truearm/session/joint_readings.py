@@ -154,11 +154,21 @@ class JointReader:
             restarts=max(0, len(self._arrivals) - 1),
             rate_hz=(readings - len(self._arrivals)) / spans if spans > 0.0 else float("nan"),
             step=_step(self._step, self._fast_step),
-            bins=Bins(*(np.concatenate(column) for column in zip(*self._bins, strict=True))) if self._bins else None,
+            bins=self._all_bins(),
             clocks=tuple(clock for clock, _ in fits),
             reports=tuple(report for _, report in fits),
             inputs=tuple(self._inputs),
         )
+
+    def _all_bins(self) -> Bins | None:
+        """All bins, column by column, so that they are in memory hardly twice."""
+        columns = [list(column) for column in zip(*self._bins, strict=True)]
+        self._bins = []
+        joined = []
+        for column in columns:
+            joined.append(np.concatenate(column))
+            column.clear()
+        return Bins(*joined) if joined else None
 
     def _wait(self, batch: JointBatch) -> None:
         """Take a batch with the next ones: the first must be long enough to show the readings' period."""
