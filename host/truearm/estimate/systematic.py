@@ -27,6 +27,8 @@ the logarithm of the evidence is ½ drop − ½ Σ log(1 + λ) − log(candidate
 
 **Several errors.** The best finding's columns join Q and the rest is searched again, until nothing is left beyond chance.
 
+**Gross errors.** A fit that is bent by GROSS σ says nothing to first order but which rows bend it: only blocks are sought.
+
 **Where the model is wrong anyway.** With χ²/ν outside its band the noise is unknown. A drop of d degrees of freedom is then
 held against the unexplained variance that it leaves, F(d, ν − d), and again with the sum of squares of each pose's score in
 the place of V, since residuals of one pose are wrong together. Smooth model errors mimic much in the order of measurement, so a
@@ -56,6 +58,7 @@ LEVEL = 1e-3  # chance that a clean data set gives any finding
 MOST_FINDINGS = 6
 MOST_STEPS = 400  # rows at which a step is sought; of more an even choice
 WINDOW_KNOTS = 36
+GROSS = 30.0  # σ of the noise: a fit bent so far says nothing to first order but which rows bend it
 LEAST_ROWS = 5  # that a step concerns, and that it leaves: fewer are outliers, which are judged one by one
 MOST_BLOCK = 300  # rows: each of their residuals is a column
 SEEN = 1e-8  # share of a column's square that the parameters must leave of it
@@ -127,7 +130,8 @@ def systematic_errors(
     rows = _whitened(problem, x, columns, fit)
     if not (rows.row.size and goodness.freedom >= 1.0 and np.isfinite([goodness.chi2, *rows.residual]).all()):
         return None
-    every = list(_families(problem.causes, problem.errors, rows, how))
+    gross = goodness.chi2 > GROSS**2 * goodness.freedom
+    every = list(_blocks(how) if gross else _families(problem.causes, problem.errors, rows, how))
     found: list[_Best] = []
     rivals: list[tuple[str, ...]] = []
     state, families = goodness, len(every)
