@@ -32,6 +32,18 @@ def test_groups_are_held_out_by_name() -> None:
     assert both.sum() == 5
 
 
+def test_only_some_groups_are_fitted() -> None:
+    mask = held_out_rows(TABLE, [], 0, ["place=b"])
+    assert mask is not None
+    assert mask.tolist() == [True] * 3 + [False] * 5 + [True] * 2
+    both = held_out_rows(TABLE, ["a"], 0, ["a", "b"])
+    assert both is not None
+    assert both.tolist() == [True] * 3 + [False] * 5 + [True] * 2
+    with pytest.raises(InputError, match="leaves no row to fit"):
+        held_out_rows(TABLE, ["b"], 0, ["b"])
+    assert held_out_rows(TABLE, [], 0, ["a", "b", "c"]) is None
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_a_fraction_takes_its_share_of_every_group(seed: int) -> None:
     table = concatenate([seats("a", 40), seats("a", 20, "1"), seats("b", 10)])

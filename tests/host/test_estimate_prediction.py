@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from device_bench import TARGETS, join, joints_at, rows, touches, tracked
-from puma_bench import CHAIN, CHUCKS, FREE, RIG, SIGMA, SPHERES, random_table, shell_table
+from puma_bench import CHAIN, CHUCKS, FREE, RIG, SIGMA, SPHERES, TRUTH, random_table, shell_table
 
 from truearm.estimate import prediction
+from truearm.estimate.defaults import choose_defaults
 from truearm.estimate.identify import SolverOptions, identify
-from truearm.estimate.prediction import MOST_POSES, predicted_point_error
+from truearm.estimate.prediction import MOST_POSES, point_covariance, predicted_point_error
 from truearm.estimate.uncertainty import predicted_error
 from truearm.model.chain import forward, point_forward, point_jacobians
 from truearm.model.rotation import rotation, rotation_vector
@@ -161,3 +162,39 @@ def test_identified_spheres_are_where_the_fit_found_them(bars):
         expected.append(np.einsum("nip,pr,nir->n", moves, estimate.covariance[np.ix_(columns, columns)], moves))
     rms = np.sqrt(np.concatenate(expected).mean())
     assert predicted_point_error(CHAIN, rig, table, far).rms == pytest.approx(rms, rel=1e-6)
+
+
+def coverage(worlds, kind):
+    """Share of the coordinates of points within two predicted standard deviations of the truth, over noisy worlds."""
+    inside, unknown = [], {name: replace(p, sigma=None) for name, p in TARGETS.items()}
+    for seed in range(worlds):
+        rng = np.random.default_rng(seed)
+        if kind == "spheres":
+            table = random_table(180, rng, SIGMA)
+            rig = replace(RIG, spheres={name: replace(p, sigma=None) for name, p in SPHERES.items()})
+            p_end = np.array([SPHERES[str(name)].xyz for name in table.sphere])
+        else:
+            table = tracked("position", 150, np.array([1.5, 0.2, 0.5, 0.1, 0.2, 0.3]), rng)
+            table = replace(table, xyz=table.xyz + 1e-4 * rng.normal(size=table.xyz.shape))
+            rig, p_end = Rig(targets=unknown, trackers={"t": UNKNOWN}), np.array(TARGETS["ball"].xyz)
+        free, _, chosen = choose_defaults(CHAIN, rig, table, FREE, np.zeros(54, bool), prior=False)
+        estimate = identify(CHAIN, rig, table, free=free)
+        found = point_covariance(CHAIN, rig, table, estimate, any_base=bool(chosen.base))
+        truth = point_forward(CHAIN, TRUTH, table.q, p_end)
+        error = (aligned(found.points, truth) if found.relative else found.points) - truth
+        sigma = np.sqrt(np.diagonal(found.covariances, axis1=1, axis2=2))
+        inside.append(np.mean(np.abs(error) <= 2.0 * sigma))
+    return float(np.mean(inside)), float(np.std(inside) / np.sqrt(worlds))
+
+
+@pytest.mark.parametrize("kind", ["spheres", "tracker"])
+def test_points_are_as_uncertain_as_robot_and_rig_say(kind):
+    """0.954 of a normal error lies within two standard deviations; within four standard errors of eight worlds."""
+    share, error = coverage(8, kind)
+    assert abs(share - 0.954) < 4.0 * max(error, 0.01)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("kind", ["spheres", "tracker"])
+def test_points_are_as_uncertain_as_robot_and_rig_say_in_60_worlds(kind):
+    assert 0.93 <= coverage(60, kind)[0] <= 0.97

@@ -49,6 +49,10 @@ def identify(
             "names (repeatable), or a fraction such as 0.2, drawn by --seed.",
         ),
     ] = None,
+    fit_only: Annotated[
+        list[str] | None,
+        typer.Option(metavar="GROUP", help="Fit only these rows, as place=front (repeatable); all others judge."),
+    ] = None,
     seed: SeedOption = 0,
     free: Annotated[
         list[str] | None,
@@ -152,6 +156,7 @@ def identify(
         seed=seed,
         allow=tuple(allow or ()),
         leave_out=tuple(leave_out or ()),
+        fit_only=tuple(fit_only or ()),
     )
     document = identify_files(files, hold_out or [], options).document
     if as_json:

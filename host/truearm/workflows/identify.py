@@ -61,6 +61,8 @@ class IdentifyOptions:
     allow : tuple of str
         Systematic errors that are estimated too: ``"bar.b46.zero"`` in all rows, ``"chuck.c2@183"`` from row 183 on,
         ``"joint2@91:270"`` in rows 91 to 270, ``"bar.b46.zero.drift"`` growing with the rows.
+    fit_only : tuple of str
+        Groups such as ``"place=front"``: only their rows are fitted, all others judge.
     leave_out : tuple of str
         Rows that are neither fitted nor judged, as ``"120:140"``.
 
@@ -86,6 +88,7 @@ class IdentifyOptions:
     seed: Annotated[int, Within(0)] = 0
     allow: tuple[str, ...] = ()
     leave_out: tuple[str, ...] = ()
+    fit_only: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -189,7 +192,8 @@ def default_prior(robot: Robot, solver: str) -> Prior:
 
 def selected(robot: Robot, table: ObservationTable, hold_out: Sequence[str], options: IdentifyOptions) -> Selection:
     """What to estimate and what to judge by. Raises InputError for a pattern or group that matches nothing."""
-    rows = held_out_rows(table, hold_out, options.seed)
+    rows = held_out_rows(table, hold_out, options.seed, options.fit_only)
+    hold_out = (*hold_out, *(f"all but {group}" for group in options.fit_only))
     names = robot.chain.parameter_names
     free = free_parameters(names, default_free(robot), options.free, options.freeze, options.also_free)
     named = matching(names, "free", options.free) | matching(names, "also_free", options.also_free)

@@ -21,13 +21,25 @@ Mask = NDArray[np.bool_]
 HOLD_OUT, ALLOW, LEAVE_OUT = Argument("hold_out"), Argument("allow"), Argument("leave_out")
 
 
-def held_out_rows(table: ObservationTable, wanted: Sequence[str], seed: int) -> Mask | None:
+def held_out_rows(
+    table: ObservationTable, wanted: Sequence[str], seed: int, fit_only: Sequence[str] = ()
+) -> Mask | None:
     """Mask (n,) of the rows that a user names to hold out, None where it names none.
 
     ``wanted``: groups ("shell=s61", "place=front", or "front" alone where no other group has that name), or one
-    fraction such as "0.2": that share of the rows, drawn by ``seed`` alike from every group.
+    fraction such as "0.2": that share of the poses, drawn by ``seed`` alike from every group. ``fit_only``: groups beside which
+    all others are held out.
     Raises InputError for an unknown or ambiguous group and where nothing would be left to fit.
     """
+    if fit_only:
+        others: Mask = ~np.any([_group_rows(table, group) for group in fit_only], axis=0)
+        also = held_out_rows(table, wanted, seed)
+        held = others if also is None else others | also
+        if held.all():
+            raise InputError(
+                Argument("fit_only"), f" {fit_only[0]} leaves no row to fit beside those that are held out"
+            )
+        return held if held.any() else None
     if not wanted:
         return None
     fractions = [value for value in map(_fraction, wanted) if value is not None]
