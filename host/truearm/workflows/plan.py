@@ -44,6 +44,7 @@ from truearm.workflows.session_parts import with_parts
 DESIGN_RESERVE = 22e-3  # m of travel for what the model does not know
 RESULT_RESERVE = 3e-3  # m
 APPROACH_CANDIDATES = 400
+LEAST_CHECKS = 3  # fewer say little of a drift, and a short plan has no pose to spare
 POSES_A_CHECK = 36  # check poses are visited twice more: not more than a twentieth of the poses
 NO_SIGNALS = Signals()
 LEFT = 2e-3  # m of travel that the ways between poses need at least
@@ -109,7 +110,7 @@ class BallBarOptions:
         Visits to every mount, 1 to 10, with its share of the poses each: what drifts or slips shows.
     check_poses : int
         Poses of the first mount that are visited again in the middle and at the end, 0 to 100; none with several visits, and of
-        few poses one in 36 at most.
+        few poses one in 36 at most, and none of less than 108.
 
     Raises
     ------
@@ -195,7 +196,7 @@ def _visits(budget: Budget, options: BallBarOptions) -> Visits:
     """How often mounts are visited; every mount twice needs no check poses."""
     poses = budget.n if budget.n is not None else int(60.0 * (budget.minutes or 0.0) / (options.dwell + MOVE))
     checks = min(options.check_poses, poses // POSES_A_CHECK) if options.visits == 1 else 0
-    return Visits(options.visits, checks)
+    return Visits(options.visits, checks if checks >= LEAST_CHECKS else 0)
 
 
 def planned_ball_bar(known: Known, budget: Budget, options: BallBarOptions, say: Say = silent) -> BallBarPlan:
