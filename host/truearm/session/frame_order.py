@@ -76,7 +76,9 @@ class FrameOrder:
     _newest_host_ns: int = 0
     _uncounted: int = 0  # below it, missing frames were sent before the session began
     _waiting: list[_Held] = field(default_factory=list)  # by ascending count
-    _remembered: deque[tuple[int, Run]] = field(default_factory=deque)  # as they were taken, each with its seq
+    _remembered: deque[tuple[int, int, Run]] = field(
+        default_factory=deque
+    )  # as they were taken, each with its seq and length
     _n_remembered: int = 0
     _times: dict[int, int] = field(default_factory=dict)  # newest device time of each kind
     _placed_times: dict[int, int] = field(default_factory=dict)  # of the frames that were given back
@@ -204,22 +206,22 @@ class FrameOrder:
         return Placed(run, lost, restarts, at)
 
     def _remember(self, run: Run) -> None:
-        self._remembered.append((run.seq, run))
+        self._remembered.append((run.seq, len(run), run))
         self._n_remembered += len(run)
         while self._n_remembered > 2 * REACH:
-            seq, oldest = self._remembered.popleft()
-            forgotten = oldest.first(min(len(oldest), self._n_remembered - 2 * REACH))
+            seq, n, oldest = self._remembered.popleft()
+            forgotten = oldest.first(min(n, self._n_remembered - 2 * REACH))
             self._n_remembered -= len(forgotten)
-            if len(forgotten) < len(oldest):
+            if len(forgotten) < n:
                 rest = oldest.after(forgotten)
-                self._remembered.appendleft(((seq + len(forgotten)) % CIRCLE, rest))
+                self._remembered.appendleft(((seq + len(forgotten)) % CIRCLE, len(rest), rest))
 
     def _is_doubled(self, run: Run) -> bool:
         """Whether the bytes of a frame are remembered under its seq."""
-        for seq, known in self._remembered:
-            place = (run.seq - seq) % CIRCLE
-            if place < len(known):
-                return run.payload == known.after(known.first(place)).payload
+        asked = run.seq
+        for seq, n, known in self._remembered:
+            if (asked - seq) % CIRCLE < n:
+                return run.payload == known.after(known.first((asked - seq) % CIRCLE)).payload
         return False
 
     # ------------------------------------------------------------------------------------------------ another count
