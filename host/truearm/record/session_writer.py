@@ -1,9 +1,8 @@
 """Writing a session file: MCAP that a crash cannot take with it.
 
-The mcap library gathers messages in a chunk and writes it when it is full, which at slow data would be half a minute.
-Here a chunk also ends when its first message is ``CHUNK_NS`` old, and is handed to the operating system then; once a
-second of real time the disk is told to keep it (fsync). A killed recorder therefore loses less than a second. About
-5 µs a message of 200 bytes at 100 a second, of which the chunks' compression and index take 2.
+Messages wait in a chunk (``McapWriter``). It ends when its first message is ``CHUNK_NS`` old, so that slow data do not wait, or when it is
+large, and is handed to the operating system then; once a second of real time the disk is told to keep it (fsync). A killed recorder therefore
+loses less than a second.
 
 A message's log time is UTC, by the one pair of times that the metadata ``session`` give; its publish time is the host's own clock, on which all
 is computed. So UTC never steps within a file, and other programs place it among their own.
@@ -28,11 +27,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO
 
-from mcap.writer import CompressionType, Writer
-
 from truearm import __version__
 from truearm.errors import InputError, LinkError, WriteError
 from truearm.record.links import Clock
+from truearm.record.mcap_writer import McapWriter
 from truearm.record.session_schemas import encodings_of
 from truearm.session.joint_batch import COLUMNS, JOINTS, pack, parse_lines
 from truearm.session.mcap_records import CHANNELS, CRC, LATEST_NS, metadata_crc
@@ -63,12 +61,6 @@ class SessionWriter:
         self._out = _Output(io.BytesIO() if hold else self._open())
         self._held = hold
         self._clock = clock
-        self._writer = Writer(
-            self._out,  # type: ignore[arg-type]
-            chunk_size=2 * _CHUNK_BYTES,  # never full: a chunk's columns belong into it
-            compression=CompressionType.ZSTD,
-            enable_data_crcs=True,
-        )
         self._channels: dict[str, list[int]] = {}  # topic: channel id, messages so far
         self._utc_offset_ns = 0  # UTC less the host's clock
         self._chunk_since_ns: int | None = None
@@ -77,7 +69,7 @@ class SessionWriter:
         self._lines: list[bytes] = []  # of the robot, without columns yet
         self._arrival_ns: list[int] = []
         self._synced_s = time.monotonic()
-        self._writer.start(profile="truearm", library=f"truearm {__version__}")
+        self._writer = McapWriter(self._out, "truearm", f"truearm {__version__}")
         if clock is not None:
             self.metadata("session", {"version": __version__, "clock": clock.kind, **_anchor(clock)})
 
@@ -134,10 +126,7 @@ class SessionWriter:
             self.metadata(CHANNELS, {str(number): name for name, (number, _) in self._channels.items()})
         if sequence is not None:
             channel[1] = sequence
-        try:
-            self._writer.add_message(channel[0], t_host_ns + self._utc_offset_ns, data, t_host_ns, channel[1])
-        except OSError as exc:
-            raise self._cannot_write(exc) from exc
+        self._writer.add_message(channel[0], channel[1], t_host_ns + self._utc_offset_ns, t_host_ns, data)
         channel[1] = channel[1] + 1 & 0xFFFFFFFF
         self._chunk_bytes += len(data)
 
@@ -172,7 +161,7 @@ class SessionWriter:
         """Write an attachment."""
         now_ns = 0 if self._clock is None else self._clock.now_ns() + self._utc_offset_ns
         try:
-            self._writer.add_attachment(now_ns, now_ns, name, media_type, data)
+            self._writer.add_attachment(now_ns, name, media_type, data)
         except OSError as exc:
             raise self._cannot_write(exc) from exc
 
