@@ -16,7 +16,7 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 import truearm_wire
 from truearm.errors import LinkError
@@ -56,8 +56,7 @@ class BoxDied(LinkError):
 LATER_US = 1 << 29  # nothing is due
 
 
-@dataclass(frozen=True)
-class Answer:
+class Answer(NamedTuple):
     """What the box did in one grant.
 
     ``end`` says how its firmware ended: "reset", "watchdog", "prompt", "boot loader", "power cut"; "" while it runs.

@@ -10,6 +10,7 @@ than 10⁻³, so ``t ← t − (reading(t) − r)`` contracts by that factor, an
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,7 +28,10 @@ class Clock:
 
     def reading(self, t: Any) -> Any:
         """What the clock shows [s] at true time t [s]; scalars or arrays."""
-        slow = self.wander * (1.0 - np.cos(2.0 * np.pi / self.wander_period * t))
+        angle = 2.0 * np.pi / self.wander_period * t
+        slow = self.wander * (
+            1.0 - (math.cos(angle) if type(angle) is float else np.cos(angle))
+        )  # NumPy takes thrice as long
         return self.offset + (t + (1e-6 * self.ppm * t + slow))
 
     def true(self, reading: Any) -> Any:

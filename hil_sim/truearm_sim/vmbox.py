@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,13 +118,13 @@ class VmBox:
                 self._mag = Feed(device_us * 1000 + answer.mag_period_ns, answer.mag_period_ns)
         toggles = ((1000 * device_us, answer.output),) if answer.output != self._output else ()
         self._output = answer.output
-        answer = replace(answer, first_ns=(_first_ns(self._adc), _first_ns(self._mag)), toggles=toggles)
+        answer = answer._replace(first_ns=(_first_ns(self._adc), _first_ns(self._mag)), toggles=toggles)
         if not answer.sampling:
             self._adc = self._mag = None
         if answer.alive:
             self._fed_us = device_us
         elif answer.watchdog_ms and device_us - self._fed_us > 1000 * answer.watchdog_ms:
-            return replace(answer, end="watchdog")
+            return answer._replace(end="watchdog")
         return answer
 
     def _more(self, device_us: int) -> bool:
