@@ -41,6 +41,8 @@ _COLUMN_LINES = 1024  # at most; a reader holds as many
 _FSYNC_EVERY_S = 0.9
 MAX_HELD_BYTES = 32 << 20  # in memory before ``keep``; a box that was just asked who it is sends a few kB
 
+_as_json = json.JSONEncoder(separators=(",", ":")).encode  # one for all rows, dumps makes its own each time
+
 Anchor = tuple[int, int]  # the same instant in UTC and on the host's clock [ns]
 
 
@@ -140,7 +142,7 @@ class SessionWriter:
     def add_json(self, topic: str, t_host_ns: int, row: Mapping[str, Any]) -> None:
         """Append ``row`` as JSON; what is None in it is left out."""
         said = {key: value for key, value in row.items() if value is not None}
-        self.add(topic, t_host_ns, json.dumps(said, separators=(",", ":")).encode())
+        self.add(topic, t_host_ns, _as_json(said).encode())
 
     def event(self, kind: str, t_host_ns: int, **fields: Any) -> None:
         """Append to ``/events``."""
