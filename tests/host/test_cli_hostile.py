@@ -76,7 +76,8 @@ def edited(name, old, new):
 def move(**parts):
     """A RAPID module with one move."""
     target = {"x": "500,0,500", "turn": "1,0,0,0", "cf": "0,0,0,0"} | parts
-    return f"MODULE m\nMoveL [[{target['x']}],[{target['turn']}],[{target['cf']}],[9E9,9E9,9E9,9E9,9E9,9E9]],v1,fine,tool0;"
+    line = f"MoveL [[{target['x']}],[{target['turn']}],[{target['cf']}],[9E9,9E9,9E9,9E9,9E9,9E9]],v1,fine,tool0;"
+    return f"MODULE m\nPROC main() {line} ENDPROC\nENDMODULE"
 
 
 def seen_from(joints):
@@ -163,24 +164,24 @@ TARGETS = {
     "an open quote": (f'{HEAD}\n"1,2,3\n', "is not CSV"),
 }
 MODULES = {
-    "expressions": (move(x="reg1,0,0"), "line 2: a robtarget with expressions"),
+    "expressions": (move(x="reg1,0,0"), "1 move of 1 cannot be corrected"),
     "huge": (move(x="1e30,0,0"), "line 2: 1e+30 is not a place"),
-    "far": (move(x="90000,0,0"), "line 2: the robot as described does not reach it"),
+    "far": (move(x="90000,0,0"), "1 move of 1 cannot be corrected"),
     "no turn": (move(turn="0,0,0,0"), "line 2: the orientation is no unit quaternion"),
-    "configuration beyond": (move(cf="1e99,0,0,0"), "line 2: the robot as described"),
-    "configuration a name": (move(cf="a,0,0,0"), "line 2: a robtarget with expressions"),
-    "open bracket": (move() + "[[[", "is not closed"),
-    "closed bracket": ("MODULE m\n]", "line 2: a bracket ] that nothing opened"),
-    "in a comment": ("! " + move().split("\n")[1], "nothing to correct"),
+    "configuration beyond": (move(cf="1e99,0,0,0"), "1 move of 1 cannot be corrected"),
+    "configuration a name": (move(cf="a,0,0,0"), "1 move of 1 cannot be corrected"),
+    "open bracket": (move() + "[[[", "line 3: '[' stands where MODULE should"),
+    "closed bracket": ("MODULE m\n]", "line 2: ']' stands where a declaration or a routine should"),
+    "in a comment": (move().replace("MoveL", "! MoveL").replace("ENDPROC", "\nENDPROC"), "nothing to correct"),
     "NUL": ("MODULE m\n\0", "line 2: holds a NUL"),
 }
 SCRIPTS = {
-    "not a number": ("\nmovel(p[nan,0,0,0,0,0])", "line 2: a target p[…] must be six plain numbers"),
-    "five": ("movel(p[1,0,0,0,0])", "six plain numbers"),
+    "not a number": ("\nmovel(p[nan,0,0,0,0,0])", "1 move of 1 cannot be corrected"),
+    "five": ("movel(p[1,0,0,0,0])", "1 move of 1 cannot be corrected"),
     "infinite": ("movel(p[1e999,0,0,0,0,0])", "inf is not a place"),
-    "far": ("movel(p[100,0,0,0,0,0])", "line 1: the robot as described"),
+    "far": ("movel(p[100,0,0,0,0,0])", "1 move of 1 cannot be corrected"),
     "wound up": ("movel(p[0.5,0,0.5,1e9,0,0])", "1e+09 is not a place"),
-    "cut off": ("movel(p[1,0,0,0,0,0", "is not closed"),
+    "cut off": ("movel(p[1,0,0,0,0,0", "it is cut short"),
     "in a text": ('x = "p[1,2,3,4,5,6]"', "nothing to correct"),
 }
 VISITS = {
@@ -255,8 +256,18 @@ def cases():
             yield f"{command.split()[0]} URDF {name}", f"{command} --robot bad.urdf", content, ".urdf", says
     kinds = (
         ("targets", CORRECT.replace("targets.csv", "bad.csv"), ".csv", TARGETS),
-        ("RAPID", CORRECT.replace("targets.csv", "bad.mod").replace("new.csv", "new.mod"), ".mod", MODULES),
-        ("URScript", CORRECT.replace("targets.csv", "bad.script").replace("new.csv", "new.script"), ".script", SCRIPTS),
+        (
+            "RAPID",
+            f"{CORRECT.replace('targets.csv', 'bad.mod').replace('new.csv', 'new.mod')} --own-frames",
+            ".mod",
+            MODULES,
+        ),
+        (
+            "URScript",
+            f"{CORRECT.replace('targets.csv', 'bad.script').replace('new.csv', 'new.script')} --own-frames --tool 0,0,0,0,0,0",
+            ".script",
+            SCRIPTS,
+        ),
         ("over", f"{EXPORT} --over bad.csv", ".csv", VISITS),
         ("rows", VALIDATE.replace("rows.csv", "bad.csv"), ".csv", ROWS),
         ("measured", f"{REPLAN} --measured bad.csv", ".csv", ROWS),
@@ -281,6 +292,8 @@ def test_what_strangers_give(origin, tmp_path, monkeypatch, run, command, conten
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     monkeypatch.chdir(tmp_path)
     done = run(*command.split())
-    said = [line for line in done.err.splitlines(keepends=True) if not line.startswith("planning: ")]
+    lines = done.err.splitlines(keepends=True)
+    table = [line for line in lines if line.endswith(" not corrected:\n") or line.startswith("  line ")]  # of a program
+    said = [line for line in lines if not line.startswith("planning: ") and line not in table]
     told(done._replace(err="".join(said)), says)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before

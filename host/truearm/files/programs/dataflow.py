@@ -170,6 +170,10 @@ class Flow:
         self.scopes = GLOBAL
         self.stack = [_Activation(None, GLOBAL, None, 0)]
         self.turns: list[_Turn] = []
+        self.loose = False  # jumps: statements may be run in any order
+        self.running: dict[
+            str, dict[Key, dict[Value, None]]
+        ] = {}  # threads, and all that names stood for since they were run
 
     def _declare(self, routine: Routine, parent: str | None) -> None:
         if routine.name in self.routines:
@@ -216,6 +220,8 @@ class Flow:
     def set(self, name: str, values: Values, scope: str = "") -> None:
         """Assign to a name. Where a routine assigns to a name from outside without saying whose it is, both may be meant."""
         own = (self.stack[-1].scope, name)
+        if self.loose:
+            values = joined(self.get(name), values)
         if scope == "global" or (not scope and name == TOOL):
             self.environment.set((GLOBAL, name), values)
             return
@@ -232,6 +238,10 @@ class Flow:
 
     def run(self, block: Block) -> bool:
         """Run a block; False where its end is never reached."""
+        if self.loose:
+            for statement in block:
+                self._step(statement)
+            return True
         return all(self._step(statement) for statement in block)
 
     def _step(self, statement: Statement) -> bool:
@@ -256,9 +266,7 @@ class Flow:
                 return False
             case Leave(what):
                 return self._leave(what)
-            case Jump(start):
-                self.uncertain("GOTO", start, start + 4, "a GOTO or a label: the order of the moves is not followed")
-            case Routine():
+            case Jump() | Routine():
                 pass
             case _:
                 assert_never(statement)
@@ -346,6 +354,9 @@ class Flow:
         arguments = [self.value(argument) for argument in call.arguments]
         named = {name: self.value(argument) for name, argument in call.named}
         if (routine := self.routines.get(call.function)) is not None:
+            if routine.kind == "beside" and routine.name not in self.running:
+                self.running[routine.name] = {}
+                self.environment.records.append(self.running[routine.name])
             return self.enter(routine, call, arguments, named)
         found = self.language.call(self, call, arguments, named)
         if found is not None:
@@ -396,10 +407,18 @@ class Flow:
         outer, self.turns = self.turns, []
         if routine.handlers:
             self.environment.records.append(record)
-        reached = self.run(routine.body)
+        ordered = not self.loose
+        jumps = (k for k, one in enumerate(routine.body) if any(isinstance(part, Jump) for part in _within((one,))))
+        first = next(jumps, len(routine.body))
+        reached = self.run(routine.body[:first])
+        if reached and first < len(routine.body):
+            self.loose = True
+            self._loop(Loop(None, routine.body[first:]))
         if routine.handlers:
             self.environment.records.pop()
             self._any_time(record, routine.handlers)
+        self.loose = not ordered
+        self.end_threads(routine.name)
         self.turns = outer
         self.stack.pop()
         end = self.environment.layers.pop()
@@ -416,6 +435,15 @@ class Flow:
                     if isinstance(place, Name | Element) and way.get(name, given[name]) != given[name]:
                         self._assign(place, joined(self.value(place), way[name]), "")
         return results or (Unknown(f"{routine.name} gives nothing", routine.start),)
+
+    def end_threads(self, parent: str | None) -> None:
+        """Run the threads of a routine once more with all that the routine assigned while they ran."""
+        for name in [name for name in self.running if self.parents[name] == parent]:
+            record = self.running.pop(name)
+            self.environment.records = [one for one in self.environment.records if one is not record]
+            self.environment.layers.append({key: tuple(seen) for key, seen in record.items()})
+            self.enter(self.routines[name], None, (), {})
+            self.environment.layers.pop()
 
     def _any_time(self, record: Mapping[Key, Mapping[Value, None]], blocks: Sequence[Block]) -> None:
         """Run blocks with all that a record holds. What they assign is volatile, so nothing of it is kept."""

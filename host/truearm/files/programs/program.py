@@ -338,7 +338,11 @@ def solved(targets: Sequence[PoseTarget], told: Floats) -> Solution:
             if others & waiting:
                 still.append((one, goal))
                 continue
-            literals[one.literal.start] = _solved(one.goal.target.factors, one.literal, goal, literals)
+            literals[one.literal.start] = (
+                goal
+                if one.goal.target.factors == (Factor(one.literal),)
+                else _solved(one.goal.target.factors, one.literal, goal, literals)
+            )
         done = {one.literal.start for one, _ in left if one.literal} - {
             one.literal.start for one, _ in still if one.literal
         }
@@ -352,7 +356,7 @@ def solved(targets: Sequence[PoseTarget], told: Floats) -> Solution:
 def _solved(factors: Sequence[Factor], literal: Taught, goal: Floats, literals: Mapping[int, Floats]) -> Floats:
     """The literal's matrix with which the product of the factors is the goal (4, 4)."""
     k = next(i for i, factor in enumerate(factors) if factor.pose == literal)
-    before, after = (matrix_of(Pose(tuple(part)), dict(literals)) for part in (factors[:k], factors[k + 1 :]))
+    before, after = (matrix_of(Pose(tuple(part)), literals) for part in (factors[:k], factors[k + 1 :]))
     here = np.linalg.inv(before) @ goal @ np.linalg.inv(after)
     return np.asarray(np.linalg.inv(here) if factors[k].inverse else here)
 

@@ -137,6 +137,7 @@ _FIELDS: Mapping[str, int] = {
     **{f"rax_{k}": k - 1 for k in range(1, 7)},
     **{f"eax_{letter}": k for k, letter in enumerate("abcdef")},
 }  # fmt: skip
+NO_AXIS = 8.9e9  # 9E9 stands for an external axis that there is not
 _TOOL, _OBJECT = "tool0", "wobj0"
 
 
@@ -227,8 +228,21 @@ class Rapid:
         objects = tuple(NOWHERE if value in absent else _object(value, at) for value in given)
         displaced = flow.get(DISPLACED) or (NOWHERE,)
         objects = tuple(value for value in displaced if isinstance(value, Unknown)) + objects
-        targets = [(tuple(_target(value, at) for value in arguments[k]), call.arguments[k]) for k in move.targets]
+        targets = [
+            (tuple(self._beside(_target(value, at), at) for value in arguments[k]), call.arguments[k])
+            for k in move.targets
+        ]
         flow.goes_to(call, targets, tools, objects)
+
+    def _beside(self, target: Value, at: int) -> Value:
+        """A target, unless one of its external axes may move the robot's base."""
+        like = target.like if isinstance(target, Pose) else None
+        axes = like.numbers[11:] if like is not None else ()
+        used = (f"eax_{letter}" for letter, axis in zip("abcdef", axes, strict=False) if axis.value < NO_AXIS)
+        first = next((axis for axis in used if axis not in self.harmless), None)
+        return (
+            target if first is None else Unknown(f"its external axis {first} may move the robot's base", at, "harmless")
+        )
 
 
 def analyse(source: Source, modules: Sequence[Module], frames: Mapping[str, Pose], harmless: frozenset[str]) -> Flow:
@@ -307,6 +321,9 @@ def _target(value: Value, at: int) -> Value:
     if not isinstance(value, Listed):
         return Unknown("its target is no robtarget and no jointtarget", at)
     pose = _frame((Listed(value.items[:2]),)) if len(value.items) == 4 else None
+    axes = numbers_of(value.items[3][0]) if pose is not None and len(value.items[3]) == 1 else None
+    if pose is not None and (axes is None or min(axes) < NO_AXIS):
+        return _unknown_in(value) or Unknown("its external axes may move the robot's base", at)
     return _unknown_in(value) or pose or Unknown("its target is not of plain numbers in one piece", at)
 
 

@@ -27,6 +27,7 @@ from truearm.files.programs.syntax import (
     words,
 )
 from truearm.files.programs.values import (
+    NOWHERE,
     Fields,
     Listed,
     Pose,
@@ -114,6 +115,7 @@ QUIET = words(
 )
 OVERWRITES = frozenset(MOVES) | AIMLESS | {"set_tcp", "get_inverse_kin"}
 SIX = 6
+TRACKED = "tracked conveyor"  # no name of a variable has a space
 
 
 class UrScript(NamedTuple):
@@ -140,6 +142,10 @@ class UrScript(NamedTuple):
         if name in MOVES:
             _move(flow, call, arguments, named)
             return (Truth(True),)
+        if name.startswith("track_conveyor"):
+            flow.set(TRACKED, (Unknown(f"it follows the conveyor of {name}", at),), "global")
+        if name == "stop_conveyor_tracking":
+            flow.set(TRACKED, (NOWHERE,), "global")
         if name in AIMLESS:
             flow.uncertain(
                 name, at, call.end, f"{name} moves the robot without a target; there is nothing to correct in it"
@@ -202,6 +208,7 @@ def analyse(source: Source, block: Block, tool: Values, harmless: frozenset[str]
             raise source.wrong(flow.routines[name].start, f"{name} is a function of the language and cannot be defined")
     flow.environment.set((0, TOOL), tool)
     flow.run(block)
+    flow.end_threads(None)
     for routine in routines:
         if routine.name not in flow.called:
             flow.environment.layers.append({})
@@ -223,7 +230,7 @@ def _move(flow: Flow, call: Call, arguments: Sequence[Values], named: Mapping[st
             flow.uncertain(call.function, call.start, call.end, "it has no target")
             return
     asked = [(tuple(_target(value, call.start) for value in values), place) for values, place in targets]
-    flow.goes_to(call, asked, flow.get(TOOL) or (), (Pose(()),))
+    flow.goes_to(call, asked, flow.get(TOOL) or (), flow.get(TRACKED) or (NOWHERE,))
 
 
 def _target(value: Value, at: int) -> Value:

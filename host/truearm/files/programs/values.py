@@ -8,7 +8,7 @@ offsets leads back to the numbers that a person taught.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from typing import NamedTuple
 
@@ -77,6 +77,8 @@ Value = Number | Text | Truth | Taught | Listed | Fields | Pose | Solved | Unkno
 Values = tuple[Value, ...]
 
 NOWHERE = Pose(())  # the identity
+_IDENTITY = np.eye(4)
+_IDENTITY.flags.writeable = False
 
 
 def joined(a: Values | None, b: Values | None) -> Values:
@@ -173,11 +175,13 @@ def matrices_of(literals: Sequence[Taught]) -> Floats:
     return out
 
 
-def matrix_of(pose: Pose, literals: dict[int, Floats]) -> Floats:
+def matrix_of(pose: Pose, literals: Mapping[int, Floats]) -> Floats:
     """(4, 4) the product; ``literals`` are the matrices of its literals by their places in the text."""
-    out = np.eye(4)
+    out = _IDENTITY
     for factor in pose.factors:
         of = factor.pose
+        if len(pose.factors) == 1 and isinstance(of, Taught) and not factor.inverse:
+            return literals[of.start]
         here = np.array(of.rows).reshape(4, 4) if isinstance(of, Fixed) else literals[of.start]
         out = out @ (np.linalg.inv(here) if factor.inverse else here)
     return out
