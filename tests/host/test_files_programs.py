@@ -246,6 +246,13 @@ def test_moves_of_rapid_that_cannot_be_corrected(what):
 
 def test_a_function_that_a_person_answers_for():
     assert script("gripper_go(3)", f"movel({P})", harmless=frozenset({"gripper_go"}))[1].refused == ()
+    assert module("GripGo 3;", f"MoveL {T1},v10,fine,tool0;", harmless=frozenset({"GripGo"}))[1].refused == ()
+
+
+def test_an_external_axis_that_does_not_move_the_base():
+    line = f"MoveL {T1.replace('[9E9', '[12.5')},v10,fine,tool0;"
+    assert [(one.line, one.remedy) for one in module(line)[1].refused] == [(3, "harmless")]
+    assert module(line, harmless=frozenset({"eax_a"}))[1].refused == ()
 
 
 # numbers in, numbers out

@@ -7,9 +7,11 @@ the later one gets numbers of its own, written where its argument stood. Every b
 
 from __future__ import annotations
 
+import gc
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple, assert_never
@@ -107,6 +109,19 @@ def read_program(path: Path, surroundings: Surroundings) -> Program:
     return parse_program(read_bytes(path, MAX_BYTES, ProgramError), language_of(path), surroundings, str(path))
 
 
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Without cyclic garbage collection, which goes through the hundred thousands of tuples of a large program again and again; they have no cycles."""
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()
+
+
+@_uncollected()
 def parse_program(data: bytes, language: ProgramLanguage, surroundings: Surroundings, name: str = "program") -> Program:
     """Follow the moves of a program. Raises ProgramError."""
     source = Source(data.decode("latin-1"), name)
@@ -153,6 +168,7 @@ def statement_of(program: Program, motion: Motion) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
+@_uncollected()
 def targets_of(program: Program, joint_moves: bool, split: bool) -> Targets:
     """Which literals take up the corrections. ``joint_moves``: joint readings are corrected too; else they are left.
 
@@ -369,6 +385,7 @@ class Change(NamedTuple):
     text: str
 
 
+@_uncollected()
 def changes_of(program: Program, targets: Sequence[PoseTarget], told: Floats, new: Solution) -> list[Change]:
     """The changes of the text with which every target is told."""
     seen: dict[int, Taught] = {one.literal.start: one.literal for one in targets if one.literal is not None}

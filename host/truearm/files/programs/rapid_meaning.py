@@ -259,7 +259,7 @@ def analyse(source: Source, modules: Sequence[Module], frames: Mapping[str, Pose
     }
     fields = {name: k for name, k in {**_FIELDS, **records}.items() if name not in clash}
     routines = [routine for module in modules for routine in module.routines]
-    flow = Flow(source, Rapid(fields, harmless), routines)
+    flow = Flow(source, Rapid(fields, frozenset(name.lower() for name in harmless)), routines)
     for name, pose in {_TOOL: NOWHERE, _OBJECT: NOWHERE, **frames}.items():
         flow.environment.set((0, name), (pose,))
     begin: dict[str, Values] = {}
