@@ -222,7 +222,7 @@ OPTIONS = {
     f"{LINE} --length-mm nan": "--length-mm",
     f"{LINE} --rig-out irb120.toml": "also read",
     f"{LINE.replace('--lines 2', '--minutes 1')}": "1 minutes are too few",
-    f"{MAP} --vary 2,2": "do not turn about parallel axes",
+    f"{MAP} --vary 2,2": "must be two joints between 1 and 6",
     f"{MAP} --at 1e300,0,0,0,0,0": "no joint goes so far",
     f"{MAP} --at 0,0,0,0,999,0": "joint 5 would be outside its limits",
     f"{MAP} --task 1e9x1": "needs width and height",

@@ -36,7 +36,7 @@ def test_a_robot_file_is_read(tmp_path: Path) -> None:
     ("robot", "tip", "message"),
     [
         ("puma561", None, r"no built-in robot \(there is .*puma560"),
-        ("puma560", "ball", "--base and --tip choose links of a URDF"),
+        ("puma560", "ball", "base and tip choose links of a URDF"),
         ("none.urdf", None, "none.urdf: no such file"),
         (str(PANDA), None, "panda.urdf: .*choose a tip"),
         (str(PANDA), "ball", "panda.urdf: URDF has no link 'ball'"),

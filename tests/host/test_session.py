@@ -292,10 +292,8 @@ class TestStrangers:
         writer.add("/robot/joints", 2**62 - 1, b"{}")
         writer.add("/robot/joints", 2**62, b"{}")
         writer.close()
-        messages = open_session(tmp_path / "s.mcap").messages()
-        assert next(messages).t_host_ns == 2**62 - 1
         with pytest.raises(SessionError, match="damaged"):
-            next(messages)
+            list(open_session(tmp_path / "s.mcap").messages())
 
     def test_a_damaged_attachment(self, tmp_path):
         written(tmp_path / "s.mcap", 10)

@@ -68,7 +68,7 @@ def test_one_bit_costs_one_chunk(path, made, which, where):
         "last byte": (start + chunk.chunk_length - 1, 0x10),
     }[where]
     path.write_bytes(flipped(whole, at, bit))
-    with pytest.raises(SessionError, match="allow-damaged"):
+    with pytest.raises(SessionError, match="allow_damaged"):
         list(open_session(path).messages())
     session = open_session(path, allow_damaged=True)
     assert list(session.messages()) == outside(messages, chunk)

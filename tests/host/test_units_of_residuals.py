@@ -77,7 +77,7 @@ def test_inclinations_are_identified_and_judged_in_degrees(table, run):
     code, text, err = run("validate", folder / "r.json", table, "--rig", folder / "rig.toml")
     assert code == 0, err
     assert re.search(r"^error \[deg\] +without +with +expected +rows$", text, re.M)
-    assert re.search(r"explain such an error \(0\.\d{4} deg\)", text)
+    assert re.search(r"consistent with declared noise and its own uncertainty \(0\.\d{4} deg\)", text)
     assert "error [mm]" not in text
     assert "place=near" in text
 

@@ -1,4 +1,4 @@
-"""An MCAP file, to the byte as the mcap library's ``Writer`` writes it with Zstandard and all checksums, at a sixth of the cost a message.
+"""An MCAP file, to the byte as the mcap library's ``Writer`` writes it with Zstandard and all checksums, at a quarter of the cost a message.
 
 The library packs a message in eight calls and each entry of its index in two; a recorder stores a hundred messages a second for hours.
 Only messages, their index and the end of a chunk are written here; every other record is the library's own.
