@@ -10,6 +10,7 @@ from tests.host import plan_bench as bench
 from truearm.errors import PlanError
 from truearm.estimate.identify import identify
 from truearm.estimate.prior import free_without_gains, weak_prior
+from truearm.estimate.solvers import Prior
 from truearm.model.robot import builtin_robot
 from truearm.plan.ball_bar_plan import Wanted, all_pairings, plan_ballbar
 from truearm.plan.bar_paths import Pace
@@ -177,14 +178,14 @@ def test_foretold_sigmas_know_of_the_prior():
     """A URDF's constants are all free but for gains, redundant, and identified with a weak prior."""
     known, plan = bench.known("irb120"), bench.planned("irb120").route.plan
     prior = weak_prior(known.chain)
-    all_free = replace(known, free=free_without_gains(known.chain), prior_sigma=prior)
+    all_free = replace(known, free=free_without_gains(known.chain), prior=Prior.WEAK)
     table = bar_table(known, plan)
     told = forecast(all_free, table, Aim(plan.q[::5], tuple(known.rig.spheres)))
     found = identify(known.chain, known.rig, table, free=all_free.free, prior_sigma=prior)
     assert told.rank == found.rank
     assert np.array_equal(np.isnan(told.sigma), np.isnan(np.where(found.identifiable, found.sigma, np.nan)))
     np.testing.assert_allclose(told.sigma[found.identifiable], found.sigma[found.identifiable], rtol=1e-6)
-    without = forecast(replace(all_free, prior_sigma=None), table, Aim(plan.q[::5], tuple(known.rig.spheres)))
+    without = forecast(replace(all_free, prior=None), table, Aim(plan.q[::5], tuple(known.rig.spheres)))
     assert told.cartesian_rms < without.cartesian_rms
 
 

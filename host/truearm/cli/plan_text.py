@@ -57,6 +57,14 @@ def _against_drift(document: Mapping[str, Any]) -> list[str]:
 def _known_after(document: Mapping[str, Any]) -> list[str]:
     lines = [f"rank {document['rank']}; what will be known after {document['rows']} observations:"]
     lines += [f"  {parameter['name']:<24}{_in_words(parameter)}" for parameter in document["parameters"]]
+    defaults = document["defaults"]
+    for names, what in (
+        (defaults["base"] + defaults["tool"], "held, as these fixtures leave them a choice of frame"),
+        (defaults["lost"], "held, as joints that hardly move do not show them"),
+        (defaults["believed"], "with a weak prior, as these observations hardly tell them"),
+    ):
+        if names:
+            lines.append(f"{what}: {', '.join(names)}")
     for key, what in (("null_space", "not seen"), ("hardly_seen", "hardly seen")):
         for direction in document[key]:
             lines.append(f"{what}: {_direction(direction)}")

@@ -3,7 +3,7 @@
 Information does not depend on what is read, only on where (to first order). So planned poses become a table with the
 lengths that the model predicts, behind the rows that were measured already, and ``observe`` folds them as it would the
 real ones. Sigmas are those that ``identify`` will report, as far as the model is near the truth: 10 mm and 50 mrad
-move them by a few per cent.
+move them by a few per cent. What ``identify`` holds or believes by default follows from the same rows (``choose_defaults``).
 """
 
 from __future__ import annotations
@@ -16,11 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import PlanError
+from truearm.estimate.defaults import choose_defaults
 from truearm.estimate.identifiability import hardly_seen, identifiability
 from truearm.estimate.information import covariance, observe, seen, spectrum, with_prior
 from truearm.estimate.prediction import MOVES, body_motion
-from truearm.estimate.prior import weak_prior, wide_prior
+from truearm.estimate.prior import prior_named, robot_prior, weak_prior, wide_prior
 from truearm.estimate.problem import Problem, build_problem, settled
+from truearm.estimate.solvers import Prior
 from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.kinds.registry import end_points
 from truearm.kinds.registry import points as points_of_rig
@@ -28,7 +30,7 @@ from truearm.model.chain import Chain, point_forward, point_jacobians
 from truearm.model.robot import Robot
 from truearm.model.workspace import Branch, Capsules
 from truearm.plan.branch_inverse import Arm, make_arm
-from truearm.types import Floats, NullDirection, ObservationTable, Plan, Rig
+from truearm.types import Defaults, Floats, NullDirection, ObservationTable, Plan, Rig
 from truearm.units import UNITS
 
 
@@ -61,6 +63,7 @@ class Forecast:
     cartesian: Floats | None
     relative: bool
     n_rows: int
+    defaults: Defaults  # what is held or believed as ``identify`` will
 
     @property
     def cartesian_rms(self) -> float:
@@ -72,9 +75,9 @@ class Forecast:
 class Known:
     """What is known before a plan: chain, rig, the parameters the model has now (p,), what is free, and rows measured.
 
-    ``rig_values``: estimates of the rig's unknowns by name, of an earlier result. ``prior_sigma`` (p,): of the robot's
-    parameters, where they will be identified with a prior; inf for none. ``branch`` and ``links`` are the arm's, None where
-    nobody described them.
+    ``rig_values``: estimates of the rig's unknowns by name, of an earlier result. ``prior``: the one that ``identify`` will
+    use; what it holds by default is held too. None: neither, the rows alone count. ``branch`` and ``links`` are the arm's, None
+    where nobody described them.
     """
 
     chain: Chain
@@ -83,7 +86,7 @@ class Known:
     free: NDArray[np.bool_]  # (p,)
     measured: ObservationTable | None = None
     rig_values: Mapping[str, float] | None = None
-    prior_sigma: Floats | None = None
+    prior: Prior | None = None
     branch: Branch | None = None
     links: Capsules | None = None
 
@@ -103,6 +106,7 @@ def known_arm(known: Known, rng: np.random.Generator) -> Arm:
 
 def forecast(known: Known, planned: ObservationTable, aim: Aim | None = None) -> Forecast:
     """Rank, null space, sigmas and Cartesian error if ``planned`` is measured as it says."""
+    known, prior_sigma, defaults = _as_identified(known, planned)
     problem, x, columns = compiled(known, planned)
     n_robot = int(known.free.sum())
     prior = problem.prior_sigma[columns]
@@ -112,7 +116,7 @@ def forecast(known: Known, planned: ObservationTable, aim: Aim | None = None) ->
     names = [name for name, is_free in zip(problem.names, columns, strict=True) if is_free]
     sight = identifiability(root, n_robot, names)
     believed = np.full(prior.size, np.inf)
-    believed[:n_robot] = np.inf if known.prior_sigma is None else known.prior_sigma[known.free]
+    believed[:n_robot] = prior_sigma[known.free]
     matrix = covariance(spectrum(with_prior(seen_by_rows, np.zeros(prior.size), believed).root))
     sigma = np.full(len(columns), np.nan)
     sigma[columns] = np.sqrt(np.where(sight.identifiable, np.diag(matrix), np.nan))
@@ -120,7 +124,7 @@ def forecast(known: Known, planned: ObservationTable, aim: Aim | None = None) ->
     cartesian, relative = None, False
     if aim is not None:
         null = parts.vt[~seen(parts)].T / parts.scale[:, None]
-        cartesian, relative = _cartesian(known, problem, x, columns, aim, matrix, null)
+        cartesian, relative = _cartesian(known, problem, x, columns, aim, matrix, null, bool(defaults.base))
     return Forecast(
         names=problem.names,
         units=problem.units,
@@ -132,6 +136,7 @@ def forecast(known: Known, planned: ObservationTable, aim: Aim | None = None) ->
         cartesian=cartesian,
         relative=relative,
         n_rows=len(planned) + (0 if known.measured is None else len(known.measured)),
+        defaults=defaults,
     )
 
 
@@ -167,7 +172,7 @@ def region_root(known: Known, planned: ObservationTable, aim: Aim) -> Floats:
 
 def compiled(known: Known, planned: ObservationTable) -> tuple[Problem, Floats, NDArray[np.bool_]]:
     """Problem of all rows, the point x (P,) it is linearised at, and what is free (P,)."""
-    table = planned if known.measured is None else ObservationTable.joined([known.measured, planned])
+    table = _all_rows(known, planned)
     problem = build_problem(known.chain, known.rig, table)
     x = problem.start.copy()
     x[: problem.n_robot] = known.params
@@ -208,6 +213,21 @@ def planned_table(q: Floats, kind: str, **columns: Any) -> ObservationTable:
     return ObservationTable(q=q, kind=np.full(len(q), kind), source=source, **columns)
 
 
+def _all_rows(known: Known, planned: ObservationTable) -> ObservationTable:
+    return planned if known.measured is None else ObservationTable.joined([known.measured, planned])
+
+
+def _as_identified(known: Known, planned: ObservationTable) -> tuple[Known, Floats, Defaults]:
+    """Return what is known with only those parameters free that ``identify`` will free, σ (p,) of its prior, inf for none, and why."""
+    if known.prior is None:
+        return known, robot_prior(known.chain, None), Defaults()
+    rows, named = _all_rows(known, planned), np.zeros(known.free.size, dtype=bool)
+    by_default = known.prior is Prior.DEFAULT
+    free, weak, chosen = choose_defaults(known.chain, known.rig, rows, known.free, named, by_default)
+    sigma = weak if by_default else robot_prior(known.chain, prior_named(known.chain, known.prior))
+    return replace(known, free=free), sigma, chosen
+
+
 def _cartesian(
     known: Known,
     problem: Problem,
@@ -216,15 +236,16 @@ def _cartesian(
     aim: Aim,
     matrix: Floats,
     null: Floats,
+    any_base: bool,
 ) -> tuple[Floats | None, bool]:
     """Expected error (n,) [m] at the aim's poses; what moves them all as one body and is unseen is left out."""
     points, jac = _aim_jacobian(known, problem, x, aim)
     jac = jac[:, columns]
     unseen = jac @ (null / np.abs(null).max(axis=0, initial=1e-300))
-    relative = bool(np.abs(unseen).max(initial=0.0) > MOVES)
+    relative = any_base or bool(np.abs(unseen).max(initial=0.0) > MOVES)
     if relative:
         body, _ = np.linalg.qr(body_motion(points))
-        if np.abs(unseen - body @ (body.T @ unseen)).max() > MOVES:
+        if np.abs(unseen - body @ (body.T @ unseen)).max(initial=0.0) > MOVES:
             return None, True
         jac = jac - body @ (body.T @ jac)
     variance = np.maximum(np.einsum("np,np->n", jac @ matrix, jac), 0.0).reshape(-1, 3).sum(axis=1)

@@ -12,7 +12,6 @@ import numpy as np
 
 from truearm.arguments import OneOf, Within, check_fields
 from truearm.errors import Argument, InputError
-from truearm.estimate.prior import weak_prior
 from truearm.files.disk import check_writable, write_atomic
 from truearm.files.plan_file import looks_like_plan, write_plan
 from truearm.files.rig_file import looks_like_rig, read_rig, write_rig
@@ -36,7 +35,7 @@ from truearm.plan.route_stops import Signals, Stop, Task
 from truearm.types import Floats, Rig
 from truearm.units import MM
 from truearm.workflows.calibration import Calibration, read_calibration
-from truearm.workflows.identify import default_free
+from truearm.workflows.identify import DEFAULTS, default_free, default_prior
 from truearm.workflows.inputs import Sources, observed
 from truearm.workflows.session_observations import Say, silent
 from truearm.workflows.session_parts import with_parts
@@ -278,9 +277,9 @@ def known_of(robot: Robot, rig: Rig, result: Calibration | None = None) -> Known
     if result is not None:
         estimates = zip(result.stored.parameter_names, result.stored.value.tolist(), strict=True)
         params, values = result.identified, {name: value for name, value in estimates if np.isfinite(value)}
-    prior = weak_prior(robot.chain) if robot.is_urdf else None  # as identify does
+    prior = default_prior(robot, DEFAULTS.solver)
     known = Known.design(robot, with_rig_values(rig, values))
-    return replace(known, params=params, rig_values=values, free=default_free(robot), prior_sigma=prior)
+    return replace(known, params=params, rig_values=values, free=default_free(robot), prior=prior)
 
 
 def _named(what: str, given: str | None, have: Iterable[str]) -> str:
@@ -394,6 +393,7 @@ def _document(forecast: Forecast) -> dict[str, Any]:
         "rows": forecast.n_rows,
         "rank": forecast.rank,
         "free": int(forecast.free.sum()),
+        "defaults": {name: list(getattr(forecast.defaults, name)) for name in ("base", "tool", "lost", "believed")},
         "null_space": [dict(zip(d.names, d.weights, strict=True)) for d in forecast.null_space],
         "hardly_seen": [dict(zip(d.names, d.weights, strict=True)) for d in forecast.hardly_seen],
         "parameters": [
