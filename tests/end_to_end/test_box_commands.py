@@ -1,5 +1,6 @@
 """``truearm box`` against a box in real time: over a socket and a pseudo-terminal, as an operator types it."""
 
+import contextlib
 import json
 import os
 import re
@@ -7,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -194,15 +196,33 @@ def test_the_monitor_shows_values_and_ends_with_its_time(capsys):
     assert next(line for line in lines if line.startswith("ended; lost: 0 frames"))
 
 
-def test_on_a_terminal_the_monitor_keeps_to_its_place():
+def all_of(master):
+    """What a terminal is given until nobody has it open any more."""
+    shown = bytearray()
+    with contextlib.suppress(OSError):  # EIO at the end
+        while piece := os.read(master, 1 << 16):
+            shown += piece
+    return shown.decode()
+
+
+def on_a_terminal(command):
+    """The process that ended, and what it showed on a terminal that reads all the while, as a real one does."""
     master, slave = os.openpty()
+    environ = {**os.environ, "TERM": "xterm", "COLUMNS": "120"}
+    with ThreadPoolExecutor(1) as reader:
+        shown = reader.submit(all_of, master)
+        try:
+            done = subprocess.run(command, stdout=slave, stderr=subprocess.PIPE, env=environ, timeout=60)
+        finally:
+            os.close(slave)
+    os.close(master)
+    return done, shown.result()
+
+
+def test_on_a_terminal_the_monitor_keeps_to_its_place():
     with served() as (device, _, _):
         command = [sys.executable, "-m", "truearm", "box", "monitor", "--device", device, "--duration", "4"]
-        environ = {**os.environ, "TERM": "xterm", "COLUMNS": "120"}
-        done = subprocess.run(command, stdout=slave, stderr=subprocess.PIPE, env=environ, timeout=60)
-    os.close(slave)
-    shown = os.read(master, 1 << 16).decode()
-    os.close(master)
+        done, shown = on_a_terminal(command)
     assert (done.returncode, done.stderr) == (0, b"")
     assert shown.count("transverse_b") >= 2
     assert "\x1b[1A" in shown  # back to the line above
