@@ -97,7 +97,7 @@ def test_two_seconds_of_python_lose_nothing(device, tmp_path):
     late_ns = arrived_ns - host_ns
     toiled = (arrived_ns >= busy[0]) & (arrived_ns <= busy[1])
     assert toiled.sum() > 0.5 * BUSY_S * 1e9 / (240 * OSR * 13)
-    assert late_ns.min() > -bound_ns.max()
+    assert np.all(late_ns >= -bound_ns)  # each by the bound at its own time, behind the last exchange too
     quiet, loud = np.median(late_ns[~toiled]), np.median(late_ns[toiled])
     print(
         f"late: {quiet / 1e6:.2f} ms at rest, {loud / 1e6:.2f} ms while busy, {late_ns[toiled].max() / 1e6:.1f} ms at most"
