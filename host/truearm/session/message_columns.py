@@ -118,8 +118,9 @@ def batches(path: Path, packed: Iterable[bytes], channels: dict[int, str]) -> It
         gathered.append(data)
         size += len(data)
         if size >= BATCH_BYTES:
-            yield _batch(path, gathered, channels)
-            gathered, size = [], 0
+            found = _batch(path, gathered, channels)
+            gathered, size = [], 0  # their bytes are in the batch; they shall not be held while it is used
+            yield found
     if gathered:
         yield _batch(path, gathered, channels)
 
