@@ -560,12 +560,13 @@ class StillJoint(NamedTuple):
 class Defaults:
     """What an identification holds or believes because the user did not say otherwise, as names of the robot's parameters.
 
-    ``base`` and ``tool`` are held since they are a choice of frame, ``lost`` since the joints ``still`` do not move enough;
+    ``base`` and ``tool`` are held since they are a choice of frame, along the directions ``frames``; ``lost`` since the joints ``still`` do not move enough;
     ``believed`` have a prior, the weak one, since the data tell them less well.
     """
 
     base: tuple[str, ...] = ()
     tool: tuple[str, ...] = ()
+    frames: tuple[NullDirection, ...] = ()
     still: tuple[StillJoint, ...] = ()
     lost: tuple[str, ...] = ()
     believed: tuple[str, ...] = ()

@@ -92,7 +92,10 @@ def check_schema(result: dict[str, Any]) -> None:
             *RMS, "rms_held_out"
         )
     names = {p["name"] for p in result["parameters"]}
-    assert set(result["defaults"]) == {"base", "tool", "still", "lost", "believed"}
+    assert set(result["defaults"]) == {"base", "tool", "frames", "still", "lost", "believed"}
+    for direction in result["defaults"]["frames"]:
+        assert max(map(abs, direction["weights"])) == pytest.approx(1.0)
+        assert set(direction["names"]) & {*result["defaults"]["base"], *result["defaults"]["tool"]}
     held = {name for key in ("base", "tool", "lost") for name in result["defaults"][key]}
     assert held <= names - set(free)
     assert set(result["defaults"]["believed"]) <= set(free)

@@ -24,7 +24,7 @@ from scipy import special
 
 from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import held_as_frames, mounting
-from truearm.estimate.identifiability import not_told, suggested_free
+from truearm.estimate.identifiability import identifiability, not_told, suggested_free
 from truearm.estimate.information import RANK_TOLERANCE, observe, with_prior
 from truearm.estimate.prior import weak_prior, wide_prior
 from truearm.estimate.problem import Problem, Rigs, build_problem, settled
@@ -82,6 +82,24 @@ def choose_defaults(
         believed=named_by(np.isfinite(sigma)),
     )
     return left, sigma, chosen
+
+
+def with_frames(
+    chosen: Defaults, chain: Chain, rig: Rigs, table: ObservationTable, free: Mask, value: Floats
+) -> Defaults:
+    """Return the defaults of ``choose_defaults`` for the same ``free`` with the directions along which frames are a choice.
+
+    They are those at the estimate, ``value`` (P,) or more: at the robot as described they would be off by what was identified.
+    """
+    held = {*chosen.base, *chosen.tool}
+    if not held:
+        return chosen
+    problem = build_problem(chain, rig, in_any_pose(chain, table))
+    columns = np.concatenate([free, np.ones(problem.start.size - free.size, dtype=bool)])
+    names = [name for name, is_free in zip(problem.names, columns, strict=True) if is_free]
+    root = _root(problem, value[: problem.start.size], free)
+    found = identifiability(root, int(free.sum()), names).null_space
+    return replace(chosen, frames=tuple(direction for direction in found if held & set(direction.names)))
 
 
 def _weak_where_needed(problem: Problem, x: Floats, free: Mask, unit: Floats, mounted: Mask) -> Floats:

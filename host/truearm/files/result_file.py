@@ -89,6 +89,7 @@ class StoredResult:
     covariance_names: tuple[str, ...]
     covariance: Floats
     null_space: tuple[NullDirection, ...]
+    frames: tuple[NullDirection, ...]  # along which parameters were held as a choice of frame
     document: Mapping[str, Any]  # the whole file as parsed
 
 
@@ -167,7 +168,8 @@ def document_of(
 
 def _defaults(defaults: Defaults) -> dict[str, Any]:
     names = {name: list(getattr(defaults, name)) for name in ("base", "tool", "lost", "believed")}
-    return {**names, "still": [joint._asdict() for joint in defaults.still]}
+    frames = [{"names": list(d.names), "weights": _numbers(d.weights)} for d in defaults.frames]
+    return {**names, "frames": frames, "still": [joint._asdict() for joint in defaults.still]}
 
 
 def residual_units(estimate: Estimate) -> list[str]:
@@ -465,6 +467,7 @@ _OF = Key("of", Choice(("robot", "rig")))
 _PARAMETER = _later((_text("name"), _text("unit"), *_NUMBERS, Key("free", Flag()), _OF), _StoredParameter)
 _COVARIANCE = _later((_NAMES, Key("matrix", _many(_many(_NUMBER)))), _StoredCovariance)
 _DIRECTION = _later((_NAMES, Key("weights", _many(_KNOWN))), NullDirection)
+_DEFAULTS = _later((Key("frames", _many(_DIRECTION), optional=True),), dict)
 _RESULT = _later(
     (
         _text("status"),
@@ -472,6 +475,7 @@ _RESULT = _later(
         Key("parameters", _many(_PARAMETER)),
         Key("covariance", _COVARIANCE),
         Key("null_space", _many(_DIRECTION)),
+        Key("defaults", _DEFAULTS, optional=True),  # results of earlier versions hold nothing
     ),
     dict,
 )
@@ -489,9 +493,11 @@ def stored_result(document: Mapping[str, Any]) -> StoredResult:
         raise SchemaError("covariance: names parameters that are not there")
     if len(covariance.matrix) != size or any(len(row) != size for row in covariance.matrix):
         raise SchemaError(f"covariance: matrix: needs {size} rows of {size} numbers, one of each of its names")
-    for i, direction in enumerate(fields["null_space"], start=1):
-        if len(direction.names) != len(direction.weights):
-            raise SchemaError(f"null_space: item {i}: needs a weight for each of its names")
+    frames: tuple[NullDirection, ...] = fields.get("defaults", {}).get("frames", ())
+    for where, directions in (("null_space", fields["null_space"]), ("defaults: frames", frames)):
+        for i, direction in enumerate(directions, start=1):
+            if len(direction.names) != len(direction.weights):
+                raise SchemaError(f"{where}: item {i}: needs a weight for each of its names")
     return StoredResult(
         status=fields["status"],
         robot=fields["robot"],
@@ -505,5 +511,6 @@ def stored_result(document: Mapping[str, Any]) -> StoredResult:
         covariance_names=covariance.names,
         covariance=np.array(covariance.matrix).reshape(size, size),
         null_space=fields["null_space"],
+        frames=frames,
         document=document,
     )

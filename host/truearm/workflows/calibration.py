@@ -55,7 +55,8 @@ class Calibration:
     """A robot and what was identified of it: what a result.json holds.
 
     ``nominal`` and ``identified`` are the robot's parameters (p,), ``covariance`` (p, p) is theirs, 0 for what was held.
-    ``unseen`` (p, d) holds the directions that the observations did not see, the largest weight of each being 1.
+    ``unseen`` (p, d) holds the directions that the observations did not see, those held as a choice of frame among them, the
+    largest weight of each being 1.
 
     Examples
     --------
@@ -217,10 +218,11 @@ def _covariance(stored: StoredResult, names: tuple[str, ...]) -> Floats:
 
 
 def _unseen(stored: StoredResult, names: tuple[str, ...]) -> Floats:
-    """(p, d) the robot's part of the null space."""
+    """(p, d) the robot's part of the null space, and what was held as a choice of frame: other fixtures may see either."""
     at = {name: i for i, name in enumerate(names)}
-    unseen = np.zeros((len(names), len(stored.null_space)))
-    for k, direction in enumerate(stored.null_space):
+    directions = (*stored.null_space, *stored.frames)
+    unseen = np.zeros((len(names), len(directions)))
+    for k, direction in enumerate(directions):
         for name, weight in zip(direction.names, direction.weights, strict=True):
             if name in at:
                 unseen[at[name], k] = weight

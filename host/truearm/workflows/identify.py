@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from truearm.arguments import OneOf, Within, check_fields
 from truearm.errors import Argument, InputError
-from truearm.estimate.defaults import choose_defaults
+from truearm.estimate.defaults import choose_defaults, with_frames
 from truearm.estimate.identify import SolverOptions
 from truearm.estimate.identify import identify as estimate_parameters
 from truearm.estimate.prediction import predicted_point_error
@@ -241,6 +241,7 @@ def identified(
         ),
         prefer=default_free(robot),
     )
+    chosen = with_frames(chosen, chain, rig, fitted, selection.free, estimate.value)
     predicted = None  # a fit that has not converged predicts nothing
     if estimate.status == "converged":
         predicted = predicted_point_error(chain, rig, table, estimate, any_base=bool(chosen.base))
