@@ -277,7 +277,7 @@ def test_only_the_numbers_change(text, language):
     again = parsed(data, language)
     after = targets_of(again, False, False).poses
     # 10 nm and 1e-10 of a quaternion or 1 nrad as written
-    np.testing.assert_allclose(apart(poses_of(after)[0], told), 0.0, atol=2e-8)
+    np.testing.assert_allclose(apart(poses_of(after)[0], told), 0.0, atol=1e-8)
     assert without(text, targets) == without(data.decode("latin-1"), after)
     np.testing.assert_array_equal(quarters_of(targets, 6), quarters_of(after, 6))
     assert program.motions[0].name == again.motions[0].name
@@ -343,7 +343,7 @@ def test_split_writes_a_target_of_its_own():
         False,
     ]
     after = targets_of(parsed(data, "rapid"), False, False).poses
-    np.testing.assert_allclose(apart(poses_of(after)[0], told), 0.0, atol=2e-8)
+    np.testing.assert_allclose(apart(poses_of(after)[0], told), 0.0, atol=1e-8)
     assert b"Offs" not in data or b"Offs(a" in data
     assert data.count(b"[0,0,0,0],[9E9") == 2  # the configuration and the external axes of the one it came from
 
