@@ -226,6 +226,7 @@ def test_bad_results_are_one_line(bench, tmp_path, capsys, what):
         (("--tool", "0,0,0,0,0,9999"), "rotation vector in deg"),
         (("--robot", "ur5e"), "not those of robot ur5e"),
         (("--method", "magic"), "magic"),
+        (("--mark",), "give --partial too"),
     ],
 )
 def test_bad_options_are_one_line(bench, tmp_path, capsys, more, says):

@@ -116,6 +116,8 @@ def correct(
     from truearm.workflows.correct import CorrectFiles, CorrectOptions, correct_file
     from truearm.workflows.correct_program import ProgramOptions, ProgramRefused
 
+    if mark and not partial:
+        raise InputError("--mark marks what --partial leaves uncorrected; give --partial too")
     shown = numbers_of("--home", home)
     works, tools = _named("--work", work), _named("--tool", tool)
     own_work, own_tool = works.pop("", None), tools.pop("", None)
