@@ -173,13 +173,13 @@ class Rig:
     def __post_init__(self) -> None:
         check_fields(self)
 
-    def things(self, field: str) -> Any:
+    def named(self, field: str) -> Any:
         """The entries of a type, by the name of the field that they stand in: a field of this class, or one of ``entries``."""
         return getattr(self, field) if field in self.__dataclass_fields__ else self.entries.get(field, {})
 
-    def with_things(self, field: str, things: Mapping[str, Any]) -> Rig:
+    def with_named(self, field: str, entries: Mapping[str, Any]) -> Rig:
         """The rig with other entries of a type."""
-        own: dict[str, Any] = {field: things}
+        own: dict[str, Any] = {field: entries}
         return replace(self, **(own if field in self.__dataclass_fields__ else {"entries": {**self.entries, **own}}))
 
 

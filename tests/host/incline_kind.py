@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truearm.kinds.draft import Draft, measured, sigmas
 from truearm.kinds.group import Group
 from truearm.kinds.kind import Kind
-from truearm.kinds.linearised import Linearised, no_columns
+from truearm.kinds.linearised import Linearised, zero_columns
 from truearm.kinds.quantities import Quantity
+from truearm.kinds.rig_use import RigUse, measured, sigmas
 from truearm.kinds.unknowns import Used
 from truearm.model.chain import about, forward, trace_point
 
@@ -36,12 +36,12 @@ class InclineRows(Group):
             self.angle - np.arctan2(size, axis[:, 2]),
             tilt.wrenches,
             tilt.twists,
-            no_columns(tilt.wrenches, x.size - len(params)),
+            zero_columns(tilt.wrenches, x.size - len(params)),
             tilt.jac_joints,
         )
 
 
-def draft(scope, rows):
+def use_rig(scope, rows):
     """One thing is used that has no numbers: nothing of the rig is known or unknown."""
     angle = measured(scope, rows, ANGLE)
     variance = sigmas(scope, rows, np.full((len(rows), 1), np.nan), "rad") ** 2
@@ -51,12 +51,12 @@ def draft(scope, rows):
             InclineRows(row=rows, sensor_cov=variance, q=scope.table.q[rows], angle=angle, constants=layout.constants)
         ]
 
-    return Draft((Used(["level"], [[]], np.zeros(len(rows), dtype=np.intp)),), make)
+    return RigUse((Used(["level"], [[]], np.zeros(len(rows), dtype=np.intp)),), make)
 
 
 KIND = Kind(
     group=InclineRows,
-    draft=draft,
+    use_rig=use_rig,
     needs=(ANGLE,),
     grouped_by=("place",),
     name="inclination",

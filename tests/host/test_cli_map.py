@@ -10,7 +10,7 @@ import pytest
 from puma_bench import CHAIN, DESIGN, TRUTH
 
 from truearm.correct.error_map import ErrorMap, best_region, error_map
-from truearm.correct.model_pair import Pair
+from truearm.correct.model_pair import ModelPair
 from truearm.errors import RobotError
 from truearm.files.result_file import read_result
 from truearm.model.chain import forward, joint_frames
@@ -56,7 +56,7 @@ def test_cells_hold_what_the_formula_says(result, tmp_path, run):
 
 
 def test_the_elbow_is_where_it_was_asked_for():
-    pair = Pair(CHAIN, DESIGN, TRUTH)
+    pair = ModelPair(CHAIN, DESIGN, TRUTH)
     up, down = (error_map(pair, np.zeros(6), (1, 2), 0.05, np.zeros((P, P)), NONE, way) for way in (True, False))
     heights = []
     for found in (up, down):
@@ -70,7 +70,7 @@ def test_the_elbow_is_where_it_was_asked_for():
 def test_the_uncertainty_is_that_of_the_covariance(estimate):
     """σ of a cell against the spread of the end over robots drawn from the covariance (200 draws: 5 %, in 3D 3 %)."""
     params, covariance = estimate.value[:P], estimate.covariance[:P, :P]
-    pair = Pair(CHAIN, DESIGN, params)
+    pair = ModelPair(CHAIN, DESIGN, params)
     found = error_map(pair, np.zeros(6), (1, 2), 0.2, covariance, NONE)
     reached = ~np.isnan(found.error)
     q = found.q[reached]
@@ -83,7 +83,7 @@ def test_the_uncertainty_is_that_of_the_covariance(estimate):
 
 
 def test_unseen_directions_leave_no_uncertainty_to_tell():
-    pair = Pair(CHAIN, DESIGN, TRUTH)
+    pair = ModelPair(CHAIN, DESIGN, TRUTH)
     moving = np.array([[float(name == "link4.x")] for name in CHAIN.parameter_names])
     found = error_map(pair, np.zeros(6), (1, 2), 0.2, np.eye(P), moving)
     assert np.isnan(found.sigma).all()
@@ -110,7 +110,7 @@ def test_the_best_region_is_found_by_hand_too():
 
 @pytest.mark.parametrize("joints", [(0, 1), (2, 1), (1, 4)])
 def test_joints_that_span_no_section_are_refused(joints):
-    pair = Pair(CHAIN, DESIGN, TRUTH)
+    pair = ModelPair(CHAIN, DESIGN, TRUTH)
     q = np.radians([0.0, 0.0, 90.0, 40.0, 30.0, 0.0])
     with pytest.raises(RobotError, match="do not turn about parallel axes"):
         error_map(pair, q, joints, 0.1, np.zeros((P, P)), NONE)
@@ -120,7 +120,7 @@ def test_a_robot_without_errors_has_an_empty_map():
     chain = builtin_robot("ur5e").chain
     n = len(chain.parameters)
     found = error_map(
-        Pair(chain, chain.params_nominal, chain.params_nominal),
+        ModelPair(chain, chain.params_nominal, chain.params_nominal),
         np.zeros(6),
         (1, 2),
         0.1,
@@ -159,7 +159,7 @@ def test_bad_requests_are_one_line(result, tmp_path, run):
 @pytest.mark.parametrize("cell", [0.012, 0.05])
 def test_a_map_has_no_holes_and_its_cells_are_at_their_middles(cell):
     """An empty cell between four full ones would be one that the search has missed."""
-    found = error_map(Pair(CHAIN, DESIGN, TRUTH), np.zeros(6), (1, 2), cell, np.zeros((P, P)), NONE)
+    found = error_map(ModelPair(CHAIN, DESIGN, TRUTH), np.zeros(6), (1, 2), cell, np.zeros((P, P)), NONE)
     full = ~np.isnan(found.error)
     inner = full[:-2, 1:-1] & full[2:, 1:-1] & full[1:-1, :-2] & full[1:-1, 2:]
     assert inner.sum() > 500

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from truearm.correct.correction import Configuration, correct
 from truearm.correct.inverse import inverse, search, singular_value, turned, within
 from truearm.correct.methods import Method, entry
-from truearm.correct.model_pair import Pair
+from truearm.correct.model_pair import ModelPair
 from truearm.model import joint_law
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import Parameter, forward
@@ -30,7 +30,7 @@ def q():
 def pair(share=1.0, names=""):
     """The nominal robot, and one that has a share of the true one's errors, in the parameters whose names end so."""
     mine = np.array([name.endswith(names) for name in CHAIN.parameter_names])
-    return Pair(CHAIN, DESIGN, DESIGN + share * mine * (TRUTH - DESIGN))
+    return ModelPair(CHAIN, DESIGN, DESIGN + share * mine * (TRUTH - DESIGN))
 
 
 def rms(values):
@@ -73,7 +73,9 @@ def test_newton_reaches_the_target_to_a_nanometre(q):
 
 def test_offsets_are_exact_for_offsets_and_nothing_else(q):
     offset = np.array([0.02 * name.endswith("offset") for name in CHAIN.parameter_names])
-    done = correct(Pair(CHAIN, DESIGN, DESIGN + offset), nominal_poses(q), "offsets", configuration=Configuration(q))
+    done = correct(
+        ModelPair(CHAIN, DESIGN, DESIGN + offset), nominal_poses(q), "offsets", configuration=Configuration(q)
+    )
     assert done.before[:, 0].min() > 1e-3
     assert done.after[:, 0].max() <= 1e-12
     lengths = correct(pair(names=".x"), nominal_poses(q), "offsets", configuration=Configuration(q))
@@ -114,7 +116,7 @@ def test_every_method_corrects_the_whole_joint_law_and_links_if_it_says_so(q, me
     error = 2e-3 * np.random.default_rng(8).normal(size=is_law.size)
     nominal, targets = chain.params_nominal, nominal_poses(q)
     law, links = (
-        correct(Pair(chain, nominal, nominal + mine * error), targets, method, 20, configuration=Configuration(q))
+        correct(ModelPair(chain, nominal, nominal + mine * error), targets, method, 20, configuration=Configuration(q))
         for mine in (is_law, ~is_law)
     )
     assert not any(law.problem + links.problem)
@@ -130,7 +132,7 @@ def test_in_the_robots_own_frames_offsets_leaves_the_mountings_alone(q):
     """The first and the last offset are then part of the mountings, as ``mountings`` takes them: the robot itself is corrected exactly."""
     offset = np.array([0.02 * name.endswith("offset") for name in CHAIN.parameter_names])
     identified = DESIGN + offset
-    own = Pair(CHAIN, DESIGN, identified, mountings(CHAIN, DESIGN, identified))
+    own = ModelPair(CHAIN, DESIGN, identified, mountings(CHAIN, DESIGN, identified))
     done = correct(own, nominal_poses(q), "offsets", configuration=Configuration(q))
     assert done.before[:, 0].min() > 1e-3
     assert done.after[:, 0].max() <= 1e-12
@@ -141,7 +143,7 @@ def test_orientations_compose_as_rotation_vectors(q):
     angles about fixed axes, subtracted, would be off by 0.2²/2."""
     base_turned = DESIGN + 0.2 * np.array([name == "link1.alpha" for name in CHAIN.parameter_names])
     done = correct(
-        Pair(CHAIN, DESIGN, base_turned), nominal_poses(q), "false-target", 1, configuration=Configuration(q)
+        ModelPair(CHAIN, DESIGN, base_turned), nominal_poses(q), "false-target", 1, configuration=Configuration(q)
     )
     fine = np.array([not problem for problem in done.problem])
     assert fine.sum() > 5
@@ -264,12 +266,12 @@ def test_axes_on_the_edge_of_a_quarter_turn_are_in_it():
 
 def test_mountings_are_exactly_what_first_and_last_link_hold(q):
     found = mountings(CHAIN, DESIGN, TRUTH)
-    target = Pair(CHAIN, DESIGN, TRUTH, found)
+    target = ModelPair(CHAIN, DESIGN, TRUTH, found)
     # R(q) between nominal base and flange: B⁻¹·T_i·E⁻¹ does not depend on what the fixtures do
     moved_fixtures = TRUTH.copy()
     mine = np.array([name.startswith(("link1.", "link7.")) for name in CHAIN.parameter_names])
     moved_fixtures[mine] += np.random.default_rng(0).normal(0.0, 0.01, mine.sum())
-    other = Pair(CHAIN, DESIGN, moved_fixtures, mountings(CHAIN, DESIGN, moved_fixtures))
+    other = ModelPair(CHAIN, DESIGN, moved_fixtures, mountings(CHAIN, DESIGN, moved_fixtures))
     done = [correct(p, nominal_poses(q), configuration=Configuration(q)) for p in (target, other)]
     np.testing.assert_allclose(done[0].q, done[1].q, atol=1e-9)
     np.testing.assert_allclose(done[0].before, done[1].before, atol=1e-12)

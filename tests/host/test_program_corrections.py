@@ -19,7 +19,7 @@ from tests.host.urscript_machine import run_urscript
 
 from truearm.correct.correction import MARGIN
 from truearm.correct.joint_moves import JointMoves
-from truearm.correct.model_pair import Pair
+from truearm.correct.model_pair import ModelPair
 from truearm.model.chain import forward
 from truearm.model.poses import apart
 from truearm.workflows.correct_program import (
@@ -60,7 +60,7 @@ def corrected(tmp_path, text, **options):
     """The corrected text. Raises ProgramRefused."""
     path = Path(tmp_path) / ("p.mod" if text.startswith("MODULE") else "p.script")
     path.write_text(text)
-    how = HowCorrected(Pair(CHAIN, DESIGN, TRUTH), "newton", 1, Q[0], MARGIN)
+    how = HowCorrected(ModelPair(CHAIN, DESIGN, TRUTH), "newton", 1, Q[0], MARGIN)
     given = {"joint_moves": JointMoves.CORRECT, **({} if path.suffix == ".mod" else {"tool": TOOLS[0]}), **options}
     return correct_program(path, how, HERE, ProgramOptions(**given)).text.decode("latin-1")
 

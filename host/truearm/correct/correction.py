@@ -19,7 +19,7 @@ from truearm.correct.false_target import false_target
 from truearm.correct.inverse import Inverse, inverse, search, singular_value, within
 from truearm.correct.joint_space import joint_space
 from truearm.correct.methods import Method
-from truearm.correct.model_pair import Pair, believed, in_rig, reached
+from truearm.correct.model_pair import ModelPair, believed, in_rig, reached
 from truearm.correct.offsets import offsets
 from truearm.model.poses import apart
 from truearm.types import Floats
@@ -67,7 +67,7 @@ class Correction(NamedTuple):
 
 
 def correct(
-    pair: Pair,
+    pair: ModelPair,
     targets: Floats,
     method: Method | str = Method.NEWTON,
     steps: int = 1,
@@ -101,7 +101,7 @@ def correct(
     return Correction(q_nominal, q, believed(pair, q), before, after, tuple(problem))
 
 
-def _nominal(pair: Pair, targets: Floats, oriented: bool, configuration: Configuration) -> Inverse:
+def _nominal(pair: ModelPair, targets: Floats, oriented: bool, configuration: Configuration) -> Inverse:
     """f_n⁻¹(x_d)"""
     q_start, home, quadrants = configuration
     if q_start is None:
@@ -111,7 +111,7 @@ def _nominal(pair: Pair, targets: Floats, oriented: bool, configuration: Configu
 
 
 def _corrected(
-    pair: Pair, targets: Floats, q_nominal: Floats, method: Method, steps: int, oriented: bool
+    pair: ModelPair, targets: Floats, q_nominal: Floats, method: Method, steps: int, oriented: bool
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """q (n, j), and where no correction was found that makes the error smaller."""
     match method:
@@ -131,8 +131,8 @@ def _corrected(
 
 
 def _repeated(
-    step: Callable[[Pair, Floats, Floats, bool], Floats],
-    pair: Pair,
+    step: Callable[[ModelPair, Floats, Floats, bool], Floats],
+    pair: ModelPair,
     targets: Floats,
     q_nominal: Floats,
     steps: int,
@@ -151,7 +151,7 @@ def _repeated(
     return q, grew
 
 
-def _error(pair: Pair, targets: Floats, q: Floats, oriented: bool) -> Floats:
+def _error(pair: ModelPair, targets: Floats, q: Floats, oriented: bool) -> Floats:
     """(n, 2) distance [m] and angle [rad] between targets and where the end is; no angle where none matters."""
     error = apart(targets, reached(pair, q))
     angle = np.linalg.norm(error[:, 3:], axis=-1) if oriented else np.full(len(q), np.nan)

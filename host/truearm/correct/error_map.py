@@ -20,7 +20,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from truearm.correct.inverse import within
-from truearm.correct.model_pair import Pair, believed, reached
+from truearm.correct.model_pair import ModelPair, believed, reached
 from truearm.errors import RobotError
 from truearm.model.chain import joint_frames, joint_jacobian, point_jacobians
 from truearm.types import Floats
@@ -65,7 +65,7 @@ class Region(NamedTuple):
 
 
 def error_map(
-    pair: Pair,
+    pair: ModelPair,
     q: Floats,
     joints: tuple[int, int],
     cell: float,
@@ -123,7 +123,7 @@ def _spread(reach: Callable[[Floats, Floats], Floats], q: Floats, middles: Float
 
 
 def _reach(
-    pair: Pair, start: Floats, goal: Floats, joints: tuple[int, int], axes: Floats, side: float, cell: float
+    pair: ModelPair, start: Floats, goal: Floats, joints: tuple[int, int], axes: Floats, side: float, cell: float
 ) -> Floats:
     """Joints (n, j) that bring the nominal end to places (n, 2) of the plane, by Newton's method in the two joints."""
     q, two = start.copy(), list(joints)
@@ -140,7 +140,7 @@ def _reach(
     return np.where(good[:, None], q, np.nan)
 
 
-def _plane(pair: Pair, q: Floats, joints: tuple[int, int]) -> Floats:
+def _plane(pair: ModelPair, q: Floats, joints: tuple[int, int]) -> Floats:
     """Unit vectors across the first joint's axis: the second one as far up (or along y) as it goes."""
     frames = joint_frames(pair.chain, pair.nominal, q)
     motions = [pair.chain.motions[i] for i in joints]
@@ -158,7 +158,7 @@ def _plane(pair: Pair, q: Floats, joints: tuple[int, int]) -> Floats:
     return np.stack([u if u[np.abs(u).argmax()] > 0.0 else -u, v])
 
 
-def _samples(pair: Pair, q: Floats, joints: tuple[int, int]) -> Floats:
+def _samples(pair: ModelPair, q: Floats, joints: tuple[int, int]) -> Floats:
     ranges = []
     for i in joints:
         joint = pair.chain.joints[i]
@@ -169,13 +169,13 @@ def _samples(pair: Pair, q: Floats, joints: tuple[int, int]) -> Floats:
     return samples
 
 
-def _plane_determinant(pair: Pair, q: Floats, joints: tuple[int, int], axes: Floats) -> Floats:
+def _plane_determinant(pair: ModelPair, q: Floats, joints: tuple[int, int], axes: Floats) -> Floats:
     """(n,) m²/rad², the determinant of the plane's Jacobian."""
     jac = axes @ joint_jacobian(pair.chain, pair.nominal, q)[:, :3, list(joints)]
     return np.asarray(np.linalg.det(jac))
 
 
-def _elbow(pair: Pair, samples: Floats, joints: tuple[int, int], axes: Floats, up: bool) -> float:
+def _elbow(pair: ModelPair, samples: Floats, joints: tuple[int, int], axes: Floats, up: bool) -> float:
     """The sign that the determinant has where the elbow lies, on the whole, higher (lower); the only one if there is one."""
     determinant = _plane_determinant(pair, samples, joints, axes)
     frames = joint_frames(pair.chain, pair.nominal, samples)
@@ -191,7 +191,7 @@ def _elbow(pair: Pair, samples: Floats, joints: tuple[int, int], axes: Floats, u
     return (max if up else min)(heights, key=lambda sign: heights[sign])
 
 
-def _sigma(pair: Pair, q: Floats, covariance: Floats, unseen: Floats) -> Floats:
+def _sigma(pair: ModelPair, q: Floats, covariance: Floats, unseen: Floats) -> Floats:
     """(n,) m; NaN where it cannot be told."""
     _, jac, _ = point_jacobians(pair.chain, pair.identified, q, np.zeros(3))
     variance = np.einsum("nip,pr,nir->n", jac, covariance, jac, optimize=True)

@@ -14,12 +14,12 @@ from __future__ import annotations
 import numpy as np
 
 from truearm.correct.inverse import inverse
-from truearm.correct.model_pair import Pair, believed, reached
+from truearm.correct.model_pair import ModelPair, believed, reached
 from truearm.model.poses import apart, moved
 from truearm.types import Floats
 
 
-def false_target(pair: Pair, targets: Floats, q: Floats, oriented: bool = True) -> Floats:
+def false_target(pair: ModelPair, targets: Floats, q: Floats, oriented: bool = True) -> Floats:
     """One step of (32): the joint readings (n, j) that the controller takes for the false targets.
 
     targets : (n, 4, 4) x_d. q : (n, j) where the controller takes the targets told so far, f_n⁻¹(x_d) at first. NaN

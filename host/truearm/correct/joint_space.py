@@ -11,12 +11,12 @@ from __future__ import annotations
 import numpy as np
 
 from truearm.correct.inverse import jacobian, scaled
-from truearm.correct.model_pair import Pair, reached
+from truearm.correct.model_pair import ModelPair, reached
 from truearm.model.poses import apart
 from truearm.types import Floats
 
 
-def joint_space(pair: Pair, targets: Floats, q: Floats, oriented: bool = True) -> Floats:
+def joint_space(pair: ModelPair, targets: Floats, q: Floats, oriented: bool = True) -> Floats:
     """One step of (34) for targets (n, 4, 4) from q (n, j), f_n⁻¹(x_d) at first."""
     error = scaled(apart(targets, reached(pair, q)), oriented)
     inverse_jac = np.linalg.pinv(jacobian(pair.chain, pair.nominal, q, oriented))

@@ -9,12 +9,12 @@ taken out of the robot, so are the offsets that belong to them.
 
 from __future__ import annotations
 
-from truearm.correct.model_pair import Pair
+from truearm.correct.model_pair import ModelPair
 from truearm.model.mountings import NONE, own_law
 from truearm.types import Floats
 
 
-def offsets(pair: Pair, q_nominal: Floats) -> Floats:
+def offsets(pair: ModelPair, q_nominal: Floats) -> Floats:
     """(n, j) the readings that give the true joint angles which the nominal robot has at q_nominal (n, j); NaN for none."""
     law = pair.chain.law
     taken_out = pair.mountings is not NONE

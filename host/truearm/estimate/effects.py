@@ -96,7 +96,7 @@ def profile(effect: Effect, n: int) -> Floats:
 
 def error_columns(lin: Linearised) -> Floats:
     """(w, n, c) derivatives of the predictions by the rig, the joints and the base, of ``Group.opened``."""
-    return np.concatenate([lin.by_rig, lin.by_joints, lin.wrenches[..., : len(BASE)]], axis=2)
+    return np.concatenate([lin.jac_rig, lin.by_joints, lin.wrenches[..., : len(BASE)]], axis=2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,16 +115,16 @@ class EffectRows(Group):
     def evaluate(self, chain: Chain, x: Floats) -> Linearised:
         """Residuals (n·w,) and their derivatives at x (P,), those by the effects at effects of zero."""
         lin = self.opened(chain, x)
-        return lin._replace(by_rig=lin.by_rig[:, :, : x.size - len(chain.parameters)])
+        return lin._replace(jac_rig=lin.jac_rig[:, :, : x.size - len(chain.parameters)])
 
     def opened(self, chain: Chain, x: Floats) -> Linearised:
-        """As ``evaluate``, with ``by_rig`` by the known constants too, after the effects."""
+        """As ``evaluate``, with ``jac_rig`` by the known constants too, after the effects."""
         size = x.size - self.columns.size
         lin = self.inner.opened(chain, x[:size])
         by_effects = error_columns(lin)[:, :, self.columns] * self.profile
-        unknown, known = np.split(lin.by_rig, [size - len(chain.parameters)], axis=2)
+        unknown, known = np.split(lin.jac_rig, [size - len(chain.parameters)], axis=2)
         residual = lin.residual - (by_effects @ x[size:]).T.ravel()
-        return lin._replace(residual=residual, by_rig=np.concatenate([unknown, by_effects, known], axis=2))
+        return lin._replace(residual=residual, jac_rig=np.concatenate([unknown, by_effects, known], axis=2))
 
     def settle(self, chain: Chain, x: Floats) -> EffectRows:
         """As ``inner`` does without effects."""

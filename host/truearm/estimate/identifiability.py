@@ -59,9 +59,9 @@ def identifiability(root: Floats, n_robot: int, names: Sequence[str]) -> Identif
     _, null_all = null_basis(scaled)
     rank = n_robot - null_robot.shape[1]
     # A change of the robot alters no prediction only together with what it does to the rig.
-    by_rig = -np.linalg.pinv(rig, rcond=RANK_TOLERANCE) @ (robot @ null_robot)
+    jac_rig = -np.linalg.pinv(rig, rcond=RANK_TOLERANCE) @ (robot @ null_robot)
     directions = (
-        *_directions(null_robot, scale, names, beside=by_rig),
+        *_directions(null_robot, scale, names, beside=jac_rig),
         *_directions(null_rig, scale[n_robot:], names[n_robot:]),
     )
     identifiable = np.linalg.norm(null_all, axis=1) < NO_PART

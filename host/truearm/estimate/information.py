@@ -84,7 +84,7 @@ def _stacked(lin: Linearised, used: NDArray[np.bool_], rig: NDArray[np.bool_]) -
     at = int(used.sum())
     out = np.empty((at + int(rig.sum()) + 1, width, n))
     np.compress(used, np.moveaxis(lin.wrenches, 2, 0), axis=0, out=out[:at])
-    np.compress(rig, np.moveaxis(lin.by_rig, 2, 0), axis=0, out=out[at:-1])
+    np.compress(rig, np.moveaxis(lin.jac_rig, 2, 0), axis=0, out=out[at:-1])
     out[-1] = lin.residual.reshape(n, width).T
     return out
 

@@ -22,9 +22,9 @@ from truearm.estimate.backlash import Backlash
 from truearm.estimate.effects import BASE, JUMPED, MOVED_BASE, Cause, Errors, Modelled, with_effects
 from truearm.estimate.prior import robot_prior
 from truearm.estimate.residual_noise import checked_joint_cov, residual_cov
-from truearm.kinds.draft import Draft, Scope
 from truearm.kinds.group import Group
 from truearm.kinds.registry import kinds
+from truearm.kinds.rig_use import RigUse, Scope
 from truearm.kinds.unknowns import Layout
 from truearm.model.chain import Chain
 from truearm.types import Floats, ObservationTable, Residuals, Rig
@@ -86,36 +86,36 @@ def build_problem(
     backlash = Backlash.of(first, joint_cov)
     if backlash is not None:
         table, joint_cov = replace(table, q=backlash.links(table)), backlash.cov_of_known_sides
-    drafts: list[Draft] = []
+    uses: list[RigUse] = []
     for name, one in rigs.items():
         scope = Scope(chain, one, table, f"{name}." if name else "")
         mine = table.rig == name
         for name_of_kind, kind in kinds().items():
             rows = np.flatnonzero(mine & (table.kind == name_of_kind))
             if rows.size:
-                drafts.append(kind.draft(scope, rows))
-    layout = Layout(len(chain.parameters), [used for draft in drafts for used in draft.used])
+                uses.append(kind.use_rig(scope, rows))
+    layout = Layout(len(chain.parameters), [used for use in uses for used in use.used])
     free = layout.unknown
     prior = np.concatenate([robot_prior(chain, prior_sigma), [u.sigma for u in free]])
     start = np.concatenate([chain.params_nominal, [u.value for u in free]])
     names = (*chain.parameter_names, *(u.name for u in free))
     units = (*(p.unit for p in chain.parameters), *(u.unit for u in free))
-    groups = tuple(group for draft in drafts for group in draft.make(layout))
-    errors, causes = _errors(chain, layout, drafts)
+    groups = tuple(group for use in uses for group in use.make(layout))
+    errors, causes = _errors(chain, layout, uses)
     problem = Problem(chain, names, units, start, prior, groups, len(table), joint_cov, errors, causes)
     if backlash is not None:
         problem = _with_unknown_sides(problem, backlash.unknown(table))
     return _with_effects(problem, effects) if effects else problem
 
 
-def _errors(chain: Chain, layout: Layout, drafts: Sequence[Draft]) -> tuple[Errors, tuple[Cause, ...]]:
+def _errors(chain: Chain, layout: Layout, uses: Sequence[RigUse]) -> tuple[Errors, tuple[Cause, ...]]:
     """By what predictions can be off, and by which things: the rig's, each joint, the base."""
     rig = [*layout.unknown, *layout.known]
     joints = [joint.name for joint in chain.joints]
     names = (*(number.name for number in rig), *joints, *(name for name, _ in BASE))
     units = (*(number.unit for number in rig), *chain.joint_units, *(unit for _, unit in BASE))
     causes = {}
-    for used in (used for draft in drafts for used in draft.used):
+    for used in (used for use in uses for used in use.used):
         for thing in filter(None, used.numbers):  # a device whose every number is given has none
             for fault in used.faults:
                 some = tuple(number.name for number in thing[fault.numbers])

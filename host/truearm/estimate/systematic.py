@@ -171,7 +171,7 @@ def _whitened(problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Info
             continue
         lin = block.opened(problem.chain, x)
         p, size = problem.n_robot, x.size
-        by_x = np.concatenate([lin.wrenches @ lin.twists, lin.by_rig[:, :, : size - p]], axis=2)
+        by_x = np.concatenate([lin.wrenches @ lin.twists, lin.jac_rig[:, :, : size - p]], axis=2)
         stacked = (
             np.concatenate(
                 [by_x[:, :, columns], error_columns(lin), lin.residual.reshape(len(block.row), -1).T[:, :, None]],

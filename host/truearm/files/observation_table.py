@@ -161,7 +161,7 @@ def check_against_rig(table: ObservationTable, rig: Rig) -> None:
 
     Likewise for a row that does not say which of several points it means, and what the row's kind itself refuses.
     """
-    for column, known in registry.things(rig).items():
+    for column, known in registry.rig_names(rig).items():
         for identifier, source in zip(table.column(column), table.source, strict=True):
             if identifier and identifier not in known:
                 has = f"it has {', '.join(sorted(known))}" if known else f"it has no {column}"

@@ -16,13 +16,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truearm import schema
-from truearm.kinds.draft import Draft, Scope, measured, sigmas, use
 from truearm.kinds.group import Group
 from truearm.kinds.kind import Kind
-from truearm.kinds.linearised import Indices, Linearised, gather, no_columns, scatter
+from truearm.kinds.linearised import Indices, Linearised, gather, scatter, zero_columns
 from truearm.kinds.proposals import NEW, TRIAL_SIGMA, TRIES, Proposal, anywhere, trial_rows
 from truearm.kinds.quantities import LENGTH
 from truearm.kinds.rig_entries import NAME, POINT, SIZE, SPHERE, by_name
+from truearm.kinds.rig_use import RigUse, Scope, measured, sigmas, use
 from truearm.kinds.unknowns import Fault, Layout, Number, point_numbers
 from truearm.model.chain import Chain, along, point_forward, trace_point
 from truearm.schema import Entries, Key, Table
@@ -60,12 +60,12 @@ class BallBarRows(Group):
         # A sphere in the chuck's centre has no direction: such a row says nothing to first order.
         u = bar * (ratio / np.where(d > 0.0, d, 1.0))[:, None]
         derivative = along(trace, u[None])
-        by_rig = no_columns(derivative.wrenches, x.size - p)
-        scatter(by_rig, self.sphere - p, derivative.jac_point)
-        scatter(by_rig, self.chuck - p, -u[None])
-        scatter(by_rig, self.scale - p, np.stack([-ratio, -ratio * (d - zero) / gain], axis=1)[None])
+        jac_rig = zero_columns(derivative.wrenches, x.size - p)
+        scatter(jac_rig, self.sphere - p, derivative.jac_point)
+        scatter(jac_rig, self.chuck - p, -u[None])
+        scatter(jac_rig, self.scale - p, np.stack([-ratio, -ratio * (d - zero) / gain], axis=1)[None])
         return Linearised(
-            self.length - predicted, derivative.wrenches, derivative.twists, by_rig, derivative.jac_joints
+            self.length - predicted, derivative.wrenches, derivative.twists, jac_rig, derivative.jac_joints
         )
 
 
@@ -75,7 +75,7 @@ def bar_numbers(name: str, bar: BallBar) -> list[Number]:
     return [zero, Number(f"{name}.gain", "1", bar.gain, bar.gain_sigma)]
 
 
-def draft(scope: Scope, rows: Indices) -> Draft:
+def use_rig(scope: Scope, rows: Indices) -> RigUse:
     """Chucks, spheres and bars that the rows use."""
     table, rig = scope.table, scope.rig
     chucks = use(scope, rows, "chuck", rig.chucks, point_numbers)
@@ -101,7 +101,7 @@ def draft(scope: Scope, rows: Indices) -> Draft:
             )
         ]
 
-    return Draft((chucks, spheres, bars), make)
+    return RigUse((chucks, spheres, bars), make)
 
 
 def longitude(chain: Chain, params: Floats, rig: Rig, rows: ObservationTable) -> Floats:
@@ -184,7 +184,7 @@ BAR = Entries(
 )
 KIND = Kind(
     group=BallBarRows,
-    draft=draft,
+    use_rig=use_rig,
     needs=(*BAR_MOUNTED, LENGTH),
     entries=(CHUCK, SPHERE, BAR),
     point="sphere",

@@ -37,7 +37,7 @@ class Group(ABC):
         """Residuals (n·w,), measured − predicted, and their derivatives at x (P,)."""
 
     def opened(self, chain: Chain, x: Floats) -> Linearised:
-        """As ``evaluate``, with ``by_rig`` by the known constants too, after the unknowns."""
+        """As ``evaluate``, with ``jac_rig`` by the known constants too, after the unknowns."""
         return replace(self, constants=np.zeros(0)).evaluate(chain, np.concatenate([x, self.constants]))
 
     def settle(self, chain: Chain, x: Floats) -> Self:

@@ -6,11 +6,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from truearm.kinds.draft import Draft, Scope
 from truearm.kinds.group import Group
 from truearm.kinds.linearised import Indices
 from truearm.kinds.proposals import Proposing
 from truearm.kinds.quantities import Quantity
+from truearm.kinds.rig_use import RigUse, Scope
 from truearm.model.chain import Chain
 from truearm.schema import Entries
 from truearm.types import Floats, ObservationTable, Point, Rig
@@ -28,7 +28,7 @@ class Kind:
     """
 
     group: type[Group]  # what its rows become
-    draft: Callable[[Scope, Indices], Draft]
+    use_rig: Callable[[Scope, Indices], RigUse]
     needs: tuple[str | Quantity, ...]
     may: tuple[str | Quantity, ...] = ()
     entries: tuple[Entries[Any], ...] = ()  # its own and shared ones, of rig files
@@ -66,4 +66,4 @@ class Kind:
 
     def points(self, rig: Rig) -> Mapping[str, Point]:
         """The points of the robot's end that rows may name, by name; none where the kind measures no point."""
-        return next((rig.things(entry.field) for entry in self.entries if entry.name == self.point), {})
+        return next((rig.named(entry.field) for entry in self.entries if entry.name == self.point), {})

@@ -32,13 +32,13 @@ import numpy as np
 
 from truearm.errors import ProblemError
 from truearm.kinds import position
-from truearm.kinds.draft import ORIGIN, Draft, Scope
 from truearm.kinds.kind import Kind
 from truearm.kinds.linearised import Indices
 from truearm.kinds.position import nearest_rotation, points_of
 from truearm.kinds.proposals import NEW, TRIAL_SIGMA, Proposal, about_one_point, trial_rows
 from truearm.kinds.quantities import POINT, SPREAD
 from truearm.kinds.rig_entries import DEVICE, TARGET, by_name
+from truearm.kinds.rig_use import ORIGIN, RigUse, Scope
 from truearm.model.chain import Chain, point_forward
 from truearm.model.rotation import rotation
 from truearm.schema import Entries
@@ -67,7 +67,7 @@ def place(
     return middle_base - rot @ middle_device, rot
 
 
-def draft(scope: Scope, rows: Indices) -> Draft:
+def use_rig(scope: Scope, rows: Indices) -> RigUse:
     """Targets and line devices that the rows use; a rig that lists no lines takes any that a row names."""
     rig = scope.rig
     if rig.line_placement not in tuple(LinePlacement):
@@ -80,7 +80,7 @@ def draft(scope: Scope, rows: Indices) -> Draft:
         return place(xyz, p_base, declared, rig.line_placement, device.turn_sigma is not None)
 
     used, make = points_of(scope, rows, "line", known, placed)
-    return Draft(used, lambda layout: [make(layout)])
+    return RigUse(used, lambda layout: [make(layout)])
 
 
 def proposals(here: Chain, rig: Rig, table: ObservationTable, rng: np.random.Generator) -> Iterator[Proposal]:
@@ -112,7 +112,7 @@ def facts(rows: ObservationTable) -> tuple[tuple[str, str], ...]:
 LINE = Entries("line", DEVICE, "lines", by_name)
 KIND = Kind(
     group=position.PositionRows,
-    draft=draft,
+    use_rig=use_rig,
     needs=("line", POINT),
     may=("target", SPREAD),
     entries=(TARGET, LINE),

@@ -28,13 +28,13 @@ class Linearised(NamedTuple):
     residual: Floats  # (m,) measured − predicted, in the units of the group's components
     wrenches: Floats  # (w, n, b)
     twists: Floats  # (b, p)
-    by_rig: Floats  # (w, n, P − p) ∂predicted/∂(the rig's unknowns)
+    jac_rig: Floats  # (w, n, P − p) ∂predicted/∂(the rig's unknowns)
     by_joints: Floats  # (w, n, j) ∂predicted/∂(joint readings)
 
     @property
     def jac_params(self) -> Floats:
         """(m, P) ∂predicted/∂x."""
-        return _by_observation(np.concatenate([self.wrenches @ self.twists, self.by_rig], axis=2))
+        return _by_observation(np.concatenate([self.wrenches @ self.twists, self.jac_rig], axis=2))
 
     @property
     def jac_joints(self) -> Floats:
@@ -47,20 +47,20 @@ def gather(x: Floats, constants: Floats, index: Indices) -> Floats:
     return np.concatenate([x, constants]).take(index.T).T
 
 
-def no_columns(wrenches: Floats, count: int) -> Floats:
+def zero_columns(wrenches: Floats, count: int) -> Floats:
     """Zeros (w, n, count) beside wrenches (w, n, b), for ``scatter`` to write to."""
     return np.moveaxis(np.zeros((count, *wrenches.shape[:2]), wrenches.dtype), 0, -1)
 
 
-def scatter(by_rig: Floats, index: Indices, values: Floats) -> None:
-    """Add ``values`` (w, n, c) to the columns ``index`` (n, c) of by_rig (w, n, r) in place.
+def scatter(jac_rig: Floats, index: Indices, values: Floats) -> None:
+    """Add ``values`` (w, n, c) to the columns ``index`` (n, c) of jac_rig (w, n, r) in place.
 
     ``index`` counts from the rig's first unknown; constants, from r on, have no column.
     """
-    unknown = index < by_rig.shape[2]
+    unknown = index < jac_rig.shape[2]
     for k in np.flatnonzero(unknown.any(axis=0)):
         some = np.flatnonzero(unknown[:, k])
-        by_rig[:, some, index[some, k]] += values[:, some, k]
+        jac_rig[:, some, index[some, k]] += values[:, some, k]
 
 
 def _by_observation(derivatives: Floats) -> Floats:

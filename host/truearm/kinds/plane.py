@@ -14,12 +14,12 @@ import numpy as np
 
 from truearm import schema
 from truearm.errors import ProblemError
-from truearm.kinds.draft import Draft, Scope, nominal_points, refuse, sigmas, use, use_points
 from truearm.kinds.group import Group
 from truearm.kinds.kind import Kind
-from truearm.kinds.linearised import Indices, Linearised, gather, no_columns, scatter
+from truearm.kinds.linearised import Indices, Linearised, gather, scatter, zero_columns
 from truearm.kinds.quantities import DISTANCE
 from truearm.kinds.rig_entries import NAME, SIZE, TARGET, XYZ, by_name
+from truearm.kinds.rig_use import RigUse, Scope, nominal_points, refuse, sigmas, use, use_points
 from truearm.kinds.unknowns import Layout, Number, or_inf
 from truearm.model.chain import Chain, along, trace_point
 from truearm.model.rotation import left_jacobian, rotation
@@ -51,15 +51,15 @@ class PlaneRows(Group):
         normal = np.einsum("nij,nj->ni", rotation(tilt), self.axes[:, 2])
         lever = trace.p_base - self.point
         derivative = along(trace, normal[None])
-        by_rig = no_columns(derivative.wrenches, x.size - p)
-        scatter(by_rig, self.target - p, derivative.jac_point)
-        scatter(by_rig, self.plane[:, :1] - p, np.full((1, len(self.q), 1), -1.0))
+        jac_rig = zero_columns(derivative.wrenches, x.size - p)
+        scatter(jac_rig, self.target - p, derivative.jac_point)
+        scatter(jac_rig, self.plane[:, :1] - p, np.full((1, len(self.q), 1), -1.0))
         # (δφ × n)·r = (n × r)·δφ with δφ = J_l δ(tilt)
         turned = np.einsum("ni,nij,nkj->nk", cross(normal.T, lever.T).T, left_jacobian(tilt), tilts)
-        scatter(by_rig, self.plane[:, 1:] - p, turned[None])
+        scatter(jac_rig, self.plane[:, 1:] - p, turned[None])
         predicted = (normal * lever).sum(axis=1) - numbers[:, 0]
         return Linearised(
-            self.distance - predicted, derivative.wrenches, derivative.twists, by_rig, derivative.jac_joints
+            self.distance - predicted, derivative.wrenches, derivative.twists, jac_rig, derivative.jac_joints
         )
 
 
@@ -78,7 +78,7 @@ def plane_numbers(name: str, flat: Plane) -> list[Number]:
     return [Number(f"{name}.offset", "m", 0.0, or_inf(flat.offset_sigma)), *tilts]
 
 
-def draft(scope: Scope, rows: Indices) -> Draft:
+def use_rig(scope: Scope, rows: Indices) -> RigUse:
     """Targets and flats that the rows use."""
     table, rig = scope.table, scope.rig
     targets = use_points(scope, rows, "target", rig.targets)
@@ -114,7 +114,7 @@ def draft(scope: Scope, rows: Indices) -> Draft:
             )
         ]
 
-    return Draft((targets, flats), make)
+    return RigUse((targets, flats), make)
 
 
 def _plane(**values: Any) -> Plane:
@@ -142,7 +142,7 @@ PLANE = Entries(
 )
 KIND = Kind(
     group=PlaneRows,
-    draft=draft,
+    use_rig=use_rig,
     needs=("plane",),
     may=("target", DISTANCE),
     entries=(TARGET, PLANE),

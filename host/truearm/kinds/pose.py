@@ -17,13 +17,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truearm.kinds.draft import Draft, Scope, look_up, measured, refuse
 from truearm.kinds.group import Group
 from truearm.kinds.kind import Kind
-from truearm.kinds.linearised import Indices, Linearised, gather, no_columns, scatter
+from truearm.kinds.linearised import Indices, Linearised, gather, scatter, zero_columns
 from truearm.kinds.position import TRACKER, PositionRows, in_device_axes, joints_in_time, points_of
 from truearm.kinds.quantities import LARGEST_TURN_NOISE, POINT, SPREAD, TURN, Quantity
 from truearm.kinds.rig_entries import TARGET
+from truearm.kinds.rig_use import RigUse, Scope, look_up, measured, refuse
 from truearm.kinds.unknowns import Layout
 from truearm.model.chain import Chain, about, forward, trace_point
 from truearm.model.rotation import left_jacobian, rotation, rotation_vector
@@ -56,20 +56,20 @@ class PoseRows(PositionRows):
         )
         axes = np.swapaxes(directions, 0, 1)
         derivative = about(trace, axes)
-        by_rig = no_columns(derivative.wrenches, x.size - p)
-        scatter(by_rig, self.device[:, 3:] - p, -np.einsum("wni,nik->wnk", axes, left_jacobian(device[:, 3:])))
+        jac_rig = zero_columns(derivative.wrenches, x.size - p)
+        scatter(jac_rig, self.device[:, 3:] - p, -np.einsum("wni,nik->wnk", axes, left_jacobian(device[:, 3:])))
         by_time = (derivative.jac_joints * self.q_rate).sum(axis=2, keepdims=True)
-        scatter(by_rig, self.time_offset - p, by_time)
+        scatter(jac_rig, self.time_offset - p, by_time)
         return Linearised(
             np.concatenate([point.residual.reshape(-1, 3), rho], axis=1).ravel(),
             np.concatenate([point.wrenches, derivative.wrenches]),
             point.twists,
-            np.concatenate([point.by_rig, by_rig]),
+            np.concatenate([point.jac_rig, jac_rig]),
             np.concatenate([point.by_joints, derivative.jac_joints]),
         )
 
 
-def draft(scope: Scope, rows: Indices) -> Draft:
+def use_rig(scope: Scope, rows: Indices) -> RigUse:
     """Targets and trackers that the rows use. A row's own standard deviation of the orientation comes before its tracker's."""
     known = scope.rig.trackers
     used, make_points = points_of(scope, rows, "tracker", known)
@@ -86,7 +86,7 @@ def draft(scope: Scope, rows: Indices) -> Draft:
         cov = _beside(points["sensor_cov"], sigma**2)
         return [PoseRows(**{**points, "sensor_cov": cov}, rotation=turns)]
 
-    return Draft(used, make)
+    return RigUse(used, make)
 
 
 def _beside(cov: Floats, variance: Floats) -> Floats:
@@ -102,7 +102,7 @@ def _beside(cov: Floats, variance: Floats) -> Floats:
 
 KIND = Kind(
     group=PoseRows,
-    draft=draft,
+    use_rig=use_rig,
     needs=("tracker", POINT, TURN),
     may=("target", SPREAD, TURN_SIGMA),
     entries=(TARGET, TRACKER),

@@ -24,12 +24,12 @@ from typing import ClassVar
 import numpy as np
 
 from truearm.errors import ProblemError
-from truearm.kinds.draft import Draft, Scope, look_up, measured, nominal_points, sigmas, use_points
 from truearm.kinds.group import Group
 from truearm.kinds.kind import Kind
-from truearm.kinds.linearised import Indices, Linearised, gather, no_columns, scatter
+from truearm.kinds.linearised import Indices, Linearised, gather, scatter, zero_columns
 from truearm.kinds.quantities import POINT, SPREAD
 from truearm.kinds.rig_entries import DEVICE, TARGET, by_name
+from truearm.kinds.rig_use import RigUse, Scope, look_up, measured, nominal_points, sigmas, use_points
 from truearm.kinds.unknowns import XYZ, Fault, Layout, Number, Used, or_inf
 from truearm.model.chain import Chain, PointTrace, along, trace_point
 from truearm.model.rotation import left_jacobian, rotation, rotation_vector
@@ -82,18 +82,18 @@ def in_device_axes(trace: PointTrace, rows: PositionRows, x: Floats, device: Flo
     predicted = np.einsum("nik,ni->nk", rot, lever)
     axes = np.moveaxis(rot, 2, 0)  # (3, n or 1, 3) the device's, in the base frame
     derivative = along(trace, axes)
-    by_rig = no_columns(derivative.wrenches, x.size - p)
-    scatter(by_rig, rows.target - p, derivative.jac_point)
+    jac_rig = zero_columns(derivative.wrenches, x.size - p)
+    scatter(jac_rig, rows.target - p, derivative.jac_point)
     if (rows.device < x.size).any():
-        scatter(by_rig, rows.device[:, :3] - p, np.broadcast_to(-axes, (3, *lever.shape)))
+        scatter(jac_rig, rows.device[:, :3] - p, np.broadcast_to(-axes, (3, *lever.shape)))
         # −u·(δφ × r) = (u × r)·δφ
         moment = np.moveaxis(cross(np.moveaxis(axes, 2, 0), lever.T[:, None]), 0, 2)
-        scatter(by_rig, rows.device[:, 3:] - p, np.einsum("wni,nik->wnk", moment, left_jacobian(device[:, 3:])))
+        scatter(jac_rig, rows.device[:, 3:] - p, np.einsum("wni,nik->wnk", moment, left_jacobian(device[:, 3:])))
     if (rows.time_offset < x.size).any():
         by_time = (derivative.jac_joints * rows.q_rate).sum(axis=2, keepdims=True)
-        scatter(by_rig, rows.time_offset - p, by_time)
+        scatter(jac_rig, rows.time_offset - p, by_time)
     residual = (rows.xyz - predicted).ravel()
-    return Linearised(residual, derivative.wrenches, derivative.twists, by_rig, derivative.jac_joints)
+    return Linearised(residual, derivative.wrenches, derivative.twists, jac_rig, derivative.jac_joints)
 
 
 def place(p_device: Floats, p_base: Floats, declared: Floats) -> tuple[Floats, Floats]:
@@ -123,10 +123,10 @@ def nearest_rotation(correlation: Floats, declared: Floats, most: int = 2) -> Fl
     return np.asarray(u[:, :k] @ vt[:k] + u[:, k:] @ left @ right @ vt[k:])
 
 
-def draft(scope: Scope, rows: Indices) -> Draft:
+def use_rig(scope: Scope, rows: Indices) -> RigUse:
     """Targets and trackers that the rows use."""
     used, make = points_of(scope, rows, "tracker", scope.rig.trackers)
-    return Draft(used, lambda layout: [make(layout)])
+    return RigUse(used, lambda layout: [make(layout)])
 
 
 def _placed(xyz: Floats, p_base: Floats, device: Device) -> tuple[Floats, Floats]:
@@ -231,7 +231,7 @@ def _moving(scope: Scope) -> bool:
 TRACKER = Entries("tracker", DEVICE, "trackers", by_name)
 KIND = Kind(
     group=PositionRows,
-    draft=draft,
+    use_rig=use_rig,
     needs=("tracker", POINT),
     may=("target", SPREAD),
     entries=(TARGET, TRACKER),

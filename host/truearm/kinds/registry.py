@@ -54,12 +54,12 @@ def entries() -> tuple[Entries[Any], ...]:
     return tuple({entry.name: entry for kind in kinds().values() for entry in kind.entries}.values())
 
 
-def things(rig: Rig) -> Mapping[str, Mapping[str, Any]]:
+def rig_names(rig: Rig) -> Mapping[str, Mapping[str, Any]]:
     """What a rig has, by name, for each column whose identifiers must be known to it."""
     from truearm.kinds.rig_entries import by_name
 
     free = {column for kind in kinds().values() for column in kind.free_names}
-    named = {entry.name: rig.things(entry.field) for entry in entries() if entry.index is by_name}
+    named = {entry.name: rig.named(entry.field) for entry in entries() if entry.index is by_name}
     return {
         column: named[column] for column in identifiers() if column in named and (named[column] or column not in free)
     }

@@ -13,12 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from truearm.errors import ProblemError, TableError
-from truearm.kinds.draft import ORIGIN, Draft, Scope, nominal_points, sigmas, use_points
 from truearm.kinds.group import Group
 from truearm.kinds.kind import Kind
-from truearm.kinds.linearised import Indices, Linearised, gather, no_columns, scatter
+from truearm.kinds.linearised import Indices, Linearised, gather, scatter, zero_columns
 from truearm.kinds.proposals import NEW, Proposal, about_one_point, trial_rows
 from truearm.kinds.rig_entries import POINT, SIZE, SPHERE
+from truearm.kinds.rig_use import ORIGIN, RigUse, Scope, nominal_points, sigmas, use_points
 from truearm.kinds.socket_distance import known_distances
 from truearm.kinds.unknowns import Layout, Used, enumerate_labels, point_numbers
 from truearm.model.chain import Chain, along, trace_point
@@ -43,10 +43,10 @@ class SeatRows(Group):
         residual = gather(x, self.constants, self.socket) - trace.p_base
         axes = np.broadcast_to(np.eye(3)[:, None], (3, *residual.shape))
         derivative = along(trace, axes)
-        by_rig = no_columns(derivative.wrenches, x.size - p)
-        scatter(by_rig, self.sphere - p, derivative.jac_point)
-        scatter(by_rig, self.socket - p, -axes)
-        return Linearised(residual.ravel(), derivative.wrenches, derivative.twists, by_rig, derivative.jac_joints)
+        jac_rig = zero_columns(derivative.wrenches, x.size - p)
+        scatter(jac_rig, self.sphere - p, derivative.jac_point)
+        scatter(jac_rig, self.socket - p, -axes)
+        return Linearised(residual.ravel(), derivative.wrenches, derivative.twists, jac_rig, derivative.jac_joints)
 
     def settle(self, chain: Chain, x: Floats) -> SeatRows:
         """The seats with joint readings moved, as little as possible, until every ball sits in its socket at x.
@@ -64,7 +64,7 @@ class SeatRows(Group):
         return rows
 
 
-def draft(scope: Scope, rows: Indices) -> Draft:
+def use_rig(scope: Scope, rows: Indices) -> RigUse:
     """Balls and sockets that the rows use, and the distances that are known between these sockets."""
     table, rig = scope.table, scope.rig
     balls = use_points(scope, rows, "sphere", rig.spheres)
@@ -82,7 +82,7 @@ def draft(scope: Scope, rows: Indices) -> Draft:
         )
         return [group, *known_distances(rig, sockets, layout)]
 
-    return Draft((balls, sockets), make)
+    return RigUse((balls, sockets), make)
 
 
 def _sockets(scope: Scope, rows: Indices, balls: Used) -> Used:
@@ -162,7 +162,7 @@ SOCKET_DISTANCE = Entries(
 )
 KIND = Kind(
     group=SeatRows,
-    draft=draft,
+    use_rig=use_rig,
     needs=("place", "socket"),
     may=("sphere",),
     entries=(SPHERE, SOCKET, SOCKET_DISTANCE),

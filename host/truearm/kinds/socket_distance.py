@@ -11,7 +11,7 @@ import numpy as np
 
 from truearm.errors import ProblemError
 from truearm.kinds.group import Group
-from truearm.kinds.linearised import Indices, Linearised, gather, no_columns, scatter
+from truearm.kinds.linearised import Indices, Linearised, gather, scatter, zero_columns
 from truearm.kinds.unknowns import Layout, Used
 from truearm.model.chain import Chain
 from truearm.model.constant_folding import folded
@@ -36,10 +36,10 @@ class SocketDistanceRows(Group):
         p = len(chain.parameters)
         twists = folded(chain, x[:p]).twists
         wrenches = np.zeros((1, d.size, len(twists)))
-        by_rig = no_columns(wrenches, x.size - p)
-        scatter(by_rig, self.first - p, u[None])
-        scatter(by_rig, self.second - p, -u[None])
-        return Linearised(self.distance - d, wrenches, twists, by_rig, np.zeros((1, d.size, len(chain.joints))))
+        jac_rig = zero_columns(wrenches, x.size - p)
+        scatter(jac_rig, self.first - p, u[None])
+        scatter(jac_rig, self.second - p, -u[None])
+        return Linearised(self.distance - d, wrenches, twists, jac_rig, np.zeros((1, d.size, len(chain.joints))))
 
 
 def known_distances(rig: Rig, sockets: Used, layout: Layout) -> list[Group]:

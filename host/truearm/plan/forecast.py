@@ -281,8 +281,8 @@ def with_rig_values(rig: Rig, values: Mapping[str, float]) -> Rig:
 
     for column, field in points_of_rig().items():
         moved = {}
-        for name, point in rig.things(field).items():
+        for name, point in rig.named(field).items():
             x, y, z = (values.get(f"{column}.{name}.{k}", v) for k, v in zip("xyz", point.xyz, strict=True))
             moved[name] = replace(point, xyz=(x, y, z))
-        rig = rig.with_things(field, moved)
+        rig = rig.with_named(field, moved)
     return rig

@@ -12,7 +12,7 @@ import numpy as np
 
 from truearm.correct.correction import MARGIN, Configuration, Correction, correct
 from truearm.correct.methods import Method
-from truearm.correct.model_pair import Pair
+from truearm.correct.model_pair import ModelPair
 from truearm.errors import Argument, InputError, TargetError
 from truearm.files.disk import check_writable, write_atomic
 from truearm.files.programs.program import Refused, is_program
@@ -77,7 +77,7 @@ class CorrectFiles(NamedTuple):
 class _Request:
     """How to correct, for a robot."""
 
-    pair: Pair
+    pair: ModelPair
     units: tuple[str, ...]
     method: Method | str
     steps: int
@@ -157,7 +157,7 @@ def corrected_poses(calibration: Calibration, poses: Floats, options: CorrectOpt
 def _request(calibration: Calibration, options: CorrectOptions) -> _Request:
     taken_out = chosen_mountings(calibration, options.own_frames)
     return _Request(
-        pair=Pair(calibration.chain, calibration.nominal, calibration.identified, taken_out),
+        pair=ModelPair(calibration.chain, calibration.nominal, calibration.identified, taken_out),
         units=calibration.joint_units,
         method=options.method,
         steps=options.steps,

@@ -13,7 +13,7 @@ from truearm.correct.controller_frames import SAME, Frame, base_of, flange_of
 from truearm.correct.correction import Configuration, Correction, correct
 from truearm.correct.joint_moves import JointMoves
 from truearm.correct.methods import Method
-from truearm.correct.model_pair import Pair, believed
+from truearm.correct.model_pair import ModelPair, believed
 from truearm.errors import Argument, ProgramError
 from truearm.files.programs.program import (
     PoseTarget,
@@ -90,7 +90,7 @@ class CalibrationFrames(NamedTuple):
 class HowCorrected(NamedTuple):
     """The robot, and how its targets are corrected."""
 
-    pair: Pair
+    pair: ModelPair
     method: Method | str
     steps: int
     home: Floats | None

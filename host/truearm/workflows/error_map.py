@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.correct.error_map import ErrorMap, Region, best_region, error_map
-from truearm.correct.model_pair import Pair
+from truearm.correct.model_pair import ModelPair
 from truearm.errors import Argument, InputError
 from truearm.files.disk import check_writable, write_atomic
 from truearm.files.robot_file import RobotChoice
@@ -86,7 +86,9 @@ def map_files(calibration: Calibration, files: MapFiles, section: Section, task:
 def mapped(calibration: Calibration, section: Section) -> ErrorMap:
     """The map of a section. Raises InputError for joints that the robot does not have or cannot take."""
     chain = calibration.chain
-    pair = Pair(chain, calibration.nominal, calibration.identified, chosen_mountings(calibration, section.own_frames))
+    pair = ModelPair(
+        chain, calibration.nominal, calibration.identified, chosen_mountings(calibration, section.own_frames)
+    )
     q = check_joints("at", section.at, calibration.joint_units)
     q = np.zeros(len(chain.joints)) if q is None else q
     a, b = section.joints

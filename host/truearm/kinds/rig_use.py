@@ -1,6 +1,6 @@
 """What some rows of a kind use of the rig, before the numbers of the rig have their places in a parameter vector.
 
-A kind's ``draft`` names what its rows use; once a Layout has given every number a place, ``Draft.make`` makes the groups.
+A kind's ``use_rig`` names what its rows use; once a Layout has given every number a place, ``RigUse.make`` makes the groups.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from truearm.model.chain import Chain, point_forward
 from truearm.text import with_article
 from truearm.types import Floats, ObservationTable, Point, Rig
 
-Thing = TypeVar("Thing")
+Entry = TypeVar("Entry")
 ORIGIN = {"": Point("", (0.0, 0.0, 0.0))}  # the target or ball of a rig that names none: the end frame's origin
 
 
@@ -32,7 +32,7 @@ class Scope(NamedTuple):
     prefix: str
 
 
-class Draft(NamedTuple):
+class RigUse(NamedTuple):
     """What some rows use, and how they become groups once all numbers have their places."""
 
     used: tuple[Used, ...]
@@ -61,11 +61,11 @@ def use(
     scope: Scope,
     rows: Indices,
     what: str,
-    known: Mapping[str, Thing],
-    numbers: Callable[[str, Thing], list[Number]],
+    known: Mapping[str, Entry],
+    numbers: Callable[[str, Entry], list[Number]],
     faults: tuple[Fault, ...] = MOVED,
 ) -> Used:
-    """Look a column's names up in the rig (``look_up``); ``numbers`` of a name and a thing stand for the thing."""
+    """Look a column's names up in the rig (``look_up``); ``numbers`` of a name and its entry stand for the entry."""
     labels, which = look_up(scope, rows, what, known)
     every = [numbers(f"{scope.prefix}{what}.{label}", known[str(label)]) for label in labels]
     return Used(labels, every, which, faults)
