@@ -45,7 +45,18 @@ if TYPE_CHECKING:
     from truearm.model.robot import Robot
     from truearm.plan.ball_bar_plan import BallBarPlan
     from truearm.plan.region import Region
-    from truearm.types import Estimate, Figures, HeldOut, ObservationTable, Rig
+    from truearm.types import (
+        BallBar,
+        Device,
+        Estimate,
+        Figures,
+        HeldOut,
+        ObservationTable,
+        Plane,
+        Point,
+        Rig,
+        SocketDistance,
+    )
     from truearm.workflows.calibration import Calibration, ParameterEstimate
     from truearm.workflows.export import ExportedRobot
     from truearm.workflows.identify import Identification, IdentifyOptions
@@ -53,10 +64,12 @@ if TYPE_CHECKING:
     from truearm.workflows.validate import Validation, ValidationRegion
 
 __all__ = [
+    "BallBar",
     "BallBarOptions",
     "BallBarPlan",
     "Calibration",
     "Correction",
+    "Device",
     "ErrorMap",
     "Estimate",
     "ExportedRobot",
@@ -68,6 +81,8 @@ __all__ = [
     "ObservationTable",
     "ParameterEstimate",
     "PlanError",
+    "Plane",
+    "Point",
     "ProblemError",
     "Region",
     "Rig",
@@ -76,6 +91,7 @@ __all__ = [
     "RobotError",
     "SessionError",
     "SessionObservations",
+    "SocketDistance",
     "TableError",
     "TargetError",
     "TruearmError",
@@ -100,10 +116,12 @@ __all__ = [
 
 # where the names are that truearm.api does not define
 _MODULES = {
+    "BallBar": "types",
     "BallBarOptions": "workflows.plan",
     "BallBarPlan": "plan.ball_bar_plan",
     "Calibration": "workflows.calibration",
     "Correction": "correct.correction",
+    "Device": "types",
     "ErrorMap": "correct.error_map",
     "Estimate": "types",
     "ExportedRobot": "workflows.export",
@@ -115,6 +133,8 @@ _MODULES = {
     "ObservationTable": "types",
     "ParameterEstimate": "workflows.calibration",
     "PlanError": "errors",
+    "Plane": "types",
+    "Point": "types",
     "ProblemError": "errors",
     "Region": "plan.region",
     "Rig": "types",
@@ -122,6 +142,7 @@ _MODULES = {
     "Robot": "model.robot",
     "RobotError": "errors",
     "SessionError": "errors",
+    "SocketDistance": "types",
     "TableError": "errors",
     "TargetError": "errors",
     "TruearmError": "errors",

@@ -140,6 +140,8 @@ def write_table(path: PathLike, table: TableArgument, robot: RobotArgument) -> N
 
     Raises
     ------
+    TableError
+        If ``read_table`` would refuse a row. Nothing is written then.
     InputError
         If the file cannot be written.
 

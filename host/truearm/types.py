@@ -54,6 +54,12 @@ class Point:
     """A chuck, sphere or socket: coordinates [m] and their standard deviation [m].
 
     ``sigma`` 0: known exactly; finite: a parameter with that prior; None: a parameter without prior.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> truearm.Point("s1", (0.0, 0.0, 0.1), sigma=5e-5).xyz[2]
+    0.1
     """
 
     name: str
@@ -68,6 +74,12 @@ class BallBar:
     ``travel`` is the full stroke [m], extension runs over ±travel/2; ``sigma`` [m] is the repeatability of one
     dwell, declared, added to what the samples say. ``zero_sigma`` [m] and ``gain_sigma`` [1]: 0 known exactly,
     finite a parameter with that prior.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> truearm.BallBar("bar46", zero=0.46, gain=1.0, travel=0.075, sigma=8.4e-5).zero
+    0.46
     """
 
     name: str
@@ -81,7 +93,14 @@ class BallBar:
 
 @dataclass(frozen=True)
 class SocketDistance:
-    """The distance between two sockets of one place, known with ``sigma`` [m]; it holds at every place."""
+    """The distance [m] between two sockets of one place, known with ``sigma`` [m]; it holds at every place.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> truearm.SocketDistance(("a", "b"), distance=0.05, sigma=1e-5).distance
+    0.05
+    """
 
     sockets: tuple[str, str]
     distance: float
@@ -98,6 +117,13 @@ class Device:
     keeps its roll). ``sigma`` [m] and ``turn_sigma`` [rad] say how well that pose is known, each of its three
     components: 0 exactly, finite a parameter with that prior, None a parameter without. ``rotation_sigma`` [rad] is
     the standard deviation of each component of a measured orientation; only rows of kind ``pose`` without their own need it.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> covariance = ((4e-10, 0.0, 0.0), (0.0, 4e-10, 0.0), (0.0, 0.0, 4e-10))
+    >>> truearm.Device("tracker", covariance).xyz is None  # nothing is known of where it stands
+    True
     """
 
     name: str
@@ -115,6 +141,12 @@ class Plane:
 
     Both in the base frame. ``sigma`` [m] is of one touch; ``offset_sigma`` [m] and ``tilt_sigma`` [rad] say how well
     the flat's place along its normal and its two tilts are known: 0 exactly, finite a prior, None not at all.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> truearm.Plane("table", xyz=(0.4, 0.0, 0.0), normal=(0.0, 0.0, 1.0), sigma=2e-5).normal
+    (0.0, 0.0, 1.0)
     """
 
     name: str

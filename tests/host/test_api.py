@@ -126,6 +126,25 @@ def test_an_exported_robot_says_what_it_costs(result):
     assert f"{1e3 * lossy.rms:.3f} mm RMS ({1e3 * lossy.largest:.3f} at most)" in str(lossy)
 
 
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"q": np.nan}, "q1_rad"),
+        ({"value": -0.46}, "length_m: '-0.46' must be greater than 0"),
+        ({"chuck": ""}, "needs a chuck"),
+        ({"kind": "bar"}, "is no kind of observation"),
+    ],
+)
+def test_a_table_that_could_not_be_read_again_is_not_written(change, complaint, tmp_path, robot, table):
+    ((field, value),) = change.items()
+    column = getattr(table, field).astype(object if isinstance(value, str) else float)
+    column[2] = value
+    wrong = replace(table, **{field: column.astype(str) if isinstance(value, str) else column})
+    with pytest.raises(truearm.TableError, match="row 4.*" + re.escape(complaint)):
+        truearm.write_table(tmp_path / "t.csv", wrong, robot)
+    assert not (tmp_path / "t.csv").exists()
+
+
 def test_importing_is_cheap():
     code = "import sys, truearm; print(sorted({'numpy', 'scipy', 'truearm.api'} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)

@@ -42,10 +42,12 @@ import numpy as np
 
 import truearm
 from truearm import (
+    BallBar,
     BallBarOptions,
     BallBarPlan,
     Calibration,
     Correction,
+    Device,
     ErrorMap,
     Estimate,
     ExportedRobot,
@@ -57,6 +59,8 @@ from truearm import (
     ObservationTable,
     ParameterEstimate,
     PlanError,
+    Plane,
+    Point,
     ProblemError,
     Region,
     Rig,
@@ -65,6 +69,7 @@ from truearm import (
     RobotError,
     SessionError,
     SessionObservations,
+    SocketDistance,
     TableError,
     TargetError,
     TruearmError,
@@ -77,6 +82,10 @@ robot: Robot = truearm.load_robot(names[0])
 session: SessionObservations = truearm.read_session(Path("session.mcap"), line_points=20)
 table: ObservationTable = truearm.read_table("poses.csv", robot)
 rig: Rig = truearm.read_rig("rig.toml")
+bars = {"b": BallBar("b", zero=0.46, gain=1.0, travel=0.075, sigma=8.4e-5)}
+own = Rig(chucks={"c": Point("c", (1.0, 0.0, 0.0))}, bars=bars, trackers={"t": Device("t", ())})
+flat: Plane = Plane("f", (0.4, 0.0, 0.0), (0.0, 0.0, 1.0), 2e-5)
+apart: SocketDistance = SocketDistance(("a", "b"), 0.05, 1e-5)
 options = IdentifyOptions(solver="map", freeze=("joint1.*",))
 found: Identification = truearm.identify(robot, table, rig, hold_out=["shell=outer"], options=options)
 estimate: Estimate = found.estimate

@@ -229,5 +229,13 @@ def looks_like_table(head: bytes) -> bool:
 
 
 def write_table(path: Path, table: ObservationTable, joint_units: Sequence[str]) -> None:
-    """Write a table that ``read_table`` reads back exactly (but for ``source``). Raises InputError."""
-    write_atomic(path, format_table(table, joint_units))
+    """Write a table that ``read_table`` reads back exactly (but for ``source``).
+
+    Raises TableError for rows that ``read_table`` would refuse, and InputError where the file cannot be written.
+    """
+    text = format_table(table, joint_units)
+    try:
+        parse_table(text, "the table", joint_units)
+    except TableError as error:
+        raise TableError(f"{path}: not written, since it could not be read again: {error}") from None
+    write_atomic(path, text)
