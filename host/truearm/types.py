@@ -614,6 +614,21 @@ class MeanError(NamedTuple):
     held_out: bool
 
 
+class ResidualParts(NamedTuple):
+    """RMS of the fitted rows' residuals in one SI unit: what the declared noise makes of them, and what it does not explain."""
+
+    declared: float
+    unexplained: float
+
+
+class PoseError(NamedTuple):
+    """Errors that the rows of one pose share (``estimate.pose_effect``): what several rows of a pose say beside noise of their own."""
+
+    sigma: float  # m, of each component of a translation of the end
+    row: float  # variance of a row's own noise over the declared one, 1 or more
+    n: int  # poses with several rows
+
+
 class WithOutliers(NamedTuple):
     """The fit of all rows, where ``n`` of them were found to be bad and the estimate rests on the others."""
 
@@ -704,3 +719,5 @@ class Estimate:
     systematic: SystematicErrors | None = None  # what is off beyond chance; None: nothing, or it was not looked for
     unexplained: Mapping[str, MeanError] = field(default_factory=dict)  # by SI unit, where χ² is above its band
     with_outliers: WithOutliers | None = None  # all rows, where bad ones were left out of the fit (estimate.outliers)
+    parts: Mapping[str, ResidualParts] = field(default_factory=dict)  # of ``rms_after``, without rows left out
+    pose_error: PoseError | None = None  # what the rows of a pose share beyond chance; ``covariance`` holds it

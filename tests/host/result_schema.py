@@ -47,6 +47,7 @@ OBJECTS = {
     "without_systematic",
     "with_outliers",
     "unexplained",
+    "pose_error",
     "held_out",
     "held_out_before",
     "covariance",
@@ -54,7 +55,7 @@ OBJECTS = {
     "predicted_error",
 }
 RMS = ("rms_before", "rms_after")
-RAW = ("rms_raw",)
+RAW = ("rms_raw", "rms_declared", "rms_unexplained")
 
 
 def check_schema(result: dict[str, Any]) -> None:

@@ -19,10 +19,10 @@ from truearm.estimate.solvers import SOLVERS, Loss, Prior
 from truearm.kinds.registry import kinds
 from truearm.report.parameter_cells import parameter_cells
 from truearm.report.systematic_words import systematic_sentences
-from truearm.report.words import drawing, kind_name, time_offset, unexplained_words
+from truearm.report.words import drawing, kind_name, parts_words, pose_error_words, time_offset, unexplained_words
 from truearm.text import counted, one_line
-from truearm.types import MeanError
-from truearm.units import SUFFIXES, UNITS, from_shown, title
+from truearm.types import MeanError, PoseError, ResidualParts
+from truearm.units import MM, SUFFIXES, UNITS, from_shown, title
 
 Document = Mapping[str, Any]
 
@@ -294,13 +294,25 @@ def timing(document: Document) -> list[str]:
 
 
 def chi2_notes(document: Document) -> list[str]:
-    """χ² and where it should be."""
+    """χ² and where it should be; what declared noise explains of the residuals, and what it does not; what rows of a pose share."""
+    lines = []
     low, high = document["chi2_band"]
-    if None in (low, high, document["chi2_reduced"]):
-        return []
-    chi2 = document["chi2_reduced"]
-    where = "within" if low <= chi2 <= high else "above" if chi2 > high else "below"
-    return [f"χ² per degree of freedom {chi2:.3g}, {where} the {low:.3g} to {high:.3g} of right sigmas (95 %)."]
+    if None not in (low, high, document["chi2_reduced"]):
+        chi2 = document["chi2_reduced"]
+        where = "within" if low <= chi2 <= high else "above" if chi2 > high else "below"
+        lines.append(
+            f"χ² per degree of freedom {chi2:.3g}, {where} the {low:.3g} to {high:.3g} of right sigmas (95 %)."
+        )
+    parts = {}
+    for unit in (SUFFIXES[suffix] for suffix in document["residual_units"]):
+        both = [document[f"rms_{name}_{unit.suffix}"] for name in ("declared", "unexplained")]
+        if None not in both:
+            parts[unit.si] = ResidualParts(*(from_shown(value, unit.si) for value in both))
+    lines += filter(None, [parts_words(parts)])
+    shared = document["pose_error"]
+    if shared is not None:
+        lines.append(pose_error_words(PoseError(MM.to_si(shared["sigma_mm"]), shared["row_variance"], shared["n"])))
+    return lines
 
 
 def suspects(document: Document) -> list[str]:
@@ -366,7 +378,7 @@ def advice(document: Document, out: Path | None) -> list[str]:
             f"Residuals are {factor:.1f} times what the declared sigmas allow: the robot has errors that these parameters "
             f"do not model, or the sigmas are too small{prior}."
             + " The sigmas above rest on the declared noise alone."
-            * (not read_off)
+            * (not read_off and document["pose_error"] is None)
         )
     spare = sum(len(kinds()[k["kind"]].components) * k["fitted"] for k in document["observations"]) - document["rank"]
     if spare < document["rank"]:

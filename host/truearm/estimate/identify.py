@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
+from truearm.estimate.declared_noise import residual_parts
 from truearm.estimate.effects import Modelled, modelled_effects
 from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import mounting
@@ -28,6 +29,7 @@ from truearm.estimate.label_search import relabellings
 from truearm.estimate.mean_error import left_out_errors, mean_errors
 from truearm.estimate.measured_order import measured_order, poses
 from truearm.estimate.outliers import without_outliers
+from truearm.estimate.pose_effect import pose_effect
 from truearm.estimate.prior import weak_prior
 from truearm.estimate.problem import Problem, Rigs, build_problem, settled, without_knowledge
 from truearm.estimate.solution import Options, Solution, of_data
@@ -164,12 +166,14 @@ def identify(
     distance, beyond = standardised(problem, x, columns, half(parts), found.weight)
     identifiable = _spread(sight.identifiable & ~np.isin(names, untimed), columns)
     matrix = np.zeros((x.size, x.size))
-    matrix[np.ix_(columns, columns)] = found.covariance
+    # Robust losses and the solvers that read the noise from the residuals have it in their covariance.
+    as_declared = options.loss == Loss.LINEAR and not SOLVERS[options.solver].reads_noise
+    shared = pose_effect(taken, x, columns, half(parts), pose) if as_declared else None
+    matrix[np.ix_(columns, columns)] = found.covariance if shared is None else shared.covariance
     held_before, error_before = _judge(problem, x_before, rig, table, held, modelled)
     held_after, error_after = _judge(problem, x, rig, table, held, modelled)
     unexplained: Mapping[str, MeanError] = {}
-    # Robust losses and the solvers that read the noise from the residuals have it in their covariance.
-    if not (explained or options.loss != Loss.LINEAR or SOLVERS[options.solver].reads_noise):
+    if as_declared and not explained:
         unexplained = mean_errors(error_after, poses(table.select(held)), held_out=True)
         if not unexplained:
             errors = left_out_errors(taken, x, columns, half(parts), pose)
@@ -219,6 +223,8 @@ def identify(
         systematic=wrong,
         unexplained=unexplained,
         with_outliers=None if found is every else _with_all_rows(problem, columns, every, found),
+        parts=residual_parts(taken, x, columns, half(parts)),
+        pose_error=None if shared is None else shared.error,
     )
     return replace(estimate, seconds=time.perf_counter() - started)
 

@@ -30,6 +30,7 @@ from truearm.types import (
     NullDirection,
     Observability,
     ObservationTable,
+    PoseError,
     PredictedError,
     Relabelling,
     Residuals,
@@ -145,6 +146,9 @@ def document_of(
         **_by_unit("rms_before", estimate.rms_before, units),
         **_by_unit("rms_raw", estimate.rms_raw, units),
         **_by_unit("rms_after", estimate.rms_after, units),
+        **_by_unit("rms_declared", {si: of.declared for si, of in estimate.parts.items()}, units),
+        **_by_unit("rms_unexplained", {si: of.unexplained for si, of in estimate.parts.items()}, units),
+        "pose_error": _pose_error(estimate.pose_error),
         **{key("rms_history", si): [_shown(rms, si) for rms in estimate.rms_history.get(si, ())] for si in units},
         "chi2_reduced": _number(estimate.chi2_reduced),
         "chi2_band": _numbers(estimate.chi2_band),
@@ -257,6 +261,13 @@ def _unexplained(estimate: Estimate) -> dict[str, Any] | None:
         if error.held_out:
             out["by"] = "held out"
     return out
+
+
+def _pose_error(error: PoseError | None) -> dict[str, Any] | None:
+    """What the rows of one pose share beyond chance."""
+    if error is None:
+        return None
+    return {"sigma_mm": _shown(error.sigma, "m"), "row_variance": _number(error.row), "n": error.n}
 
 
 def _with_outliers(estimate: Estimate, units: Sequence[str]) -> dict[str, Any] | None:

@@ -30,7 +30,7 @@ from truearm.report.findings import (
 from truearm.report.page_tables import fact_list, parameter_table, step_table, visibility
 from truearm.report.page_text import escape, figures, size
 from truearm.report.residual_rows import rows_by_kind, summaries
-from truearm.report.words import kind_name
+from truearm.report.words import kind_name, parts_words, pose_error_words
 from truearm.text import counted
 from truearm.types import Estimate, Floats, HeldOut, ObservationTable, PredictedError
 from truearm.units import symbol, tolerances
@@ -190,9 +190,9 @@ def doubts(page: CalibrationPage) -> list[str]:
             "errors that the parameters do not model."
         )
     if e.chi2_reduced > CHI2_DOUBTFUL:
+        alone = "" if e.pose_error else "; the σ of the parameters rest on the declared noise alone"
         found.append(
-            f"Residuals are {figures(math.sqrt(e.chi2_reduced), 2)} times what the declared sigmas allow; the σ of the "
-            "parameters rest on the declared noise alone."
+            f"Residuals are {figures(math.sqrt(e.chi2_reduced), 2)} times what the declared sigmas allow{alone}."
         )
     return found
 
@@ -219,7 +219,12 @@ def _pictures(page: CalibrationPage) -> str:
     shown = [_figure(figure, rows.title if len(kinds) > 1 else "") for rows in kinds for figure in figures_of(rows)]
     several = len(e.rms_history) > 1
     shown += [_figure(of, symbol(si) if several else "") for si, of in zip(e.rms_history, convergences(e), strict=True)]
-    words = [chi2_words(e), predicted_words(page.predicted) if page.predicted else ""]
+    words = [
+        chi2_words(e),
+        parts_words(e.parts),
+        pose_error_words(e.pose_error) if e.pose_error else "",
+        predicted_words(page.predicted) if page.predicted else "",
+    ]
     content = residual_table(summaries(e, table)) + "".join(f"<p>{escape(w, 600)}</p>" for w in words if w)
     pictures = f'<div class="pictures">{"".join(shown)}</div>'
     return _section("Residuals", content + (suspect_table(e, table) if e.suspect.size else "") + pictures)

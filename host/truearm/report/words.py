@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from truearm.kinds.registry import NAMES, kinds
 from truearm.text import with_article
-from truearm.types import MeanError
+from truearm.types import MeanError, PoseError, ResidualParts
 from truearm.units import MS, UNITS, number, symbol, tolerances
 
 PARTS = {"m": "position", "rad": "rotation"}  # of a kind that has residuals of both units
@@ -44,6 +44,23 @@ def unexplained_words(errors: Mapping[str, MeanError]) -> str:
     of = f"{n} poses held out" if held_out else f"{n} poses, each predicted without its own rows"
     return (
         f"The declared noise does not explain the residuals. Expect errors of {' and '.join(parts)}, the mean of {of}."
+    )
+
+
+def parts_words(parts: Mapping[str, ResidualParts]) -> str:
+    """How much of the residuals the declared noise explains, by SI unit; nothing without residuals."""
+    declared, left = (
+        " and ".join(f"{number(getattr(of, name), si)} {symbol(si)}" for si, of in parts.items())
+        for name in ("declared", "unexplained")
+    )
+    return f"Of the RMS after, declared noise explains {declared}; {left} is unexplained." if parts else ""
+
+
+def pose_error_words(error: PoseError) -> str:
+    """What the rows of one pose share, and that the sigmas hold it."""
+    return (
+        f"The rows of one pose err together, by {number(error.sigma, 'm')} {symbol('m')} (σ of each coordinate, from {error.n} poses with several rows). "
+        "The sigmas contain it: rows of one pose do not count as poses."
     )
 
 

@@ -1,0 +1,39 @@
+"""How much of the residuals the declared noise explains, and how much it does not: two numbers a unit.
+
+Of whitened rows with unit noise, least squares follow the part H = J P Jᵀ, so a row's residual has the mean square tr(L (I − H) Lᵀ), L the
+root of its declared covariance. What the squares of the residuals have beyond that is unexplained.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.estimate.problem import Problem
+from truearm.estimate.whitened_rows import whitened_blocks
+from truearm.kinds.group import unit_columns
+from truearm.types import Floats, ResidualParts
+from truearm.units import UNITS
+
+
+def residual_parts(
+    problem: Problem, x: Floats, columns: NDArray[np.bool_], root: Floats
+) -> Mapping[str, ResidualParts]:
+    """RMS of the residuals at x (P,) by declared noise, and what is left, by SI unit; ``root`` (k, r): P = root rootᵀ."""
+    squares: dict[str, list[Floats]] = {}
+    for block in whitened_blocks(problem, x, columns):
+        if block.row is None:
+            continue
+        for unit, of in unit_columns(block.components).items():
+            into = block.noise_root[:, of]
+            declared = (into**2).sum(axis=(1, 2)) - ((into @ (block.jac @ root)) ** 2).sum(axis=(1, 2))
+            found = ((into @ block.residual[..., None]) ** 2).sum(axis=(1, 2))
+            squares.setdefault(unit, []).append(np.stack([np.maximum(declared, 0.0), found]))
+    means = {unit: np.concatenate(squares[unit], axis=1).mean(axis=1) for unit in UNITS if unit in squares}
+    return {
+        unit: ResidualParts(math.sqrt(declared), math.sqrt(max(found - declared, 0.0)))
+        for unit, (declared, found) in means.items()
+    }

@@ -1,0 +1,115 @@
+"""Errors that the rows of one pose share: their variance, and sigmas that hold with them."""
+
+import numpy as np
+import pytest
+from tests.host.puma_bench import CHAIN, DESIGN, FREE, TRUTH, random_poses
+
+from truearm.estimate.fit import fit
+from truearm.estimate.identify import identify
+from truearm.estimate.information import half, spectrum
+from truearm.estimate.measured_order import poses
+from truearm.estimate.pose_effect import pose_effect
+from truearm.estimate.problem import build_problem
+from truearm.estimate.solution import Options
+from truearm.model.chain import point_forward, point_jacobians
+from truearm.types import Device, ObservationTable, Point, Rig
+
+NOISE = 1e-4  # m
+TARGETS = {"a": (0.1, 0.0, 0.05), "b": (-0.05, 0.09, 0.05), "c": (-0.05, -0.09, 0.05)}
+TRACKER = Device(
+    "t",
+    tuple(tuple(NOISE**2 * (i == k) for k in range(3)) for i in range(3)),
+    (1.5, 0.0, 0.5),
+    sigma=0.0,
+    turn_sigma=0.0,
+)
+RIG = Rig(trackers={"t": TRACKER}, targets={name: Point(name, xyz) for name, xyz in TARGETS.items()})
+FREE_HERE = FREE & np.array([not name.startswith("tool") for name in CHAIN.parameter_names])
+
+
+def tracked(rng, n, shared, noise=NOISE, names="abc"):
+    """n poses, each with the targets one after the other; an error of the arm that moves all of them alike, and noise."""
+    q = np.repeat(random_poses(n, rng), len(names), axis=0)
+    targets = np.tile(list(names), n)
+    points = point_forward(CHAIN, TRUTH, q, np.array([TARGETS[name] for name in targets]))
+    moved = np.repeat(shared * rng.normal(size=(n, 3)), len(names), axis=0)
+    return ObservationTable(
+        q=q,
+        kind=np.full(len(q), "position"),
+        xyz=points - np.array(TRACKER.xyz) + moved + noise * rng.normal(size=(len(q), 3)),
+        tracker=np.full(len(q), "t"),
+        target=targets,
+    )
+
+
+def fitted(table):
+    problem = build_problem(CHAIN, RIG, table)
+    columns = np.concatenate([FREE_HERE, np.ones(len(problem.names) - FREE_HERE.size, dtype=bool)])
+    start = problem.start.copy()
+    start[: TRUTH.size] = TRUTH
+    found = fit(problem, columns, start, Options(10))
+    assert found.status == "converged"
+    return problem, columns, found
+
+
+def effect_of(table):
+    problem, columns, found = fitted(table)
+    root = half(spectrum(found.information.root))
+    return found, columns, root, pose_effect(problem, found.x, columns, root, poses(table))
+
+
+def test_both_variances_are_found():
+    """Of 60 worlds of 40 poses: unbiased, so the mean is within its own standard error of the truth."""
+    rng = np.random.default_rng(0)
+    found = [effect_of(tracked(rng, 40, 3.0 * NOISE, 2.0 * NOISE))[3].error for _ in range(60)]
+    variance, row = np.array([of.sigma**2 for of in found]) / NOISE**2, np.array([of.row for of in found])
+    assert variance.mean() == pytest.approx(9.0, abs=3.0 * variance.std() / np.sqrt(60))
+    assert row.mean() == pytest.approx(4.0, abs=3.0 * row.std() / np.sqrt(60))
+    assert all(of.n == 40 for of in found)
+
+
+@pytest.mark.parametrize("shared", [0.7, 3.0])
+def test_points_of_a_pose_do_not_count_as_poses(shared):
+    """k = 2 coverage of a point elsewhere on the tool, at other poses: 60 worlds of 40 poses with three targets each.
+
+    By declared noise alone, which is right of each row's own, the points lie outside far too often.
+    """
+    rng = np.random.default_rng(1)
+    at = random_poses(20, rng)
+    point, by_robot, _ = point_jacobians(CHAIN, TRUTH, at, np.array([0.0, 0.0, 0.1]))
+    inside, declared = [], []
+    for _ in range(60):
+        found, columns, root, effect = effect_of(tracked(rng, 40, shared * NOISE))
+        error = point_forward(CHAIN, found.x[: DESIGN.size], at, np.array([0.0, 0.0, 0.1])) - point
+        jac = by_robot.reshape(60, -1)[:, columns[: DESIGN.size]]
+        for covariance, into in (
+            (root @ root.T if effect is None else effect.covariance, inside),
+            (root @ root.T, declared),
+        ):
+            sigma = np.sqrt(np.einsum("mi,ij,mj->m", jac, covariance[: jac.shape[1], : jac.shape[1]], jac))
+            into.append(np.abs(error.ravel()) < 2.0 * sigma)
+    # 0.9545 of a Gaussian; 60 worlds with some 20 independent numbers each: a standard error of 0.006.
+    assert 0.93 <= np.mean(inside) <= 0.975
+    assert np.mean(declared) < (0.90 if shared < 1.0 else 0.6)
+
+
+def test_without_such_errors_the_covariance_is_the_declared_one():
+    """In 95 of 100 clean fits; 40 have a standard error of 3.4."""
+    rng = np.random.default_rng(2)
+    by_chance = [effect_of(tracked(rng, 30, 0.0))[3] for _ in range(40)]
+    assert sum(effect is not None for effect in by_chance) <= 6
+    for effect in filter(None, by_chance):
+        assert effect.error.sigma < 0.6 * NOISE
+
+
+def test_one_row_a_pose_tells_nothing_of_shared_errors():
+    table = tracked(np.random.default_rng(3), 60, 3.0 * NOISE, names="a")
+    assert effect_of(table)[3] is None
+
+
+def test_identify_says_it_and_uses_it():
+    table = tracked(np.random.default_rng(4), 40, 3.0 * NOISE)
+    estimate = identify(CHAIN, RIG, table, free=FREE_HERE)
+    assert estimate.pose_error.sigma == pytest.approx(3.0 * NOISE, rel=0.2)
+    _, columns, _, effect = effect_of(table)
+    np.testing.assert_allclose(estimate.covariance[np.ix_(columns, columns)], effect.covariance, rtol=1e-3, atol=1e-14)
