@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 HOST = ROOT / "host" / "truearm"
 
 # modules that every room may use
-COMMON = {"types", "arguments", "errors", "text", "units", "schema", "interrupt", "__version__"}
+COMMON = {"types", "arguments", "errors", "exit_codes", "text", "units", "schema", "interrupt", "__version__"}
 # room of truearm → rooms it may import besides itself and COMMON; imports run downwards
 ROOMS = {
     "model": set(),
@@ -44,6 +44,7 @@ ROOMS = {
     "types": set(),
     "arguments": set(),
     "errors": set(),
+    "exit_codes": set(),
     "text": set(),
     "interrupt": set(),
     "units": set(),

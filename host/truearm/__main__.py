@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import sys
 
+INTERRUPTED = 130  # ExitCode.INTERRUPTED, before anything can be imported
+
 
 def run() -> None:
     """Run the command line and end the process with its exit code."""
@@ -13,10 +15,10 @@ def run() -> None:
 
         sys.exit(main())
     except KeyboardInterrupt:  # while modules are being imported
-        os._exit(130)
+        os._exit(INTERRUPTED)
     except ImportError as exc:
         if isinstance(exc.__cause__, KeyboardInterrupt):  # a compiled module
-            os._exit(130)
+            os._exit(INTERRUPTED)
         raise
 
 

@@ -15,6 +15,7 @@
     │   └── ImageError        an image for the box's chip (UF2)
     ├── WriteError            a file cannot be written any more (a full disk)
     ├── ProblemError          the observations and the robot do not make a solvable problem
+    ├── IncompleteError       a recording ended without all that was asked for; what came is kept
     └── LinkError             the box or the robot stopped answering
         ├── LinkClosed        the other side ended the stream in order
         ├── RefusedError      the box refuses a command
@@ -29,6 +30,8 @@ the option in its place.
 from __future__ import annotations
 
 from collections.abc import Callable
+
+from truearm.exit_codes import ExitCode
 
 
 class Argument(str):
@@ -49,7 +52,7 @@ class TruearmError(Exception):
     True
     """
 
-    exit_code = 1
+    exit_code = ExitCode.FAILED
 
     def __str__(self) -> str:
         return self.text(str)
@@ -72,7 +75,7 @@ class InputError(TruearmError):
     True
     """
 
-    exit_code = 2
+    exit_code = ExitCode.INPUT
 
 
 class TableError(InputError):
@@ -171,7 +174,13 @@ class ProblemError(TruearmError):
     True
     """
 
-    exit_code = 2
+    exit_code = ExitCode.INPUT
+
+
+class IncompleteError(TruearmError):
+    """A recording ended without all that was asked for."""
+
+    exit_code = ExitCode.INCOMPLETE
 
 
 class LinkError(TruearmError):

@@ -159,7 +159,7 @@ class TestTheBoxGoes:
 
     def test_for_good(self, out, capsys):
         with self.mortal_box(0.8) as device:
-            assert main(["record", "--device", device, "--out", str(out), "--duration", "4"]) == 1
+            assert main(["record", "--device", device, "--out", str(out), "--duration", "4"]) == 4
         said = capsys.readouterr()
         *lines, gone = said.err.splitlines()
         assert sum("the link to the box was lost" in line for line in lines) == 1
@@ -184,7 +184,7 @@ class TestTheBoxGoes:
 
         with self.mortal_box(0.8) as device, server(robot) as address:
             arguments = ["--device", device, "--robot", f"tcp://{address}", "--out", str(out)]
-            assert main(["record", *arguments]) == 1
+            assert main(["record", *arguments]) == 4
         said = capsys.readouterr()
         assert "ended: robot closed" in said.out
         assert "the box was gone at the end" in said.err
@@ -216,7 +216,7 @@ class TestTheRobotIsNone:
 
         with box_on_a_socket() as (box, device), server(robot) as address:
             arguments = ["--device", device, "--robot", f"tcp://{address}", "--out", str(out)]
-            assert main(["record", *arguments]) == 1
+            assert main(["record", *arguments]) == 4
         (complaint,) = (line for line in capsys.readouterr().err.splitlines() if line.startswith("truearm: "))
         assert says in complaint
         if piece == b"":  # it had closed before the box started

@@ -14,6 +14,7 @@ from truearm.cli.box_monitor import monitor
 from truearm.cli.options import DeviceOption, JsonOption, StopOption
 from truearm.cli.output import command_group, print_json, print_lines
 from truearm.errors import InputError, TruearmError
+from truearm.exit_codes import ExitCode
 
 _LIST_RETRIES = 6  # 3 s: a box that was just plugged in waits 2 s before it runs
 
@@ -110,7 +111,7 @@ def self_test(device: DeviceOption, stop: StopOption = False, as_json: JsonOptio
                 typer.echo(f"warning: {fault}")
         typer.echo(f"{len(found) - failed - warned} passed, {warned} with a warning, {failed} failed")
     if failed:
-        raise typer.Exit(1)
+        raise typer.Exit(ExitCode.FAILED)
 
 
 @app.command()

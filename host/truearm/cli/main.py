@@ -1,8 +1,6 @@
 """The command line: one typer app; errors become one line on stderr and an exit code.
 
-Exit codes: 0 done (a rank that is not full or a fit that stopped early is a result, not an error), 1 the box or the
-robot failed, 2 the user's input is wrong, 130 interrupted. To add a command, write ``cli/NAME.py`` and add it to
-``COMMANDS``. ``truearm box`` has subcommands of its own (cli/box.py).
+The exit codes stand in ``truearm.exit_codes``. To add a command, write ``cli/NAME.py`` and add it to ``COMMANDS``. ``truearm box`` has subcommands of its own (cli/box.py).
 """
 
 from __future__ import annotations
@@ -33,6 +31,7 @@ from truearm.cli.reproduce import reproduce
 from truearm.cli.simulate import simulate
 from truearm.cli.validate import validate
 from truearm.errors import TruearmError
+from truearm.exit_codes import ExitCode, table
 from truearm.text import one_line
 
 COMMANDS = (
@@ -59,7 +58,7 @@ _UsageError = cast(type[typer.BadParameter], typer.BadParameter.__mro__[1])
 app = typer.Typer(
     name="truearm",
     help="Record a sensor box and a robot, identify the robot's kinematic parameters, see what was gained.",
-    epilog="Example: truearm demo",
+    epilog=f"Exit codes: {table()}\n\nExample: truearm demo",
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     add_completion=False,
@@ -104,22 +103,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except _UsageError as exc:
         message = exc.format_message().replace("Value error, ", "")  # words of the parser's own
         _complain(f"{message} (see {exc.ctx.command_path if exc.ctx else 'truearm'} --help)")
-        return 2
+        return ExitCode.INPUT
     except (KeyboardInterrupt, typer.Abort):
         _complain("interrupted")
-        return 130
+        return ExitCode.INTERRUPTED
     except BrokenPipeError:  # the reader of our output left, as `| head` does
         _discard_stdout()
-        return 1
+        return ExitCode.FAILED
     except OSError as exc:  # files and links raise errors of ours; what is left is standard output, on a full disk say
         _discard_stdout()
         _complain(f"cannot write: {exc.strerror or exc}")
-        return 1
+        return ExitCode.FAILED
     except Exception as exc:
         if not isinstance(exc.__cause__, KeyboardInterrupt):
             raise
         _complain("interrupted")  # while a compiled module was being imported, which makes an ImportError of it
-        return 130
+        return ExitCode.INTERRUPTED
 
 
 def _discard_stdout() -> None:
@@ -147,7 +146,7 @@ def _run(arguments: list[str]) -> int:
         sys.stdout.flush()
     except typer.Exit as exc:
         return int(exc.exit_code)
-    return 0
+    return ExitCode.DONE
 
 
 def _complain(message: str) -> None:

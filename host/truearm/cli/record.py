@@ -19,11 +19,11 @@ from truearm.cli.options import (
     out_file,
 )
 from truearm.cli.output import print_lines
-from truearm.errors import InputError, LinkError
+from truearm.errors import IncompleteError, InputError
+from truearm.exit_codes import ExitCode
 from truearm.record.robots.sources import sources_help
 
 _PATIENCE_S = 600.0
-INTERRUPTED = 130
 
 
 def record(
@@ -67,7 +67,7 @@ def record(
 
     Without --device the box is the one that is plugged in.
     Ends with Ctrl-C, with q and Enter, after --duration, when the robot says that it has ended (docs/robots.md), or when a box or a
-    robot that was lost or closed its stream did not come back in --patience; each completes the file. An earlier file is overwritten
+    robot that was lost or closed its stream did not come back in --patience; each completes the file (exit code 4 if not all came that was asked for). An earlier file is overwritten
     (--force) only once the box has started. On a terminal lines may be typed meanwhile: Enter confirms
     the pairing that was asked for, bar=NAME,chuck=NAME,sphere=NAME or line=NAME,target=NAME says another one, note TEXT is kept.
 
@@ -94,7 +94,7 @@ def record(
     if recorded.summary.reason == "interrupted":
         if not recorded.kept:
             typer.echo("interrupted before the box had started; nothing was recorded", err=True)
-        raise typer.Exit(INTERRUPTED)
+        raise typer.Exit(ExitCode.INTERRUPTED)
     if recorded.missing:
         where = f"what came is in {recorded.out}" if recorded.kept else "nothing was recorded"
-        raise LinkError(f"{recorded.missing}; {where}")
+        raise IncompleteError(f"{recorded.missing}; {where}")

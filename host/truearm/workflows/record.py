@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from truearm.box.readiness import Purpose
-from truearm.errors import Argument, InputError, TruearmError
+from truearm.errors import Argument, IncompleteError, InputError, TruearmError, WriteError
 from truearm.interrupt import asked_to_stop
 from truearm.live.choose_box import choose_box
 from truearm.live.mounted_parts import check_mounted, parse_mounted
@@ -80,10 +80,13 @@ class Recorded:
 
 
 def record_request(request: Request, output: TextIO) -> Recorded:
-    """Record until it ends; what the operator sees meanwhile goes to ``output``. Raises InputError, LinkError."""
+    """Record until it ends; what the operator sees meanwhile goes to ``output``. Raises InputError, LinkError, IncompleteError."""
     work = _work(request)
     device = choose_box(request.device, output)
-    summary, kept, view = _record(device, work, request, output)
+    try:
+        summary, kept, view = _record(device, work, request, output)
+    except WriteError as exc:  # what came until then is in the file
+        raise IncompleteError(*exc.args) from exc
     return Recorded(work.out, summary, kept, view.trouble, what_is_missing(summary, work.robot is not None))
 
 
@@ -142,7 +145,7 @@ def _record(device: str, work: Work, request: Request, output: TextIO) -> tuple[
             )
         except TruearmError as exc:
             if writer.kept:
-                exc.args = (*exc.args, f"; what came until then is in {work.out}")
+                raise IncompleteError(*exc.args, f"; what came until then is in {work.out}") from exc
             raise
         return summary, writer.kept, view
 
