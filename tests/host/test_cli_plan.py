@@ -15,6 +15,7 @@ from truearm.files.observation_table import write_table
 from truearm.files.plan_file import check_against_rig, read_plan
 from truearm.files.result_file import RobotFrames, document_of, write_result
 from truearm.files.rig_file import read_rig, write_rig
+from truearm.model.builtin import builtin_text
 from truearm.plan.forecast import bar_table
 
 COMMON = ("--robot", "irb120", "--bar", "bar25", "--poses", "36", "--candidates", "60")
@@ -24,6 +25,7 @@ COMMON = ("--robot", "irb120", "--bar", "bar25", "--poses", "36", "--candidates"
 def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("plan")
     write_rig(out / "rig.toml", bench.RIGS["irb120"])
+    (out / "bare.toml").write_text(builtin_text("irb120").partition("[branch]")[0])
     return out
 
 
@@ -150,7 +152,7 @@ def test_what_is_wrong_with_lines_is_said_in_one_line(folder, capsys, monkeypatc
         (["--minutes", "5"], "give a budget"),
         (["--spread-mm", "nan"], "--spread-mm"),
         (["--dwell-s", "inf"], "--dwell-s"),
-        (["--robot", "ulb"], "give LOW:HIGH,… in degrees as --branch"),
+        (["--robot", "bare.toml"], "give LOW:HIGH,… in degrees as --branch"),
         (["--region", "1:2"], "--region '1:2'"),
         (["--region", "5000:5001,0:1,0:1"], "reaches no place of the region"),
         (["--bar", "nope"], "bar 'nope' is not in the rig"),

@@ -96,7 +96,7 @@ def test_a_tables_arm_reaches_as_far_as_its_joints():
         plain = along_joints(chain, chain.params_nominal, 0.05)
         assert links.joint == tuple(sorted(links.joint))
         assert set(plain.joint) <= set(links.joint)
-        q = np.zeros((1, 6))
+        q = np.zeros((1, len(chain.joints)))
         shapes = make_shapes(chain, chain.params_nominal, Rig(), Sizes(), links)
         ends = link_ends(shapes, q)[0]
         for p in joint_frames(chain, chain.params_nominal, q)[0, 1:, :3, 3]:

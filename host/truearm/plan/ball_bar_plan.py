@@ -61,10 +61,10 @@ class BallBarPlan(NamedTuple):
 def make_site(known: Known, limits: Limits, sizes: Sizes, seed: int = 0) -> Site:
     """Return the arm before its rig, at the parameters that are known now.
 
-    Raises PlanError unless the arm has six joints and a branch.
+    Raises PlanError unless the arm has a branch and six joints or more, without which it cannot turn the tool at will.
     """
-    if len(known.chain.joints) != 6:
-        raise PlanError(f"robot {known.chain.name} has {len(known.chain.joints)} joints; plans are made for six")
+    if len(known.chain.joints) < 6:
+        raise PlanError(f"robot {known.chain.name} has {len(known.chain.joints)} joints; a plan needs six or more")
     arm = known_arm(known, np.random.default_rng([seed, 0xA2]))
     return Site(arm, known.rig, make_shapes(known.chain, known.params, known.rig, sizes, known.links), limits)
 

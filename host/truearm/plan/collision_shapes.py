@@ -18,8 +18,8 @@ from truearm.model.workspace import Capsules
 from truearm.plan.arm_capsules import along_joints
 from truearm.types import Floats, Rig
 
-UPPER_ARM = 2  # the joint that moves it: with it and before it are what the tool can be folded into
-TOOL = 5  # the joint from which on the arm is tool
+UPPER_ARM = 2  # the joint that first moves it
+BEFORE_FOREARM = 4  # joints from the elbow on: what lies before them is what the tool can be folded into
 
 
 @dataclass(frozen=True)
@@ -93,8 +93,8 @@ def _arm_is_clear_of_itself(shapes: Shapes, ends: Floats, pose: Floats, spheres:
     """The tool against all that lies before the forearm: column, shoulder, upper arm."""
     joint, radius = np.array(shapes.links.joint), shapes.links.radius
     good = np.ones(len(ends), dtype=bool)
-    before = joint <= UPPER_ARM
-    for k in np.flatnonzero(joint >= TOOL):
+    before = joint <= len(shapes.chain.joints) - BEFORE_FOREARM
+    for k in np.flatnonzero(joint >= tool_joint(shapes)):
         apart = _from(ends[:, before], ends[:, k, None, 0], ends[:, k, None, 1])
         good &= (apart > radius[before] + radius[k]).all(axis=1)
     for s in range(spheres.shape[1]):
@@ -133,9 +133,14 @@ def device_is_clear(shapes: Shapes, q: Floats, start: Floats, end: Floats, carri
 
 def _wrist_is_clear(shapes: Shapes, ends: Floats, start: Floats, end: Floats, radius: float) -> NDArray[np.bool_]:
     """(n,) whether the arm up to its wrist keeps clear of a capsule; what carries the end of a bar or a magnet meets it."""
-    before = np.array(shapes.links.joint) < TOOL
+    before = np.array(shapes.links.joint) < tool_joint(shapes)
     apart = _from(ends[:, before], start, end)
     return np.asarray((apart > shapes.links.radius[before] + radius).all(axis=1))
+
+
+def tool_joint(shapes: Shapes) -> int:
+    """The joint, counted from 1, from which on the arm is tool: the last but one, as the last turns about the tool's own axis."""
+    return len(shapes.chain.joints) - 1
 
 
 def _foot(chuck: Floats, sizes: Sizes) -> Floats:
