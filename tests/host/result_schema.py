@@ -53,6 +53,7 @@ OBJECTS = {
     "covariance",
     "observability",
     "predicted_error",
+    "joint_range",
 }
 RMS = ("rms_before", "rms_after")
 RAW = ("rms_raw", "rms_declared", "rms_unexplained")

@@ -10,6 +10,7 @@ import typer
 from truearm.cli.options import (
     BaseOption,
     IdentifiedRobotOption,
+    JsonOption,
     OwnFramesOption,
     ResultArgument,
     TipOption,
@@ -18,7 +19,7 @@ from truearm.cli.options import (
     numbers_of,
     out_file,
 )
-from truearm.cli.output import print_lines
+from truearm.cli.output import print_json, print_lines
 from truearm.correct.joint_moves import JointMoves
 from truearm.correct.methods import Method, methods_help, with_steps
 from truearm.errors import InputError
@@ -97,6 +98,11 @@ def correct(
     residuals: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write every target's error before and after as a table (.csv).")
     ] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write a page (.html): shifts, expected errors, margins, straight moves."),
+    ] = None,
+    as_json: JsonOption = False,
     margin: Annotated[
         float, typer.Option(min=1e-4, max=1.0, metavar="SIGMA", help="Refuse targets nearer to a singularity.")
     ] = 0.05,
@@ -112,6 +118,7 @@ def correct(
     """
     from truearm.cli.correct_text import lines, refused_lines
     from truearm.files.robot_file import RobotChoice
+    from truearm.text import one_line
     from truearm.workflows.calibration import read_calibration
     from truearm.workflows.correct import CorrectFiles, CorrectOptions, correct_file
     from truearm.workflows.correct_program import ProgramOptions, ProgramRefused
@@ -133,7 +140,7 @@ def correct(
         works=works,
         harmless=frozenset(harmless or ()),
     )
-    files = CorrectFiles(result, RobotChoice(robot, base, tip), targets, out, residuals)
+    files = CorrectFiles(result, RobotChoice(robot, base, tip), targets, out, residuals, report)
     calibration = read_calibration(files.result, files.robot)
     options = CorrectOptions(
         method=method,
@@ -144,6 +151,7 @@ def correct(
         tool=own_tool or frame_of("--tool", None),
         home=joints_of("--home", shown, calibration.joint_units),
         program=program,
+        document=as_json,
     )
     try:
         found = correct_file(calibration, files, options)
@@ -151,7 +159,10 @@ def correct(
         for line in refused_lines(exc.refused):
             typer.echo(line, err=True)
         raise
-    print_lines(lines(found))
+    if as_json:
+        print_json(found.document)
+    else:
+        print_lines([*lines(found), *([f"Written: {one_line(str(report))}"] if report else [])])
 
 
 def _named(option: str, given: list[str] | None) -> dict[str, Frame]:

@@ -46,7 +46,7 @@ def lines(found: CorrectedFile) -> list[str]:
     before, after = (np.sqrt(np.mean(np.square(error), axis=0)) for error in (done.before, done.after))
     text.append(f"{'RMS':<10}{_cells(before, after)}")
     text.append("These errors are what the identified robot says; its own uncertainty comes on top.")
-    return [*text, *found.notes, f"Written: {one_line(str(found.out))}"]
+    return [*text, *found.warnings, *found.notes, f"Written: {one_line(str(found.out))}"]
 
 
 def refused_lines(refused: Sequence[Refused]) -> list[str]:

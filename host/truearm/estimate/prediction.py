@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from truearm.estimate.problem import Rigs
 from truearm.estimate.uncertainty import covariance_root
 from truearm.kinds.registry import kinds
-from truearm.model.chain import Chain, forward, point_jacobians
+from truearm.model.chain import Chain, about, along, forward, point_jacobians, trace_point
 from truearm.types import Estimate, Floats, ObservationTable, PredictedError, Rig
 
 MOST_POSES = 500  # of a large table an even choice: the Jacobian, 1500 × 54, is then 0.6 MB
@@ -101,6 +101,77 @@ def predicted_point_error(
         n=rows.size,
         relative=found.relative,
     )
+
+
+class EndSigmas(NamedTuple):
+    """Standard deviations of a point of the end, (n,) m, and of the end's orientation, (n,) rad: RMS norms of three axes.
+
+    ``relative``: without a motion of all of them as one body.
+    """
+
+    position: Floats
+    rotation: Floats
+    relative: bool
+
+
+class ParametersKnown(NamedTuple):
+    """A chain with parameters (p,), their covariance (p, p), and the directions (p, d) that the observations did not see."""
+
+    chain: Chain
+    params: Floats
+    covariance: Floats
+    unseen: Floats
+
+
+def end_sigmas(known: ParametersKnown, q: Floats, point: Floats, any_base: bool = False) -> EndSigmas | None:
+    """What the parameters' covariance leaves unknown of a point (n, 3) of the end at joint readings q (n, j).
+
+    ``any_base``: where the base stands is a choice of frame. None where directions that the observations did not see move the ends among each other, or
+    where too few ends are left to tell that from a motion of the base.
+    """
+    root = covariance_root(known.covariance)
+    parts = [slice(at, at + BLOCK) for at in range(0, len(q), BLOCK)]
+    blocks = [_end_motion(known, q[part], point[part]) for part in parts]
+    unseen = np.concatenate([jac @ known.unseen for jac, _ in blocks])
+    half = np.concatenate([jac @ root for jac, _ in blocks])
+    relative = any_base or bool(np.abs(unseen).max(initial=0.0) > MOVES)
+    if relative:
+        if len(q) < FEWEST_ENDS:
+            return None
+        body = np.concatenate([_twist_motion(at) for _, at in blocks])
+        unseen, half = (_without(body, motion) for motion in (unseen, half))
+        if np.abs(unseen).max(initial=0.0) > MOVES:
+            return None
+    square = (half**2).sum(axis=-1)
+    return EndSigmas(np.sqrt(square[:, :3].sum(axis=1)), np.sqrt(square[:, 3:].sum(axis=1)), relative)
+
+
+BLOCK = 4000  # poses whose derivatives, of 6 times 54 parameters, take 10 MB
+FEWEST_ENDS = 3  # whose six numbers each are not all taken up by a motion of the base
+LEVER = 0.5  # m: a turn of the end counts as the way of a point so far out
+
+
+def _end_motion(known: ParametersKnown, q: Floats, point: Floats) -> tuple[Floats, Floats]:
+    """(n, 6, p) how a point and the end's orientation move by the parameters, and the point (n, 3) in the base frame."""
+    trace = trace_point(known.chain, known.params, q, point)
+    axes = np.eye(3)[:, None]
+    rows = [along(trace, axes).jac_params, about(trace, axes).jac_params]
+    return np.concatenate(rows).swapaxes(0, 1), trace.p_base
+
+
+def _twist_motion(points: Floats) -> Floats:
+    """(n, 6, 6) how points and orientations move by a twist of the base."""
+    turns = np.concatenate([np.zeros((3, 3)), np.eye(3)], axis=1)
+    positions = body_motion(points).reshape(-1, 3, 6)
+    return np.concatenate([positions, np.broadcast_to(turns, positions.shape)], axis=1)
+
+
+def _without(body: Floats, motion: Floats) -> Floats:
+    """Motions (n, 6, k) without what is a common motion of all, in the least squares with orientations at LEVER."""
+    weight = np.array([1.0] * 3 + [LEVER] * 3)[:, None]
+    flat = [(part * weight).reshape(-1, part.shape[2]) for part in (body, motion)]
+    twist = np.linalg.lstsq(flat[0], flat[1], rcond=None)[0]
+    return np.asarray(motion - body @ twist)
 
 
 def _measured_points(rig: Rigs, table: ObservationTable, estimate: Estimate) -> tuple[Floats, NDArray[np.intp]]:

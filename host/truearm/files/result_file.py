@@ -71,6 +71,13 @@ class RobotFrames:
     joint_units: tuple[str, ...]
 
 
+class JointRange(NamedTuple):
+    """The lowest and highest reading [rad or m] of each joint among the fitted observations."""
+
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+
+
 @dataclass(frozen=True)
 class StoredResult:
     """What later commands need of a result.json; arrays run over all parameters, NaN where the file has null.
@@ -92,6 +99,7 @@ class StoredResult:
     null_space: tuple[NullDirection, ...]
     frames: tuple[NullDirection, ...]  # along which parameters were held as a choice of frame
     document: Mapping[str, Any]  # the whole file as parsed
+    joint_range: JointRange | None = None  # None: of an earlier version
 
 
 def document_of(
@@ -129,6 +137,7 @@ def document_of(
         "prior": prior,
         "iterations": estimate.iterations,
         "n_observations": estimate.n_observations,
+        "joint_range": _joint_range(table.q[estimate.fitted]),
         "observations": _counts(estimate, table, units),
         "n_free": int(estimate.free[: estimate.n_robot_parameters].sum()),
         "rank": estimate.rank,
@@ -168,6 +177,10 @@ def document_of(
             "matrix": [_numbers(row) for row in estimate.covariance[np.ix_(estimate.free, estimate.free)]],
         },
     }
+
+
+def _joint_range(q: Floats) -> dict[str, list[float]]:
+    return {"lower": q.min(axis=0).tolist(), "upper": q.max(axis=0).tolist()}
 
 
 def _defaults(defaults: Defaults) -> dict[str, Any]:
@@ -479,6 +492,7 @@ _PARAMETER = _later((_text("name"), _text("unit"), *_NUMBERS, Key("free", Flag()
 _COVARIANCE = _later((_NAMES, Key("matrix", _many(_many(_NUMBER)))), _StoredCovariance)
 _DIRECTION = _later((_NAMES, Key("weights", _many(_KNOWN))), NullDirection)
 _DEFAULTS = _later((Key("frames", _many(_DIRECTION), optional=True),), dict)
+_JOINT_RANGE = _later((Key("lower", _many(_KNOWN)), Key("upper", _many(_KNOWN))), JointRange)
 _RESULT = _later(
     (
         _text("status"),
@@ -487,6 +501,7 @@ _RESULT = _later(
         Key("covariance", _COVARIANCE),
         Key("null_space", _many(_DIRECTION)),
         Key("defaults", _DEFAULTS, optional=True),  # results of earlier versions hold nothing
+        Key("joint_range", _JOINT_RANGE, optional=True),
     ),
     dict,
 )
@@ -509,6 +524,10 @@ def stored_result(document: Mapping[str, Any]) -> StoredResult:
         for i, direction in enumerate(directions, start=1):
             if len(direction.names) != len(direction.weights):
                 raise SchemaError(f"{where}: item {i}: needs a weight for each of its names")
+    joint_range: JointRange | None = fields.get("joint_range")
+    n_joints = len(fields["robot"].joint_units)
+    if joint_range is not None and (len(joint_range.lower), len(joint_range.upper)) != (n_joints, n_joints):
+        raise SchemaError(f"joint_range: needs {n_joints} numbers each, one a joint")
     return StoredResult(
         status=fields["status"],
         robot=fields["robot"],
@@ -524,4 +543,5 @@ def stored_result(document: Mapping[str, Any]) -> StoredResult:
         null_space=fields["null_space"],
         frames=frames,
         document=document,
+        joint_range=joint_range,
     )

@@ -34,6 +34,11 @@ def pose_of(xyz: Floats, rotation: Floats) -> Floats:
     return out
 
 
+def position_and_rotation(pose: Floats) -> Floats:
+    """(n, 6) positions and rotation vectors of poses (n, 4, 4): the inverse of ``pose_of``."""
+    return np.concatenate([pose[:, :3, 3], Rotation.from_matrix(pose[:, :3, :3]).as_rotvec()], axis=1)
+
+
 def inverted(pose: Floats) -> Floats:
     """The inverse (…, 4, 4) of rigid motions."""
     out = np.zeros_like(pose)

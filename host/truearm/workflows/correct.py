@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,8 @@ from truearm.files.robot_file import RobotChoice, is_urdf
 from truearm.files.target_table import format_corrected, looks_like_targets, read_targets
 from truearm.model.chain import point_jacobians
 from truearm.model.poses import inverted, pose_of
+from truearm.report.calibration_page import looks_like_page
+from truearm.report.correction_page import render
 from truearm.text import one_line
 from truearm.types import Floats
 from truearm.units import DEG, MM
@@ -36,6 +38,14 @@ from truearm.workflows.correct_program import (
     ProgramOptions,
     correct_program,
 )
+from truearm.workflows.correction_findings import (
+    CorrectedMoves,
+    CorrectedTargets,
+    document_of,
+    findings,
+    warnings,
+)
+from truearm.workflows.correction_report import page_of
 
 Six = tuple[float, float, float, float, float, float]
 
@@ -50,7 +60,7 @@ class CorrectOptions(NamedTuple):
     ``own_frames``: targets lie in the robot's own base and flange frames. ``margin``: targets with a smaller singular value
     are refused. ``work`` and ``tool``: the frame that the targets are in and the tool's pose, position [m] and rotation
     vector [rad]. ``home``: joints (j,) [rad, m] near those of the first target. ``program``: how a program is corrected, whose frames
-    stand there.
+    stand there. ``document``: find what is expected of each target, as a report does too.
     """
 
     method: Method | str = Method.NEWTON
@@ -61,6 +71,7 @@ class CorrectOptions(NamedTuple):
     tool: Six = NO_FRAME
     home: tuple[float, ...] | None = None
     program: ProgramOptions = ProgramOptions()
+    document: bool = False
 
 
 class CorrectFiles(NamedTuple):
@@ -71,6 +82,7 @@ class CorrectFiles(NamedTuple):
     targets: Path
     out: Path
     residuals: Path | None = None
+    report: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -90,15 +102,18 @@ class _Request:
 class _Done(NamedTuple):
     """What was done, and what is to be said of it."""
 
-    correction: Correction
-    places: tuple[str, ...]  # of each target: "row 3", "line 12"
+    targets: CorrectedTargets
+    moves: CorrectedMoves
     notes: tuple[str, ...]
     refused: tuple[Refused, ...] = ()
 
 
 @dataclass(frozen=True)
 class CorrectedFile:
-    """A table or a program that was corrected and written to ``out``; ``places`` are its rows or lines."""
+    """A table or a program that was corrected and written to ``out``; ``places`` are its rows or lines.
+
+    ``document`` is what was found of it, as JSON (docs/target-format.md); empty where it was not asked for.
+    """
 
     calibration: Calibration
     own_frames: bool
@@ -106,6 +121,8 @@ class CorrectedFile:
     correction: Correction
     places: tuple[str, ...]
     notes: tuple[str, ...]
+    warnings: tuple[str, ...]
+    document: Mapping[str, Any]
     refused: tuple[Refused, ...] = ()
 
 
@@ -114,25 +131,38 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
 
     Raises InputError in one line, and then writes nothing.
     """
-    check_names(files.targets, files.out, files.residuals)
+    check_names(files.targets, files.out, files.residuals, files.report)
     program = is_program(files.targets)
     read = [files.result, files.targets, *files.robot.files]
     check_writable(files.out, inputs=read, ours=None if program else looks_like_targets)
     if program and files.out.exists():
         raise InputError(f"{files.out}: exists; a program is only written under a new name")
     request = _request(calibration, options)
-    if files.residuals is not None:
-        check_writable(files.residuals, inputs=[*read, files.out], ours=looks_like_targets)
+    written = [*read, files.out]
+    for path, ours in ((files.residuals, looks_like_targets), (files.report, looks_like_page)):
+        if path is not None:
+            check_writable(path, inputs=written, ours=ours)
+            written.append(path)
     done = (
         _correct_program(files, calibration, request, options)
         if program
         else _correct_table(files.targets, files.out, request)
     )
+    correction = done.targets.correction
+    places = tuple(place.partition(" ")[2] for place in done.targets.places)
     if files.residuals is not None:
-        write_atomic(files.residuals, _residuals(done, "line" if program else "row"))
-    doubts = _doubts(calibration, done.correction.q[:SHOWN], options.own_frames)
+        write_atomic(files.residuals, _residuals(correction, places, "line" if program else "row"))
+    said = tuple(warnings(calibration, done.targets, done.moves))
+    doubts = (*_doubts(calibration, correction.q[:SHOWN], options.own_frames), *done.notes)
+    document: Mapping[str, Any] = {}
+    if options.document or files.report is not None:
+        found = findings(calibration, request.pair, done.targets, done.moves)
+        document = document_of(found, calibration, said, done.refused, files.out.name)
+        if files.report is not None:
+            names = (files.targets.name, files.out.name, files.result.name)
+            write_atomic(files.report, render(page_of(found, calibration, names, said, doubts, done.refused)))
     return CorrectedFile(
-        calibration, options.own_frames, files.out, done.correction, done.places, (*doubts, *done.notes), done.refused
+        calibration, options.own_frames, files.out, correction, places, doubts, said, document, done.refused
     )
 
 
@@ -186,8 +216,10 @@ def _correct_table(path: Path, out: Path, request: _Request) -> _Done:
     _refuse(done, targets.source, TargetError)
     commanded = inverted(request.work) @ done.commanded @ request.tool
     write_atomic(out, format_corrected(targets, commanded, done.q, done.before, done.after, request.units))
-    rows = tuple(source.rpartition(" ")[2] for source in targets.source)
-    return _Done(done, rows, (SEARCHED,) if targets.q_start is None else ())
+    rows = tuple(f"row {source.rpartition(' ')[2]}" for source in targets.source)
+    tools = np.broadcast_to(request.tool, commanded.shape)
+    corrected = CorrectedTargets(rows, np.zeros(len(rows), dtype=bool), targets.pose, commanded, tools, done)
+    return _Done(corrected, CorrectedMoves(), (SEARCHED,) if targets.q_start is None else ())
 
 
 def _correct_program(
@@ -198,7 +230,7 @@ def _correct_program(
     how = HowCorrected(request.pair, request.method, request.steps, request.home, request.margin)
     done = correct_program(files.targets, how, names, options.program)
     write_atomic(files.out, done.text)
-    return _Done(done.correction, tuple(map(str, done.lines)), done.notes, done.refused)
+    return _Done(done.targets, done.moves, done.notes, done.refused)
 
 
 def _is_urdf(robot: RobotChoice) -> bool:
@@ -231,10 +263,10 @@ def _doubts(calibration: Calibration, q: Floats, own_frames: bool) -> list[str]:
     return doubts
 
 
-def _residuals(found: _Done, what: str) -> str:
+def _residuals(correction: Correction, places: Sequence[str], what: str) -> str:
     """One row a target; no angles where only positions matter."""
     lines = [f"{what},before_mm,after_mm,before_deg,after_deg"]
-    for place, before, after in zip(found.places, found.correction.before, found.correction.after, strict=True):
+    for place, before, after in zip(places, correction.before, correction.after, strict=True):
         lengths = [f"{MM.of(error[0]):.6f}" for error in (before, after)]
         angles = [f"{DEG.of(error[1]):.6f}" if math.isfinite(error[1]) else "" for error in (before, after)]
         lines.append(",".join([place, *lengths, *angles]))

@@ -14,6 +14,7 @@ from truearm.correct.correction import Configuration, Correction, correct
 from truearm.correct.joint_moves import JointMoves
 from truearm.correct.methods import Method
 from truearm.correct.model_pair import ModelPair, believed
+from truearm.correct.straight_moves import straight_moves
 from truearm.errors import Argument, ProgramError
 from truearm.files.programs.program import (
     PoseTarget,
@@ -21,6 +22,7 @@ from truearm.files.programs.program import (
     ProgramLanguage,
     Refused,
     Surroundings,
+    Targets,
     changed_text,
     changes_of,
     joint_changes,
@@ -39,7 +41,9 @@ from truearm.files.programs.values import Pose, fixed_six, readings_of
 from truearm.model.poses import inverted, pose_of
 from truearm.text import counted, listed
 from truearm.types import Floats
+from truearm.workflows.correction_findings import CorrectedMoves, CorrectedTargets
 
+MOST_MOVES = 5_000  # straight moves that are driven: about 0.2 ms each
 Six = tuple[float, float, float, float, float, float]
 
 SEARCHED = (
@@ -99,11 +103,11 @@ class HowCorrected(NamedTuple):
 
 @dataclass(frozen=True)
 class CorrectedProgram:
-    """A program's new text. ``lines`` are those of the targets in ``correction``; ``refused`` what was left; ``notes`` what to know of it."""
+    """A program's new text, its targets and straight moves; ``refused`` what was left; ``notes`` what to know of it."""
 
     text: bytes
-    correction: Correction
-    lines: tuple[int, ...]
+    targets: CorrectedTargets
+    moves: CorrectedMoves
     refused: tuple[Refused, ...]
     notes: tuple[str, ...]
 
@@ -157,18 +161,67 @@ def correct_program(
     changes += marks_of(program, refused) if options.mark else []
     lines_of = [program.source.line(_place(targets.poses[good[i]])) for i in kept]
     lines_of += [program.source.line(literals[i].start) for i in moved]
-    correction = _joined(_rows(done, [good[i] for i in kept]), _rows(joints, moved))
+    rows = [good[i] for i in kept]
+    correction = _joined(_rows(done, rows), _rows(joints, moved))
+    whole = np.tile(np.eye(4), (len(moved), 1, 1))  # joint readings are of no tool
+    at_end = flange.pose @ tools[rows]
+    of_pose = {i: k for k, i in enumerate(rows)}
+    of_joints = {literals[i].start: len(rows) + k for k, i in enumerate(moved)}
+    corrected = CorrectedTargets(
+        tuple(f"line {line}" for line in lines_of),
+        np.arange(len(lines_of)) >= len(rows),
+        np.concatenate([place[rows], believed(how.pair, joints.q_nominal[moved])]),
+        np.concatenate([asked[kept], joints.commanded[moved]]),
+        np.concatenate([at_end, whole]),
+        correction,
+    )
     return CorrectedProgram(
         changed_text(program, changes),
-        correction,
-        tuple(lines_of),
+        corrected,
+        _straight_moves(how.pair, program, targets, of_pose, of_joints, corrected),
         tuple(refused),
         (
             f"The controller's base: {base.words}. Its flange: {flange.words}.",
             *_joints_kept(len(at_joints) if options.joint_moves is JointMoves.KEEP else 0),
-            *_configurations(correction.q[: len(kept)], near[good][kept], quarters[good][kept], lines_of),
+            *_configurations(correction.q[: len(kept)], near[rows], quarters[rows], lines_of),
         ),
     )
+
+
+def _straight_moves(
+    pair: ModelPair,
+    program: Program,
+    targets: Targets,
+    of_pose: Mapping[int, int],
+    of_joints: Mapping[int, int],
+    corrected: CorrectedTargets,
+) -> CorrectedMoves:
+    """Drive the straight moves between corrected targets: their rows by a pose's index, and by the place of joint readings."""
+    starts: list[Floats] = []
+    ends: list[int] = []
+    places: list[tuple[str, str]] = []
+    unchecked = len(targets.loose)
+    for move in targets.lines:
+        if isinstance(move.start, int):
+            begin = of_pose.get(move.start)
+            q, where = (
+                (None, 0) if begin is None else (corrected.correction.q[begin], _place(targets.poses[move.start]))
+            )
+        else:
+            at = of_joints.get(move.start.start)
+            q = np.array(readings_of(move.start)) if at is None else corrected.correction.q[at]
+            where = move.start.start
+        if q is None or move.end not in of_pose or len(q) != corrected.correction.q.shape[1]:
+            unchecked += 1
+            continue
+        starts.append(q)
+        ends.append(of_pose[move.end])
+        places.append((f"line {program.source.line(move.at)}", f"line {program.source.line(where)}"))
+    if not ends or len(ends) > MOST_MOVES:
+        return CorrectedMoves(unchecked=unchecked + len(ends))
+    told = corrected.correction.commanded[ends]
+    found = straight_moves(pair, np.array(starts), told, corrected.tools[ends])
+    return CorrectedMoves(tuple(a for a, _ in places), tuple(b for _, b in places), found, unchecked)
 
 
 def _joints_kept(n: int) -> list[str]:

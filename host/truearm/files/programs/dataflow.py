@@ -10,7 +10,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol, assert_never
+from typing import Protocol, assert_never
 
 from truearm.errors import ProgramError
 from truearm.files.programs.syntax import (
@@ -36,7 +36,7 @@ from truearm.files.programs.syntax import (
     Text,
     Truth,
 )
-from truearm.files.programs.values import Listed, Pose, Solved, Unknown, Value, Values, combined, joined
+from truearm.files.programs.values import Goal, Listed, Pose, Solved, Unknown, Value, Values, combined, joined
 
 MAX_CALLS = 20  # of routines within each other
 MAX_TURNS = 4  # of a loop before what still changes is not known
@@ -47,28 +47,24 @@ UNDECLARED = "name"  # the remedy of a name that the file does not declare, unti
 
 GLOBAL = 0
 TOOL = "tool in force"  # no name of a variable has a space
+HERE = "where the robot is"
+MOST_STARTS = 64  # of a straight move that are told apart
 Key = tuple[int, str]
-
-
-class Goal(NamedTuple):
-    """What a move goes to: a pose of the tool in a frame, or joint readings."""
-
-    target: Pose | Taught
-    tool: Pose
-    frame: Pose
-    near: tuple[float, ...] | None  # joint readings [rad] that say which configuration
-    start: int  # of the argument that gives it
-    end: int
 
 
 @dataclass
 class Motion:
-    """A statement that moves the robot; ``problems`` say why it, or a part of it, cannot be corrected."""
+    """A statement that moves the robot; ``problems`` say why it, or a part of it, cannot be corrected.
+
+    ``lines``: of a move along a straight line, from where to where it may go; ``known_starts`` is False where it may begin elsewhere too.
+    """
 
     name: str
     start: int
     end: int
     goals: dict[Goal, None] = field(default_factory=dict)
+    lines: dict[tuple[Goal, Goal], None] = field(default_factory=dict)
+    known_starts: bool = True
     problems: dict[tuple[str, str], None] = field(default_factory=dict)  # why, and the argument that would settle it
 
 
@@ -461,19 +457,40 @@ class Flow:
     def uncertain(self, name: str, start: int, end: int, why: str, remedy: str = "") -> None:
         """Record a statement that may move the robot and cannot be corrected; ``remedy``: the argument that would settle it."""
         self.motion(name, start, end).problems[why, remedy] = None
+        self.set(HERE, (Unknown(why, start),), "global")
 
-    def goes_to(self, call: Call, targets: Sequence[tuple[Values, Expression]], tools: Values, frames: Values) -> None:
-        """Record a move to every possibility of its targets; joints that were solved for a pose bring their own tool."""
+    def goes_to(
+        self,
+        call: Call,
+        targets: Sequence[tuple[Values, Expression]],
+        tools: Values,
+        frames: Values,
+        straight: bool = False,
+    ) -> None:
+        """Record a move to every possibility of its targets; joints that were solved for a pose bring their own tool.
+
+        ``straight``: along a line from where the robot is.
+        """
         motion = self.motion(call.function, call.start, call.end)
+        ends: dict[Value, None] = {}
         for tool in tools:
             for frame in frames:
-                for values, argument in targets:
+                for k, (values, argument) in enumerate(targets, start=1):
                     for value in values:
                         found = _goal(value, tool, frame, argument)
                         if isinstance(found, Goal):
                             motion.goals[found] = None
                         else:
                             motion.problems[found] = None
+                        if k == len(targets):
+                            ends[found if isinstance(found, Goal) else Unknown(found[0], call.start)] = None
+        if straight:
+            starts = self.get(HERE) or (Unknown("nothing says where the program begins", call.start),)
+            pairs = [(a, b) for a in starts if isinstance(a, Goal) for b in ends if isinstance(b, Goal)]
+            motion.known_starts &= len(pairs) == len(starts) * len(ends)
+            motion.lines |= dict.fromkeys(pairs)
+        several = Unknown("it may be at too many places to be told apart", call.start)
+        self.set(HERE, tuple(ends) if len(ends) <= MOST_STARTS else (several,), "global")
 
 
 def _goal(value: Value, tool: Value, frame: Value, argument: Expression) -> Goal | tuple[str, str]:

@@ -22,13 +22,14 @@ from scipy.spatial.transform import Rotation
 from truearm.errors import ProgramError
 from truearm.files.disk import read_bytes
 from truearm.files.programs import rapid_meaning, urscript_meaning
-from truearm.files.programs.dataflow import Flow, Goal, Motion
+from truearm.files.programs.dataflow import Flow, Motion
 from truearm.files.programs.rapid import read_rapid
 from truearm.files.programs.syntax import Form, Source, Taught
 from truearm.files.programs.urscript import read_urscript
 from truearm.files.programs.values import (
     UNIT_QUATERNION,
     Factor,
+    Goal,
     Pose,
     Unknown,
     matrices_of,
@@ -86,12 +87,25 @@ class PoseTarget(NamedTuple):
     at: int  # of the first move that goes there
 
 
+class Line(NamedTuple):
+    """A straight move: its place, from where and to which pose. A start is a pose, or joint readings."""
+
+    at: int
+    start: int | Taught  # a pose's index among the targets' poses
+    end: int
+
+
 class Targets(NamedTuple):
-    """What is to be corrected: poses, and joint readings as literals; and the moves that cannot be."""
+    """What is to be corrected: poses, and joint readings as literals; and the moves that cannot be.
+
+    ``lines`` are the straight moves, of which ``loose`` (by place) may begin elsewhere too.
+    """
 
     poses: tuple[PoseTarget, ...]
     joints: tuple[tuple[Taught, int], ...]
     refused: tuple[Refused, ...]
+    lines: tuple[Line, ...]
+    loose: tuple[int, ...]
 
 
 def is_program(path: Path) -> bool:
@@ -195,11 +209,22 @@ def targets_of(program: Program, joint_moves: bool, split: bool) -> Targets:
         raise ProgramError(
             f"{program.source.name}: has {len(users) + len(joints)} targets, the most is {MAX_TARGETS}; split it"
         )
-    poses = _assigned(program, users, fixtures, split, refuse)
+    poses, index = _assigned(program, users, fixtures, split, refuse)
     for literal in (*(one.literal for one in poses if one.literal), *joints):
         if (absurd := _absurd(literal)) is not None:
             raise program.source.wrong(literal.start, absurd)
-    return Targets(poses, tuple(joints.items()), tuple(sorted(set(refused))))
+    lines = tuple(dict.fromkeys(_lines(program, index)))
+    loose = tuple(motion.start for motion in program.motions if not motion.known_starts)
+    return Targets(poses, tuple(joints.items()), tuple(sorted(set(refused))), lines, loose)
+
+
+def _lines(program: Program, index: Mapping[Goal, int]) -> Iterator[Line]:
+    """The straight moves from known places to poses; ``index`` has the goals that are corrected."""
+    for motion in program.motions:
+        for start, end in motion.lines:
+            begin = start.target if isinstance(start.target, Taught) else index.get(start)
+            if begin is not None and end in index:
+                yield Line(motion.start, begin, index[end])
 
 
 def _assigned(
@@ -208,8 +233,8 @@ def _assigned(
     fixtures: set[int],
     split: bool,
     refuse: Callable[[Motion, str, str], None],
-) -> tuple[PoseTarget, ...]:
-    """A literal for each goal. Those with one candidate choose first."""
+) -> tuple[tuple[PoseTarget, ...], dict[Goal, int]]:
+    """The targets, with a literal for each goal (those with one candidate choose first), and which of them each goal is."""
     holders: dict[int, tuple[Goal, Motion]] = {}
     chosen: dict[Goal, PoseTarget] = {}
     candidates = {goal: _candidates(goal, fixtures) for goal in users}
@@ -236,11 +261,14 @@ def _assigned(
             )
         else:
             refuse(motion, "its target is not written as plain numbers in one place", "" if split else "split")
-    unique: dict[object, PoseTarget] = {}
+    unique: dict[object, int] = {}
+    index: dict[Goal, int] = {}
+    poses: list[PoseTarget] = []
     for goal in users:
         if (one := chosen.get(goal)) is not None:
-            unique.setdefault((goal.target, goal.tool, goal.frame, one.literal or goal.start), one)
-    return tuple(unique.values())
+            index[goal] = unique.setdefault((goal.target, goal.tool, goal.frame, one.literal or goal.start), len(poses))
+            poses += [one] * (index[goal] == len(poses))
+    return tuple(poses), index
 
 
 def _same(a: Goal, b: Goal) -> bool:

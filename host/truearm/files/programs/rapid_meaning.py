@@ -65,6 +65,8 @@ MOVES: Mapping[str, Move] = {
     ),
     **dict.fromkeys(words("paintc dispc capc"), Move(_TWO, -1)),
 }
+_LINEAR = ("movel", "triggl", "searchl", "arcl", "arcmovel", "spotl", "spotml", "paintl", "displ", "capl", "nutl")
+STRAIGHT = frozenset(name for name in MOVES if name.startswith(_LINEAR))
 AIMLESS = words(
     """
     calibj calibl contactl cssdeactmovel egmmovec egmmovel egmrunjoint egmrunpose fcact fcpress1lstart fcpressc fcpressend
@@ -232,7 +234,7 @@ class Rapid:
             (tuple(self._beside(_target(value, at), at) for value in arguments[k]), call.arguments[k])
             for k in move.targets
         ]
-        flow.goes_to(call, targets, tools, objects)
+        flow.goes_to(call, targets, tools, objects, straight=name in STRAIGHT)
 
     def _beside(self, target: Value, at: int) -> Value:
         """A target, unless one of its external axes may move the robot's base."""

@@ -60,6 +60,7 @@ MOVES: Mapping[str, tuple[tuple[str, ...], ...]] = {
     "servoc": (("pose", "q"),),
     "servol": (("pose",),),
 }
+STRAIGHT = frozenset({"movel", "movep", "optimovel"})  # of them
 AIMLESS = words(
     """
     direct_torque force_mode freedrive_mode interpreter_mode mc_add_circular mc_add_linear mc_add_path mc_initialize
@@ -230,7 +231,7 @@ def _move(flow: Flow, call: Call, arguments: Sequence[Values], named: Mapping[st
             flow.uncertain(call.function, call.start, call.end, "it has no target")
             return
     asked = [(tuple(_target(value, call.start) for value in values), place) for values, place in targets]
-    flow.goes_to(call, asked, flow.get(TOOL) or (), flow.get(TRACKED) or (NOWHERE,))
+    flow.goes_to(call, asked, flow.get(TOOL) or (), flow.get(TRACKED) or (NOWHERE,), straight=call.function in STRAIGHT)
 
 
 def _target(value: Value, at: int) -> Value:

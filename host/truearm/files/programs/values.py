@@ -73,7 +73,18 @@ class Solved(NamedTuple):
     tool: Pose | None
 
 
-Value = Number | Text | Truth | Taught | Listed | Fields | Pose | Solved | Unknown
+class Goal(NamedTuple):
+    """What a move goes to: a pose of the tool in a frame, or joint readings."""
+
+    target: Pose | Taught
+    tool: Pose
+    frame: Pose
+    near: tuple[float, ...] | None  # joint readings [rad] that say which configuration
+    start: int  # of the argument that gives it
+    end: int
+
+
+Value = Number | Text | Truth | Taught | Listed | Fields | Pose | Solved | Goal | Unknown
 Values = tuple[Value, ...]
 
 NOWHERE = Pose(())  # the identity

@@ -1,0 +1,73 @@
+"""What a straight move does between two corrected targets.
+
+Only the ends of a move are corrected. Between them the controller drives its own model along a line: position evenly, orientation about one axis. Where the
+correction differs from one end to the other the true tool leaves the line between the ends; by how much is computed here at SAMPLES places.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.correct.inverse import inverse, singular_value
+from truearm.correct.model_pair import ModelPair, believed, reached
+from truearm.model.chain import Chain
+from truearm.model.poses import apart, inverted, moved
+from truearm.types import Floats
+
+SAMPLES = 9  # places between the ends: the deviation is smooth, largest near the middle
+
+
+class StraightMoves(NamedTuple):
+    """n moves: the largest deviation of the true tool from the line, and the least margins on the way, both ends included."""
+
+    deviation: Floats  # (n,) m
+    singular_value: Floats  # (n,) of the nominal robot
+    limits: Floats  # (n, j) rad or m from each joint's nearest limit, negative beyond it
+    drivable: NDArray[
+        np.bool_
+    ]  # (n,) False where the controller's model cannot follow the line without a jump of a joint
+
+
+JUMP = (
+    1.0  # rad, m of a joint from one sample to the next: more is another configuration, or a passage of a singularity
+)
+
+
+def straight_moves(pair: ModelPair, q_start: Floats, told: Floats, tool: Floats) -> StraightMoves:
+    """Drive straight from joint readings (n, j) to commanded poses ``told`` (n, 4, 4) of the end; ``tool`` (n, 4, 4) is the tool's pose in the end frame."""
+    begin = believed(pair, q_start) @ tool
+    way = apart(told @ tool, begin)
+    back = inverted(tool)
+    q, places = [np.asarray(q_start, dtype=float)], [_tool_points(pair, q_start, tool)]
+    drivable = np.ones(len(told), dtype=bool)
+    for share in np.linspace(0.0, 1.0, SAMPLES + 2)[1:]:
+        found = inverse(pair.chain, pair.nominal, moved(begin, share * way) @ back, q[-1])
+        drivable &= found.reached & (np.abs(found.q - q[-1]).max(axis=-1) < JUMP)
+        q.append(found.q)
+        places.append(_tool_points(pair, found.q, tool))
+    singular = np.min([singular_value(pair.chain, pair.nominal, one) for one in q], axis=0)
+    limits = np.min([limit_margins(pair.chain, one) for one in q], axis=0)
+    return StraightMoves(_deviation(np.array(places)), singular, limits, drivable & (limits >= 0.0).all(axis=1))
+
+
+def limit_margins(chain: Chain, q: Floats) -> Floats:
+    """(…, j) rad or m from joint readings (…, j) to the nearest limit of each; negative outside, inf where there is none."""
+    lower, upper = (np.array([getattr(joint, end) for joint in chain.joints]) for end in ("lower", "upper"))
+    return np.asarray(np.minimum(q - lower, upper - q))
+
+
+def _tool_points(pair: ModelPair, q: Floats, tool: Floats) -> Floats:
+    return np.asarray((reached(pair, q) @ tool)[:, :3, 3])
+
+
+def _deviation(places: Floats) -> Floats:
+    """(n,) of places (samples, n, 3) the largest distance from the line between the first and the last."""
+    chord = places[-1] - places[0]
+    length = np.linalg.norm(chord, axis=-1, keepdims=True)
+    along = np.divide(chord, length, out=np.zeros_like(chord), where=length > 0.0)
+    beside = places - places[0]
+    beside = beside - (beside * along).sum(axis=-1, keepdims=True) * along
+    return np.asarray(np.linalg.norm(beside, axis=-1).max(axis=0))

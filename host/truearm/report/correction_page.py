@@ -1,0 +1,184 @@
+"""One HTML page about one correction: what moved by how much, what error is left to expect, what to look at before the program is run.
+
+Made like the other pages: a single file without a script. Lengths are in mm and angles in mrad here: this is the border.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+
+import numpy as np
+
+from truearm.report import svg
+from truearm.report.calibration_page import POLICY
+from truearm.report.figures import Figure
+from truearm.report.findings import table_of
+from truearm.report.page_tables import fact_list
+from truearm.report.page_text import ABSENT, escape, figures, number
+from truearm.types import Floats
+from truearm.units import MM, MRAD
+
+MOST_ROWS = 400  # of a table; the JSON document has all
+MOST_ARROWS = 2000
+ARROW = 0.06  # of the larger side of the picture that a median shift is drawn as
+
+
+@dataclass(frozen=True)
+class CorrectionPage:
+    """Everything that stands on the page about n targets.
+
+    ``asked`` and ``shift`` (n, 3) [m] are the targets' positions and how far the command moved; ``sizes`` (n, 2) [m, rad] the sizes of the shifts. ``before``
+    (n,) [m] is the error without correction, ``expected`` (n, 2) [m, rad] the expanded uncertainty with it, NaN where it is not known. ``limits`` are the margins to joint
+    limits in words, ``singular_value`` (n,). ``moves`` are rows of cells of straight moves: from, to, deviation, margins, and a remark; ``refused`` line, statement, reason.
+    """
+
+    title: str
+    subtitle: str
+    places: tuple[str, ...]
+    asked: Floats
+    shift: Floats
+    sizes: Floats
+    before: Floats
+    expected: Floats
+    limits: tuple[str, ...]
+    singular_value: Floats
+    moves: tuple[tuple[str, ...], ...]
+    refused: tuple[tuple[str, ...], ...]
+    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
+    facts: tuple[tuple[str, str], ...]
+
+
+def render(page: CorrectionPage) -> str:
+    """The page as HTML text, to be written as UTF-8."""
+    style = files("truearm.report").joinpath("page.css").read_text(encoding="utf-8")
+    sections = [
+        _summary(page),
+        _section("Not corrected", _rows(("line", "statement", "reason"), page.refused, "moves not corrected"))
+        if page.refused
+        else "",
+        _section("Shifts", f'<div class="pictures">{"".join(map(_figure, _pictures(page)))}</div>'),
+        _section("Targets", _targets(page)),
+        _section("Straight moves", _rows(_MOVES, page.moves, "straight moves")) if page.moves else "",
+        _section("How it was made", fact_list(page.facts)),
+    ]
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<meta name="generator" content="truearm">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        '<meta name="color-scheme" content="light dark">\n'
+        f"<title>{escape(page.title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
+        f'<header><p class="brand">truearm correct</p><h1>{escape(page.title)}</h1>'
+        f'<p class="subtitle">{escape(page.subtitle, 400)}</p></header>\n<main>\n{"".join(sections)}</main>\n</body>\n</html>\n'
+    )
+
+
+_MOVES = ("to", "from", "deviation [mm]", "nearest joint limit", "singular value", "")
+
+
+def _section(title: str, content: str) -> str:
+    return f"<section><h2>{title}</h2>{content}</section>\n"
+
+
+def _summary(page: CorrectionPage) -> str:
+    tiles = [
+        ("shift, median", MM.of(float(np.median(page.sizes[:, 0]))), "mm", "of the commanded position", "old"),
+        ("error without correction, RMS", MM.of(float(np.sqrt(np.mean(page.before**2)))), "mm", "by the model", "val"),
+        ("expected error, largest (k = 2)", MM.of(_largest(page.expected[:, 0])), "mm", _EXPECTED, "fit"),
+    ]
+    shown = "".join(
+        f'<div class="tile {css}"><p class="name">{name}</p><p class="figure">{figures(value)}<span> {unit}</span></p>'
+        f'<p class="small">{escape(note)}</p></div>'
+        for name, value, unit, note, css in tiles
+    )
+    lists = ((page.warnings, "remarks doubts"), (page.notes, "remarks"))
+    remarks = "".join(
+        f'<ul class="{css}">{"".join(f"<li>{escape(text, 800)}</li>" for text in texts)}</ul>'
+        for texts, css in lists
+        if texts
+    )
+    return f'<section><div class="tiles">{shown}</div>{remarks}</section>\n'
+
+
+_EXPECTED = "at the tool, by the parameters' covariance and by what the calibration leaves unexplained"
+
+
+def _largest(values: Floats) -> float:
+    return float(np.max(values)) if np.isfinite(values).all() else float("nan")
+
+
+def _targets(page: CorrectionPage) -> str:
+    titles = ("", "x", "y", "z [mm]", "shift [mm]", "[mrad]", "error before [mm]", "expected [mm]", "[mrad]", "nearest joint limit", "singular value")  # fmt: skip
+    rows = []
+    for i, place in enumerate(page.places[:MOST_ROWS]):
+        lengths = [*(number(v, 2) for v in MM.of(page.asked[i])), number(MM.of(page.sizes[i, 0]), 3)]
+        angle, before = number(MRAD.of(page.sizes[i, 1]), 3), number(MM.of(page.before[i]), 3)
+        due = number(MM.of(page.expected[i, 0]), 3), number(MRAD.of(page.expected[i, 1]), 3)
+        rows.append((place, *lengths, angle, before, *due, page.limits[i], figures(page.singular_value[i], 2)))
+    return _rows(titles, rows, "targets", len(page.places)) + f"<p>{escape(_TARGETS, 600)}</p>"
+
+
+_TARGETS = (
+    "Positions are those of the file. Shift: how far the command moved. Expected: the expanded uncertainty (k = 2, about 95 %) of the tool after the correction. "
+    "Singular value: the smallest of the Jacobian, metres in units of 0.5 m."
+)
+
+
+def _rows(titles: Sequence[str], rows: Sequence[Sequence[str]], label: str, total: int = 0) -> str:
+    """A table of plain cells, cut at MOST_ROWS."""
+    total = total or len(rows)
+    more = f"<p>and {total - MOST_ROWS} more; --json prints all</p>" if total > MOST_ROWS else ""
+    cells = ([escape(cell) for cell in row] for row in rows[:MOST_ROWS])
+    return table_of([escape(title) for title in titles], cells, label) + more
+
+
+def _pictures(page: CorrectionPage) -> list[Figure]:
+    chosen = np.unique(np.linspace(0, len(page.places) - 1, min(len(page.places), MOST_ARROWS)).astype(int))
+    views = [("Shifts from above", (0, 1)), ("Shifts from the side", (0, 2))]
+    return [*(_arrows(page, chosen, title, axes) for title, axes in views), _errors(page, chosen)]
+
+
+def _arrows(page: CorrectionPage, chosen: Sequence[int] | np.ndarray, title: str, axes: tuple[int, int]) -> Figure:
+    """Positions in two axes of the file's frame with their shifts, drawn larger by a round factor."""
+    at, by = (MM.of(values[chosen][:, axes]) for values in (page.asked, page.shift))
+    span = max(float(np.ptp(at, axis=0).max()), 100.0)
+    median = float(np.median(np.linalg.norm(by, axis=1)))
+    factor = svg.round_step(ARROW * span / median) if median > 1e-6 else 1.0
+    ends = at + factor * by
+    low, high = np.minimum(at, ends).min(axis=0), np.maximum(at, ends).max(axis=0)
+    middle, half = 0.5 * (low + high), 0.55 * max(float((high - low).max()), 100.0)
+    names = [f"{'xyz'[axis]} [mm]" for axis in axes]
+    x, y = (svg.linear_axis(name, m - half, m + half) for name, m in zip(names, middle, strict=True))
+    plot = svg.Plot(x, y, height=420.0)
+    lines = zip(plot.px(at[:, 0]), plot.py(at[:, 1]), plot.px(ends[:, 0]), plot.py(ends[:, 1]), strict=True)
+    path = "".join(f"M{svg.num(a)} {svg.num(b)}L{svg.num(c)} {svg.num(d)}" for a, b, c, d in lines)
+    parts = [svg.axes(plot), f'<path class="fit" fill="none" d="{path}"/>', svg.dots(plot, at[:, 0], at[:, 1], "old")]
+    parts.append(svg.legend(plot, [("old", "target"), ("fit line", f"its shift, × {factor:g}")]))
+    caption = f"Each line runs from a target to where the command moved it, drawn {factor:g} times as long."
+    return Figure(title, caption, svg.drawing(plot.width, plot.height, parts, title))
+
+
+def _errors(page: CorrectionPage, chosen: Sequence[int] | np.ndarray) -> Figure:
+    """The error without and the expected error with correction, in the order of the file."""
+    order = np.asarray(chosen, dtype=float) + 1.0
+    before, due = MM.of(page.before[chosen]), MM.of(page.expected[chosen, 0])
+    known = np.isfinite(due)
+    plot = svg.Plot(
+        svg.linear_axis("target", 1.0, float(len(page.places))),
+        svg.log_axis("error [mm]", np.concatenate([before, due[known]])),
+    )
+    parts = [svg.axes(plot), svg.dots(plot, order, before, "val"), svg.dots(plot, order[known], due[known], "fit")]
+    parts.append(svg.legend(plot, [("val", "without correction"), ("fit", "expected with it, k = 2")]))
+    caption = (
+        "How far the tool would be off without the correction, and within what it is expected with it (about 95 %)."
+    )
+    if not known.all():
+        caption += f" Where it is not known ({ABSENT} in the table) there is no point."
+    return Figure("Errors", caption, svg.drawing(plot.width, plot.height, parts, "Errors by target"))
+
+
+def _figure(figure: Figure) -> str:
+    caption = f"<figcaption>{escape(figure.caption, 800)}</figcaption>"
+    return f"<figure><h3>{escape(figure.title)}</h3>{figure.drawing}{caption}</figure>\n"

@@ -1,0 +1,255 @@
+"""What a correction did and what is expected of it: shifts, expected errors, margins, straight moves; as a document and as warnings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.correct.correction import Correction
+from truearm.correct.inverse import singular_value
+from truearm.correct.model_pair import ModelPair, believed, reached
+from truearm.correct.straight_moves import StraightMoves, limit_margins
+from truearm.estimate.prediction import ParametersKnown, end_sigmas
+from truearm.files.programs.program import Refused
+from truearm.model.poses import apart, inverted, position_and_rotation
+from truearm.text import counted, listed
+from truearm.types import Floats
+from truearm.units import DEG, MM, MRAD, key, shown
+from truearm.workflows.calibration import Calibration
+
+STRAIGHT = 1e-4  # m: a straight move that bends more is warned of
+COVERAGE = 2.0  # k of the expanded uncertainty, about 95 % of a normal error
+NEAR_OBSERVED = 0.05  # rad, m beyond the readings that were fitted: no extrapolation worth a warning
+RMS_OF_MEAN = math.sqrt(0.5 * math.pi)  # of |x| where x is normal
+FORMAT = "truearm-correction"
+FORMAT_VERSION = 1
+
+
+class CorrectedTargets(NamedTuple):
+    """n targets as asked and as told (n, 4, 4), in the frame of the file; ``tools`` (n, 4, 4) are poses of the tools in the end frame."""
+
+    places: tuple[str, ...]  # "line 12", "row 3"
+    joints: NDArray[np.bool_]  # (n,) a target of joint readings
+    asked: Floats
+    told: Floats
+    tools: Floats
+    correction: Correction
+
+
+class CorrectedMoves(NamedTuple):
+    """n straight moves between corrected targets by the places of both; ``unchecked``: straight moves whose start is not known, or too many."""
+
+    places: tuple[str, ...] = ()
+    starts: tuple[str, ...] = ()
+    found: StraightMoves | None = None
+    unchecked: int = 0
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What is expected of n corrected targets.
+
+    ``before`` and ``after`` (n,) [m]: the error of the tool by the identified robot. ``shift`` and ``expected`` (n, 2) [m, rad]: how far the command moved, and the expanded uncertainty of the tool (k = 2) by covariance and unexplained
+    error, NaN where it is not known. ``limits`` (n, j) [rad, m] and ``singular_value`` (n,) are margins. ``outside`` (n, j) says which joints read what the fitted
+    observations do not; None where the result does not say.
+    """
+
+    targets: CorrectedTargets
+    moves: CorrectedMoves
+    before: Floats
+    after: Floats
+    shift: Floats
+    expected: Floats
+    unexplained: tuple[float, float]
+    relative: bool
+    limits: Floats
+    singular_value: Floats
+    outside: NDArray[np.bool_] | None
+
+
+def findings(calibration: Calibration, pair: ModelPair, targets: CorrectedTargets, moves: CorrectedMoves) -> Findings:
+    """Judge a correction by the calibration that it rests on; the mountings of ``pair`` were taken out."""
+    q, chain = targets.correction.q, calibration.chain
+    points = (inverted(pair.mountings.tool) @ targets.tools)[:, :3, 3]
+    own = not np.allclose(pair.mountings.base, np.eye(4), rtol=0.0, atol=1e-12)
+    known = ParametersKnown(chain, calibration.identified, calibration.covariance, calibration.unseen)
+    sigmas = end_sigmas(known, q, points, any_base=own)
+    unexplained = unexplained_error(calibration.document)
+    expected = np.full((len(q), 2), np.nan)
+    if sigmas is not None:
+        both = np.stack([sigmas.position, sigmas.rotation], axis=1)
+        expected = COVERAGE * np.hypot(both, unexplained)
+    done = targets.correction
+    goal, without, now = (
+        (poses @ targets.tools)[:, :3, 3]
+        for poses in (believed(pair, done.q_nominal), reached(pair, done.q_nominal), reached(pair, done.q))
+    )
+    difference = apart(targets.told, targets.asked)
+    difference[np.isnan(targets.correction.before[:, 1]), 3:] = np.nan  # of positions alone the orientation is free
+    return Findings(
+        targets,
+        moves,
+        before=np.linalg.norm(without - goal, axis=1),
+        after=np.linalg.norm(now - goal, axis=1),
+        shift=np.stack([np.linalg.norm(part, axis=1) for part in (difference[:, :3], difference[:, 3:])], axis=1),
+        expected=expected,
+        unexplained=unexplained,
+        relative=sigmas is not None and sigmas.relative,
+        limits=limit_margins(chain, q),
+        singular_value=singular_value(chain, calibration.nominal, q),
+        outside=_outside(calibration, q),
+    )
+
+
+def unexplained_error(document: Mapping[str, Any]) -> tuple[float, float]:
+    """The standard deviation [m, rad] of the part of the error that the calibration's declared noise does not explain, 0 where it explains all.
+
+    result.json has the mean of the error's norm; the RMS of a normal error along one axis is √(π/2) of it, of one along three only 1.09.
+    """
+    left = document.get("unexplained")
+    means = [left.get(name) if isinstance(left, dict) else None for name in ("mean_mm", "mean_deg")]
+    mm, deg = (float(mean) if isinstance(mean, int | float) else 0.0 for mean in means)
+    return RMS_OF_MEAN * MM.to_si(mm), RMS_OF_MEAN * DEG.to_si(deg)
+
+
+def _outside(calibration: Calibration, q: Floats) -> NDArray[np.bool_] | None:
+    """(n, j) where a joint is outside the readings that were fitted; a whole turn of a revolute joint is the same place."""
+    seen = calibration.stored.joint_range
+    if seen is None:
+        return None
+    lower, upper = np.array(seen.lower) - NEAR_OBSERVED, np.array(seen.upper) + NEAR_OBSERVED
+    turning = np.array([joint.kind == "revolute" for joint in calibration.chain.joints])
+    past = np.where(turning, np.mod(q - lower, 2.0 * np.pi), q - lower)
+    return np.asarray((past < 0.0) | (past > upper - lower))
+
+
+def warnings(calibration: Calibration, targets: CorrectedTargets, moves: CorrectedMoves) -> list[str]:
+    """What the operator has to know before the program is run."""
+    said = []
+    outside, drive = _outside(calibration, targets.correction.q), moves.found
+    if outside is None:
+        said.append(
+            "The result does not say which joint readings it was identified from; identify again to have targets outside named."
+        )
+    elif (rows := np.flatnonzero(outside.any(axis=1))).size:
+        names = [calibration.chain.joints[j].name for j in np.flatnonzero(outside.any(axis=0))]
+        said.append(
+            f"{counted(rows.size, 'target')} outside the joint readings that the calibration was identified from, in {listed(names)}: "
+            f"{_several([targets.places[i] for i in rows])}."
+        )
+    if drive is not None:
+        bent = np.flatnonzero(drive.deviation > STRAIGHT)
+        if bent.size:
+            worst = int(bent[np.argmax(drive.deviation[bent])])
+            said.append(
+                f"{counted(bent.size, 'straight move')} will bend by more than {MM.text(STRAIGHT, '.1f')}, the worst to {moves.places[worst]} by "
+                f"{MM.text(float(drive.deviation[worst]), '.2f')}: {_several([moves.places[i] for i in bent])}. Put targets between their ends."
+            )
+        blocked = np.flatnonzero(~drive.drivable)
+        if blocked.size:
+            said.append(
+                f"{counted(blocked.size, 'straight move')} may pass a joint limit, a singularity or another configuration between the ends: "
+                f"{_several([moves.places[i] for i in blocked])}."
+            )
+    if moves.unchecked:
+        said.append(
+            f"{counted(moves.unchecked, 'straight move was', 'straight moves were')} not checked between the ends."
+        )
+    return said
+
+
+def document_of(
+    found: Findings, calibration: Calibration, said: Sequence[str], refused: Sequence[Refused], out: str
+) -> dict[str, Any]:
+    """The findings and warnings as JSON (docs/target-format.md)."""
+    return {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "robot": calibration.chain.name,
+        "base_frame": calibration.chain.base_frame,
+        "end_frame": calibration.chain.end_frame,
+        "out": out,
+        "coverage_factor": COVERAGE,
+        "unexplained_mm": float(MM.of(found.unexplained[0])),
+        "unexplained_mrad": float(MRAD.of(found.unexplained[1])),
+        "expected_relative": found.relative,
+        "warnings": list(said),
+        "refused": [one._asdict() for one in refused],
+        "targets": _target_entries(found, calibration.joint_units),
+        "moves": _move_entries(found.moves, calibration.joint_units),
+    }
+
+
+def _target_entries(found: Findings, units: Sequence[str]) -> list[dict[str, Any]]:
+    of, done = found.targets, found.targets.correction
+    poses = [position_and_rotation(part) for part in (of.asked, of.told)]
+    return [
+        {
+            "place": place,
+            "joints": bool(of.joints[i]),
+            "before": _pose_entry(poses[0][i], done.q_nominal[i], units),
+            "after": _pose_entry(poses[1][i], done.q[i], units),
+            "shift_mm": float(MM.of(found.shift[i, 0])),
+            "shift_mrad": _finite(MRAD.of(found.shift[i, 1])),
+            "error_before_mm": float(MM.of(found.before[i])),
+            "error_after_mm": float(MM.of(found.after[i])),
+            "expected_mm": _finite(MM.of(found.expected[i, 0])),
+            "expected_mrad": _finite(MRAD.of(found.expected[i, 1])),
+            **_limit_entry(found.limits[i], units),
+            "singular_value": float(found.singular_value[i]),
+            "outside": None if found.outside is None else [int(j) + 1 for j in np.flatnonzero(found.outside[i])],
+        }
+        for i, place in enumerate(of.places)
+    ]
+
+
+def _limit_entry(limits: Floats, units: Sequence[str]) -> dict[str, float | int | None]:
+    """The joint that is nearest to a limit of its own, from 1, and how far it is; both null where no joint has one."""
+    nearest = int(np.argmin(limits))
+    if not math.isfinite(limits[nearest]):
+        return {"limit_joint": None, "limit_deg": None}
+    return {"limit_joint": nearest + 1, key("limit", units[nearest]): float(shown(limits[nearest], units[nearest]))}
+
+
+def _pose_entry(six: Floats, q: Floats, units: Sequence[str]) -> dict[str, float]:
+    names = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
+    pose = dict(zip(names, [*MM.of(six[:3]).tolist(), *DEG.of(six[3:]).tolist()], strict=True))
+    joints = {
+        key(f"q{k}", unit): float(shown(value, unit)) for k, (value, unit) in enumerate(zip(q, units, strict=True), 1)
+    }
+    return pose | joints
+
+
+def _move_entries(moves: CorrectedMoves, units: Sequence[str]) -> list[dict[str, Any]]:
+    drive = moves.found
+    if drive is None:
+        return []
+    columns = zip(moves.places, moves.starts, *drive, strict=True)
+    return [
+        {
+            "place": place,
+            "from": start,
+            "deviation_mm": float(MM.of(deviation)),
+            "singular_value": float(singular),
+            **_limit_entry(limits, units),
+            "drivable": bool(drivable),
+        }
+        for place, start, deviation, singular, limits, drivable in columns
+    ]
+
+
+def _finite(value: Any) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _several(places: Sequence[str]) -> str:
+    """Places, one a name: "lines 3, 5 and 9"."""
+    unique = list(dict.fromkeys(places))
+    what = unique[0].partition(" ")[0]
+    numbers = [place.partition(" ")[2] for place in unique]
+    return f"{what}{'s' if len(unique) > 1 else ''} {listed(numbers)}"

@@ -1,0 +1,78 @@
+"""The page of a correction, made of what was found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from truearm.files.programs.program import Refused
+from truearm.report.correction_page import CorrectionPage
+from truearm.text import counted, one_line
+from truearm.types import Floats
+from truearm.units import MM, MRAD, shown, symbol
+from truearm.workflows.calibration import Calibration
+from truearm.workflows.correction_findings import STRAIGHT, Findings
+
+
+def page_of(
+    found: Findings,
+    calibration: Calibration,
+    names: tuple[str, str, str],
+    said: Sequence[str],
+    notes: Sequence[str],
+    refused: Sequence[Refused],
+) -> CorrectionPage:
+    """The page; ``names`` are those of the targets' file, of the corrected one, and of the result."""
+    of, units = found.targets, calibration.joint_units
+    given, written, result = map(one_line, names)
+    of_position, of_rotation = MM.text(found.unexplained[0], ".3f"), MRAD.text(found.unexplained[1], ".3f")
+    relative = " Without a motion of all targets as one body: the calibration does not say where the base stands."
+    facts = (
+        ("targets", counted(len(of.places), "target")),
+        ("robot", f"{calibration.chain.name}, {calibration.chain.end_frame} in {calibration.chain.base_frame}"),
+        ("calibration", result),
+        ("unexplained by the calibration", f"{of_position}, {of_rotation} (standard deviation)"),
+        ("expected error", f"k = 2, covariance and unexplained part.{relative * found.relative}"),
+    )
+    return CorrectionPage(
+        title=f"{given} corrected",
+        subtitle=f"written to {written}",
+        places=of.places,
+        asked=of.asked[:, :3, 3],
+        shift=of.told[:, :3, 3] - of.asked[:, :3, 3],
+        sizes=found.shift,
+        before=found.before,
+        expected=found.expected,
+        limits=tuple(_limit(row, units) for row in found.limits),
+        singular_value=found.singular_value,
+        moves=_moves(found, units),
+        refused=tuple((f"{one.line}", one.statement, one.why) for one in refused),
+        warnings=tuple(said),
+        notes=tuple(notes),
+        facts=facts,
+    )
+
+
+def _limit(limits: Floats, units: Sequence[str]) -> str:
+    """The joint that is nearest to its limit, and how near."""
+    nearest = int(np.argmin(limits))
+    if not math.isfinite(limits[nearest]):
+        return "none"
+    value = float(shown(limits[nearest], units[nearest]))
+    return f"joint {nearest + 1}: {value:.1f} {symbol(units[nearest])}"
+
+
+def _moves(found: Findings, units: Sequence[str]) -> tuple[tuple[str, ...], ...]:
+    """Rows of cells, the move that bends most first."""
+    drive = found.moves.found
+    if drive is None:
+        return ()
+    rows = []
+    for i in np.argsort(-drive.deviation, kind="stable"):
+        bent = "bends" if drive.deviation[i] > STRAIGHT else ""
+        remark = bent if drive.drivable[i] else "may not be drivable"
+        cells = (f"{MM.of(drive.deviation[i]):.3f}", _limit(drive.limits[i], units), f"{drive.singular_value[i]:.3f}")
+        rows.append((found.moves.places[i], found.moves.starts[i], *cells, remark))
+    return tuple(rows)
