@@ -29,6 +29,8 @@ def _totals(summary: RecordSummary) -> str:
         parts.append(f"link lost {counters.link_losses} times")
     if counters.robot_losses:
         parts.append(f"robot lost {counters.robot_losses} times")
+    if counters.robot_held_up:
+        parts.append("the robot sent more than could be stored")
     if counters.held_up:
         parts.append(f"the reader had to wait {counters.held_up} times")
     return ", ".join(parts)

@@ -169,7 +169,7 @@ class _Watch:
         self._box_ok = True
         self._link_losses = 0
         self._robot_ok: bool | None = None
-        self._robot_silent = False
+        self._robot_silent = self._robot_floods = False
         self._lost = 0
 
     def events(self, status: Status) -> list[str]:
@@ -178,7 +178,8 @@ class _Watch:
             for fault in status.faults
             if fault not in self._said
         ]
-        self._said.update(status.faults)
+        messages += [f"warning: {loss}" for loss in status.file_losses if loss not in self._said]
+        self._said.update(status.faults, status.file_losses)
         losses = status.counters.link_losses
         if status.box_ok != self._box_ok:
             self._box_ok = status.box_ok
@@ -197,6 +198,9 @@ class _Watch:
                 f"warning: the robot has been silent for {SILENCE_S:g} s" if silent else "the robot is heard again"
             )
         self._robot_silent = silent
+        if status.counters.robot_held_up and not self._robot_floods:
+            self._robot_floods = True
+            messages.append("warning: the robot sends more than can be stored; its readings come late")
         lost = status.counters.lost_frames + status.counters.overruns_in_box
         if lost > self._lost:
             messages.append(

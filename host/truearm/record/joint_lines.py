@@ -12,7 +12,7 @@ import json
 
 from truearm.errors import LinkClosed, LinkError, ProtocolError
 from truearm.record.frames import Runs
-from truearm.record.links import Arrivals, Clock, Link, Reopenable
+from truearm.record.links import Arrivals, Clock, Link, Reopenable, backlog_of
 from truearm.record.operator import Operator
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
@@ -131,6 +131,11 @@ class RobotIntake:
             lost = after.seq - before.seq - 1  # type: ignore[operator]
         away_s = None if self.heard_ns is None else round((t_host_ns - self.heard_ns) / 1e9, 3)
         self._writer.event("robot-back", t_host_ns, away_s=away_s, lost=lost)
+
+    @property
+    def held_up(self) -> int:
+        """How often the robot's reader had to wait for the recorder."""
+        return backlog_of(self._link).held_up
 
     @property
     def rubbish(self) -> str:

@@ -27,7 +27,7 @@ Arrivals = list[tuple[int, bytes]]
 _POLL_S = 0.1  # how long a reader thread waits before it looks whether it shall stop
 _READ_BYTES = 4096
 _QUEUE_ITEMS = 16384  # 25 s of a box at 4 kHz wait for the recorder; then the operating system holds the sender back
-_READ_ITEMS = 1024  # handed out at a time: who sends faster than we take must not hold up all else
+_READ_ITEMS = 128  # handed out at a time: who sends faster than we take must not hold up all else
 _WRITE_TIMEOUT_S = 2.0
 _CONNECT_TIMEOUT_S = 5.0
 

@@ -62,8 +62,8 @@ class McapWriter:
         self._parts: list[bytes] = []  # of the chunk
         self._size = 0  # of the chunk
         self._index: dict[int, list[int]] = {}  # by channel: log time and offset in the chunk, log time and offset …
-        self._write(MCAP0_MAGIC)
-        self._write(_bytes_of(Header(profile, library)))
+        self._begin = MCAP0_MAGIC + _bytes_of(Header(profile, library))
+        self._write(self._begin)
 
     def register_schema(self, name: str, encoding: str, data: bytes) -> int:
         """The number of a new schema."""
@@ -108,6 +108,25 @@ class McapWriter:
         """Write the chunk, if it holds a message, and flush the output."""
         self._finish_chunk()
         self._out.flush()
+
+    def begin_again(self, first: Iterable[tuple[int, int, int, int, bytes]]) -> None:
+        """Begin a new file on the output, which is empty again: what was written is not in it, the chunk under way will be.
+
+        ``first`` are the arguments of messages to come before those of that chunk.
+        """
+        parts, index, size = self._parts, self._index, self._size
+        self._parts = [_bytes_of(record) for record in (*self._schemas, *self._channels)]
+        self._index, self._size = {}, sum(map(len, self._parts))
+        for message in first:
+            self.add_message(*message)
+        for channel, entries in index.items():
+            entries[1::2] = [offset + self._size for offset in entries[1::2]]
+            self._index.setdefault(channel, []).extend(entries)
+        self._parts += parts
+        self._size += size
+        self._at = self._crc = 0
+        self._chunks, self._attachments, self._metadata, self._counts = [], [], [], {}
+        self._write(self._begin)
 
     def finish(self) -> None:
         """Write the last chunk, the summary and the end."""

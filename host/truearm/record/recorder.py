@@ -16,7 +16,7 @@ from typing import Any
 from truearm.errors import LinkClosed, LinkError, ProtocolError, TruearmError
 from truearm.record.intake import Answer, Intake
 from truearm.record.joint_lines import EXPECTED, RobotIntake
-from truearm.record.links import Clock, Link, Reopenable, backlog_of
+from truearm.record.links import Arrivals, Clock, Link, Reopenable, backlog_of
 from truearm.record.operator import Operator
 from truearm.record.probes import Probes
 from truearm.record.requests import Requests
@@ -37,6 +37,7 @@ ROBOT_NS = 5 * SECOND  # a robot whose stream runs has sent hundreds of readings
 REOPEN_S = CHORES_NS / SECOND
 PATIENCE_S = 600.0  # for a lost box or robot; a wire is plugged in again sooner, and nobody watches an unattended one
 SHORTEST_NS = 10_000
+ROBOT_SHARE_NS = SECOND // 50  # at a time for the robot, so that one that floods holds up no clock exchange and no end
 DRAIN_NS = SECOND // 5
 
 _COMMANDS = {IDENTIFY: "identify", CONFIGURE: "configure", START: "start", STOP: "stop"}
@@ -138,6 +139,8 @@ class _Recorder:
         self._started_ns: int | None = None
         self._silent = False
         self._box_gone = ""
+        self._behind: Arrivals = []  # of the robot, read and not stored yet
+        self._file_losses = 0  # that an event tells of
         self._next_chores_ns = self._next_probe_ns = self._next_progress_ns = now_ns
 
     # --- the course of a recording
@@ -159,8 +162,17 @@ class _Recorder:
         finally:
             duration_s = self._elapsed_s()
             self._finish(end)
-        rtt_us, faults, heard_s = self._probes.rtt_us, self._box.faults, self._heard_s()
-        return RecordSummary(end.reason, end.text, duration_s, rtt_us, self._counters, faults, self._box_gone, heard_s)
+        return RecordSummary(
+            end.reason,
+            end.text,
+            duration_s,
+            self._probes.rtt_us,
+            self._counters,
+            self._box.faults,
+            tuple(self._writer.losses),
+            self._box_gone,
+            self._heard_s(),
+        )
 
     def _write_head(
         self, plan: Iterable[Mapping[str, Any]], rig_toml: bytes | None, mounted: Mapping[str, str] | None
@@ -348,16 +360,24 @@ class _Recorder:
             self._chores(now_ns)
         # Never so short that a clock which counts in whole units would stand still.
         timeout_s = max(min(timeout_ns, CHORES_NS), SHORTEST_NS) / SECOND
-        arrivals = [(t, self._box.take, data) for t, data in self._link.read(timeout_s)]
+        arrivals = [(t, self._box.take, data) for t, data in self._link.read(0.0 if self._behind else timeout_s)]
         if self._robot is not None:
-            arrivals += [(t, self._robot.take, data) for t, data in self._robot.read()]
+            arrivals += [(t, self._robot.take, data) for t, data in self._behind or self._robot.read()]
             arrivals.sort(key=itemgetter(0))
+        self._behind = []
+        end_ns = self._clock.now_ns() + ROBOT_SHARE_NS
         for t_host_ns, take, data in arrivals:
-            take(t_host_ns, data)
+            if take != self._box.take and self._clock.now_ns() > end_ns:
+                self._behind.append((t_host_ns, data))
+            else:
+                take(t_host_ns, data)
 
     def _chores(self, now_ns: int) -> None:
         self._next_chores_ns = now_ns + CHORES_NS
         self._writer.tick(now_ns)
+        for text in self._writer.losses[self._file_losses :]:
+            self._file_losses += 1
+            self._writer.event("file-lost", now_ns, text=text)
         self._probes.expire(now_ns)
         if self._robot is not None:
             self._robot.watch(now_ns)
@@ -399,6 +419,7 @@ class _Recorder:
         self._counters.probes = self._probes.sent
         self._counters.unanswered_probes = self._probes.unanswered
         self._counters.held_up = backlog_of(self._link).held_up
+        self._counters.robot_held_up = 0 if self._robot is None else self._robot.held_up
 
     def _status(self, now_ns: int) -> Status:
         robot = self._robot
@@ -411,4 +432,5 @@ class _Recorder:
             self._box.faults,
             self._state != "link lost" and not self._silent,
             None if robot is None else robot.age_s(now_ns),
+            tuple(self._writer.losses),
         )

@@ -11,6 +11,10 @@ Beside a robot's lines stand their numbers as columns, for readers: once a chunk
 
 A completed file ends with a CRC of all that stands before it, so that no flipped bit anywhere passes for a measurement.
 
+Before anything is written, and twice a second, the writer looks whether its file is still there and as long as it was left (``FileLoss``). A file
+that was deleted or replaced is copied from the open descriptor to a new one beside it, where the recording goes on; nothing is lost. A file that was
+truncated is left, and a new one begins with what the head of the recording said. A renamed file is written to as before.
+
 A writer that is held writes nothing to the disk before ``keep``: an earlier recording of that name stays whole until
 there is something to put in its place.
 """
@@ -25,10 +29,11 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, assert_never
 
 from truearm import __version__
 from truearm.errors import InputError, LinkError, WriteError
+from truearm.record.file_watch import FileLoss, copy_open_file, file_loss, new_file_beside
 from truearm.record.links import Clock
 from truearm.record.mcap_writer import McapWriter
 from truearm.record.session_schemas import encodings_of
@@ -39,6 +44,7 @@ CHUNK_NS = 800_000_000  # with the recorder's pace of 50 ms no message waits lon
 _CHUNK_BYTES = 1 << 20
 _COLUMN_LINES = 1024  # at most; a reader holds as many
 _FSYNC_EVERY_S = 0.9
+_WATCH_EVERY_S = 0.5
 MAX_HELD_BYTES = 32 << 20  # in memory before ``keep``; a box that was just asked who it is sends a few kB
 
 _as_json = json.JSONEncoder(separators=(",", ":")).encode  # one for all rows, dumps makes its own each time
@@ -70,7 +76,13 @@ class SessionWriter:
         self._latest_ns = 0
         self._lines: list[bytes] = []  # of the robot, without columns yet
         self._arrival_ns: list[int] = []
-        self._synced_s = time.monotonic()
+        self._synced_s = self._watched_s = time.monotonic()
+        self.losses: list[str] = []  # what became of the file, a sentence each
+        self._renamed = False
+        self._size = 0  # on the disk, as it was left
+        self._head: list[tuple[int, str, int, bytes]] = []  # sequence, topic, time, data: plan, what is mounted
+        self._metadata: dict[str, Mapping[str, str]] = {}
+        self._attachments: dict[str, tuple[str, bytes]] = {}
         self._writer = McapWriter(self._out, "truearm", f"truearm {__version__}")
         if clock is not None:
             self.metadata("session", {"version": __version__, "clock": clock.kind, **_anchor(clock)})
@@ -95,7 +107,7 @@ class SessionWriter:
         self._out.file = file
         try:
             file.write(held.getvalue())  # type: ignore[attr-defined]
-            file.flush()
+            self._flushed()
         except OSError as exc:
             raise self._cannot_write(exc) from exc
 
@@ -128,6 +140,8 @@ class SessionWriter:
             self.metadata(CHANNELS, {str(number): name for name, (number, _) in self._channels.items()})
         if sequence is not None:
             channel[1] = sequence
+        if topic in ("/plan", "/events") and (topic == "/plan" or b'"mounted"' in data):
+            self._head.append((channel[1], topic, t_host_ns, data))
         self._writer.add_message(channel[0], channel[1], t_host_ns + self._utc_offset_ns, t_host_ns, data)
         channel[1] = channel[1] + 1 & 0xFFFFFFFF
         self._chunk_bytes += len(data)
@@ -154,8 +168,9 @@ class SessionWriter:
             utc_ns, host_ns = read_anchor(entries) or (0, 0)
             self._utc_offset_ns = max(0, utc_ns - host_ns)
         try:
+            self._watch()
             self._add_metadata(name, entries)
-            self._out.flush()
+            self._flushed()
         except OSError as exc:
             raise self._cannot_write(exc) from exc
 
@@ -163,7 +178,10 @@ class SessionWriter:
         """Write an attachment."""
         now_ns = 0 if self._clock is None else self._clock.now_ns() + self._utc_offset_ns
         try:
+            self._watch()
             self._writer.add_attachment(now_ns, name, media_type, data)
+            self._attachments[name] = media_type, data
+            self._flushed()
         except OSError as exc:
             raise self._cannot_write(exc) from exc
 
@@ -171,6 +189,11 @@ class SessionWriter:
         """End the chunk if it is old enough; to be called several times a second, also when nothing arrives."""
         if self._chunk_since_ns is not None and now_ns - self._chunk_since_ns >= CHUNK_NS:
             self._finish_chunk()
+        elif time.monotonic() - self._watched_s >= _WATCH_EVERY_S:
+            try:
+                self._watch()
+            except OSError as exc:
+                raise self._cannot_write(exc) from exc
 
     def close(self, end: Mapping[str, str] | None = None) -> None:
         """Write the metadata ``session-end`` (the clock's anchor and ``end``, if there is either), the index, and make the
@@ -184,13 +207,15 @@ class SessionWriter:
             self._out.file.close()
             return
         try:
+            self._watch()
             self._add_columns()
             said = {**({} if self._clock is None else _anchor(self._clock)), **(end or {})}
             if said:
                 self._add_metadata("session-end", said)
             self._writer.finish()
-            self._out.flush()
+            self._flushed()
             os.fsync(self._out.file.fileno())
+            self._watch(ended=True)
         except OSError as exc:
             raise self._cannot_write(exc) from exc
         finally:
@@ -199,7 +224,7 @@ class SessionWriter:
 
     def _open(self) -> BinaryIO:
         try:
-            return self.path.open("wb" if self._overwrite else "xb")
+            return self.path.open("w+b" if self._overwrite else "x+b")
         except FileExistsError as exc:
             raise InputError(f"{self.path}: exists; choose another name or give --force") from exc
         except OSError as exc:
@@ -210,13 +235,72 @@ class SessionWriter:
         schema = self._writer.register_schema(encodings.name, encodings.schema, encodings.data.encode())
         return self._writer.register_channel(topic, encodings.message, schema)
 
+    def _flushed(self) -> None:
+        self._out.flush()
+        self._size = self._out.tell()
+
+    def _watch(self, ended: bool = False) -> None:
+        """Look after the file, before more is written to it. Raises OSError, WriteError."""
+        if self._held:
+            return
+        self._watched_s = time.monotonic()
+        loss = file_loss(self._out.file, self.path, self._size)
+        if loss is None or (loss is FileLoss.RENAMED and self._renamed):
+            return
+        old = self.path
+        match loss:
+            case FileLoss.RENAMED:
+                self._renamed = True
+                self.losses.append(
+                    f"{old}: was renamed while it was written; what is recorded is in it, under its new name"
+                )
+            case FileLoss.DELETED | FileLoss.REPLACED:
+                self._move()
+                self.losses.append(f"{old}: was {loss} while it was written; all of it is in {self.path}")
+            case FileLoss.TRUNCATED if ended:
+                self.losses.append(f"{old}: was truncated at the very end; see what truearm recover finds in it")
+            case FileLoss.TRUNCATED:
+                self._begin_again()
+                self.losses.append(
+                    f"{old}: was truncated while it was written, and what it held is lost; what came since is in {self.path}"
+                )
+            case _:
+                assert_never(loss)
+
+    def _move(self) -> None:
+        """Go on in a new file with all that the old one holds."""
+        path, new = new_file_beside(self.path)
+        copy_open_file(self._out.file, self._size, new)
+        os.fsync(new.fileno())
+        self._out.file.close()
+        self.path, self._out.file, self._renamed = path, new, False
+
+    def _begin_again(self) -> None:
+        """Go on in a new file, which begins with plan, rig and what was mounted as the old one did."""
+        path, new = new_file_beside(self.path)
+        self._out.file.close()
+        self.path, self._out.file, self._renamed = path, new, False
+        head = [
+            (self._channels[topic][0], number, t_ns + self._utc_offset_ns, t_ns, data)
+            for number, topic, t_ns, data in self._head
+        ]
+        self._writer.begin_again(head)
+        for name, entries in self._metadata.items():
+            self._writer.add_metadata(name, entries)
+        for name, (media_type, data) in self._attachments.items():
+            self._writer.add_attachment(0, name, media_type, data)
+        self._flushed()
+
     def _add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
-        self._writer.add_metadata(name, {**entries, CRC: metadata_crc(name, entries)})
+        self._metadata[name] = {**entries, CRC: metadata_crc(name, entries)}
+        self._writer.add_metadata(name, self._metadata[name])
 
     def _finish_chunk(self) -> None:
         self._add_columns()
         try:
+            self._watch()
             self._writer.flush()
+            self._flushed()
             self._chunk_since_ns = None
             self._chunk_bytes = 0
             if self._held:

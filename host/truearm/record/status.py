@@ -25,6 +25,7 @@ class Counters:
     link_losses: int = 0
     robot_losses: int = 0
     held_up: int = 0  # times that a link's reader had to wait for the recorder
+    robot_held_up: int = 0  # times that the robot's had to: it sends more than can be stored
     dropped_in_box: int = 0  # trigger edges, by the heartbeats since the first
     overruns_in_box: int = 0  # samples, by the heartbeats since the first
 
@@ -41,6 +42,7 @@ class Status:
     faults: tuple[str, ...] = ()  # what the operator should know of the box
     box_ok: bool = True  # False while its link is lost, or it is silent
     robot_age_s: float | None = None  # of the last reading
+    file_losses: tuple[str, ...] = ()  # what became of the session's file, a sentence each
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class RecordSummary:
     """How a recording ended.
 
     ``reason`` is "duration", "operator", "robot closed", "robot lost", "no readings", "interrupted", "until" or "link lost"; ``text``
-    explains what was lost or closed. ``duration_s`` runs from the start of the stream. ``faults`` as in ``Status``.
+    explains what was lost or closed. ``duration_s`` runs from the start of the stream. ``faults`` and ``file_losses`` as in ``Status``.
     ``box_gone``: why the box could not be stopped, "" if it was; ``heard_s`` of the recording it was heard.
     """
 
@@ -58,5 +60,6 @@ class RecordSummary:
     rtt_us: float | None
     counters: Counters
     faults: tuple[str, ...] = ()
+    file_losses: tuple[str, ...] = ()
     box_gone: str = ""
     heard_s: float = 0.0

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from truearm.record.links import Clock
+    from truearm.record.session_writer import SessionWriter
     from truearm.record.status import RecordSummary
     from truearm.types import Plan, Rig
 
@@ -84,10 +85,10 @@ def record_request(request: Request, output: TextIO) -> Recorded:
     work = _work(request)
     device = choose_box(request.device, output)
     try:
-        summary, kept, view = _record(device, work, request, output)
+        summary, writer, view = _record(device, work, request, output)
     except WriteError as exc:  # what came until then is in the file
         raise IncompleteError(*exc.args) from exc
-    return Recorded(work.out, summary, kept, view.trouble, what_is_missing(summary, work.robot is not None))
+    return Recorded(writer.path, summary, writer.kept, view.trouble, what_is_missing(summary, work.robot is not None))
 
 
 def what_is_missing(summary: RecordSummary, with_robot: bool) -> str:
@@ -101,11 +102,11 @@ def what_is_missing(summary: RecordSummary, with_robot: bool) -> str:
     if summary.box_gone and summary.reason != "link lost":
         lost_s = summary.duration_s - summary.heard_s
         reasons.append(f"the box was gone at the end, and silent for the last {lost_s:.1f} s ({summary.box_gone})")
-    return "; ".join(reasons)
+    return "; ".join([*reasons, *summary.file_losses])
 
 
-def _record(device: str, work: Work, request: Request, output: TextIO) -> tuple[RecordSummary, bool, View]:
-    """The summary, whether there is a file, and the view."""
+def _record(device: str, work: Work, request: Request, output: TextIO) -> tuple[RecordSummary, SessionWriter, View]:
+    """The summary, the closed file, and the view."""
     from truearm.record.links import HostClock
     from truearm.record.ports import BoxPort
     from truearm.record.recorder import Hooks, RecordOptions
@@ -145,9 +146,9 @@ def _record(device: str, work: Work, request: Request, output: TextIO) -> tuple[
             )
         except TruearmError as exc:
             if writer.kept:
-                raise IncompleteError(*exc.args, f"; what came until then is in {work.out}") from exc
+                raise IncompleteError(*exc.args, f"; what came until then is in {writer.path}") from exc
             raise
-        return summary, writer.kept, view
+    return summary, writer, view
 
 
 def _robot_link(url: str | None, clock: Clock) -> AbstractContextManager[Any]:

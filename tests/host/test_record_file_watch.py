@@ -1,0 +1,185 @@
+"""A session's file that is deleted, renamed, replaced or truncated while it is written, and a robot that floods its link."""
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
+
+import pytest
+from record_box import HOST_0, SECOND, Box
+from record_files import events, run, topics
+from record_real import box_on_a_socket
+from test_record_command import RIG
+
+from truearm.record.recorder import RecordOptions
+from truearm.record.session_writer import SessionWriter
+from truearm.session.session_file import open_session
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="a file that is open cannot be deleted elsewhere")
+AT_NS = HOST_0 + 1_500_000_000
+PLAN = [{"pose": k, "bar": "b46", "chuck": "c1", "sphere": "s1", "q": [0.1 * k, 0.0]} for k in range(2)]
+OPTIONS = RecordOptions(plan=PLAN, rig_toml=RIG.encode(), mounted={"bar": "b46", "chuck": "c1", "sphere": "s1"})
+
+
+def lost(lab, path, happens, at_ns=AT_NS):
+    """A recording of 3 s during which something happens to its file."""
+    lab.at(at_ns, happens)
+    return run(lab, Box(lab), path, options=OPTIONS)
+
+
+def samples(path):
+    """Numbers of the frames' first samples, in the order of the file."""
+    from truearm.session.box_frames import data_of, decode
+
+    return [data_of(decode(m.data)).n0 for m in topics(path)["/box/adc"]]
+
+
+def is_head_whole(path):
+    found = topics(path)
+    assert [json.loads(m.data) for m in found["/plan"]] == PLAN
+    assert open_session(path).attachments["rig.toml"] == RIG.encode()
+    assert "ident" in open_session(path).metadata["box"]
+    assert events(path, "mounted") == [{"kind": "mounted", **OPTIONS.mounted}]
+    return True
+
+
+@pytest.mark.parametrize("what", ["deleted", "replaced"])
+def test_nothing_is_lost_of_a_file_that_is_gone(lab, path, what):
+    def happens():
+        path.unlink()
+        if what == "replaced":
+            path.write_text("somebody else's")
+
+    summary = lost(lab, path, happens)
+    rescued = path.with_name(f"{path.stem}-rescued{path.suffix}")
+    assert summary.file_losses == (f"{path}: was {what} while it was written; all of it is in {rescued}",)
+    assert events(rescued, "file-lost")[0]["text"] == summary.file_losses[0]
+    first = samples(rescued)
+    assert first == list(range(0, 10 * len(first), 10))
+    assert 10 * len(first) == summary.counters.samples
+    assert is_head_whole(rescued)
+    assert path.exists() == (what == "replaced")
+
+
+def test_a_renamed_file_is_written_to_as_before(lab, path):
+    other = path.with_name("other.mcap")
+    summary = lost(lab, path, lambda: path.rename(other))
+    (text,) = summary.file_losses
+    assert text.startswith(f"{path}: was renamed")
+    assert 10 * len(samples(other)) == summary.counters.samples
+    assert [p.name for p in path.parent.iterdir()] == ["other.mcap"]
+
+
+def test_a_renamed_file_that_is_deleted_then(lab, path):
+    other = path.with_name("other.mcap")
+    lab.at(HOST_0 + 2 * SECOND + SECOND // 2, lambda: other.unlink())
+    summary = lost(lab, path, lambda: path.rename(other))
+    assert [text.split(" was ")[1].split()[0] for text in summary.file_losses] == ["renamed", "deleted"]
+    (rescued,) = path.parent.iterdir()
+    assert 10 * len(samples(rescued)) == summary.counters.samples
+
+
+@pytest.mark.parametrize("size", [0, 1000])
+def test_what_comes_after_a_truncation_is_whole(lab, path, size):
+    """Nothing of the last second is lost, which waited in memory; the new file holds plan, rig and what is mounted."""
+    summary = lost(lab, path, lambda: os.truncate(path, size))
+    rescued = path.with_name(f"{path.stem}-rescued{path.suffix}")
+    (text,) = summary.file_losses
+    assert "truncated" in text
+    assert str(rescued) in text
+    assert is_head_whole(rescued)
+    first = samples(rescued)
+    assert first == list(range(first[0], 10 * summary.counters.samples // 10, 10))
+    assert first[0] * 983_040 < 1_500_000_000
+    assert path.stat().st_size == size
+
+
+@pytest.mark.parametrize("how", ["unlink", "truncate"])
+def test_something_happens_between_the_last_sync_and_the_end(lab, path, how):
+    class Late(SessionWriter):
+        def close(self, end=None):
+            if end is not None:
+                path.unlink() if how == "unlink" else os.truncate(path, 0)
+            super().close(end)
+
+    from truearm.record.recorder import record
+
+    with Late(path, lab) as writer:
+        summary = record(Box(lab).link, writer, lab, options=RecordOptions(duration_s=2.0))
+    assert len(summary.file_losses) == 1
+    rescued = path.with_name(f"{path.stem}-rescued{path.suffix}")
+    assert not open_session(rescued).truncated
+    if how == "unlink":
+        assert 10 * len(samples(rescued)) == summary.counters.samples
+
+
+def test_a_second_rescue_takes_another_name(lab, path):
+    rescued = path.with_name(f"{path.stem}-rescued{path.suffix}")
+    rescued.write_text("of yesterday")
+    lost(lab, path, path.unlink)
+    assert rescued.read_text() == "of yesterday"
+    assert is_head_whole(path.with_name(f"{path.stem}-rescued-2{path.suffix}"))
+
+
+@pytest.mark.parametrize("how", ["unlink", "truncate"])
+def test_the_command_says_it_within_two_seconds(tmp_path, how):
+    out = tmp_path / "s.mcap"
+    (tmp_path / "rig.toml").write_text(RIG)
+    with box_on_a_socket() as (_, device):
+        options = ["--unchecked", "--device", device, "--rig", tmp_path / "rig.toml", "--duration", "6", "--out", out]
+        command = [sys.executable, "-m", "truearm", "record", *map(str, options)]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        while not (out.exists() and out.stat().st_size > 2000):
+            time.sleep(0.02)
+        time.sleep(1.0)
+        out.unlink() if how == "unlink" else os.truncate(out, 0)
+        happened = time.monotonic()
+        for line in process.stderr:
+            if "while it was written" in line:
+                break
+        said_s = time.monotonic() - happened
+        stdout, _ = process.communicate(timeout=30)
+    assert said_s < 2.0
+    assert process.returncode == 4
+    rescued = tmp_path / "s-rescued.mcap"
+    assert str(rescued) in stdout
+    assert not open_session(rescued).truncated
+
+
+def flood():
+    """A robot that sends as fast as it can; its address."""
+    listener = socket.create_server(("127.0.0.1", 0))
+    lines = b"".join(json.dumps({"t": 1e-4 * k, "seq": k, "q": [0.1, 0.2]}).encode() + b"\n" for k in range(5000))
+
+    def serve():
+        peer, _ = listener.accept()
+        with peer, listener, suppress(OSError):
+            while True:
+                peer.sendall(lines)
+
+    threading.Thread(target=serve, daemon=True).start()
+    return f"tcp://127.0.0.1:{listener.getsockname()[1]}"
+
+
+def test_a_robot_that_floods_takes_neither_the_clock_nor_the_end(tmp_path):
+    out = tmp_path / "s.mcap"
+    with box_on_a_socket() as (_, device):
+        options = ["--unchecked", "--device", device, "--robot", flood(), "--duration", "4", "--out", out]
+        command = [sys.executable, "-m", "truearm", "record", *map(str, options)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert "the robot sends more than can be stored" in done.stderr
+    end = open_session(out).metadata["session-end"]
+    exchanges = [json.loads(m.data) for m in open_session(out).messages("/sync")]
+    answered = [row for row in exchanges if "t3_ns" in row]
+    assert len(answered) >= 8  # of 16, on a machine that does other things too
+    start, stop = (
+        next(row for row in topics(out)["/events"] if json.loads(row.data)["kind"] == k).t_host_ns
+        for k in ("start", "stop")
+    )
+    assert 4.0 <= (stop - start) / SECOND < 6.0
+    assert int(end["samples"]) > 3 * 1017 * 10 // 10
