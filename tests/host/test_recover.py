@@ -3,6 +3,10 @@
 import hashlib
 import os
 import random
+import re
+import signal
+import subprocess
+import sys
 
 import mcap.records
 import pytest
@@ -16,6 +20,14 @@ from truearm.cli.main import main
 from truearm.errors import SessionError
 from truearm.record.recover import recover
 from truearm.session.session_file import open_session
+
+KILLED_WHILE_IT_WRITES = """
+import os, signal, sys
+from truearm.cli.main import main
+from truearm.record.session_writer import SessionWriter
+SessionWriter.close = lambda self, end=None: os.kill(os.getpid(), signal.SIGKILL)
+main(sys.argv[1:])
+"""
 
 
 @pytest.fixture
@@ -168,6 +180,18 @@ class TestRefusals:
         cut.write_bytes(cut.read_bytes()[:size])
         self.refused(capsys, cut)
         assert os.listdir(tmp_path) == ["s.mcap"]
+
+    @pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
+    def test_what_a_killed_recover_left_is_removed(self, cut, tmp_path):
+        """And nothing else: not what another recover works in now, nor a stranger's folder."""
+        command = [sys.executable, "-c", KILLED_WHILE_IT_WRITES, "recover", str(cut)]
+        assert subprocess.run(command, timeout=60).returncode == -signal.SIGKILL
+        (left,) = tmp_path.glob(".truearm-*")
+        at_work = left.with_name(re.sub(r"-[0-9]+-", f"-{os.getpid()}-", left.name))
+        at_work.mkdir()
+        (tmp_path / ".truearm-mine").mkdir()
+        assert main(["recover", str(cut)]) == 0
+        assert sorted(tmp_path.glob(".truearm-*")) == sorted([at_work, tmp_path / ".truearm-mine"])
 
     def test_no_file(self, tmp_path, capsys):
         assert "no such file" in self.refused(capsys, tmp_path / "none.mcap")

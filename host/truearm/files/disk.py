@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import os
+import platform
+import re
+import shutil
 import tempfile
 import tomllib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -144,6 +148,33 @@ def same_file(a: Path, b: Path) -> bool:
 def _real(path: Path) -> Path:
     """Where a path leads; unlike ``Path.resolve`` it takes links that lead in a circle."""
     return Path(os.path.realpath(path))
+
+
+@contextmanager
+def working_folder(parent: Path) -> Iterator[Path]:
+    """A folder in ``parent`` that is gone afterwards; those that killed processes of this machine left there are removed.
+
+    Raises OSError where it cannot be made.
+    """
+    ours = f".truearm-{re.sub(r'[^A-Za-z0-9]', '', platform.node())[:40]}-"
+    for left in parent.glob(f"{ours}*"):
+        process = left.name.removeprefix(ours).partition("-")[0]
+        if process.isdecimal() and not _is_running(int(process)):
+            shutil.rmtree(left, ignore_errors=True)
+    with tempfile.TemporaryDirectory(prefix=f"{ours}{os.getpid()}-", dir=parent) as folder:
+        yield Path(folder)
+
+
+def _is_running(process: int) -> bool:
+    if os.name != "posix":
+        return True  # a signal of 0 would end it
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):
+        pass
+    return True
 
 
 def own_folder(path: Path, mark: str) -> None:

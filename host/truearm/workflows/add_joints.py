@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 from truearm.errors import Argument, InputError
-from truearm.files.disk import check_new, sha256
+from truearm.files.disk import check_new, sha256, working_folder
 from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.record.robots.add_readings import add_readings
 from truearm.record.robots.sources import FileOptions, readings_of_file
@@ -47,8 +46,8 @@ def add_joints_file(wanted: AddJoints, force: bool = False) -> int:
     }
     if opened.damage or opened.truncated:
         said["damaged"] = "what was not whole of the session is left out"
-    with tempfile.TemporaryDirectory(prefix=".truearm-", dir=wanted.out.parent) as folder:
-        partial = Path(folder) / "session.mcap"
+    with working_folder(wanted.out.parent) as folder:
+        partial = folder / "session.mcap"
         count = add_readings(opened, readings, partial, zero, said, wanted.replace)
         os.replace(partial, wanted.out)
     return count

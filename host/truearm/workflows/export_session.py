@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 
 from truearm.errors import InputError, WriteError
 from truearm.files.column_writers import Columns, Table, check_format
-from truearm.files.disk import sha256
+from truearm.files.disk import sha256, working_folder
 from truearm.files.observation_table import table_columns
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import load_robot
@@ -48,8 +47,8 @@ def export_session_files(wanted: ExportSession) -> dict[str, int]:
     _check_folder(out)
     opened = open_session(wanted.session, wanted.allow_damaged)
     try:
-        with tempfile.TemporaryDirectory(prefix=".truearm-", dir=out.parent) as folder:
-            whole = Path(folder) / "tables"
+        with working_folder(out.parent) as folder:
+            whole = folder / "tables"
             whole.mkdir()
             document = _export(opened, whole, wanted.format, given, units)
             document["sha256"] = sha256(wanted.session)

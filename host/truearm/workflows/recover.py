@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from pathlib import Path
 
 from truearm.errors import SessionError, WriteError
-from truearm.files.disk import check_new, sha256
+from truearm.files.disk import check_new, sha256, working_folder
 from truearm.record.recover import Recovered, is_whole
 from truearm.record.recover import recover as recover_session
 from truearm.session.session_file import Session, open_session
@@ -28,8 +27,8 @@ def recover_file(session: Path, out: Path, force: bool = False) -> Recovered | N
 def _write(path: Path, opened: Session, out: Path, said: dict[str, str]) -> Recovered:
     """Write beside ``out`` and rename: whoever finds it finds it whole."""
     try:
-        with tempfile.TemporaryDirectory(prefix=".truearm-", dir=out.parent) as folder:
-            partial = Path(folder) / "session.mcap"
+        with working_folder(out.parent) as folder:
+            partial = folder / "session.mcap"
             found = recover_session(opened, partial, said)
             if not found.topics and not opened.metadata:
                 raise SessionError(f"{path}: holds nothing that could be saved")
