@@ -38,8 +38,7 @@ from truearm.session.box_frames import (
     usual_data,
 )
 from truearm.session.box_ident import Ident, Stream, decode_ident
-from truearm.session.heartbeats import Heartbeats
-from truearm.session.losses import COUNTED, Losses, StreamReport
+from truearm.session.losses import COUNTED, Heartbeats, Losses, StreamReport
 from truearm.types import Message
 from truearm_wire import messages as wire
 

@@ -21,8 +21,7 @@ from truearm.model.chain import along, trace_point
 from truearm.model.robot import builtin_robot
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
-from truearm.session.observations import came_from, observations
-from truearm.session.repeated_visits import visits
+from truearm.session.observations import came_from, observations, visits
 from truearm.types import Message
 from truearm.workflows.characterize import Part, characterized
 from truearm.workflows.session_parts import SETUP

@@ -7,9 +7,8 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from truearm.session.box_frames import Exchange
-from truearm.session.clock_windows import RATE_LIMIT
+from truearm.session.clock_windows import RATE_LIMIT, line_under, lower_hull
 from truearm.session.device_clock import fit_clock
-from truearm.session.hull import line_under, lower_hull
 
 TAIL_NS = 150e3
 

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from truearm.session.dwells import DwellRules, find_dwells
 from truearm.session.joint_readings import JointReader
 from truearm.session.plan_matching import BACK, REPEAT, Marks, Plan, match_plan, nearest_pose
-from truearm.session.sample_statistics import mean_of
+from truearm.session.samples import mean_of
 from truearm.types import Message
 
 HZ = 125.0

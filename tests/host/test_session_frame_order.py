@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from session_stream import Box
 
-from truearm.session.frame_order import REACH
+from truearm.session.losses import REACH
 
 SECOND = 80  # frames of a box at 1 kHz
 

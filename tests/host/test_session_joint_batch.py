@@ -12,8 +12,7 @@ from test_session_joint_readings import assert_same
 
 from truearm.record.recover import recover
 from truearm.record.session_writer import SessionWriter
-from truearm.session.joint_batch import COLUMNS, JOINTS, concatenate, pack, parse_lines, unpack
-from truearm.session.joint_readings import JointReader
+from truearm.session.joint_readings import COLUMNS, JOINTS, JointReader, concatenate, pack, parse_lines, unpack
 from truearm.session.session_file import open_session
 from truearm.types import Message
 

@@ -9,8 +9,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from test_session import written
 
 from truearm.errors import SessionError
-from truearm.session.salvage import MAX_BAD, words_of
-from truearm.session.session_file import open_session
+from truearm.session.session_file import MAX_BAD, open_session, words_of
 
 STEP_S = 0.01  # of the messages that `written` makes
 N = 500
@@ -176,7 +175,7 @@ def test_false_starts_are_given_up(path, made):
 
 
 def test_a_search_is_bounded(path, made, monkeypatch):
-    monkeypatch.setattr("truearm.session.salvage.MAX_TRIES", 100)
+    monkeypatch.setattr("truearm.session.session_file.MAX_TRIES", 100)
     _, whole, chunks = made
     first, second = chunks[0].chunk_start_offset, chunks[1].chunk_start_offset
     seems = b"\x06\xff\xff\xff\x7f" + bytes(4)
@@ -190,6 +189,6 @@ def test_a_search_goes_on_from_block_to_block(path, made, monkeypatch):
     messages, whole, chunks = made
     second = chunks[2].chunk_start_offset
     for block in (1, 7, 64):
-        monkeypatch.setattr("truearm.session.salvage._BLOCK", block)
+        monkeypatch.setattr("truearm.session.session_file._BLOCK", block)
         path.write_bytes(flipped(whole, second + 7))
         assert list(open_session(path, allow_damaged=True).messages()) == outside(messages, chunks[2])

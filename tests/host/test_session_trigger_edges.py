@@ -7,9 +7,7 @@ import pytest
 
 from truearm.session.box_frames import Exchange
 from truearm.session.device_clock import fit_clock
-from truearm.session.joint_batch import parse_lines
-from truearm.session.joint_readings import JointReader
-from truearm.session.robot_inputs import UNKNOWN, InputTrack
+from truearm.session.joint_readings import NO_INPUTS, InputTrack, JointReader, parse_lines
 from truearm.session.trigger_edges import Output, fit_edges, match, with_edges
 from truearm.types import Message
 
@@ -99,7 +97,7 @@ def level_at(t, edges):
 
 def test_changes_are_told_between_readings_whatever_the_pieces():
     t = np.arange(0.0, 1.0, 0.1)
-    bits = np.array([0, 0, 4, 4, UNKNOWN, 0, 8, 8, 12, 12])
+    bits = np.array([0, 0, 4, 4, NO_INPUTS, 0, 8, 8, 12, 12])
     track = track_of(t, bits)
     assert track.inputs() == [2, 3]
     of_2, of_3 = track.changes(2), track.changes(3)
@@ -113,7 +111,7 @@ def test_changes_are_told_between_readings_whatever_the_pieces():
 @pytest.mark.parametrize("value", [None, -1, 2**63, 2**200, True, 1.0, "3", [1]])
 def test_inputs_that_are_none(value):
     line = json.dumps({"t": 1.5, "q": [0.1], "inputs": value}).encode()
-    assert parse_lines([line], [0]).inputs.tolist() == [UNKNOWN]
+    assert parse_lines([line], [0]).inputs.tolist() == [NO_INPUTS]
 
 
 def pairing(edges, readings, level, late_s=0.004):

@@ -19,7 +19,7 @@ from truearm.units import UM
 if TYPE_CHECKING:
     from truearm.box.gauge_polynomial import PolyFit
     from truearm.session.box_ident import Channel, Stream
-    from truearm.session.sample_statistics import MeanOfSamples
+    from truearm.session.samples import MeanOfSamples
     from truearm.types import Floats
 
 MAG = "mag"  # the stream of

@@ -241,7 +241,7 @@ def _collect(box: BoxControl, stream: Stream, skip: int, wanted: int, patience_s
 
 def trouble(counts: NDArray[np.int32], stream: Stream) -> str:
     """Why these counts (n,) are no reading; "" if they are."""
-    from truearm.session.lvdt import railed
+    from truearm.session.samples import railed
 
     if stream.name != MAG:
         return (
@@ -254,8 +254,7 @@ def trouble(counts: NDArray[np.int32], stream: Stream) -> str:
 
 
 def _place(reference: float, counts: NDArray[np.int32], stream: Stream, channel: Channel, box: BoxControl) -> Place:
-    from truearm.session.lvdt import volts
-    from truearm.session.sample_statistics import mean_of
+    from truearm.session.samples import mean_of, volts
 
     good = counts[counts != 0] if stream.name == MAG else counts
     beat = box.heartbeat.get("temperature_mdegc")

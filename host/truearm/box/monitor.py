@@ -15,7 +15,7 @@ import numpy as np
 from truearm.box.conversation import conversation, ident_of, one_line_of
 from truearm.errors import InputError
 from truearm.interrupt import asked_to_stop
-from truearm.session.heartbeats import COUNTERS
+from truearm.session.losses import COUNTERS
 from truearm.text import one_line
 from truearm.units import MS, NS, US
 
@@ -171,7 +171,7 @@ def _stream_rows(stream: Stream, window: Window | None) -> Rows:
 def value_of(counts: NDArray[np.int32], channel: Channel, stream: Stream) -> str:
     """The mean of counts (n,) in the channel's best unit, with the standard deviation of one sample."""
     from truearm.box.description import with_spread
-    from truearm.session.lvdt import railed
+    from truearm.session.samples import railed
 
     if channel.fault:
         return channel.fault

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from truearm.session.heartbeats import COUNTERS, EXTREMES
+from truearm.session.losses import COUNTERS, EXTREMES
 from truearm.text import one_line
 from truearm.types import BAR_MOUNTED
 from truearm.units import MM_S, NS, ONE, UM, URAD, US, Scale
@@ -57,7 +57,7 @@ def lines(document: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _damage(damage: list[Mapping[str, Any]]) -> Iterator[str]:
-    from truearm.session.salvage import words_of
+    from truearm.session.session_file import words_of
 
     for piece in damage:
         yield "  " + words_of(piece["at"], piece["lost_s"], piece["of_s"])

@@ -46,7 +46,7 @@ def recover(
 
 def lines(found: Recovered) -> list[str]:
     """What was saved and what was lost, for people."""
-    from truearm.session.salvage import words_of
+    from truearm.session.session_file import words_of
 
     messages = sum(account.saved for account in found.topics.values())
     text = [f"saved  {messages} messages of {found.seconds:.1f} s, {_named(found.attachments, 'attachment')}"]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.live.standstill import JOINTS, SENSOR, StandstillDetector
-from truearm.session.sample_statistics import LEAST_LAGS, mean_of
+from truearm.session.samples import LEAST_LAGS, mean_of
 from truearm.types import Floats
 from truearm.units import NS
 

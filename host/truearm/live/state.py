@@ -14,8 +14,8 @@ from truearm.live.dwells_taken import ENOUGH_NS, ControllerTime, LiveDwell, Live
 from truearm.live.progress import SessionProgress, words_of
 from truearm.record.operator import OperatorEvent
 from truearm.session.box_ident import find_channel
-from truearm.session.joint_line import parse_reading
-from truearm.session.lvdt import extension, railed
+from truearm.session.joint_readings import parse_reading
+from truearm.session.samples import extension, railed
 from truearm.text import one_line
 from truearm.types import BAR_MOUNTED
 from truearm.units import MM, MM_S, NS, UM, US

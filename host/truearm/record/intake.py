@@ -25,7 +25,7 @@ from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
 from truearm.session.box_frames import Data, Pages, data_of, decode, too_many, usual_data
 from truearm.session.box_ident import Ident, decode_ident
-from truearm.session.lvdt import shown
+from truearm.session.samples import shown
 from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, IDENT, REPLY, SYNC_REPLY
 
 _TOPICS = {

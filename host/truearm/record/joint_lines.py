@@ -16,7 +16,7 @@ from truearm.record.links import Arrivals, Clock, Link, Reopenable, backlog_of
 from truearm.record.operator import Operator
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
-from truearm.session.joint_line import parse_reading
+from truearm.session.joint_readings import parse_reading
 
 MAX_LINE = 8192  # bytes
 MAX_RUBBISH = 1 << 20  # bytes without a reading between them; a robot that sends so many is none

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from truearm.record.session_writer import SessionWriter, media_type
-from truearm.session.mcap_records import CHANNELS
-from truearm.session.salvage import Damage
-from truearm.session.session_file import Session
+from truearm.session.message_columns import CHANNELS
+from truearm.session.session_file import Damage, Session
 from truearm.units import NS
 
 _CIRCLE = 2**32

@@ -37,8 +37,8 @@ from truearm.record.file_watch import FileLoss, copy_open_file, file_loss, new_f
 from truearm.record.links import Clock
 from truearm.record.mcap_writer import McapWriter
 from truearm.record.session_schemas import encodings_of
-from truearm.session.joint_batch import COLUMNS, JOINTS, pack, parse_lines
-from truearm.session.mcap_records import CHANNELS, CRC, LATEST_NS, metadata_crc
+from truearm.session.joint_readings import COLUMNS, JOINTS, pack, parse_lines
+from truearm.session.message_columns import CHANNELS, CRC, LATEST_NS, metadata_crc
 
 CHUNK_NS = 800_000_000  # with the recorder's pace of 50 ms no message waits longer than 1 s
 _CHUNK_BYTES = 1 << 20

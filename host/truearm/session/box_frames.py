@@ -1,16 +1,28 @@
-"""A box's single frames → checked values (protocol/SPEC.md §4, §5): data, clock exchanges, and documents joined from their pages.
+"""A box's frames → checked values (protocol/SPEC.md §4, §5): of a batch of messages as columns (hop 4), and one by one.
 
-For the recorder, and for everything that reads a session. Files are strangers': each answer is None where something is amiss.
+Of what a box sends nearly all is data, heartbeats and sync replies, whose heads have a fixed layout (protocol/frames.cddl):
+``frames_of()`` reads them in one go. Each test there is the one that is made of a single payload; what fails it is decoded singly. Frames that follow one
+another without anything unusual make a **run**, which is accounted for as a whole; a frame that does not is a run of its own.
+
+Of single frames: data, clock exchanges, and documents joined from their pages, for the recorder too. Files are strangers': each answer is None where
+something is amiss.
 """
 
 from __future__ import annotations
 
 import json
 import struct
+from bisect import bisect_left
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import cbor2
+import numpy as np
+from numpy.typing import NDArray
 
+from truearm.session.message_columns import Ints, Messages, heads
 from truearm_wire import messages as wire
 from truearm_wire.messages import PAGE_BYTES, PAGES_MAX
 
@@ -198,3 +210,288 @@ class Pages:
             return None
         self._key = None
         return b"".join(self._parts)
+
+
+# ---------------------------------------------------------------------------------------------------- frames as columns
+
+NO_TIME = -1  # kind of a frame without device time
+NO_BOOT = -1
+CIRCLE = 2**32  # seq counts in it
+
+_DATA = np.dtype(
+    {
+        "names": ["begin", "type", "mark", "seq", "stream", "m_n0", "n0", "m_t0", "t0", "m_p", "period", "tag", "size"],
+        "formats": ["u1", "u1", "u1", ">u4", "u1", "u1", ">u8", "u1", ">u8", "u1", ">u4", "3u1", "u1"],
+        "offsets": [0, 1, 2, 3, 7, 8, 9, 17, 18, 26, 27, 31, 34],
+        "itemsize": 35,
+    }
+)
+_DATA_TAG = np.array([0xD8, 0x4E, 0x58], np.uint8)
+_HEARTBEAT = np.dtype(
+    {
+        "names": ["begin", "type", "mark", "seq", "m_boot", "boot", "m_t", "t"],
+        "formats": ["u1", "u1", "u1", ">u4", "u1", ">u4", "u1", ">u8"],
+        "offsets": [0, 1, 2, 3, 7, 8, 12, 13],
+        "itemsize": 35,
+    }
+)
+_SYNC = np.dtype(
+    {
+        "names": ["begin", "type", "mark", "seq", "id", "times"],
+        "formats": ["u1", "2u1", "u1", ">u4", "u1", "V27"],
+        "offsets": [0, 1, 3, 4, 8, 8],
+        "itemsize": 35,
+    }
+)
+_HEARTBEAT_VALUES = len(wire.names(wire.HEARTBEAT)) - 1  # without seq
+_HEARTBEAT_NEEDED = wire.needed(wire.HEARTBEAT) - 1  # of a box of any minor version
+_UINT8, _UINT32, _UINT64 = 0x18, 0x1A, 0x1B  # CBOR: an unsigned integer of so many bits follows
+_ID_BYTES = {0x18: 2, 0x19: 3, 0x1A: 5}  # of an unsigned integer that is not below 24
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """The frames (f,) of a batch of messages in the order of their arrival, those that are none left out.
+
+    ``kind`` is that of the device time ``t_us``: a stream's number, minus the type of another frame, NO_TIME without. Of data frames n0,
+    period (0: ``offsets_us`` says when), flags and where the samples stand, else 0. ``single``: the elements of a frame
+    that is neither data nor a usual heartbeat or sync reply; ``heartbeats``: the values of heartbeats without seq.
+    """
+
+    messages: Messages
+    row: NDArray[np.intp]  # of messages
+    t_host_ns: Ints
+    seq: Ints
+    kind: Ints
+    t_us: Ints
+    boot_id: Ints  # of a heartbeat, NO_BOOT of others
+    is_data: NDArray[np.bool_]
+    n0: Ints
+    period_ns: Ints
+    flags: Ints
+    samples_at: Ints
+    samples_bytes: Ints
+    offsets_us: dict[int, bytes]
+    single: dict[int, list[Any]]
+    heartbeats: dict[int, list[int]]
+    run_begins: NDArray[np.intp]  # a run ends where the next begins
+    of_kind: dict[int, list[int]]  # the frames that have a time of each kind
+    beats: list[int]  # the frames that are in ``heartbeats``
+    malformed: int
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    def runs(self) -> Iterator[Run]:
+        """The frames run by run."""
+        for begin, end in pairwise([*self.run_begins.tolist(), len(self)]):
+            yield Run(self, begin, end)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """Frames ``begin`` to ``end`` of a batch, at least one. Without more said, what is asked is asked of the first."""
+
+    frames: Frames
+    begin: int
+    end: int
+
+    def __len__(self) -> int:
+        return self.end - self.begin
+
+    def first(self, n: int) -> Run:
+        """The first n frames."""
+        return Run(self.frames, self.begin, self.begin + n)
+
+    def after(self, head: Run) -> Run:
+        """What comes behind these first frames."""
+        return Run(self.frames, head.end, self.end)
+
+    @property
+    def row(self) -> int:
+        """Which message of the batch it is."""
+        return int(self.frames.row[self.begin])
+
+    @property
+    def seq(self) -> int:
+        """Its number."""
+        return int(self.frames.seq[self.begin])
+
+    @property
+    def t_host_ns(self) -> int:
+        """When it arrived."""
+        return int(self.frames.t_host_ns[self.begin])
+
+    @property
+    def last_host_ns(self) -> int:
+        """When the last frame arrived."""
+        return int(self.frames.t_host_ns[self.end - 1])
+
+    @property
+    def payload(self) -> bytes:
+        """Its bytes."""
+        return self.frames.messages.payload(self.row)
+
+    @property
+    def is_boot(self) -> bool:
+        """Whether it is the first page of the ident that a box sends unasked at boot."""
+        elements = self.frames.single.get(self.begin)
+        return elements is not None and is_boot(elements)
+
+    def times(self) -> list[tuple[int, int, int, int]]:
+        """Of each kind of device time in the run: the kind, the first frame that has one, its time and that of the last."""
+        found = []
+        for kind, frames in self.frames.of_kind.items():
+            first = bisect_left(frames, self.begin)
+            if first < len(frames) and frames[first] < self.end:
+                last = bisect_left(frames, self.end, first) - 1
+                t_us = self.frames.t_us
+                found.append((kind, frames[first], int(t_us[frames[first]]), int(t_us[frames[last]])))
+        return found
+
+    def first_heartbeat(self) -> tuple[int, int | None]:
+        """The first heartbeat of the run and its boot id, None without one; all heartbeats of a run have the same."""
+        alone = self.frames.single.get(self.begin)
+        if alone is not None:
+            return self.begin, boot_id(alone)
+        beats = self.frames.beats
+        first = bisect_left(beats, self.begin)
+        if first == len(beats) or beats[first] >= self.end:
+            return self.end, None
+        return beats[first], int(self.frames.boot_id[beats[first]])
+
+
+def frames_of(messages: Messages) -> Frames:
+    """The frames among messages of a box."""
+    rows = messages.rows(lambda topic: topic.startswith("/box/") and topic != "/box/console")
+    begin, end = messages.begin[rows], messages.end[rows]
+    n, size = len(rows), end - begin
+    seq, t_us, n0, period_ns, flags, samples_bytes = (np.zeros(n, np.int64) for _ in range(6))
+    kind, boot = np.full(n, NO_TIME, np.int64), np.full(n, NO_BOOT, np.int64)
+    samples_at = begin + _DATA.itemsize
+    is_data = _usual_data(messages, begin, end)
+    head = heads(messages.data, begin[is_data], _DATA)
+    seq[is_data], kind[is_data], n0[is_data] = head["seq"], head["stream"], head["n0"]
+    t_us[is_data], period_ns[is_data] = head["t0"], head["period"]
+    flags[is_data], samples_bytes[is_data] = messages.bytes_u1[end[is_data] - 1], head["size"]
+    is_sync, sync_seq, t1_us = _usual_syncs(messages, begin, size)
+    seq[is_sync], kind[is_sync], t_us[is_sync] = sync_seq, -wire.SYNC_REPLY, t1_us
+
+    offsets_us: dict[int, bytes] = {}
+    single: dict[int, list[Any]] = {}
+    heartbeats: dict[int, list[int]] = {}
+    whole = np.ones(n, bool)
+    for i in np.flatnonzero(~(is_data | is_sync)).tolist():
+        payload = messages.payload(int(rows[i]))
+        elements = decode(payload)
+        if elements is None or is_echo(elements):
+            whole[i] = False
+            continue
+        seq[i] = elements[1]
+        stamp = device_time(elements)
+        if stamp is not None and stamp[0] < 2**62:
+            kind[i], t_us[i] = stamp
+        data = data_of(elements) if elements[0] == wire.DATA else None
+        values = heartbeat_values(elements) if elements[0] == wire.HEARTBEAT else None
+        if data is not None and max(data.stream, data.flags) < 2**62:
+            is_data[i] = True
+            n0[i], period_ns[i], flags[i], samples_bytes[i] = data.n0, data.period_ns, data.flags, len(data.samples)
+            samples_at[i] = begin[i] + payload.rfind(data.samples)
+            if not data.period_ns:
+                offsets_us[i] = data.offsets_us
+        else:
+            boot_of_it = boot_id(elements)
+            if boot_of_it is not None and values is not None and kind[i] != NO_TIME and 0 <= boot_of_it < CIRCLE:
+                boot[i] = boot_of_it
+                heartbeats[i] = values
+            else:
+                single[i] = elements
+    malformed = int(np.count_nonzero(~whole))
+    if malformed:
+        place = (np.cumsum(whole) - 1).tolist()
+        offsets_us = {place[i]: value for i, value in offsets_us.items()}
+        single = {place[i]: value for i, value in single.items()}
+        heartbeats = {place[i]: value for i, value in heartbeats.items()}
+        rows, is_data = rows[whole], is_data[whole]
+        numbers = (seq, kind, t_us, boot, n0, period_ns, flags, samples_at, samples_bytes)
+        seq, kind, t_us, boot, n0, period_ns, flags, samples_at, samples_bytes = (column[whole] for column in numbers)
+    of_kind = {int(k): np.flatnonzero(kind == k) for k in np.unique(kind) if k != NO_TIME}
+    return Frames(
+        messages=messages,
+        row=rows,
+        t_host_ns=messages.t_host_ns[rows],
+        seq=seq,
+        kind=kind,
+        t_us=t_us,
+        boot_id=boot,
+        is_data=is_data,
+        n0=n0,
+        period_ns=period_ns,
+        flags=flags,
+        samples_at=samples_at,
+        samples_bytes=samples_bytes,
+        offsets_us=offsets_us,
+        single=single,
+        heartbeats=heartbeats,
+        run_begins=_run_begins(seq, t_us, boot, of_kind, single),
+        of_kind={kind: frames.tolist() for kind, frames in of_kind.items()},
+        beats=sorted(heartbeats),
+        malformed=malformed,
+    )
+
+
+def heartbeat_values(elements: list[Any]) -> list[int] | None:
+    """What a heartbeat says after its seq; None where it does not keep to the specification."""
+    values = elements[2 : 2 + _HEARTBEAT_VALUES]
+    if len(values) < _HEARTBEAT_NEEDED or any(type(value) is not int for value in values):
+        return None
+    return values
+
+
+def _usual_data(messages: Messages, begin: Ints, end: Ints) -> NDArray[np.bool_]:
+    """Which payloads are data frames of the usual layout (``data_frames.usual_data``)."""
+    head = heads(messages.data, begin, _DATA)
+    size = end - begin
+    usual = (head["begin"] == 0x88) & (head["type"] == wire.DATA) & (head["mark"] == _UINT32)
+    usual &= (head["m_n0"] == _UINT64) & (head["m_t0"] == _UINT64) & (head["m_p"] == _UINT32)
+    usual &= np.all(head["tag"] == _DATA_TAG, axis=1) & (size <= MAX_PAYLOAD)
+    usual &= (size > _DATA.itemsize) & (head["size"] == size - _DATA.itemsize - 1)
+    usual &= (head["stream"] < 24) & (head["period"] > 0) & (head["t0"] < MAX_DEVICE_US) & (head["n0"] < MAX_N0)
+    last = messages.bytes_u1[np.maximum(end - 1, 0)]
+    return np.asarray(usual & (last < 24))
+
+
+def _usual_syncs(messages: Messages, begin: Ints, size: Ints) -> tuple[NDArray[np.bool_], Ints, Ints]:
+    """Which payloads are sync replies of the usual layout; seq and t1 [µs] of these."""
+    head = heads(messages.data, begin, _SYNC)
+    usual = (head["begin"] == 0x85) & (head["type"][:, 0] == _UINT8) & (head["type"][:, 1] == wire.SYNC_REPLY)
+    usual &= head["mark"] == _UINT32
+    id_bytes = np.ones(len(begin), np.int64)
+    for mark, width in _ID_BYTES.items():
+        id_bytes[head["id"] == mark] = width
+    usual &= (head["id"] < 24) | (id_bytes > 1)
+    usual &= size == 8 + id_bytes + 18
+    times_at = begin + 8 + id_bytes
+    times = np.dtype(
+        {"names": ["m1", "t1", "m2"], "formats": ["u1", ">u8", "u1"], "offsets": [0, 1, 9], "itemsize": 18}
+    )
+    found = heads(messages.data, np.where(usual, times_at, 0), times)
+    usual &= (found["m1"] == _UINT64) & (found["m2"] == _UINT64) & (found["t1"] < MAX_DEVICE_US)
+    return usual, head["seq"][usual].astype(np.int64), found["t1"][usual].astype(np.int64)
+
+
+def _run_begins(
+    seq: Ints, t_us: Ints, boot: Ints, of_kind: dict[int, NDArray[np.intp]], single: dict[int, list[Any]]
+) -> NDArray[np.intp]:
+    """Where a frame does not simply follow the one before it."""
+    if not len(seq):
+        return np.empty(0, np.intp)
+    cut = np.ones(len(seq) + 1, bool)
+    cut[1:-1] = seq[1:] != (seq[:-1] + 1) % CIRCLE
+    for frames in of_kind.values():
+        cut[frames[1:][np.diff(t_us[frames]) < 0]] = True
+    beats = np.flatnonzero(boot != NO_BOOT)
+    cut[beats[1:][np.diff(boot[beats]) != 0]] = True
+    alone = np.array(list(single), dtype=np.intp)
+    cut[alone] = cut[alone + 1] = True
+    return np.flatnonzero(cut[:-1])

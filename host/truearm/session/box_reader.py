@@ -1,6 +1,6 @@
 """Box messages in the order of their arrival → blocks of samples, clock exchanges and exact losses (hop 4).
 
-``frame_order`` puts the frames into the order of sending, says what is missing between them and where the box restarted. A new **segment** begins
+``FrameOrder`` puts the frames into the order of sending, says what is missing between them and where the box restarted. A new **segment** begins
 there. What comes of a batch of messages are columns: one row a data frame, of one stream, one segment and one ident.
 
 ``n0`` counts samples. A jump with frames lost since the stream's last block: the samples went with them; without: the box
@@ -19,12 +19,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import ProtocolError
-from truearm.session.box_frames import MAX_DEVICE_US, Pages, data_of, is_text, parse_exchanges
+from truearm.session.box_frames import (
+    MAX_DEVICE_US,
+    Frames,
+    Pages,
+    Run,
+    data_of,
+    frames_of,
+    heartbeat_values,
+    is_text,
+    parse_exchanges,
+)
 from truearm.session.box_ident import Ident, Stream, decode_ident
-from truearm.session.frame_columns import Frames, Run, frames_of, heartbeat_values
-from truearm.session.frame_order import FrameOrder, Placed
-from truearm.session.heartbeats import Heartbeats
-from truearm.session.losses import COUNTED, Losses, StreamReport, StreamTrack
+from truearm.session.losses import COUNTED, FrameOrder, Heartbeats, Losses, Placed, StreamReport, StreamTrack
 from truearm.session.message_columns import Ints, Messages
 from truearm_wire import messages as wire
 

@@ -1,4 +1,4 @@
-"""Dwells: where the robot stood still, from its joint readings (hop 5); what the sensor says of them is in ``measure``.
+"""Dwells: where the robot stood still, from its joint readings, and what the ball-bar's sensor says of each (hop 5).
 
 How much a reading moves while the robot rests is not declared anywhere, so the readings say it themselves: the range of each
 joint over windows of four bins (0.2 s), of which the tenth percentile belongs to rest as long as the robot rests a tenth of
@@ -10,20 +10,42 @@ Bins that share a window whose range keeps below the threshold belong together; 
 below that threshold is left out by ``settled_from()``: a dwell begins where the bins' means keep to the level of the stop's
 second half, within what bins of resting stops differ by. Some of the beginning is left out in any case: the robot's clock may
 run late, and a window may reach into the motion.
+
+**What the sensor says** (``measured()``): where it had settled, its mean, and whether it may be used. The joints stood; the arm beyond its encoders may still swing or creep, and the bar shows it. The dwell therefore begins where
+the samples, too, keep to the level of its second half (``settled_from()``), by the sensor's own noise and its correlation. What
+that noise is the first LEARNT dwells say, in the middle; a dwell may have up to four times that variance itself, but not more: a
+swing that never ends would pass for noise. A quarter of the declared repeatability is nothing to wait for: what an exponential
+tail of that size leaves in the mean is less than half of it again, and adds at most a hundredth to the variance.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypedDict
+from typing import Any, NamedTuple, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truearm.session.joint_readings import Bins, JointStream
-from truearm.session.sample_statistics import LEAST_BLOCKS, settled_from
-from truearm.types import Floats
+from truearm.session.samples import (
+    LEAST_BLOCKS,
+    DwellSamples,
+    MeanOfSamples,
+    Settled,
+    bar_length,
+    block_means,
+    block_variance,
+    extension,
+    mean_of,
+    out_of_travel,
+    quick_noise,
+    railed,
+    rings,
+    settled_from,
+)
+from truearm.types import BallBar, Floats
+from truearm.units import MM, MS, NS, UM
 
 WINDOW_BINS = 4
 QUIET_SHARE = 0.1
@@ -248,3 +270,150 @@ def _readings(bins: Bins, used: slice, step: Floats) -> _Readings:
         n_readings=total,
         bins=(used.start, used.stop),
     )
+
+
+# ------------------------------------------------------------------------------------------------- what the sensor says
+
+LEAST_SAMPLES = 8
+BLOCK_S = 0.025  # samples looked at together: short against a swing of an arm (5 to 20 Hz)
+UNSETTLED = 0.25  # of the declared repeatability
+LEARNT = 50  # dwells
+OWN_NOISE = 4.0  # times the usual variance
+NOISY = 5.0  # times the median noise of all dwells
+DRIFT_SIGMAS = 6.0
+MICRON = 1e-6  # a ball-bar's joints are not rounder: less noise, ringing or drift condemns no dwell
+
+
+@dataclass(frozen=True)
+class Sensing:
+    """What is the same for all dwells of a session. ``any_clock``: it has exchanges; ``noise``: of the sensor."""
+
+    rules: DwellRules
+    joints: JointStream
+    any_clock: bool
+    noise: Noise
+
+
+class Noise(NamedTuple):
+    """Of the sensor at rest: variance [m²] of the mean of a block, standard deviation [m] of samples by ``quick_noise()``; NaN: not known."""
+
+    block_var: float
+    quick: float
+
+
+def usual_noise(taken: Sequence[DwellSamples]) -> Noise:
+    """The noise of the sensor in the middle of several dwells."""
+    found = []
+    for one in taken:
+        counts = one.longest
+        if one.channel is not None and counts.size >= 2 * LEAST_BLOCKS * (block := block_length(one)):
+            samples = extension(counts, one.channel)
+            found.append((block_variance(samples, block), quick_noise(samples)))
+    return Noise(*np.median(found, axis=0).tolist()) if found else Noise(float("nan"), float("nan"))
+
+
+def block_length(taken: DwellSamples) -> int:
+    """How many samples of a dwell are BLOCK_S."""
+    return max(1, round(BLOCK_S / (1e-9 * taken.period_ns)))
+
+
+def measured(dwell: Dwell, taken: DwellSamples, bar: BallBar, sensing: Sensing) -> Dwell:
+    """The dwell with its mean length, or with the reason why it has none."""
+    rules = sensing.rules
+    begin_ns, counts = taken.longest_piece
+    if not counts.size or taken.channel is None:
+        return replace(dwell, reason="no samples" if sensing.any_clock else "no clock")
+    dwell = replace(dwell, clock_bound_ns=taken.bound_ns)
+    if taken.bound_ns > 1e9 * rules.guard_s:
+        return replace(dwell, reason="clock", detail=f"±{MS.text(NS.to_si(taken.bound_ns), '.0f')}")
+    period_s = 1e-9 * taken.period_ns
+    if counts.size < LEAST_SAMPLES or period_s * (counts.size + 1) < rules.shortest_s:
+        return replace(dwell, reason="gap", detail=f"{period_s * counts.size:.2f} s whole")
+    if taken.fault:
+        return replace(dwell, reason="rail", detail="the converter's fault")
+    stretched = extension(counts, taken.channel)
+    length = bar_length(stretched, bar)
+    block = block_length(taken)
+    found = settled(length, block, bar.gain**2 * sensing.noise.block_var, max(UNSETTLED * bar.sigma, MICRON))
+    first = _first_sample(found, counts.size, block)
+    if period_s * (counts.size - first + 1) < rules.shortest_s:
+        reason, detail = _unusable(counts, stretched, bar)
+        quick = quick_noise(length)
+        if not reason and quick > max(NOISY * abs(bar.gain) * sensing.noise.quick, MICRON):
+            reason, detail = "noisy", _noise_words(quick, NOISY * abs(bar.gain) * sensing.noise.quick)
+        elif not reason:
+            reason, detail = _unsettled(found, round(rules.shortest_s / (block * period_s)))
+        return replace(dwell, reason=reason, detail=detail)
+    dwell = _with_mean(dwell, mean_of(length[first:]), bar)
+    if first:
+        late_s = 1e-9 * (begin_ns - dwell.start_host_ns) + period_s * first
+        dwell = begun_at(dwell, dwell.start_s + late_s, begin_ns + first * taken.period_ns, sensing.joints)
+    reason, detail = _unusable(counts[first:], stretched[first:], bar)
+    # A drift within the bar's declared repeatability is covered by it.
+    if not reason and abs(dwell.drift) > max(DRIFT_SIGMAS * dwell.drift_sigma, bar.sigma, MICRON):
+        reason, detail = "drift", f"{UM.text(dwell.drift, '+.0f')} in {period_s * dwell.n_samples:.1f} s"
+    return replace(dwell, reason=reason, detail=detail)
+
+
+def settled(length: Floats, block: int, usual_var: float, floor: float) -> Settled | None:
+    """Where the lengths (n,) [m] come to rest, in blocks of so many samples; None where there are too few to say.
+
+    ``usual_var`` [m²]: of a block's mean at rest, NaN where not known.
+    """
+    means = block_means(length, block)
+    if means.size < LEAST_BLOCKS:
+        return None
+    own = block_variance(length, block)
+    variance = own if np.isnan(usual_var) else min(max(own, usual_var), OWN_NOISE * usual_var)
+    return settled_from(means, variance, floor)
+
+
+def without_noisy(dwells: Sequence[Dwell]) -> list[Dwell]:
+    """The dwells, those much noisier than most with that as their reason."""
+    noise = [dwell.noise for dwell in dwells if not dwell.reason]
+    limit = max(NOISY * float(np.median(noise)), MICRON) if noise else np.inf
+    return [
+        replace(d, reason="noisy", detail=_noise_words(d.noise, limit)) if not d.reason and d.noise > limit else d
+        for d in dwells
+    ]
+
+
+def _first_sample(found: Settled | None, n: int, block: int) -> int:
+    """The first of n samples at rest; the first ones that are in no block count with their neighbours."""
+    return n % block + found.first * block if found is not None and found.first else 0
+
+
+def _with_mean(dwell: Dwell, of: MeanOfSamples, bar: BallBar) -> Dwell:
+    return replace(
+        dwell,
+        value=of.mean,
+        value_var=of.variance,
+        sigma=float(np.sqrt(of.variance + bar.sigma**2)),
+        noise=of.noise,
+        drift=of.drift,
+        drift_sigma=of.drift_sigma,
+        n_samples=of.n,
+        n_eff=of.n_eff,
+    )
+
+
+def _unusable(counts: NDArray[Any], stretched: Floats, bar: BallBar) -> tuple[str, str]:
+    """Reason and detail of samples that say nothing of the length; "" where they do."""
+    at_rail = int(np.count_nonzero(railed(counts)))
+    if at_rail:
+        return "rail", f"{at_rail} of {counts.size} samples"
+    if np.any(out_of_travel(stretched, bar)):
+        return "out of travel", f"{MM.text(float(np.max(np.abs(stretched))), '.1f')} of ±{MM.of(0.5 * bar.travel):.1f}"
+    return "", ""
+
+
+def _unsettled(found: Settled | None, last: int) -> tuple[str, str]:
+    """The swing or creep that so many last blocks still show."""
+    if found is None:
+        return "gap", ""
+    off = float(np.max(np.abs(found.deviation[-last:])))
+    return "ringing" if rings(found) else "drift", f"{UM.text(off, '.0f')} off, {UM.of(found.bound):.0f} allowed"
+
+
+def _noise_words(noise: float, limit: float) -> str:
+    return f"{UM.text(noise, '.1f')}, {UM.of(limit):.1f} allowed"

@@ -1,24 +1,342 @@
-"""Joint readings, batch by batch → the robot's clock and short bins that dwells are found in.
+"""What the robot said: lines of joint readings → columns → the robot's clock, its inputs, and short bins that dwells are found in (hop 4).
 
-A session may hold ten million readings. Of 50 ms of them only count, mean, extremes and scatter are kept: 0.3 kB a bin for six joints, 80 MB
+One reading is a line of JSON (docs/session-format.md), judged alike when recorded (``parse_line()``) and when read (``parse_lines()``). A message of
+``/robot/columns`` holds what ``parse_lines()`` makes of the messages of ``/robot/joints`` before it, since the last such message. It is CBOR: typed
+arrays (RFC 8746) by name, which NumPy takes as they are.
+
+A session may hold ten million readings. Of 50 ms of them only count, mean, extremes and scatter are kept (``JointReader``): 0.3 kB a bin for six joints, 80 MB
 for six hours.
+
+A reading shows the controller's inputs at its own instant (``InputTrack``). An edge lies between the last reading that shows the old level and the first that
+shows the new one: two controller times, a cycle apart where no reading is missing.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import chain
+from typing import Annotated, Any, NamedTuple, TypeGuard
 
+import cbor2
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.session.joint_batch import COLUMNS, JOINTS, JointBatch, concatenate, parse_lines, unpack
-from truearm.session.joint_line import UNNUMBERED
+from truearm.session.losses import MissingNumbers
 from truearm.session.message_columns import Messages
-from truearm.session.missing_numbers import MissingNumbers
 from truearm.session.robot_clock import Arrivals, RobotClock, RobotClockReport, fit_robot_clock
-from truearm.session.robot_inputs import InputTrack
 from truearm.types import Floats, Message
+
+MAX_T_S = 4e9  # ns of such times still fit 63 bits
+MAX_SEQ = 2**62
+MAX_JOINTS = 32
+UNNUMBERED = -MAX_SEQ  # seq of a reading that has none
+
+Joints = Annotated[list[float], msgspec.Meta(min_length=1, max_length=MAX_JOINTS)]
+
+
+class Reading(NamedTuple):
+    """Controller time [s], the reading's number if the robot counts them, joints [rad or m]."""
+
+    t: float
+    seq: int | None
+    q: list[float]
+
+
+class JointLine(msgspec.Struct, gc=False):
+    """All that a line says; None for what it does not say, or not as docs/session-format.md has it."""
+
+    t: Annotated[float, msgspec.Meta(ge=0.0, lt=MAX_T_S)]
+    q: Joints
+    seq: Annotated[int, msgspec.Meta(gt=UNNUMBERED, lt=MAX_SEQ)] = UNNUMBERED
+    q_cmd: Joints | None = None
+    qd: Joints | None = None
+    current: Joints | None = None
+    effort: Joints | None = None
+    inputs: Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)] | None = None
+    robot_mode: float | None = None
+    runtime_state: float | None = None
+
+
+ARRAYS = ("q_cmd", "qd", "current", "effort")  # a number for each joint
+NUMBERS = ("robot_mode", "runtime_state")
+
+_usual_line = msgspec.json.Decoder(JointLine).decode
+
+
+def parse_line(line: bytes) -> JointLine | None:
+    """What a line says, None where it is no reading. About 0.8 µs for six joints.
+
+    A reading is an object with ``t`` and ``q``, finite numbers; ``seq`` is a whole number if there. More keys are ignored.
+    """
+    try:
+        found = _usual_line(line)
+        if not line.isascii():
+            line.decode()
+    except (msgspec.MsgspecError, ValueError, RecursionError):
+        return _unusual_line(line)
+    return found
+
+
+def parse_usual(lines: Sequence[bytes]) -> list[JointLine] | None:
+    """What lines say that all are as docs/session-format.md has them, None where one is not: the same as ``parse_line``, for less."""
+    try:
+        return [_usual_line(line) for line in lines] if all(map(bytes.isascii, lines)) else None
+    except (msgspec.MsgspecError, RecursionError):
+        return None
+
+
+def parse_reading(line: bytes) -> Reading | None:
+    """Time, number and joints of a line, None where it is no reading: see ``parse_line``."""
+    found = parse_line(line)
+    return None if found is None else Reading(found.t, None if found.seq == UNNUMBERED else found.seq, found.q)
+
+
+def _unusual_line(line: bytes) -> JointLine | None:
+    """A line that says something that is not as it should be, which it may, but for ``t``, ``q`` and ``seq``: NaN, a word, null."""
+    try:
+        row = json.loads(line.decode())
+    except (ValueError, RecursionError):  # no UTF-8, no JSON, a number of a thousand digits, nested without end
+        return None
+    if not isinstance(row, dict):
+        return None
+    t, seq, q, inputs = row.get("t"), row.get("seq", 0), row.get("q"), row.get("inputs")
+    if not (_finite(t) and 0.0 <= t < MAX_T_S) or type(seq) is not int or abs(seq) >= MAX_SEQ:  # type: ignore[operator]
+        return None
+    if not are_joints(q):
+        return None
+    return JointLine(
+        float(t),  # type: ignore[arg-type]
+        [float(value) for value in q],
+        seq if "seq" in row else UNNUMBERED,
+        inputs=inputs if type(inputs) is int and 0 <= inputs < 2**63 else None,
+        **{key: row[key] for key in ARRAYS if are_joints(row.get(key))},
+        **{key: float(row[key]) for key in NUMBERS if _finite(row.get(key))},  # type: ignore[arg-type]
+    )
+
+
+def are_joints(value: object) -> TypeGuard[list[float]]:
+    """Whether something is a list of 1 to MAX_JOINTS finite numbers."""
+    return isinstance(value, list) and 1 <= len(value) <= MAX_JOINTS and all(map(_finite, value))
+
+
+def format_reading(t: float, seq: int | None, q: Sequence[float], **more: object) -> bytes:
+    """The line of a reading, every number with all its digits; of ``more`` what is None is left out.
+
+    ``more`` may hold what docs/session-format.md names: ``q_cmd``, ``qd``, ``current`` ….
+    """
+    row = {"t": t, "seq": seq, "q": list(q), **more}
+    return json.dumps({key: value for key, value in row.items() if value is not None}, separators=(",", ":")).encode()
+
+
+def _finite(value: object) -> bool:
+    return (type(value) is float and math.isfinite(value)) or (type(value) is int and abs(value) < 2**53)
+
+
+Ints = NDArray[np.int64]
+
+# ------------------------------------------------------------------------------------------------------- digital inputs
+
+NO_INPUTS = -1  # inputs of a reading that does not say them
+MOST_CHANGES = 1_000_000  # of a segment; a signal faster than that is none that edges can be told in
+
+
+@dataclass(frozen=True)
+class Changes:
+    """Changes (k,) of one input in order: each lies between two controller times [s]; ``level`` is the new one."""
+
+    before_s: Floats
+    after_s: Floats
+    level: NDArray[np.bool_]
+
+
+@dataclass
+class InputTrack:
+    """Gathers the changes of one segment of controller time."""
+
+    readings: int = 0  # that say their inputs
+    count: int = 0
+    _last: tuple[float, int] | None = None
+    _times: list[Floats] = field(default_factory=list)  # (k, 2) before and after
+    _bits: list[Ints] = field(default_factory=list)  # (k, 2)
+
+    def add(self, t: Floats, bits: Ints) -> None:
+        """Take readings (n,) in order of controller time [s]; ``bits`` NO_INPUTS where one does not say them."""
+        known = bits >= 0
+        t, bits = t[known], bits[known]
+        if not t.size:
+            return
+        self.readings += t.size
+        if self._last is not None:
+            t, bits = np.concatenate([[self._last[0]], t]), np.concatenate([[self._last[1]], bits])
+        self._last = (float(t[-1]), int(bits[-1]))
+        at = np.flatnonzero((bits[1:] != bits[:-1]) & (t[1:] > t[:-1]))[: MOST_CHANGES - self.count]
+        if at.size:
+            self.count += at.size
+            self._times.append(np.stack([t[at], t[at + 1]], axis=1))
+            self._bits.append(np.stack([bits[at], bits[at + 1]], axis=1))
+
+    def inputs(self) -> list[int]:
+        """The inputs that changed, ascending."""
+        changed = 0
+        for bits in self._bits:
+            changed |= int(np.bitwise_or.reduce(bits[:, 0] ^ bits[:, 1]))
+        return [k for k in range(63) if changed >> k & 1]
+
+    def changes(self, number: int) -> Changes:
+        """Those of one input."""
+        times = np.concatenate(self._times or [np.empty((0, 2))])
+        bits = np.concatenate(self._bits or [np.empty((0, 2), np.int64)]) >> number & 1
+        of_it = bits[:, 0] != bits[:, 1]
+        return Changes(times[of_it, 0], times[of_it, 1], bits[of_it, 1] == 1)
+
+
+# -------------------------------------------------------------------------------------------------- readings as columns
+
+JOINTS = "/robot/joints"
+COLUMNS = "/robot/columns"
+
+_FLOAT64, _SINT64 = 86, 79  # RFC 8746: little-endian typed arrays
+_DTYPES = {_FLOAT64: "<f8", _SINT64: "<i8"}
+
+
+@dataclass(frozen=True, eq=False)
+class JointBatch:
+    """Readings (n,) in order of arrival, of j joints.
+
+    ``seq`` is UNNUMBERED where a reading has none, ``q_cmd`` NaN where it has no commanded joints, ``inputs`` NO_INPUTS where it has none.
+    ``more``: velocities ``qd``, ``current``, ``effort`` (n, j), ``robot_mode``, ``runtime_state`` (n,), those that some reading has; NaN
+    where it has none.
+    """
+
+    arrival_ns: Ints
+    t: Floats  # s, of the controller
+    seq: Ints
+    q: Floats  # (n, j) rad or m
+    q_cmd: Floats  # (n, j)
+    inputs: Ints
+    more: Mapping[str, Floats]
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def __getitem__(self, rows: slice | NDArray[Any]) -> JointBatch:
+        return _each(lambda column: column[rows], self)
+
+
+def parse_lines(lines: Sequence[bytes], arrival_ns: Sequence[int] | Ints, joints: int | None = None) -> JointBatch:
+    """The readings among ``lines``: what ``parse_line`` takes, of as many joints as ``joints`` (None: as the first)."""
+    rows = parse_usual(lines)
+    if rows and {len(row.q) for row in rows} == {joints or len(rows[0].q)}:
+        return _columns(rows, np.array(arrival_ns, dtype=np.int64))
+    found = [(row, arrival) for line, arrival in zip(lines, arrival_ns, strict=True) if (row := parse_line(line))]
+    width = joints or (len(found[0][0].q) if found else 0)
+    found = [(row, arrival) for row, arrival in found if len(row.q) == width]
+    return _columns([row for row, _ in found], np.array([arrival for _, arrival in found], dtype=np.int64), width)
+
+
+def concatenate(batches: Sequence[JointBatch]) -> JointBatch:
+    """Batches of readings of equally many joints, one after the other; at least one."""
+    keys = dict.fromkeys(chain.from_iterable(batch.more for batch in batches))
+    filled = [
+        replace(batch, more={key: batch.more.get(key, _nothing(batch, key)) for key in keys}) for batch in batches
+    ]
+    return filled[0] if len(filled) == 1 else _each(lambda *columns: np.concatenate(columns), *filled)
+
+
+def pack(batch: JointBatch) -> bytes:
+    """The message of a batch; a column that says nothing is left out."""
+    columns: dict[str, NDArray[Any]] = {"arrival_ns": batch.arrival_ns, "t": batch.t, "seq": batch.seq, "q": batch.q}
+    if not np.isnan(batch.q_cmd).all():
+        columns["q_cmd"] = batch.q_cmd
+    if (batch.inputs != NO_INPUTS).any():
+        columns["inputs"] = batch.inputs
+    columns |= batch.more
+    return cbor2.dumps({name: _tagged(column) for name, column in columns.items()})
+
+
+def unpack(data: bytes) -> JointBatch | None:
+    """The batch of a message, None where it is not what ``pack`` makes of readings: the lines say it all the same."""
+    try:
+        said = {str(name): _array(tagged) for name, tagged in cbor2.loads(data).items()}
+        t, seq, arrival_ns, flat = (said.pop(name) for name in ("t", "seq", "arrival_ns", "q"))
+        n, width = len(t), len(flat) // len(t)
+        q = flat.reshape(n, width)
+        q_cmd = said.pop("q_cmd").reshape(n, width) if "q_cmd" in said else np.full(q.shape, np.nan)
+        inputs = said.pop("inputs") if "inputs" in said else np.full(n, NO_INPUTS)
+        more = {
+            key: said[key].reshape((n, width) if key in ARRAYS else n) for key in (*ARRAYS, *NUMBERS) if key in said
+        }
+    except (cbor2.CBORError, AttributeError, KeyError, TypeError, ValueError, ZeroDivisionError, RecursionError):
+        return None
+    whole, floats = (seq, arrival_ns, inputs), (t, q, q_cmd, *more.values())
+    if any(column.dtype.kind != "i" or column.shape != (n,) for column in whole):
+        return None
+    if any(column.dtype.kind != "f" for column in floats) or not 1 <= width <= MAX_JOINTS:
+        return None
+    good = np.all((t >= 0.0) & (t < MAX_T_S)) and np.all((seq >= UNNUMBERED) & (seq < MAX_SEQ))
+    good &= np.all(np.isfinite(q)) and np.all(inputs >= NO_INPUTS)
+    return JointBatch(arrival_ns, t, seq, q, q_cmd, inputs, more) if good else None
+
+
+def _tagged(column: NDArray[Any]) -> cbor2.CBORTag:
+    tag = _FLOAT64 if column.dtype.kind == "f" else _SINT64
+    return cbor2.CBORTag(tag, np.ascontiguousarray(column, _DTYPES[tag]).tobytes())
+
+
+def _array(tagged: Any) -> NDArray[Any]:
+    return np.frombuffer(tagged.value, _DTYPES[tagged.tag])
+
+
+def _columns(rows: Sequence[JointLine], arrival_ns: Ints, width: int | None = None) -> JointBatch:
+    """Lines of equally many joints, ``width`` where there is no line, as columns."""
+    width = len(rows[0].q) if rows else width or 0
+    numbers = {key: [getattr(row, key) for row in rows] for key in NUMBERS}
+    arrays = {key: _joints([getattr(row, key) for row in rows], width) for key in ARRAYS}
+    q_cmd = arrays.pop("q_cmd")
+    more = {key: values for key, values in arrays.items() if values is not None}
+    more |= {key: np.array(said, np.float64) for key, said in numbers.items() if said.count(None) < len(said)}
+    return JointBatch(
+        arrival_ns=arrival_ns,
+        t=np.array([row.t for row in rows], dtype=np.float64),
+        seq=np.array([row.seq for row in rows], dtype=np.int64),
+        q=_table([row.q for row in rows], width),
+        q_cmd=np.full((len(rows), width), np.nan) if q_cmd is None else q_cmd,
+        inputs=np.array([NO_INPUTS if row.inputs is None else row.inputs for row in rows], dtype=np.int64),
+        more=more,
+    )
+
+
+def _joints(values: list[list[float] | None], width: int) -> Floats | None:
+    """A key's numbers (n, j), NaN where a reading has not one for each joint; None where no reading has."""
+    if values.count(None) == len(values):
+        return None
+    nothing = [np.nan] * width
+    rows = [nothing if value is None or len(value) != width else value for value in values]
+    return _table(rows, width)
+
+
+def _table(rows: Sequence[Sequence[float]], width: int) -> Floats:
+    return np.fromiter(chain.from_iterable(rows), np.float64, width * len(rows)).reshape(len(rows), width)
+
+
+def _nothing(batch: JointBatch, key: str) -> Floats:
+    """A column of ``more`` of which no reading has anything."""
+    return np.full(batch.q.shape if key in ARRAYS else len(batch), np.nan)
+
+
+def _each(made: Callable[..., NDArray[Any]], *batches: JointBatch) -> JointBatch:
+    """A batch whose every column is made of those of ``batches``, which have the same."""
+    names = ("arrival_ns", "t", "seq", "q", "q_cmd", "inputs")
+    columns = {name: made(*(getattr(batch, name) for batch in batches)) for name in names}
+    more = {key: made(*(batch.more[key] for batch in batches)) for key in batches[0].more}
+    return JointBatch(**columns, more=more)
+
+
+# ------------------------------------------------------------------------------------------------------- clock and bins
 
 CHUNK = 2048  # readings taken at a time
 BIN_S = 0.05

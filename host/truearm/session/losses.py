@@ -1,24 +1,379 @@
 """What did not arrive, counted exactly (hop 4): frames, the samples of each stream, and where the box said nothing at all.
 
-``frame_order`` decides what each frame is: in its place, doubled, too late, malformed, or the first of a box that restarted. Frames of a type that only a host
-sends are malformed too: an echo.
+**Frames** come in the order in which the box sent them out of ``FrameOrder``, however they arrived. Every frame counts in one ``seq`` (SPEC §4). A link or a
+damaged file may deliver frames late, twice or never, and a box that restarts begins a new count. What a frame is, is decided in this order:
 
-``n0`` counts samples. A jump with frames lost since the stream's last block: the samples went with them; without: the box
-overran. ``n0`` that falls back without a restart is a new ``start``, a new run. A box that a killed recorder left streaming still holds blocks of then.
+1. The bytes of a frame that is remembered under its seq: **doubled**. It changes nothing.
+2. The first page of the ident that a box sends unasked at boot: a **restart**.
+3. The next frame, or one ahead of it by no more than the link can have carried since (``too_many``) and with a device time that
+   does not run backward: it belongs to the count. It waits until those before it have come, or until a frame REACH further on has; what has not
+   come by then is **lost**. A frame that arrives late within that reach takes its place.
+4. All others are **suspects**. They begin a new count if a heartbeat among them has another boot id, if BEHIND_RUN of them follow each other without a frame of
+   the old count between, or FAR_RUN where they lie too far ahead. As soon as the old count goes on they are dismissed: frames that came **too late**,
+   or that are **malformed** because nothing can have counted so far, as are frames of a type that only a host sends: an echo.
+
+So neither a late frame nor a doubled one is a restart: the boot id decides. Frames come in runs (``box_frames``), whose seq goes on by one, whose device times
+do not run backward and whose heartbeats are of one boot. What holds for the first frame of a run therefore holds for as many more as ``_belonging`` says; a
+frame alone is a run of one.
+
+**Samples** count in the ``n0`` of each stream (``StreamTrack``). A jump with frames lost since the stream's last block: the samples went with them; without:
+the box overran. ``n0`` that falls back without a restart is a new ``start``, a new run. A box that a killed recorder left streaming still holds blocks of then.
 The next one stops it and starts it anew: what was missing before that start is not the session's loss.
+
+**The box's own counters** (``Heartbeats``) run since boot and wrap at 2^30 (SPEC §4). A session that joins a running box must not be charged with what happened
+before: of a boot that the session did not see only what came after its first heartbeat is counted, so up to a second
+of the session's beginning is not. Of a boot in mid-session everything is. What an element is stands in the layout that is generated from
+protocol/frames.cddl: a ``counter`` is summed, of a ``largest`` or ``smallest`` the extreme is kept. A box of an older minor version sends fewer elements.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_left
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.session.box_frames import CIRCLE, Run, too_many
 from truearm.session.box_ident import Stream
-from truearm.session.heartbeats import NO_HEARTBEAT, Summary
 from truearm.session.message_columns import Ints, Messages
 from truearm_wire import messages as wire
+
+REMEMBERED = 256  # holes, and late numbers that fill none; a number that comes later than that is not looked for
+
+
+class MissingNumbers:
+    """Counts numbers that were skipped and did not come late. A number that was never missed, or comes late twice, fills nothing."""
+
+    def __init__(self) -> None:
+        self.lost = 0
+        self._open: deque[tuple[int, int]] = deque(maxlen=REMEMBERED)  # the numbers around each hole
+        self._spare: deque[int] = deque(maxlen=REMEMBERED)  # late numbers whose hole may still show
+
+    def skip(self, before: int, after: int) -> None:
+        """``after`` came next after ``before``."""
+        if after - before > 1:
+            self.lost += after - before - 1
+            self._open.append((before, after))
+            for number in [n for n in self._spare if before < n < after]:
+                self._spare.remove(number)
+                self.fill(number)
+
+    def fill(self, number: int) -> None:
+        """A number came late, or out of time before the next one showed that it was skipped."""
+        for k, (before, after) in enumerate(self._open):
+            if before < number < after:
+                del self._open[k]
+                self._open.extend((a, b) for a, b in ((before, number), (number, after)) if b - a > 1)
+                self.lost -= 1
+                return
+        self._spare.append(number)
+
+    def forget(self) -> None:
+        """Numbers begin anew; what was lost stays so."""
+        self._open.clear()
+        self._spare.clear()
+
+
+# --------------------------------------------------------------------------------------------------------------- frames
+
+REACH = 512  # frames that a late one may lag behind: some seconds of a box, less than what sessions hold back for late messages
+BEHIND_RUN = 64  # a heartbeat comes once in 80 to 350 frames and is hardly ever lost
+FAR_RUN = 2
+BEFORE_FIRST = 16  # frames that may have been overtaken by the first one of a session
+_HALF = CIRCLE // 2
+
+
+class Placed(NamedTuple):
+    """Frames in their place. ``lost``: frames missing before the first; ``restarts``: it is the first of a new count.
+
+    ``at``: the row of the newest batch with which they came out, but for frames that arrived later themselves.
+    """
+
+    run: Run
+    lost: int
+    restarts: bool
+    at: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Held:
+    """A run that waits; ``count`` of its first frame."""
+
+    count: int
+    run: Run
+
+    @property
+    def end(self) -> int:
+        return self.count + len(self.run)
+
+
+_COUNT = attrgetter("count")
+
+
+@dataclass
+class FrameOrder:
+    """Takes runs as they arrive and gives them back in the order of sending; ``doubled``, ``late`` and ``malformed`` count the other frames."""
+
+    doubled: int = 0
+    late: int = 0
+    malformed: int = 0
+    _next: int = -1  # the count that is given back next, unwrapped; -1: no frame was taken yet
+    _newest: int = 0  # the highest count that was taken
+    _newest_host_ns: int = 0
+    _uncounted: int = 0  # below it, missing frames were sent before the session began
+    _waiting: list[_Held] = field(default_factory=list)  # by ascending count
+    _remembered: deque[tuple[int, int, Run]] = field(
+        default_factory=deque
+    )  # as they were taken, each with its seq and length
+    _n_remembered: int = 0
+    _times: dict[int, int] = field(default_factory=dict)  # newest device time of each kind
+    _placed_times: dict[int, int] = field(default_factory=dict)  # of the frames that were given back
+    _boot_id: int | None = None
+    _restarting: bool = False  # the next frame that is given back is the first of a count
+    _suspects: list[Run] = field(default_factory=list)  # of one frame each
+    _far: bool = False  # the suspects lie too far ahead
+
+    @property
+    def undecided(self) -> bool:
+        """Whether frames are held of which nobody knows yet what they are."""
+        return bool(self._suspects)
+
+    def parts(self, run: Run) -> Iterator[Run]:
+        """A run in parts that can be taken at once; to be asked for one by one, each when the one before was taken."""
+        while len(run):
+            head = run.first(max(1, self._belonging(run)))
+            yield head
+            run = run.after(head)
+
+    def take(self, part: Run) -> Iterator[Placed]:
+        """Take a part of a run; the frames that are due by then, in order."""
+        yield from self._take(part, part.row)
+
+    def finish(self, at: int) -> Iterator[Placed]:
+        """What is still held, at the end of the session."""
+        self._dismiss()
+        yield from self._all_waiting(at)
+
+    def new_boot(self, boot_id: int) -> None:
+        """The box said that it is of this boot; what is counted goes on."""
+        self._boot_id = boot_id
+
+    def _take(self, run: Run, at: int) -> Iterator[Placed]:
+        """Take frames that belong to the count, or a single one of which that is not known."""
+        if len(run) > 1 or self._belonging(run):
+            yield from self._accept(run, at)
+        elif self._is_doubled(run):
+            self.doubled += 1
+        elif self._next < 0:
+            yield from self._begin(run, max(0, run.seq - BEFORE_FIRST), run.seq, at)
+        elif run.is_boot:
+            self._dismiss()
+            yield from self._restart([run], at)
+        else:
+            yield from self._suspect(run, at)
+
+    # ------------------------------------------------------------------------------------------------ the count
+
+    def _begin(self, run: Run, first: int, uncounted: int, at: int) -> Iterator[Placed]:
+        self._next, self._newest, self._uncounted = first, run.seq - 1, uncounted
+        self._newest_host_ns = run.t_host_ns
+        yield from self._accept(run, at)
+
+    def _unwrapped(self, seq: int) -> int:
+        """The count that a seq stands for: the nearest to the newest one."""
+        return self._newest + (seq - self._newest + _HALF) % CIRCLE - _HALF
+
+    def _belonging(self, run: Run) -> int:
+        """How many of the first frames of a run are of this count and still waited for (rule 3)."""
+        count, n = self._unwrapped(run.seq), len(run)
+        if count < max(self._next, 0) or self._next < 0:
+            return 0
+        if count > self._newest:
+            if self._is_far(run):
+                return 0
+            times = self._times
+        else:  # late: sent after all that were given back
+            place = bisect_left(self._waiting, count, key=_COUNT)
+            if (place and count < self._waiting[place - 1].end) or self._waiting[place].count == count:
+                return 0
+            n = min(n, self._waiting[place].count - count)
+            times = self._placed_times
+        if run.is_boot and self._times:  # what a box sends at boot it sends before everything that has a time
+            return 0
+        for kind, frame, t_us, _ in run.times():
+            if t_us < times.get(kind, 0):
+                n = min(n, frame - run.begin)
+        beat, boot_id = run.first_heartbeat()
+        if self._boot_id is not None and boot_id not in (None, self._boot_id):
+            n = min(n, beat - run.begin)
+        return n
+
+    def _is_far(self, run: Run) -> bool:
+        """Whether a frame lies further ahead than frames can have come since the newest."""
+        return too_many(self._unwrapped(run.seq) - self._newest, run.t_host_ns - self._newest_host_ns)
+
+    def _accept(self, run: Run, at: int) -> Iterator[Placed]:
+        held = _Held(self._unwrapped(run.seq), run)
+        self._waiting.insert(bisect_left(self._waiting, held.count, key=_COUNT), held)
+        self._remember(run)
+        if held.count > self._newest:
+            self._dismiss()  # the count goes on
+            self._newest, self._newest_host_ns = held.end - 1, run.last_host_ns
+        for kind, _, _, t_us in run.times():
+            self._times[kind] = max(t_us, self._times.get(kind, 0))
+        _, boot_id = run.first_heartbeat()
+        if self._boot_id is None:
+            self._boot_id = boot_id
+        while self._waiting:
+            hole = self._waiting[0].count > self._next
+            if hole:
+                ahead = self._newest - self._next - REACH
+                if ahead < 0:
+                    return
+                at = max(at, run.frames.row[run.end - 1 - ahead]) if ahead < len(run) - 1 else at
+            last = self._waiting[0] is held
+            yield self._given_back(at)
+            if last and len(run) > 1:
+                at = max(at, run.frames.row[run.end - 1])
+
+    def _all_waiting(self, at: int) -> Iterator[Placed]:
+        while self._waiting:
+            yield self._given_back(at)
+
+    def _given_back(self, at: int) -> Placed:
+        """The first run that waits."""
+        held = self._waiting.pop(0)
+        count, run = held.count, held.run
+        lost = max(0, count - max(self._next, self._uncounted)) if count > self._next else 0
+        restarts, self._restarting = self._restarting, False
+        self._next = count + len(run)
+        for kind, _, _, t_us in run.times():
+            self._placed_times[kind] = t_us
+        return Placed(run, lost, restarts, at)
+
+    def _remember(self, run: Run) -> None:
+        self._remembered.append((run.seq, len(run), run))
+        self._n_remembered += len(run)
+        while self._n_remembered > 2 * REACH:
+            seq, n, oldest = self._remembered.popleft()
+            forgotten = oldest.first(min(n, self._n_remembered - 2 * REACH))
+            self._n_remembered -= len(forgotten)
+            if len(forgotten) < n:
+                rest = oldest.after(forgotten)
+                self._remembered.appendleft(((seq + len(forgotten)) % CIRCLE, len(rest), rest))
+
+    def _is_doubled(self, run: Run) -> bool:
+        """Whether the bytes of a frame are remembered under its seq."""
+        asked = run.seq
+        for seq, n, known in self._remembered:
+            if (asked - seq) % CIRCLE < n:
+                return run.payload == known.after(known.first((asked - seq) % CIRCLE)).payload
+        return False
+
+    # ------------------------------------------------------------------------------------------------ another count
+
+    def _suspect(self, run: Run, at: int) -> Iterator[Placed]:
+        if self._suspects and abs((run.seq - self._suspects[-1].seq + _HALF) % CIRCLE - _HALF) > REACH:
+            self._dismiss()
+        if not self._suspects:
+            self._far = self._is_far(run)
+        self._suspects.append(run)
+        _, boot_id = run.first_heartbeat()
+        another = self._boot_id is not None and boot_id not in (None, self._boot_id)
+        if another or len(self._suspects) >= (FAR_RUN if self._far else BEHIND_RUN):
+            suspects, self._suspects = self._suspects, []
+            yield from self._restart(suspects, at)
+
+    def _restart(self, runs: Sequence[Run], at: int) -> Iterator[Placed]:
+        """The frames are the first of a new count; nothing more comes of the old one."""
+        yield from self._all_waiting(at)
+        first, far = runs[0], self._far
+        self._remembered, self._n_remembered, self._times, self._placed_times = deque(), 0, {}, {}
+        self._boot_id, self._restarting, self._far = None, True, False
+        # The count of a box begins at 0; one that lies too far ahead says nothing of what was lost.
+        from_ = first.seq if far else 0
+        yield from self._begin(first, from_, from_, at)
+        for run in runs[1:]:
+            yield from self._take(run, at)
+
+    def _dismiss(self) -> None:
+        if self._far:
+            self.malformed += len(self._suspects)
+        else:
+            self.late += len(self._suspects)
+        self._suspects, self._far = [], False
+
+
+# ----------------------------------------------------------------------------------------------- the box's own counters
+
+WRAP = 2**30
+_ELEMENTS = [entry.partition(":")[::2] for entry in wire.LAYOUT[wire.HEARTBEAT][1:]]  # name and type, after seq
+COUNTERS = tuple(name for name, kind in _ELEMENTS if kind == "counter")
+# element → what is kept of it, and the name of that
+EXTREMES: Mapping[str, tuple[Callable[[int, int], int], str]] = {
+    name: (max, name) if kind == "largest" else (min, f"{name}_min")
+    for name, kind in _ELEMENTS
+    if kind in ("largest", "smallest")
+}
+Summary = Mapping[str, int | None]
+NO_HEARTBEAT: Summary = {
+    "heartbeats": 0,
+    **dict.fromkeys(COUNTERS, 0),
+    **{key: None for _, key in EXTREMES.values()},
+}
+
+
+@dataclass
+class _Boot:
+    """The heartbeats of one boot: the first, the last, and the sums between them."""
+
+    segment: int
+    first: Mapping[str, int]
+    last: Mapping[str, int]
+    since: Counter[str] = field(default_factory=Counter)
+
+
+class Heartbeats:
+    """Takes the values of heartbeats (boot_id, t_us, counters …) in their order."""
+
+    def __init__(self) -> None:
+        self._boots: dict[int, _Boot] = {}
+        self._worst: dict[str, int | None] = {key: None for _, key in EXTREMES.values()}
+        self._n = 0
+
+    def take(self, segment: int, values: Sequence[int]) -> None:
+        """One heartbeat of a segment. Segments of one boot id are one boot: a frame that came late looks like a restart."""
+        beat = {name: value for (name, _), value in zip(_ELEMENTS, values, strict=False)}
+        boot = self._boots.setdefault(beat["boot_id"], _Boot(segment, beat, beat))
+        if beat["t_us"] >= boot.last["t_us"]:  # else it came late and says nothing new
+            for name in COUNTERS:
+                boot.since[name] += (beat.get(name, 0) - boot.last.get(name, 0)) % WRAP
+            boot.last = beat
+        self._n += 1
+        for name, (extreme, key) in EXTREMES.items():
+            if name in beat:
+                before = self._worst[key]
+                self._worst[key] = beat[name] if before is None else extreme(before, beat[name])
+
+    def summary(self, booted: Collection[int]) -> Summary:
+        """Return the number of heartbeats, the sum of every counter and the worst of every extreme, None without one.
+
+        ``booted``: the segments that began with a boot in the session.
+        """
+        total = Counter[str]()
+        for boot in self._boots.values():
+            total.update(boot.since)
+            if boot.segment in booted:
+                total.update({name: boot.first.get(name, 0) for name in COUNTERS})
+        return {"heartbeats": self._n, **{name: total[name] for name in COUNTERS}, **self._worst}
+
+
+# ------------------------------------------------------------------------------------------------------------- accounts
 
 SILENT_NS = 2_000_000_000  # a box that is well sends a heartbeat every second
 _GONE = (b'"link-lost"', b'"box-gone"')  # however short the silence was then

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 
 from truearm.session.box_ident import Channel
 from truearm.session.device_clock import DeviceClock
-from truearm.session.dwell_samples import ChannelBlocks
 from truearm.session.dwells import Dwell, DwellRules, find_stops
 from truearm.session.joint_readings import BIN_S, NOTED_S, Bins, JointStream
-from truearm.session.lvdt import extension, railed
+from truearm.session.samples import ChannelBlocks, extension, railed
 
 NO_STEP = np.zeros(1)
 

@@ -27,9 +27,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from truearm.errors import RigError
-from truearm.session.joint_line import MAX_JOINTS
-from truearm.session.legs import Leg
-from truearm.session.line_passes import LONGEST_S, Pass
+from truearm.session.joint_readings import MAX_JOINTS
+from truearm.session.line_passes import LONGEST_S, Leg, Pass
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Floats, Move, Rig
 
 NAMED = (*BAR_MOUNTED, *LINE_MOUNTED)

@@ -29,8 +29,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from truearm.session.clock_windows import slack_ns
-from truearm.session.hull import line_under, lower_hull
+from truearm.session.clock_windows import line_under, lower_hull, slack_ns
 from truearm.types import Floats
 from truearm.units import PPM
 

@@ -3,12 +3,23 @@
 The records' layout is the mcap library's; the walk over them is ours for two reasons: a stranger's file may claim any
 size, which the library would allocate, and messages are wanted as they stand in the file, several times faster
 than through its indices (1.3 µs a message of 200 bytes).
+
+**What is whole of a damaged session** (``salvage()``): every record that can be checked, and where and how much is missing between.
+
+A chunk has a CRC of its own, so one flipped bit costs the second of messages that a chunk holds. Where a record's length is
+wrong or bytes are missing, the next record that proves to be one is searched for: by its opcode and a sane length, then
+by its content. The file is read once; a stranger's file that is made of false starts is given up.
+
+Metadata (the clock's anchors, the box's ident) have a CRC among their entries. What has none (headers, metadata of other
+programs) is taken as it stands; if a complete file does not fit its CRC and no place is found, that is said.
 """
 
 from __future__ import annotations
 
 import io
 import os
+import re
+import struct
 import zlib
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
@@ -22,13 +33,17 @@ from mcap.records import Statistics
 from mcap.writer import MCAP0_MAGIC
 
 from truearm.errors import Argument, SessionError
-from truearm.session.mcap_records import (
+from truearm.session.message_columns import (
     ADVICE,
+    CHANNELS,
     MAX_ATTACHMENT_BYTES,
+    MAX_CHANNELS,
     MAX_CHUNK_BYTES,
     MAX_METADATA_BYTES,
     RECORD,
     UNREADABLE,
+    Messages,
+    batches,
     body_of,
     chunk_records,
     damaged,
@@ -38,8 +53,6 @@ from truearm.session.mcap_records import (
     parse_metadata,
     records,
 )
-from truearm.session.message_columns import Messages, batches
-from truearm.session.salvage import MAX_ITEMS, Damage, salvage
 from truearm.types import Message
 
 _CRC_BLOCK = 1 << 20
@@ -200,3 +213,242 @@ def _without_torn_chunk(path: Path, file: BinaryIO, last: tuple[int, int], end: 
     except SessionError:
         return last[0] - RECORD.size
     return end
+
+
+# -------------------------------------------------------------------------------------- what is whole of a damaged file
+
+MAX_BAD = 1000  # records; each may have cost the unpacking of a chunk
+MAX_TRIES = 100_000  # places looked at in one search; a file of chunks has none that is not one
+MAX_ITEMS = 1000  # attachments, and metadata records
+MAX_SUMMARY_BYTES = 16 << 20  # a day's chunks
+_BLOCK = 1 << 20
+_DATA_END = RECORD.pack(Opcode.DATA_END, 4)
+# What is searched for: a chunk, an attachment, metadata or the data's end, of less than 4 GiB.
+_START = re.compile(rb"[\x06\x09\x0c\x0f](?=.{4}\0{4})", re.DOTALL)
+_CHUNK_HEAD = struct.Struct("<QQQII")
+
+
+@dataclass(frozen=True)
+class Damage:
+    """A place where a file is damaged. ``at``: its first byte, None where only a CRC tells. Seconds of the session.
+
+    ``lost_s`` of the ``of_s`` seconds are missing, from ``from_s`` after its first message on.
+    """
+
+    at: int | None
+    lost_s: float
+    of_s: float
+    from_s: float = 0.0
+
+
+@dataclass
+class Whole:
+    """What was found. ``spans`` are ranges of bytes that hold whole records alone."""
+
+    channels: dict[int, str]
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    spans: list[tuple[int, int]] = field(default_factory=list)
+    damage: tuple[Damage, ...] = ()
+    unread_bytes: int = 0  # that stand in no whole record
+    counted: dict[str, int] = field(default_factory=dict)  # messages by topic, as the file's end says
+    first_ns: int | None = None
+    last_ns: int | None = None  # of the messages, by MCAP's log time
+    _gaps: list[tuple[int, int | None, int | None]] = field(default_factory=list)  # at byte, times before and after
+
+    def bad(self, at: int) -> None:
+        """A record at ``at`` is none, or not whole; those that follow one another count as one."""
+        if not self._gaps or self._gaps[-1][2] is not None:
+            self._gaps.append((at, self.last_ns, None))
+
+    def good(self, start: int, end: int) -> None:
+        """A record is whole."""
+        if self.spans and self.spans[-1][1] == start:
+            start = self.spans.pop()[0]
+        self.spans.append((start, end))
+
+    def declare(self, entries: dict[str, str]) -> None:
+        """What the writer says of its channels outside of the chunks, where it is said at all."""
+        named = {int(number): topic for number, topic in entries.items() if re.fullmatch("[0-9]{1,5}", number)}
+        if len(named) <= MAX_CHANNELS:
+            self.channels.update(named)
+
+    def saw(self, first_ns: int, last_ns: int) -> None:
+        """A whole chunk has messages of these times."""
+        self._close(first_ns)
+        self.first_ns = first_ns if self.first_ns is None else min(self.first_ns, first_ns)
+        self.last_ns = last_ns if self.last_ns is None else max(self.last_ns, last_ns)
+
+    def finish(self, complete: bool, span: tuple[int, int] | None) -> None:
+        """Make ``damage`` of it. ``span``: times of the first and last message as the file's summary has them."""
+        if not complete and self._gaps and self._gaps[-1][2] is None:
+            self._gaps.pop()  # nothing comes behind it: the file just ends there
+        first, last = span or (self.first_ns or 0, self.last_ns or 0)
+        of_s = 1e-9 * max(0, last - first)
+        times = [(at, first if a is None else a, last if b is None else b) for at, a, b in self._gaps]
+        self.damage = tuple(
+            Damage(at, 1e-9 * max(0, after - before), of_s, 1e-9 * max(0, before - first))
+            for at, before, after in times
+        )
+
+    def _close(self, now_ns: int) -> None:
+        if self._gaps and self._gaps[-1][2] is None:
+            self._gaps[-1] = (*self._gaps[-1][:2], now_ns)
+
+
+def words_of(at: int | None, lost_s: float, of_s: float) -> str:
+    """A damaged place in words."""
+    if at is None:
+        return (
+            "damaged: its bytes do not fit its CRC, though all that have one of their own fit it; a header may be wrong"
+        )
+    return f"damaged at byte {at}: {lost_s:.1f} of {of_s:.1f} s lost"
+
+
+def salvage(path: Path, file: BinaryIO) -> tuple[Whole, bool]:
+    """What is whole of a file, and whether it has its end. Raises SessionError where hardly anything is."""
+    size = os.fstat(file.fileno()).st_size
+    complete = has_footer(file, size)
+    channels, span, counted = _summary(path, file, size) if complete else ({}, None, {})
+    whole = Whole(channels, counted={channels[k]: n for k, n in counted.items() if k in channels})
+    at: int | None = len(MCAP0_MAGIC)
+    n_bad = 0
+    while at is not None and at + RECORD.size <= size:
+        file.seek(at)
+        opcode, length = RECORD.unpack(file.read(RECORD.size))
+        end = at + RECORD.size + length
+        if end <= size and _is_whole(path, file, opcode, at, length, whole):
+            if opcode == Opcode.DATA_END:
+                break
+            whole.good(at, end)
+            at = end
+            continue
+        n_bad += 1
+        if n_bad > MAX_BAD:
+            raise SessionError(f"{path}: is damaged in more than {MAX_BAD} places; copy it again")
+        whole.bad(at)
+        begin, at = at, end if _may_begin(file, end, size) else _search(file, at + 1, size)
+        whole.unread_bytes += (size if at is None else at) - begin
+    if at is not None and not complete:
+        whole.unread_bytes += size - at
+    whole.finish(complete, span)
+    return whole, complete
+
+
+def _is_whole(path: Path, file: BinaryIO, opcode: int, at: int, length: int, whole: Whole) -> bool:
+    """Whether a record keeps to what can be checked of it; what it holds goes to ``whole``."""
+    body = at + RECORD.size
+    try:
+        if opcode == Opcode.CHUNK:
+            if not _fits(file, at, body + length):  # the library would pass over bytes behind what the chunk holds
+                return False
+            _take_messages(path, chunk_records(path, file, body, length), whole)
+        elif opcode in (Opcode.CHANNEL, Opcode.MESSAGE, Opcode.SCHEMA):
+            _take_messages(
+                path, RECORD.pack(opcode, length) + body_of(path, file, body, length, MAX_CHUNK_BYTES), whole
+            )
+        elif opcode == Opcode.METADATA:
+            name, entries, proven = parse_metadata(path, body_of(path, file, body, length, MAX_METADATA_BYTES), body)
+            whole.metadata[name] = entries
+            if name == CHANNELS and proven:  # wrong names would make other messages of what is whole
+                whole.declare(entries)
+        elif opcode == Opcode.ATTACHMENT:
+            name, data = parse_attachment(path, body_of(path, file, body, length, MAX_ATTACHMENT_BYTES), body)
+            whole.attachments[name] = data
+        elif opcode == Opcode.MESSAGE_INDEX:
+            head = body_of(path, file, body, min(length, 6), 6)
+            return length >= 6 and int.from_bytes(head[2:], "little") == length - 6 and length % 16 == 6
+        else:
+            return (opcode == Opcode.DATA_END and length == 4) or (opcode == Opcode.HEADER and at == len(MCAP0_MAGIC))
+    except SessionError:
+        return False
+    if len(whole.metadata) > MAX_ITEMS or len(whole.attachments) > MAX_ITEMS:
+        raise SessionError(f"{path}: holds more than {MAX_ITEMS} attachments or metadata records")
+    return True
+
+
+def _take_messages(path: Path, data: bytes, whole: Whole) -> None:
+    channels = dict(whole.channels)
+    (messages,) = batches(path, [data], channels)
+    whole.channels.update(channels)
+    if len(messages):
+        whole.saw(int(messages.log_ns.min()), int(messages.log_ns.max()))
+
+
+def _may_begin(file: BinaryIO, at: int, size: int) -> bool:
+    """Whether a record may begin at ``at``, or the file ends there: a length that leads elsewhere is wrong."""
+    if at + RECORD.size > size:
+        return at == size
+    file.seek(at)
+    opcode, length = RECORD.unpack(file.read(RECORD.size))
+    return bool(Opcode.HEADER <= opcode <= Opcode.DATA_END and length <= size - at - RECORD.size)
+
+
+def _search(file: BinaryIO, at: int, size: int) -> int | None:
+    """The next place at which a record seems to begin, None if there is none or it is not found in bounds."""
+    tries = 0
+    while at + RECORD.size <= size:
+        file.seek(at)
+        block = file.read(_BLOCK + RECORD.size - 1)
+        for found in _START.finditer(block):
+            if _fits(file, at + found.start(), size):
+                return at + found.start()
+            tries += 1
+            if tries > MAX_TRIES:
+                return None
+        at += _BLOCK
+    return None
+
+
+def _fits(file: BinaryIO, at: int, size: int) -> bool:
+    """Whether the lengths inside a record agree with its own."""
+    file.seek(at)
+    opcode, length = RECORD.unpack(file.read(RECORD.size))
+    if length > size - at - RECORD.size:
+        return False
+    if opcode == Opcode.DATA_END:
+        return bool(length == 4)
+    if opcode != Opcode.CHUNK:
+        return bool(length <= (MAX_METADATA_BYTES if opcode == Opcode.METADATA else MAX_ATTACHMENT_BYTES))
+    head = file.read(_CHUNK_HEAD.size)
+    if len(head) < _CHUNK_HEAD.size or length > MAX_CHUNK_BYTES:
+        return False
+    n_name = _CHUNK_HEAD.unpack(head)[4]
+    if n_name > 8:
+        return False
+    name_and_size = file.read(n_name + 8)
+    n_data = int.from_bytes(name_and_size[n_name:], "little")
+    return bool(_CHUNK_HEAD.size + n_name + 8 + n_data == length)
+
+
+_Summary = tuple[dict[int, str], tuple[int, int] | None, dict[int, int]]
+
+
+def _summary(path: Path, file: BinaryIO, size: int) -> _Summary:
+    """What a complete file says again at its end: its channels, the times of its first and last message, and how many
+    messages each channel has.
+
+    Where bytes are missing, the footer's offset is wrong: the summary is what follows the data's end.
+    """
+    tail = min(size, MAX_SUMMARY_BYTES)
+    file.seek(size - tail)
+    found = file.read(tail).rfind(_DATA_END)
+    channels: dict[int, str] = {}
+    counts: dict[int, int] = {}
+    span = None
+    if found < 0:
+        return channels, span, counts
+    start = size - tail + found
+    try:
+        for opcode, at, length in records(file, size, start):
+            if opcode == Opcode.CHANNEL:
+                body = RECORD.pack(opcode, length) + body_of(path, file, at, length, MAX_METADATA_BYTES)
+                list(batches(path, [body], channels))
+            elif opcode == Opcode.STATISTICS:
+                body = body_of(path, file, at, length, MAX_METADATA_BYTES)
+                statistics = Statistics.read(ReadDataStream(io.BytesIO(body)))
+                span = statistics.message_start_time, statistics.message_end_time
+                counts = statistics.channel_message_counts
+    except (SessionError, *UNREADABLE):  # the summary is damaged too: what was read of it serves
+        pass
+    return channels, span, counts

@@ -1,12 +1,10 @@
-"""A session's messages as columns, batch by batch: all that sync sees, for other programs (``truearm export-session``).
+"""A session's messages as columns, batch by batch: all that was recorded, for other programs (``truearm export-session``).
 
 Titles end in the unit. Each batch is a mapping of titles to columns of equal length; a table's titles stay the same from its first
 batch on. Where a box or a robot describes itself otherwise later (other channels, other keys), another table begins, ``NAME-2``.
-Nothing is left out, filled in or averaged: a gap is marked where it is. What sync makes of them is in ``findings``.
+Nothing is left out, filled in or averaged: a gap is marked where it is.
 
-What sync found in a session as columns, for other programs (``truearm export-session``): plan, dwells, passes.
-
-Titles end in the unit; a number that is not known is NaN, a whole one UNKNOWN.
+Plan, dwells and passes are columns too (``plan_columns()``, ``dwell_columns()``, ``pass_columns()``). A number that is not known is NaN, a whole one UNKNOWN.
 """
 
 from __future__ import annotations
@@ -28,15 +26,12 @@ from truearm.session.box_frames import decode, parse_exchange
 from truearm.session.box_ident import Channel
 from truearm.session.box_reader import Blocks, BoxReader
 from truearm.session.dwells import Dwell
-from truearm.session.joint_batch import JointBatch, parse_lines
-from truearm.session.joint_line import ARRAYS, UNNUMBERED
+from truearm.session.joint_readings import ARRAYS, NO_INPUTS, UNNUMBERED, JointBatch, parse_lines, restarts
 from truearm.session.joint_readings import CHUNK as LINES
-from truearm.session.joint_readings import restarts
 from truearm.session.line_passes import Pass
-from truearm.session.lvdt import extension, volts
 from truearm.session.message_columns import Messages
 from truearm.session.observations import Survey
-from truearm.session.robot_inputs import UNKNOWN as NO_INPUTS
+from truearm.session.samples import extension, volts
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Message
 from truearm_wire import messages as wire
 

@@ -34,12 +34,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.session.clock_windows import Window, blended, windows_of
+from truearm.session.clock_windows import Window, blended, lower_hull, windows_of
 from truearm.session.device_clock import DeviceClock
-from truearm.session.hull import lower_hull
-from truearm.session.joint_readings import JointStream
+from truearm.session.joint_readings import Changes, InputTrack, JointStream
 from truearm.session.robot_clock import EdgeReport, RobotClock
-from truearm.session.robot_inputs import Changes, InputTrack
 from truearm.types import Floats
 
 Ints = NDArray[np.int64]

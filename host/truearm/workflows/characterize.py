@@ -32,8 +32,7 @@ from truearm.model.chain import Chain, along, trace_point
 from truearm.session.box_ident import Ident
 from truearm.session.dwells import Dwell
 from truearm.session.message_columns import Messages, Source, columns_of
-from truearm.session.observations import SyncResult, observations
-from truearm.session.repeated_visits import Visits, joined, visits
+from truearm.session.observations import SyncResult, Visits, joined, observations, visits
 from truearm.session.session_file import Session, open_session
 from truearm.text import one_line
 from truearm.types import Floats, Message, Rig

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from truearm.errors import InputError, SessionError
 from truearm.files.strict_json import without_nan
-from truearm.session.joint_line import parse_reading
+from truearm.session.joint_readings import parse_reading
 from truearm.text import one_line
 from truearm.types import Move
 from truearm.units import NS, PPM

@@ -65,8 +65,7 @@ def observations_of_session(path: Path, rig: Rig | None = None, options: Session
     """
     from truearm.session.line_passes import LineRules
     from truearm.session.observations import observations
-    from truearm.session.salvage import words_of
-    from truearm.session.session_file import open_session
+    from truearm.session.session_file import open_session, words_of
     from truearm.workflows.inspect import ident_of
 
     options = options or SessionOptions()

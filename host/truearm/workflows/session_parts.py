@@ -165,7 +165,7 @@ def _opened(path: Path) -> Session:
 
 def _planned(row: dict[str, Any], rows: list[dict[str, Any]], path: Path) -> dict[str, Any]:
     """A row of the plan, with as many joints as those before it."""
-    from truearm.session.joint_line import are_joints
+    from truearm.session.joint_readings import are_joints
 
     q = row.get("q")
     if not are_joints(q) or (rows and len(rows[0]["q"]) != len(q)):

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from truearm.errors import InputError
 from truearm.schema import quoted
-from truearm.session.joint_line import MAX_JOINTS, format_reading
+from truearm.session.joint_readings import MAX_JOINTS, format_reading
 from truearm.units import SUFFIXES
 
 # to divide by: 1e-9 is no exact number

@@ -14,7 +14,7 @@ from truearm.errors import InputError, TableError
 from truearm.record.joint_lines import MAX_LINE
 from truearm.record.robots.joint_columns import read_columns
 from truearm.record.robots.sources import FileOptions
-from truearm.session.joint_line import parse_reading
+from truearm.session.joint_readings import parse_reading
 
 
 class Reading(NamedTuple):
