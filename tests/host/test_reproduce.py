@@ -44,18 +44,12 @@ def made(tmp_path_factory):
     return out
 
 
-def claims(numbers):
-    return [claim for chapter in numbers["chapters"] for claim in chapter["claims"]]
+def claims(numbers, chapter=""):
+    return [claim for c in numbers["chapters"] if c["title"].startswith(chapter) for claim in c["claims"]]
 
 
 def named(numbers, start, chapter=""):
-    (found,) = [
-        claim
-        for c in numbers["chapters"]
-        if c["title"].startswith(chapter)
-        for claim in c["claims"]
-        if claim["what"].startswith(start)
-    ]
+    (found,) = [claim for claim in claims(numbers, chapter) if claim["what"].startswith(start)]
     return found
 
 
@@ -107,12 +101,34 @@ def test_renders_numbers(made):
     assert claimed > 10 * true
 
 
+def test_every_sigma_that_renders_prints_has_its_line(made):
+    for case, printed, smallest in (("III-E", 5, 0.0005), ("III-F", 9, 0.0002)):
+        lines = [c for c in claims(made["renders"][0], case) if c["what"].startswith("σ of")]
+        assert len(lines) == printed
+        assert {c["verdict"] for c in lines} == {IN_KIND}
+        assert min(c["paper"] for c in lines if c["unit"] == "rad") == smallest
+        for line in lines:
+            once = float(re.search(r"claims ([\d.]+(?:·10⁻\d)?) ", line["why"])[1].replace("·10⁻", "e-"))
+            # Data counted k times claim σ/√k where the data decide, and the prior of each run more where they do not.
+            assert line["ours"] < 1.01 * once, line
+
+
+def test_lengths_improve_what_offsets_leave(made):
+    sure, none = (
+        named(made["renders"][0], f"reduction of the mean error by the lengths, a robot with the errors of {c}")
+        for c in ("III-F", "III-E")
+    )
+    assert 0.5 < sure["ours"] < 1.0
+    assert abs(none["ours"]) < 0.2
+    assert sure["verdict"] == none["verdict"] == IN_KIND
+
+
 def test_two_experiments_do_not_judge_figure_four(made):
     for what in ("steps at which ML", "the same, P₀ chosen", "ML over LS at the end"):
         claim = named(made["renders"][0], what, "Fig. 4")
         assert claim["verdict"] == NOT_JUDGED, claim
         assert "without --quick" in claim["why"]
-    assert made["renders"][0]["counts"][NOT_JUDGED] == 3
+    assert made["renders"][0]["counts"][NOT_JUDGED] == 4
     assert NOT_JUDGED not in made["goswami"][0]["counts"]
     assert f'<p class="name">{NOT_JUDGED}</p>' in made["renders"][1]
 

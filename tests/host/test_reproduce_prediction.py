@@ -6,10 +6,19 @@ Of one experiment's ratio of errors at the end the standard deviation is 2 %, so
 import numpy as np
 import pytest
 
+from truearm.estimate import recursive
 from truearm.estimate.problem import build_problem
 from truearm.model.robot import builtin_robot
 from truearm.reproduce.line_bench import line_rig, measured_lines
-from truearm.reproduce.prediction_errors import DEVICE_SIGMA, N_LINES, PLACING, convergence, placed
+from truearm.reproduce.prediction_errors import (
+    DEVICE_SIGMA,
+    N_LINES,
+    PLACING,
+    convergence,
+    experiment,
+    one_pass,
+    placed,
+)
 
 ULB = builtin_robot("ulb")
 LARGE = 1e6  # "an arbitrary large number" (II-I)
@@ -39,6 +48,21 @@ def test_with_few_points_maximum_likelihood_predicts_better():
 def test_with_many_points_the_two_are_nearly_identical():
     ml, ls = means(60, (LARGE,), 3, last=30)
     assert ml.mean() == pytest.approx(ls.mean(), rel=0.03)
+
+
+def test_one_pass_is_the_batch_solution_of_the_points_before():
+    """The last prediction of (18), (20) against (12) in one step, linearised at the nominal robot."""
+    found = one_pass(ULB, 8, (LARGE,), np.random.default_rng(3))
+    problem, _, free = experiment(ULB, 8, np.random.default_rng(3))
+    columns = np.concatenate([free, np.ones(problem.start.size - free.size, dtype=bool)])
+    rows = recursive.rows_of(problem, problem.start, columns)
+    before = (np.arange(problem.n_rows) % 10 >= PLACING) & (np.arange(problem.n_rows) < problem.n_rows - 1)
+    jac = np.concatenate([rows.jac[before].reshape(-1, columns.sum()), np.diag(1.0 / problem.prior_sigma[columns])])
+    residual = np.concatenate([rows.residual[before].ravel(), np.zeros(columns.sum())])
+    delta = np.linalg.lstsq(jac, residual, rcond=None)[0]
+    error = rows.noise_root[-1] @ (rows.residual[-1] - rows.jac[-1] @ delta)
+    assert found.ml[-1] == pytest.approx(np.linalg.norm(error), rel=1e-6)
+    assert found.ml.shape == found.ls[0].shape == (N_LINES * 8,)
 
 
 @pytest.mark.soak

@@ -94,6 +94,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a Latin-1 terminal must not end a run at its first "σ"
             stream.reconfigure(errors="backslashreplace")
+    if "OMP_NUM_THREADS" not in os.environ:  # matrices here are small: a thread a core would wait more than it works
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     try:
         return _run(arguments)

@@ -24,12 +24,37 @@ from truearm.model.chain import Chain, point_forward, point_jacobians
 from truearm.reproduce.line_bench import ANGLE_SIGMA, Session, line_rig, measured_lines, prior_of
 from truearm.types import Figures, Floats, LinePlacement, Residuals
 
-# III-E and III-F, errors identified [rad, m]; III-F prints its lengths as Δα2, Δα4, Δα6, Δα6: a2, d4, a6, d6.
-OFFSETS = {"joint2": 0.0236, "joint3": -0.1277, "joint4": -0.0341, "joint5": 0.2585, "joint6": -0.0109}
-OFFSETS_BESIDE = {"joint2": 0.0049, "joint3": -0.0995, "joint4": -0.0334, "joint5": 0.1760, "joint6": 0.3122}
-LENGTHS = {"joint2.a": -0.0022, "joint4.d": -0.0148, "joint6.a": 0.0017, "joint6.d": 0.0166}
-CASE_E = {f"{joint}.offset": error for joint, error in OFFSETS.items()}
-CASE_F = {f"{joint}.offset": error for joint, error in OFFSETS_BESIDE.items()} | LENGTHS
+# Errors identified and the σ printed beside them [rad, m], of III-E and of III-F, which prints its lengths as Δα2, Δα4, Δα6,
+# Δα6: a2, d4, a6, d6.
+PRINTED_E = {
+    "joint2.offset": (0.0236, 0.0005),
+    "joint3.offset": (-0.1277, 0.0007),
+    "joint4.offset": (-0.0341, 0.0014),
+    "joint5.offset": (0.2585, 0.0010),
+    "joint6.offset": (-0.0109, 0.0148),
+}
+PRINTED_F = {
+    "joint2.offset": (0.0049, 0.0002),
+    "joint3.offset": (-0.0995, 0.0005),
+    "joint4.offset": (-0.0334, 0.0010),
+    "joint5.offset": (0.1760, 0.0012),
+    "joint6.offset": (0.3122, 0.0122),
+    "joint2.a": (-0.0022, 0.00011),
+    "joint4.d": (-0.0148, 0.00034),
+    "joint6.a": (0.0017, 0.00008),
+    "joint6.d": (0.0166, 0.00010),
+}
+# Table I: α [rad], a [m], d [m] of each row
+TABLE_ONE = (
+    (-np.pi / 2, 0.0, 0.0),
+    (0.0, 0.350, 0.0),
+    (np.pi / 2, 0.0, 0.0),
+    (-np.pi / 2, 0.0, 0.350),
+    (np.pi / 2, 0.0, 0.0),
+    (0.0, 0.0, 0.1),
+)
+CASE_E = {name: error for name, (error, _) in PRINTED_E.items()}
+CASE_F = {name: error for name, (error, _) in PRINTED_F.items()}
 N_LINES, N_POINTS = 5, 12  # III-E; the last line validates
 WIDE = 0.1  # m, of a device put by hand where a bad nominal model has the line
 GEAR = 1e-3  # rad, of an arm that repeats to some tenths of a millimetre
@@ -46,6 +71,8 @@ class Case(NamedTuple):
     validation_after: float
     runs: int
     nees: float  # of the robot's free parameters, by the covariance that the solver claims
+    error: Mapping[str, float]  # identified of each of them, from the nominal [rad, m]
+    sigma: Mapping[str, float]  # that the solver claims
 
 
 def errors_added(chain: Chain, errors: Mapping[str, float]) -> Floats:
@@ -77,7 +104,17 @@ def case(
     before, after = (_on_other_line(judge, params) for params in (chain.params_nominal, found.x[:p]))
     error = (found.x[:p] - truth)[columns[:p]]
     claimed = found.covariance[: error.size, : error.size]
-    return Case(tuple(history), before, after, found.iterations, float(error @ np.linalg.solve(claimed, error)))
+    names = [name for name, one in zip(problem.names[:p], columns[:p], strict=True) if one]
+    identified = (found.x[:p] - chain.params_nominal)[columns[:p]]
+    return Case(
+        tuple(history),
+        before,
+        after,
+        found.iterations,
+        float(error @ np.linalg.solve(claimed, error)),
+        dict(zip(names, identified.tolist(), strict=True)),
+        dict(zip(names, np.sqrt(np.diag(claimed)).tolist(), strict=True)),
+    )
 
 
 def _on_other_line(problem: Problem, params: Floats) -> float:
@@ -174,6 +211,17 @@ def batch_against_recursive(chain: Chain, session: Session) -> tuple[float, floa
     delta = batch @ data.root.T @ data.rhs
     apart = np.abs(state.root @ state.root.T - batch).max() / np.abs(batch).max()
     return float(np.abs(state.delta - delta).max() / np.abs(delta).max()), float(apart)
+
+
+def table_one(chain: Chain) -> int:
+    """How many of the 18 numbers of Table I the robot file has."""
+    named = dict(zip(chain.parameter_names, chain.params_nominal.tolist(), strict=True)) | {"joint2.d": 0.0}
+    printed = {
+        f"joint{i}.{key}": value
+        for i, row in enumerate(TABLE_ONE, 1)
+        for key, value in zip(("alpha", "a", "d"), row, strict=True)
+    }
+    return sum(abs(named[name] - value) < 1e-12 for name, value in printed.items())
 
 
 def with_d2(chain: Chain) -> Chain:
