@@ -638,6 +638,92 @@ class WithOutliers(NamedTuple):
     chi2_reduced: float
 
 
+@dataclass(frozen=True)
+class CurveKnots:
+    """The error curve of one joint: ``count`` coefficients, a ``spacing`` apart [rad]; it repeats where ``periodic``."""
+
+    joint: int
+    first: float
+    spacing: float
+    count: int
+    periodic: bool
+
+    @property
+    def size(self) -> int:
+        """Its parameters."""
+        return self.count
+
+
+@dataclass(frozen=True)
+class SagMasses:
+    """The sag of one joint: the frames at whose origins unit masses sit, and the direction of gravity in the base frame."""
+
+    joint: int
+    frames: tuple[int, ...]
+    gravity: tuple[float, float, float] = (0.0, 0.0, -1.0)
+
+    @property
+    def size(self) -> int:
+        """Its parameters."""
+        return len(self.frames)
+
+
+Law = CurveKnots | SagMasses
+
+
+class Period(NamedTuple):
+    """A sine in an error curve: its cycles a turn and its amplitude [rad]."""
+
+    cycles: float
+    amplitude: float
+
+
+@dataclass(frozen=True)
+class TriedLaw:
+    """A law that was tried. ``nats``: by how much it raises the log evidence; it is ``kept`` where that is enough.
+
+    ``rms`` [rad] is of what it adds to the joint's angle over the fitted poses, about its mean, and ``covered`` [rad] the
+    least and the largest reading; both of kept ones only, else NaN. ``periods``: the strongest of a curve.
+    """
+
+    joint: str
+    term: str  # "curve" | "sag"
+    nats: float
+    kept: bool
+    rms: float = math.nan
+    covered: tuple[float, float] = (math.nan, math.nan)
+    periods: tuple[Period, ...] = ()
+
+
+class LawStep(NamedTuple):
+    """A fit beside the others: "geometry", "sag" or "curves", with its RMS of the fitted rows and its held-out error."""
+
+    name: str
+    rms_after: Mapping[str, float]  # by SI unit
+    held_out: HeldOut | None
+
+
+@dataclass(frozen=True)
+class JointLaws:
+    """What an identification learned of joint laws beyond offset and gain.
+
+    ``kept`` are the laws whose parameters follow the robot's own in the estimate; ``reasons`` say in sentences why others,
+    or all, were not tried. The noise a pose is what evidence makes of the residuals: a factor on the declared variances, a displacement
+    shared by the rows of a pose [m] and an error of every joint [rad], both standard deviations.
+    """
+
+    mode: str  # one of ``estimate.solvers.LawMode``
+    kept: tuple[Law, ...]
+    tried: tuple[TriedLaw, ...]
+    steps: tuple[LawStep, ...]
+    reasons: tuple[str, ...]
+    gravity: tuple[float, float, float]
+    gravity_known: bool  # from the robot file; else z is taken to be up
+    noise_factor: float = math.nan
+    noise_shared: float = math.nan
+    noise_joint: float = math.nan
+
+
 class PredictedError(NamedTuple):
     """How far the measured point of the robot's end errs by the parameters' covariance, over poses that were measured.
 
@@ -721,3 +807,10 @@ class Estimate:
     with_outliers: WithOutliers | None = None  # all rows, where bad ones were left out of the fit (estimate.outliers)
     parts: Mapping[str, ResidualParts] = field(default_factory=dict)  # of ``rms_after``, without rows left out
     pose_error: PoseError | None = None  # what the rows of a pose share beyond chance; ``covariance`` holds it
+    joint_laws: JointLaws | None = None  # what was learned beyond offset and gain; None: nothing was asked for
+
+    @property
+    def law_parameters(self) -> range:
+        """Where the parameters of joint laws stand, the last of the robot's."""
+        laws = self.joint_laws.kept if self.joint_laws else ()
+        return range(self.n_robot_parameters - sum(law.size for law in laws), self.n_robot_parameters)

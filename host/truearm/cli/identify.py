@@ -23,7 +23,7 @@ from truearm.cli.options import (
     rigs_of,
 )
 from truearm.cli.output import warn
-from truearm.estimate.solvers import SOLVERS, Loss, Prior, with_loss
+from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
 from truearm.units import tolerances
 
 
@@ -94,6 +94,12 @@ def identify(
             help=f"huber and cauchy tolerate outliers; with the solvers {' and '.join(with_loss())}.",
         ),
     ] = "linear",
+    joint_laws: Annotated[
+        LawMode,
+        typer.Option(
+            help="Fit error curves and sag of the joints too, as far as the evidence in the rows carries them: auto (both), curve or sag."
+        ),
+    ] = LawMode.NONE,
     allow: Annotated[
         list[str] | None,
         typer.Option(
@@ -152,6 +158,7 @@ def identify(
         prior=None if prior is None else prior.value,
         solver=solver,
         loss=loss,
+        joint_laws=joint_laws.value,
         max_iterations=max_iterations,
         seed=seed,
         allow=tuple(allow or ()),

@@ -17,6 +17,7 @@ from rich.table import Table
 
 from truearm.estimate.solvers import SOLVERS, Loss, Prior
 from truearm.kinds.registry import kinds
+from truearm.report.law_words import law_sentences, law_steps
 from truearm.report.parameter_cells import parameter_cells
 from truearm.report.systematic_words import systematic_sentences
 from truearm.report.words import drawing, kind_name, parts_words, pose_error_words, time_offset, unexplained_words
@@ -54,7 +55,9 @@ def show_result(document: Document, out: Path | None) -> None:
         console.print(line)
     for suffix in document["residual_units"]:
         console.print(_error_table(document, suffix))
-    notes = (raw, timing, chi2_notes, suspects, held_out_notes, predicted, seen)
+        if steps := law_steps(document, suffix):
+            console.print(_law_table(steps, SUFFIXES[suffix].symbol))
+    notes = (law_sentences, raw, timing, chi2_notes, suspects, held_out_notes, predicted, seen)
     for line in (line for words in notes for line in words(document)):
         console.print(line)
     for line in advice(document, out):
@@ -168,8 +171,18 @@ def _parameter_table(document: Document) -> Table:
         table.add_column(column, justify="right", no_wrap=True)
     table.add_column("unit")
     for parameter in document["parameters"]:
-        if parameter["free"]:
+        if parameter["free"] and not parameter.get("law", False):
             table.add_row(*parameter_cells(parameter))
+    return table
+
+
+def _law_table(steps: list[tuple[str, str, str]], unit: str) -> Table:
+    table = Table(box=None, pad_edge=False)
+    table.add_column(f"joint laws [{unit}]")
+    for column in ("fitted, RMS", "held out, mean"):
+        table.add_column(column, justify="right", no_wrap=True)
+    for step in steps:
+        table.add_row(*step)
     return table
 
 

@@ -118,13 +118,13 @@ def identify(
     fitted = ~(held | left_out)
     if not fitted.any():
         raise ProblemError("no observations are left to fit; hold out less")
-    modelled = _modelled(chain, rig, table, options.effects)
+    modelled = modelled_of(chain, rig, table, options.effects)
     problem = build_problem(chain, rig, table.select(fitted), prior_sigma, [one.select(fitted) for one in modelled])
     columns = np.concatenate([free, np.ones(len(problem.names) - free.size, dtype=bool)])
     history: list[dict[str, float]] = []
 
     def on_step(iteration: int, residual: Residuals) -> None:
-        history.append(_rms(residual))
+        history.append(rms_of(residual))
         if options.progress is not None:
             options.progress(iteration, history[-1])
 
@@ -154,7 +154,7 @@ def identify(
     wanting = (told_apart(data.root, suggested.size, unit), unit) if only_weak else (suggested, None)
     untimed = _untimed(data.root, names)
     known = dict(zip(problem.names, x, strict=True))
-    labels = relabellings(chain, rig, table, fitted, free, prior_sigma, _rms(information.residual).get("m", math.nan))
+    labels = relabellings(chain, rig, table, fitted, free, prior_sigma, rms_of(information.residual).get("m", math.nan))
     how = measured_order(table, fitted)
     chi2, freedom = fit_quality.reduced * fit_quality.freedom, fit_quality.freedom
     explained = not fit_quality.reduced > fit_quality.band[1]
@@ -170,8 +170,8 @@ def identify(
     as_declared = options.loss == Loss.LINEAR and not SOLVERS[options.solver].reads_noise
     shared = pose_effect(taken, x, columns, half(parts), pose) if as_declared else None
     matrix[np.ix_(columns, columns)] = found.covariance if shared is None else shared.covariance
-    held_before, error_before = _judge(problem, x_before, rig, table, held, modelled)
-    held_after, error_after = _judge(problem, x, rig, table, held, modelled)
+    held_before, error_before = judged(problem, x_before, rig, table, held, modelled)
+    held_after, error_after = judged(problem, x, rig, table, held, modelled)
     unexplained: Mapping[str, MeanError] = {}
     if as_declared and not explained:
         unexplained = mean_errors(error_after, poses(table.select(held)), held_out=True)
@@ -196,15 +196,15 @@ def identify(
         rank=sight.rank,
         rank_gap=sight.gap,
         null_space=sight.null_space,
-        rms_before=_rms(before),
-        rms_raw=_rms(raw),
-        rms_after=_rms(information.residual),
-        rms_history={unit: tuple(rms[unit] for rms in (_rms(raw), *history)) for unit in raw},
+        rms_before=rms_of(before),
+        rms_raw=rms_of(raw),
+        rms_after=rms_of(information.residual),
+        rms_history={unit: tuple(rms[unit] for rms in (rms_of(raw), *history)) for unit in raw},
         chi2_reduced=fit_quality.reduced,
         held_out=held_after,
         held_out_before=held_before,
-        residual=_merged(information.residual, error_after, fitted, held),
-        residual_before=_merged(before, error_before, fitted, held),
+        residual=merged(information.residual, error_after, fitted, held),
+        residual_before=merged(before, error_before, fitted, held),
         fitted=fitted,
         left_out=left_out,
         seconds=0.0,
@@ -233,7 +233,7 @@ def _with_all_rows(problem: Problem, columns: NDArray[np.bool_], every: Solution
     """The fit of all rows, beside that without the bad ones."""
     shares = prior_shares(half(spectrum(every.information.root)), every.prior_sigma)
     chi2 = goodness(*of_data(problem, columns, every), shares).reduced
-    return WithOutliers(int((found.weight == 0.0).sum()), every.x, _rms(every.information.residual), chi2)
+    return WithOutliers(int((found.weight == 0.0).sum()), every.x, rms_of(every.information.residual), chi2)
 
 
 def _left_out(spans: Sequence[tuple[int, int]], n: int) -> NDArray[np.bool_]:
@@ -253,7 +253,7 @@ def _moves(chain: Chain, x: Floats, there: Floats, q: Floats) -> float:
     return float(np.sqrt((apart**2).sum(axis=1).mean()))
 
 
-def _modelled(chain: Chain, rig: Rigs, table: ObservationTable, effects: Sequence[Effect]) -> list[Modelled]:
+def modelled_of(chain: Chain, rig: Rigs, table: ObservationTable, effects: Sequence[Effect]) -> list[Modelled]:
     """The parameters of effects, by what the whole table uses."""
     return modelled_effects(build_problem(chain, rig, table).causes, effects, len(table)) if effects else []
 
@@ -315,7 +315,7 @@ def _data_root(problem: Problem, columns: NDArray[np.bool_], found: Solution) ->
     return with_prior(observe(used, found.x, columns), (problem.start - found.x)[columns], rig_prior)
 
 
-def _judge(
+def judged(
     fitted: Problem,
     x_fit: Floats,
     rig: Rigs,
@@ -351,7 +351,7 @@ def _mask(name: str, mask: NDArray[np.bool_] | None, size: int, default: bool) -
     return mask
 
 
-def _rms(residual: Residuals) -> dict[str, float]:
+def rms_of(residual: Residuals) -> dict[str, float]:
     return {unit: figures.rms for unit, figures in Figures.by_unit(residual).items()}
 
 
@@ -361,7 +361,7 @@ def _spread(flags: NDArray[np.bool_], columns: NDArray[np.bool_]) -> NDArray[np.
     return out
 
 
-def _merged(fitted: Residuals, held_out: Residuals, rows: NDArray[np.bool_], held: NDArray[np.bool_]) -> Residuals:
+def merged(fitted: Residuals, held_out: Residuals, rows: NDArray[np.bool_], held: NDArray[np.bool_]) -> Residuals:
     units = [unit for unit in UNITS if unit in fitted or unit in held_out]
     return {unit: _merge(fitted.get(unit, np.nan), held_out.get(unit, np.nan), rows, held) for unit in units}
 

@@ -24,6 +24,15 @@ class Prior(StrEnum):
     WIDE = "wide"
 
 
+class LawMode(StrEnum):
+    """Which terms of the joint law beyond offset and gain an identification may add, if the evidence carries them."""
+
+    AUTO = "auto"
+    NONE = "none"
+    CURVE = "curve"
+    SAG = "sag"
+
+
 class SolverEntry(NamedTuple):
     """A solver: its module in this package, and what ``--help`` says of it.
 

@@ -49,7 +49,7 @@ def whitened_blocks(
         stacked = np.concatenate([lin.jac_params[:, columns], lin.residual[:, None]], axis=1)
         stacked = stacked.reshape(len(cov), cov.shape[1], -1)
         whiten(stacked.T, cov)
-        yield Block(block.row, block.COMPONENTS, stacked[:, :, :-1], stacked[:, :, -1], _root(cov))
+        yield Block(block.row, block.COMPONENTS, stacked[:, :, :-1], stacked[:, :, -1], noise_root(cov))
 
 
 def observe_robustly(
@@ -130,7 +130,7 @@ def only(problem: Problem, used: NDArray[np.bool_]) -> Problem:
     return replace(problem, groups=tuple(group for group in groups if len(group.sensor_cov)))
 
 
-def _root(cov: Floats) -> Floats:
+def noise_root(cov: Floats) -> Floats:
     """L (n, w, w) of variances (n, w) or covariances (n, w, w)."""
     if cov.ndim == 3:
         return np.asarray(np.linalg.cholesky(cov))

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from truearm import __version__
 from truearm.errors import InputError
 from truearm.files.disk import read_text, sha256, write_atomic
+from truearm.files.law_document import LAWS, law_document
 from truearm.schema import Choice, Flag, Key, List, ReadOnly, SchemaError, Table, Text, Value, quoted, raising
 from truearm.types import (
     Defaults,
@@ -27,6 +28,7 @@ from truearm.types import (
     Figures,
     Floats,
     HeldOut,
+    Law,
     NullDirection,
     Observability,
     ObservationTable,
@@ -98,6 +100,7 @@ class StoredResult:
     covariance: Floats
     null_space: tuple[NullDirection, ...]
     frames: tuple[NullDirection, ...]  # along which parameters were held as a choice of frame
+    laws: tuple[Law, ...]  # joint laws whose parameters follow the robot's own
     document: Mapping[str, Any]  # the whole file as parsed
     joint_range: JointRange | None = None  # None: of an earlier version
 
@@ -170,6 +173,7 @@ def document_of(
         "held_out": _held_out(estimate.held_out, units),
         "held_out_before": _held_out(estimate.held_out_before, units),
         "predicted_error": _predicted(predicted),
+        "joint_laws": law_document(estimate.joint_laws, _held_out, units),
         "parameters": _parameters(estimate),
         "covariance": {
             "names": names[estimate.free].tolist(),
@@ -234,6 +238,7 @@ def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
             "sigma": _number(estimate.sigma[i]) if estimate.free[i] and estimate.identifiable[i] else None,
             "free": bool(estimate.free[i]),
             "seen": bool(estimate.free[i] and estimate.identifiable[i]),
+            **({"law": True} if i in estimate.law_parameters else {}),
             "of": "robot" if i < estimate.n_robot_parameters else "rig",
         }
         for i, name in enumerate(estimate.parameter_names)
@@ -454,6 +459,16 @@ class _JsonNumber(ReadOnly):
         return float(raw)
 
 
+@dataclass(frozen=True)
+class Nullable(ReadOnly):
+    """A value, or ``null``."""
+
+    value: Value
+
+    def parse(self, raw: Any, suffix: str = "") -> Any:
+        return None if raw is None else self.value.parse(raw, suffix)
+
+
 class _StoredParameter(NamedTuple):
     name: str
     unit: str
@@ -500,6 +515,7 @@ _RESULT = _later(
         Key("parameters", _many(_PARAMETER)),
         Key("covariance", _COVARIANCE),
         Key("null_space", _many(_DIRECTION)),
+        Key("joint_laws", Nullable(LAWS), optional=True),
         Key("defaults", _DEFAULTS, optional=True),  # results of earlier versions hold nothing
         Key("joint_range", _JOINT_RANGE, optional=True),
     ),
@@ -542,6 +558,7 @@ def stored_result(document: Mapping[str, Any]) -> StoredResult:
         covariance=np.array(covariance.matrix).reshape(size, size),
         null_space=fields["null_space"],
         frames=frames,
+        laws=(fields.get("joint_laws") or {}).get("laws", ()),
         document=document,
         joint_range=joint_range,
     )

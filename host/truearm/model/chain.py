@@ -52,7 +52,7 @@ class Parameter:
     """A named constant of the robot; ``unit`` is its SI unit, ``nominal`` its design value.
 
     ``term`` says what it is part of: "geometry", a link between joints, or a term of the law of the ``joint`` (an index):
-    "offset", "gain" or another of ``joint_law.TERMS`` by its name.
+    "offset", "gain" or another of ``joint_law.TERMS`` by its name. ``basis`` is what that term needs to know of the parameter.
     """
 
     name: str
@@ -60,6 +60,7 @@ class Parameter:
     nominal: float
     term: str = GEOMETRY
     joint: int | None = None
+    basis: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

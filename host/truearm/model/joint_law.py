@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 TERM_FILES = (
     "offset",
     "gain",
+    "curve",
+    "sag",
 )
 TERMS: tuple[type[Term], ...] = tuple(import_module(f"truearm.model.joint_terms.{file}").TERM for file in TERM_FILES)
 MAX_STEPS = 30  # of Newton's method, each squaring its error; what does not end by then does not end

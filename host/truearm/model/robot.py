@@ -24,8 +24,9 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,7 +38,7 @@ from truearm.model.chain import Chain
 from truearm.model.robot_tables import MAX_NAME, Description, read_tables
 from truearm.model.slots import chain_from_slots
 from truearm.model.workspace import BRANCH, CAPSULE, MAX_CAPSULES, Branch, Capsules, capsules_of, check_branch
-from truearm.schema import Key, List, SchemaError, Text, raising
+from truearm.schema import Key, List, Number, SchemaError, Text, raising
 from truearm.types import Floats
 
 MAX_TEXT = 1_000_000  # characters; the PUMA's file has 3,000
@@ -47,6 +48,7 @@ HEAD = (
     *(Key(name, LINE) for name in ("name", "convention", "nominal", "base_frame", "end_frame")),
     Key("source", Text(MAX_SOURCE, one_line=True), optional=True),
     Key("branch", BRANCH, optional=True),
+    Key("gravity", List(Number("1"), 3), optional=True),
     Key("capsule", List(CAPSULE, most=MAX_CAPSULES), optional=True),
 )
 
@@ -74,6 +76,7 @@ class Robot:
     branch: Branch | None = None
     capsules: Capsules | None = None
     file: str = ""
+    gravity: tuple[float, float, float] | None = None  # its direction in the base frame; None: the file does not say
 
     def __str__(self) -> str:
         chain = self.chain
@@ -112,7 +115,17 @@ def parse_robot(text: str) -> Robot:
     amounts = [description.amounts[name] for name in chain.parameter_names]
     values = {name: np.array([amount.values[name] for amount in amounts]) for name in sets}
     free = np.array([not amount.held for amount in amounts], dtype=bool)
-    return Robot(chain, values, free, head.get("source", ""), branch, capsules)
+    gravity = _gravity(head["gravity"]) if "gravity" in head else None
+    return Robot(chain, values, free, head.get("source", ""), branch, capsules, gravity=gravity)
+
+
+def _gravity(given: Sequence[float]) -> tuple[float, float, float]:
+    """A direction of length 1. Raises SchemaError."""
+    length = math.hypot(*given)
+    if not length > 0.0:
+        raise SchemaError("gravity: must not be zero; give its direction in the base frame, such as [0, 0, -1]")
+    x, y, z = (component / length for component in given)
+    return x, y, z
 
 
 def _set_names(description: Description, nominal: str) -> list[str]:

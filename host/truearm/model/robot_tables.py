@@ -95,7 +95,7 @@ def _amount(name: str, unit: str, *, optional: bool = False) -> Key:
 def _moving_keys(kind: str) -> tuple[Key, ...]:
     """What a joint's table has beside its slots: its limits, and the terms of its law that are known of it."""
     limit = robot_number(_unit(kind))
-    terms = (term for term in joint_law.TERMS if term is not Offset)
+    terms = (term for term in joint_law.TERMS if term is not Offset and not term.learned)
     return (
         Key("lower", limit),
         Key("upper", limit),

@@ -246,7 +246,7 @@ def _figure(figure: Figure, kind: str = "") -> str:
 
 
 def _parameters(e: Estimate) -> str:
-    robot, rig = range(e.n_robot_parameters), range(e.n_robot_parameters, len(e.parameter_names))
+    robot, rig = range(e.law_parameters.start), range(e.n_robot_parameters, len(e.parameter_names))
     parts = [
         "<p>A single parameter may differ from the drawing because of how the fixtures are mounted, or because it "
         "takes over the error of one held fixed; judge the arm by its predictions.</p>",

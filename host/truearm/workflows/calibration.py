@@ -14,11 +14,12 @@ from truearm.files.result_file import StoredResult, read_result
 from truearm.files.robot_file import RobotChoice, is_urdf, load_robot
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import Chain
+from truearm.model.law_chain import robot_with_laws
 from truearm.model.mountings import NONE, Mountings, mountings
 from truearm.model.poses import six_of
 from truearm.model.robot import Robot
 from truearm.report.parameter_cells import parameter_cells
-from truearm.types import Floats
+from truearm.types import Floats, Law, SagMasses
 from truearm.units import DEG, MM
 
 LARGEST_JOINT = 100.0  # rad, m
@@ -150,6 +151,7 @@ def read_calibration(result: Path, choice: RobotChoice = DEFAULT) -> Calibration
 
 def calibration_of(stored: StoredResult, robot: Robot, called: str, result: str) -> Calibration:
     """The calibration of a robot by a result; ``called`` and ``result`` name the two in messages. Raises InputError."""
+    robot = robot_with_laws(robot, _laws_of(stored, robot, result))
     chain, mine = robot.chain, stored.of_robot
     names = tuple(name for name, is_robot in zip(stored.parameter_names, mine, strict=True) if is_robot)
     if names != chain.parameter_names or stored.robot.joint_units != chain.joint_units:
@@ -165,6 +167,16 @@ def calibration_of(stored: StoredResult, robot: Robot, called: str, result: str)
     if not np.isfinite(identified).all() or not np.abs(identified).max() < 1e4:
         raise InputError(f"{result}: a parameter's value is missing or absurd; identify again")
     return Calibration(robot, stored, nominal, identified, _covariance(stored, names), _unseen(stored, names))
+
+
+def _laws_of(stored: StoredResult, robot: Robot, result: str) -> tuple[Law, ...]:
+    """The result's joint laws. Raises InputError where they are of joints or frames that the robot does not have."""
+    joints = len(robot.chain.joints)
+    for law in stored.laws:
+        frames = law.frames if isinstance(law, SagMasses) else ()
+        if not (law.joint < joints and all(law.joint < frame <= joints for frame in frames)):
+            raise InputError(f"{result}: a joint law is of a joint that the robot does not have; identify again")
+    return stored.laws
 
 
 def check_names(*paths: Path | None) -> None:

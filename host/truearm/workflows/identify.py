@@ -15,10 +15,11 @@ from truearm.errors import Argument, InputError
 from truearm.estimate.defaults import choose_defaults, with_frames
 from truearm.estimate.identify import SolverOptions
 from truearm.estimate.identify import identify as estimate_parameters
+from truearm.estimate.joint_laws import LawRequest, with_joint_laws
 from truearm.estimate.prediction import predicted_point_error
 from truearm.estimate.prior import free_without_gains, prior_named
 from truearm.estimate.problem import Rigs
-from truearm.estimate.solvers import SOLVERS, Loss, Prior, with_loss
+from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
 from truearm.files.observation_table import looks_like_table, write_table
 from truearm.files.result_file import Input, RobotFrames, document_of, looks_like_result, stored_result, write_result
 from truearm.files.robot_file import RobotChoice, load_robot
@@ -65,6 +66,9 @@ class IdentifyOptions:
         Groups such as ``"place=front"``: only their rows are fitted, all others judge.
     leave_out : tuple of str
         Rows that are neither fitted nor judged, as ``"120:140"``.
+    joint_laws : str
+        "none", "curve" (error curves of the joints), "sag" (joints that give way to gravity) or "auto" (both); each law
+        enters if the evidence in the fitted rows carries it.
 
     Raises
     ------
@@ -89,6 +93,7 @@ class IdentifyOptions:
     allow: tuple[str, ...] = ()
     leave_out: tuple[str, ...] = ()
     fit_only: tuple[str, ...] = ()
+    joint_laws: Annotated[str, OneOf(tuple(LawMode))] = "none"
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -241,7 +246,9 @@ def identified(
         ),
         prefer=default_free(robot),
     )
+    request = LawRequest(LawMode(options.joint_laws), sigma, tuple(map(parse_effect, options.allow)), robot.gravity)
     chosen = with_frames(chosen, chain, rig, fitted, selection.free, estimate.value)
+    chain, estimate = with_joint_laws(chain, rig, table, estimate, request)
     predicted = None  # a fit that has not converged predicts nothing
     if estimate.status == "converged":
         predicted = predicted_point_error(chain, rig, table, estimate, any_base=bool(chosen.base))

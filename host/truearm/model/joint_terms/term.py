@@ -33,6 +33,9 @@ class Term(ABC):
     affine: ClassVar[bool] = False  # its ∂θ/∂q is diagonal and the same for all q
     constant: ClassVar[bool] = False  # its ∂θ/∂parameter is 1 for all q
     nonzero: ClassVar[bool] = False  # 0 is no possible value of its parameters
+    learned: ClassVar[bool] = (
+        False  # an identification adds it to a chain (``model.law_chain``); robot files have no key of it
+    )
 
     def __init__(self, chain: Chain, parameters: NDArray[np.intp]) -> None:
         """``parameters`` (m,): indices of the chain's parameters of this term, in their order."""

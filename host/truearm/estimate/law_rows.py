@@ -1,0 +1,70 @@
+"""What a fit with laws says of its rows: errors of fits without a row's pose, standardised distances, the declared noise's part."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.estimate.law_fit import LawProblem, Posterior
+from truearm.estimate.pose_noise import PoseNoise, pose_rows, unknowns_of_rows
+from truearm.estimate.whitened_rows import gate, noise_root
+from truearm.kinds.group import unit_columns
+from truearm.types import Floats, ResidualParts, Residuals
+from truearm.units import UNITS
+
+LEAST_SHARE = 1e-9  # of a pose's variance that the unknowns must leave
+
+
+class LawRows(NamedTuple):
+    """Of n rows, those without a fit NaN; errors by SI unit."""
+
+    left_out: Residuals  # size of each row's error by a fit without its pose
+    distance: Floats  # (n,) from what is due, in standard deviations of the learned noise
+    beyond: NDArray[np.bool_]  # (n,) farther than one clean row in a million
+    parts: Mapping[str, ResidualParts]  # what the declared noise makes of the residuals, and what is left
+
+
+def law_rows(of: LawProblem, found: Posterior, noise: PoseNoise) -> LawRows:
+    """Judge the rows that were fitted.
+
+    With a pose's residuals r, their noise R and J P Jᵀ its fit without that pose leaves R (R − J P Jᵀ)⁻¹ r, to first order
+    and with the variances as they are (``mean_error`` has it for R = I). The distance is √(rᵀ(R − J P Jᵀ)⁻¹ r) of the row.
+    """
+    problem = of.problem
+    left_out, distance = problem.no_residuals(), np.full(problem.n_rows, np.nan)
+    beyond = np.zeros(problem.n_rows, dtype=bool)
+    squares: dict[str, list[Floats]] = {}
+    mix = unknowns_of_rows(problem, found.x, of.columns)[:, :-1]
+    posterior = mix @ found.covariance @ mix.T
+    for poses in pose_rows(problem, found.x, of.pose):
+        group = poses.group
+        if group.row is None:
+            continue
+        w, width = poses.rows.shape[1], group.sensor_cov.shape[1]
+        cov, residual = poses.covariances(noise), poses.rows[..., -1]
+        spread = (poses.rows @ posterior) @ poses.rows.swapaxes(1, 2)
+        values, vectors = np.linalg.eigh(cov - spread)
+        values = np.maximum(values, LEAST_SHARE * cov[:, range(w), range(w)].max(axis=1, keepdims=True))
+        weighed = (vectors @ (vectors.swapaxes(1, 2) @ residual[..., None] / values[..., None]))[..., 0]
+        root = noise_root(poses.declared)
+        without = _in_units(root, (cov @ weighed[..., None]).reshape(-1, width))
+        with_all = _in_units(root, residual.reshape(-1, width))
+        own = np.maximum(1.0 - spread[:, range(w), range(w)], 0.0).reshape(-1, width)
+        for unit, components in unit_columns(group.COMPONENTS).items():
+            left_out[unit][group.row] = np.linalg.norm(without[:, components], axis=1)
+            declared = (root[:, components] ** 2 * own[:, None]).sum(axis=(1, 2))
+            squares.setdefault(unit, []).append(np.stack([declared, (with_all[:, components] ** 2).sum(axis=1)]))
+        square = np.maximum((residual * weighed).reshape(-1, width).sum(axis=1), 0.0)
+        distance[group.row], beyond[group.row] = np.sqrt(square), square > gate(width)
+    means = {unit: np.concatenate(squares[unit], axis=1).mean(axis=1) for unit in UNITS if unit in squares}
+    parts = {u: ResidualParts(math.sqrt(due), math.sqrt(max(is_ - due, 0.0))) for u, (due, is_) in means.items()}
+    return LawRows(left_out, distance, beyond, parts)
+
+
+def _in_units(root: Floats, whitened: Floats) -> Floats:
+    """(n, w) in the components' units."""
+    return np.asarray((root @ whitened[..., None])[..., 0])

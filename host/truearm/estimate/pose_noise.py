@@ -1,0 +1,199 @@
+"""Noise a pose, beyond what is declared: R = m·I + p·T Tᵀ + q·C Cᵀ of whitened rows.
+
+Rows are whitened by their declared covariance first, so m is a factor on it: 1 where the sensors are what they are said to
+be. With T = ∂(rows)/∂(a translation of the end) and C = ∂(rows)/∂(joint readings), p [m²] is a displacement of the end that
+all rows of a pose share, q [rad²] an error of every joint's own. The three are learned by their evidence (``learned_noise``):
+a model error that a pose's rows share would else pass for information, and joint laws for what is noise of the arm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.estimate.problem import Problem
+from truearm.estimate.residual_noise import residual_cov, whiten
+from truearm.kinds.group import Group
+from truearm.kinds.linearised import Indices
+from truearm.model.constant_folding import folded
+from truearm.types import Floats
+
+CHUNK = 1_000_000  # numbers of a chunk's rows: 8 MB
+SMALLEST_SHARE = 0.01  # of the rows left to a part of the noise, however much the unknowns spend
+LEAST_FACTOR = 1e-6  # on the declared variances
+LARGEST_POSE = 24  # observations of one pose; of more each run of so many counts as one
+FORCE = (0, 2, 4)  # of a wrench's first six numbers, those that see a translation of the end
+
+
+class PoseNoise(NamedTuple):
+    """Variances: a factor ``sensor`` on the declared ones, ``shared`` [m²], ``joint`` [rad²]."""
+
+    sensor: float = 1.0
+    shared: float = 0.0
+    joint: float = 0.0
+
+
+class PoseRows(NamedTuple):
+    """n poses of w whitened residuals each, as many rows of the table a pose."""
+
+    group: Group  # pose by pose; of knowledge (``row`` None) the noise is as declared
+    declared: Floats  # (n·rows a pose, …) the rows' covariances, as ``residual_noise`` has them
+    rows: Floats  # (n, w, b + r + 1) wrenches, by the rig's unknowns, residual
+    by_joints: Floats  # (n, w, j)
+
+    @property
+    def translation(self) -> Floats:
+        """(n, w, 3) T"""
+        return self.rows[..., FORCE]
+
+    def covariances(self, noise: PoseNoise) -> Floats:
+        """(n, w, w) R"""
+        n, w = self.rows.shape[:2]
+        if self.group.row is None:
+            return np.broadcast_to(np.eye(w), (n, w, w))
+        out = noise.joint * (self.by_joints @ self.by_joints.swapaxes(1, 2))
+        if noise.shared:
+            out += noise.shared * (self.translation @ self.translation.swapaxes(1, 2))
+        out[:, range(w), range(w)] += noise.sensor
+        return np.asarray(out)
+
+
+class Normals(NamedTuple):
+    """[J|f]ᵀ R⁻¹ [J|f] (k + 1, k + 1), and the log determinant of R."""
+
+    matrix: Floats
+    logdet: float
+
+
+def pose_rows(problem: Problem, x: Floats, pose: Indices, every: int = 1) -> Iterator[PoseRows]:
+    """All poses (``pose`` (n_rows,): their numbers) linearised at x, or each ``every``-th, in chunks of as many rows a pose."""
+    width = len(folded(problem.chain, x[: problem.n_robot]).twists) + len(problem.names) - problem.n_robot + 1
+    for group in problem.groups:
+        for piece, count in _pieces(group, pose, width, every):
+            yield _whitened(problem, x, piece, count)
+
+
+def _pieces(group: Group, pose: Indices, width: int, every: int) -> Iterator[tuple[Group, int]]:
+    """Some of a group's observations, pose by pose, and how many of them a pose has."""
+    if group.row is None:
+        yield group, 1
+        return
+    w = group.sensor_cov.shape[1]
+    mine = pose[group.row]
+    order = np.argsort(mine, kind="stable")
+    _, first, size = np.unique(mine[order], return_index=True, return_counts=True)
+    parts: dict[int, list[Indices]] = {}
+    for start, count in zip(first[::every].tolist(), size[::every].tolist(), strict=True):
+        for at in range(start, start + count, LARGEST_POSE):
+            own = order[at : min(at + LARGEST_POSE, start + count)]
+            parts.setdefault(len(own), []).append(own)
+    for count, some in sorted(parts.items()):
+        each = max(1, CHUNK // (count * w * width))
+        for at in range(0, len(some), each):
+            yield group.take(np.concatenate(some[at : at + each])), count
+
+
+def _whitened(problem: Problem, x: Floats, piece: Group, count: int) -> PoseRows:
+    lin = piece.evaluate(problem.chain, x)
+    w, n, _ = lin.wrenches.shape
+    parts = (lin.wrenches, lin.jac_rig, lin.residual.reshape(n, w).T[..., None], lin.by_joints)
+    stacked = np.concatenate([np.moveaxis(part, 2, 0) for part in parts])
+    declared = residual_cov(piece.sensor_cov, lin.jac_joints, problem.joint_cov)
+    whiten(stacked, declared)
+    rows = np.ascontiguousarray(stacked.transpose(2, 1, 0)).reshape(n // count, count * w, -1)
+    j = lin.by_joints.shape[2]
+    return PoseRows(piece, declared, rows[..., :-j], rows[..., -j:])
+
+
+def normal_matrix(problem: Problem, x: Floats, columns: NDArray[np.bool_], pose: Indices, noise: PoseNoise) -> Normals:
+    """The observations' information on x[columns] and the residual, at x under a noise."""
+    mix = unknowns_of_rows(problem, x, columns)
+    total, logdet = np.zeros((len(mix), len(mix))), 0.0
+    for poses in pose_rows(problem, x, pose):
+        root = np.linalg.cholesky(poses.covariances(noise))
+        logdet += 2.0 * float(np.log(np.diagonal(root, axis1=1, axis2=2)).sum())
+        rows = poses.rows / root if root.shape[1] == 1 else np.linalg.inv(root) @ poses.rows
+        flat = rows.reshape(-1, rows.shape[2])
+        total += flat.T @ flat
+    return Normals(np.asarray(mix.T @ total @ mix), logdet)
+
+
+def unknowns_of_rows(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> Floats:
+    """(b + r + 1, k + 1): ``PoseRows.rows`` times it are the derivatives by x[columns], and the residual."""
+    robot, rig = columns[: problem.n_robot], columns[problem.n_robot :]
+    twists = folded(problem.chain, x[: problem.n_robot]).twists[:, robot]
+    b, p = twists.shape
+    mix = np.zeros((b + rig.size + 1, p + int(rig.sum()) + 1))
+    mix[:b, :p] = twists
+    mix[b + np.flatnonzero(rig), p + np.arange(int(rig.sum()))] = 1.0
+    mix[-1, -1] = 1.0
+    return mix
+
+
+class PoseSample(NamedTuple):
+    """Poses of one number of rows, as their noise's evidence needs them."""
+
+    residual: Floats  # (n, w) at the estimate
+    spread: Floats  # (n, w, w) J P Jᵀ
+    translation: Floats  # (n, w, 3)
+    by_joints: Floats  # (n, w, j)
+
+
+def pose_samples(
+    problem: Problem, x: Floats, pose: Indices, step: Floats, posterior: Floats, every: int
+) -> list[PoseSample]:
+    """What the poses say of the noise once x has moved by a step: both are in what ``unknowns_of_rows`` mixes, (b + r + 1,)
+    and (b + r + 1, b + r + 1)."""
+    out = []
+    for poses in pose_rows(problem, x, pose, every):
+        if poses.group.row is not None:
+            spread = (poses.rows @ posterior) @ poses.rows.swapaxes(1, 2)
+            out.append(PoseSample(poses.rows @ step, spread, poses.translation.copy(), poses.by_joints.copy()))
+    return out
+
+
+def learned_noise(samples: Sequence[PoseSample], noise: PoseNoise, shared: bool, steps: int = 30) -> PoseNoise:
+    """The noise at which the evidence's gradient vanishes for the posterior as it is; without ``shared`` p stays 0.
+
+    With e = R⁻¹ r the gradient by the variance of a part R_k is ½ (Σ eᵀ R_k e − Σ tr R⁻¹R_k + Σ tr R⁻¹ J P Jᵀ R⁻¹ R_k). The last
+    is the share of the part's rows that the unknowns have used up; it is kept while the variances are found
+    (MacKay's γ): with the posterior kept instead a smaller R would make it exceed the rows there are.
+    """
+    spent = _parts(samples, noise).spent
+    for _ in range(steps):
+        here = _parts(samples, noise)
+        old = np.array(noise)
+        new = old * here.gain / np.maximum((1.0 - spent) * here.rows, SMALLEST_SHARE * here.rows)
+        noise = PoseNoise(max(float(new[0]), LEAST_FACTOR), float(new[1]) * shared, float(new[2]))
+        if np.all(np.abs(np.array(noise) - old) <= 1e-3 * old):
+            break
+    return noise
+
+
+class _Parts(NamedTuple):
+    """Of m, p and q: Σ eᵀ R_k e, Σ tr R⁻¹R_k, and what share of the latter the unknowns have spent."""
+
+    gain: Floats
+    rows: Floats
+    spent: Floats
+
+
+def _parts(samples: Sequence[PoseSample], noise: PoseNoise) -> _Parts:
+    gain, rows, spent = np.zeros(3), np.zeros(3), np.zeros(3)
+    for sample in samples:
+        parts = (np.eye(sample.residual.shape[1])[None], _square(sample.translation), _square(sample.by_joints))
+        inverse = np.linalg.inv(noise.sensor * parts[0] + noise.shared * parts[1] + noise.joint * parts[2])
+        e = (inverse @ sample.residual[..., None])[..., 0]
+        used = inverse @ sample.spread @ inverse
+        for k, part in enumerate(parts):
+            gain[k] += float((e * (part @ e[..., None])[..., 0]).sum())
+            rows[k] += float((inverse * part).sum())
+            spent[k] += float((used * part).sum())
+    return _Parts(gain, rows, np.divide(spent, rows, out=np.zeros(3), where=rows > 0.0))
+
+
+def _square(factor: Floats) -> Floats:
+    return np.asarray(factor @ factor.swapaxes(1, 2))

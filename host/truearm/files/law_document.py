@@ -1,0 +1,103 @@
+"""What result.json says of joint laws (docs/result-format.md), and what is read of it again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from truearm.schema import Choice, Flag, Key, List, Number, ReadOnly, Table, Whole, as_table, at
+from truearm.types import CurveKnots, JointLaws, Law, LawStep, SagMasses, TriedLaw
+from truearm.units import DEG, MRAD, key, shown
+
+MAX_LAWS = 200
+MAX_COEFFICIENTS = 2000
+MAX_JOINT = 63
+
+
+def law_document(found: JointLaws | None, held_out: Any, units: Sequence[str]) -> dict[str, Any] | None:
+    """The field ``joint_laws``; ``held_out`` makes an entry of a HeldOut, ``units`` are the residuals'."""
+    if found is None:
+        return None
+    return {
+        "mode": found.mode,
+        "reasons": list(found.reasons),
+        "gravity": list(found.gravity),
+        "gravity_known": found.gravity_known,
+        "laws": [_law(law) for law in found.kept],
+        "tried": [_tried(law) for law in found.tried],
+        "steps": [_step(step, held_out, units) for step in found.steps],
+        "noise": {
+            "factor": _finite(found.noise_factor),
+            "shared_mm": _finite(shown(found.noise_shared, "m")),
+            "joint_mrad": _finite(MRAD.of(found.noise_joint)),
+        },
+    }
+
+
+def _law(law: Law) -> dict[str, Any]:
+    if isinstance(law, CurveKnots):
+        return {
+            "term": "curve",
+            "joint": law.joint,
+            "first_rad": law.first,
+            "spacing_rad": law.spacing,
+            "count": law.count,
+            "periodic": law.periodic,
+        }
+    return {"term": "sag", "joint": law.joint, "frames": list(law.frames), "gravity": list(law.gravity)}
+
+
+def _tried(law: TriedLaw) -> dict[str, Any]:
+    return {
+        "joint": law.joint,
+        "term": law.term,
+        "nats": _finite(law.nats),
+        "kept": law.kept,
+        "rms_mrad": _finite(MRAD.of(law.rms)),
+        "covered_deg": [_finite(DEG.of(end)) for end in law.covered],
+        "periods": [{"cycles": one.cycles, "amplitude_mrad": MRAD.of(one.amplitude)} for one in law.periods],
+    }
+
+
+def _step(step: LawStep, held_out: Any, units: Sequence[str]) -> dict[str, Any]:
+    after = {key("rms_after", si): _finite(shown(step.rms_after.get(si, float("nan")), si)) for si in units}
+    return {"name": step.name, **after, "held_out": held_out(step.held_out, units)}
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if abs(value) < float("inf") else None
+
+
+class _LawValue(ReadOnly):
+    """Which keys it has depends on its term."""
+
+    def parse(self, raw: Any, suffix: str = "") -> Law:
+        table = as_table(raw)
+        with at("term"):
+            term = TERM.parse(table.get("term"))
+        return Table((Key("term", TERM), *KEYS[term]), _MAKE[term], unknown_keys=True).parse(table)
+
+
+def _curve(term: str, joint: int, first: float, spacing: float, count: int, periodic: bool) -> CurveKnots:
+    return CurveKnots(joint, first, spacing, count, periodic)
+
+
+def _sag(term: str, joint: int, frames: tuple[int, ...], gravity: tuple[float, float, float]) -> SagMasses:
+    return SagMasses(joint, frames, gravity)
+
+
+TERM = Choice(("curve", "sag"))
+_JOINT = Key("joint", Whole(0, MAX_JOINT))
+_RAD = ("rad",)
+KEYS: Mapping[str, tuple[Key, ...]] = {
+    "curve": (
+        _JOINT,
+        Key("first", Number("rad", spelled=_RAD)),
+        Key("spacing", Number("rad", positive=True, spelled=_RAD)),
+        Key("count", Whole(4, MAX_COEFFICIENTS)),
+        Key("periodic", Flag()),
+    ),
+    "sag": (_JOINT, Key("frames", List(Whole(1, MAX_JOINT + 1))), Key("gravity", List(Number("1"), 3))),
+}
+_MAKE: Mapping[str, Callable[..., Law]] = {"curve": _curve, "sag": _sag}
+LAWS: Table[dict[str, Any]] = Table((Key("laws", List(_LawValue(), least=0, most=MAX_LAWS)),), dict, unknown_keys=True)

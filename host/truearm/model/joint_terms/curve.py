@@ -1,0 +1,97 @@
+"""Error curve: a cubic B-spline of the joint's own reading, one parameter a coefficient.
+
+The parameter of the coefficient k has ``basis`` (centre, spacing, period): its B-spline is at its largest at the reading
+``centre`` and reaches two spacings to either side. The knots of a joint are uniform. With a period (in readings) other than
+0 the curve repeats; else it is zero beyond its last coefficients.
+
+A curve is no key of a robot file: ``model.law_chain`` adds it to a chain, by what an identification learned.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.model.joint_terms.term import Term
+from truearm.types import Floats
+
+if TYPE_CHECKING:
+    from truearm.model.chain import Chain
+
+
+@dataclass(frozen=True)
+class _Knots:
+    """The coefficients of one joint: they are ``some`` of the term's parameters."""
+
+    joint: int
+    some: slice
+    first: float  # centre of the first coefficient
+    spacing: float
+    periodic: bool
+
+    @property
+    def count(self) -> int:
+        """Coefficients."""
+        return int(self.some.stop - self.some.start)
+
+    def weights(self, q: Floats, derivative: bool = False) -> tuple[NDArray[np.intp], Floats]:
+        """Which coefficients (4, n) act at readings q (n,), counted from 0 with one zero at ``count``, and their weights."""
+        at = (q - self.first) / self.spacing
+        cell = np.floor(np.where(np.isfinite(at.real), at.real, 0.0)).astype(np.intp)
+        u = at - cell
+        if derivative:
+            slopes = [-0.5 * (1 - u) ** 2, (1.5 * u - 2) * u, 0.5 + u - 1.5 * u**2, 0.5 * u**2]
+            parts = np.stack(slopes) / self.spacing
+        else:
+            parts = np.stack([(1 - u) ** 3, 4 - 6 * u**2 + 3 * u**3, 1 + 3 * (u + u**2 - u**3), u**3]) / 6.0
+        which = cell - 1 + np.arange(4)[:, None]
+        if self.periodic:
+            return which % self.count, parts
+        return np.where((which >= 0) & (which < self.count), which, self.count), parts
+
+
+class Curve(Term):
+    """Σ coefficient_k · B((q − centre_k)/spacing), of the joint's own reading."""
+
+    name = "curve"
+    unit = None
+    learned = True
+
+    def __init__(self, chain: Chain, parameters: NDArray[np.intp]) -> None:
+        super().__init__(chain, parameters)
+        edges = np.flatnonzero(np.diff(self.joints, prepend=-1, append=-1))
+        self._knots = []
+        for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+            centre, spacing, period = chain.parameters[parameters[start]].basis
+            self._knots.append(_Knots(int(self.joints[start]), slice(start, stop), centre, spacing, period != 0.0))
+
+    def value(self, params: Floats, q: Floats) -> Floats:
+        return self._summed(params, q, derivative=False)
+
+    def by_joints(self, params: Floats, q: Floats) -> Floats:
+        return self._summed(params, q, derivative=True)
+
+    def by_parameters(self, params: Floats, q: Floats) -> Floats:
+        n = q.shape[1]
+        out = np.zeros((self.parameters.size + 1, n), q.dtype)
+        each = np.arange(n)
+        for knots in self._knots:
+            which, weights = knots.weights(q[knots.joint])
+            rows = np.where(which < knots.count, which + knots.some.start, self.parameters.size)
+            for row, weight in zip(rows, weights, strict=True):
+                out[row, each] += weight
+        return out[:-1]
+
+    def _summed(self, params: Floats, q: Floats, *, derivative: bool) -> Floats:
+        out = np.zeros(q.shape, np.result_type(params, q))
+        for knots in self._knots:
+            which, weights = knots.weights(q[knots.joint], derivative)
+            coefficients = np.append(params[self.parameters[knots.some]], 0.0)
+            out[knots.joint] = (coefficients[which] * weights).sum(axis=0)
+        return out
+
+
+TERM = Curve

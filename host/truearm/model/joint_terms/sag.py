@@ -1,0 +1,84 @@
+"""Sag: a joint gives way to the weight of what it carries, without anyone knowing the masses.
+
+    δθ_i = Σ_k s_ik · g·(axis_i × (p_k − origin_i))
+
+p_k are points that move with the links beyond joint i: the origins of further joints' frames and the end's. The sum over k
+is the torque of unit masses there; s_ik is joint i's compliance times the mass at p_k, an unknown [rad per kg·m, with g
+of length 1]. Any distribution of masses along the lines between these points has such a torque. The geometry is the
+nominal one. The parameter of (i, k) has ``basis`` (k, gx, gy, gz): the frame whose origin p_k is (the number of joints:
+the end), and the direction of gravity in the base frame.
+
+As a curve, a sag is no key of a robot file: ``model.law_chain`` adds it to a chain.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.model.joint_terms.nominal_arm import NominalArm
+from truearm.model.joint_terms.term import Term
+from truearm.model.transforms import axis_of
+from truearm.types import Floats
+
+if TYPE_CHECKING:
+    from truearm.model.chain import Chain
+
+
+class Sag(Term):
+    """s_ik [rad per kg·m]: by how much joint i turns under a unit mass at frame k."""
+
+    name = "sag"
+    unit = "rad"
+    learned = True
+
+    def __init__(self, chain: Chain, parameters: NDArray[np.intp]) -> None:
+        super().__init__(chain, parameters)
+        self._arm = NominalArm(chain)
+        basis = np.array([chain.parameters[i].basis for i in parameters]).reshape(-1, 4)
+        self._frames, self._gravity = basis[:, 0].astype(int), basis[:, 1:]
+
+    def value(self, params: Floats, q: Floats) -> Floats:
+        torque = self._torques(q)
+        out = np.zeros(q.shape, np.result_type(params, torque))
+        np.add.at(out, self.joints, params[self.parameters][:, None] * torque)
+        return out
+
+    def by_joints(self, params: Floats, q: Floats) -> Floats:
+        frames, rates = self._arm.frames(q), self._arm.by_joints(q)
+        axes, origins = self._lines(frames)
+        out = np.zeros((len(q), *q.shape), np.result_type(params, frames[0]))
+        for row, (i, k) in enumerate(zip(self.joints, self._frames, strict=True)):
+            lever = origins[k] - origins[i]
+            for at, motion in enumerate(self._arm.motions[:k] if k < len(q) else self._arm.motions):
+                if motion[0] == "t":  # a slide beyond the joint moves the mass, one before it moves both
+                    by = np.cross(axes[i], axes[at]) if at > i else np.zeros_like(lever)
+                elif at >= i:
+                    by = np.cross(axes[i], np.cross(axes[at], origins[k] - origins[at]))
+                else:  # turns joint and mass alike
+                    by = np.cross(axes[at], np.cross(axes[i], lever))
+                out[i, at] += params[self.parameters[row]] * rates[at] * (by @ self._gravity[row])
+        return out
+
+    def by_parameters(self, params: Floats, q: Floats) -> Floats:
+        return self._torques(q)
+
+    def _torques(self, q: Floats) -> Floats:
+        """(m, n) [kg·m] of unit masses, gravity of length 1."""
+        axes, origins = self._lines(self._arm.frames(q))
+        # g·(a × l) = (g × a)·l
+        rows = [
+            (np.cross(gravity, axes[i]) * (origins[k] - origins[i])).sum(axis=-1)
+            for i, k, gravity in zip(self.joints, self._frames, self._gravity, strict=True)
+        ]
+        return np.stack(rows) if rows else np.zeros((0, q.shape[1]))
+
+    def _lines(self, frames: list[Floats]) -> tuple[list[Floats], list[Floats]]:
+        """Axes of the joints and origins of all frames, (n, 3) each."""
+        axes = [frame[..., :3, axis_of(motion)] for frame, motion in zip(frames, self._arm.motions, strict=False)]
+        return axes, [frame[..., :3, 3] for frame in frames]
+
+
+TERM = Sag

@@ -1,0 +1,73 @@
+"""A chain with error curves and sag: what an identification adds to a robot's joint laws.
+
+The robot file describes the geometry. A law is described by what follows here, small enough to stand in a result file:
+for each curve its knots, for each sag its unit masses. ``with_laws`` makes the chain's further parameters of it, behind
+all others, neutral until they are identified.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from truearm.model.chain import Chain, Parameter
+from truearm.model.joint_terms.curve import Curve
+from truearm.model.joint_terms.sag import Sag
+from truearm.model.robot import Robot
+from truearm.types import CurveKnots, Law, SagMasses
+
+
+def with_laws(chain: Chain, laws: Sequence[Law]) -> Chain:
+    """Return the chain with the parameters of these laws behind its own."""
+    more = tuple(parameter for law in laws for parameter in _parameters(chain, law))
+    return replace(chain, parameters=(*chain.parameters, *more))
+
+
+def robot_with_laws(robot: Robot, laws: Sequence[Law]) -> Robot:
+    """Return the robot with the parameters of these laws, neutral in all its sets and free."""
+    if not laws:
+        return robot
+    chain = with_laws(robot.chain, laws)
+    added = len(chain.parameters) - len(robot.chain.parameters)
+    sets = {name: np.append(values, np.zeros(added)) for name, values in robot.parameter_sets.items()}
+    return replace(robot, chain=chain, parameter_sets=sets, free=np.append(robot.free, np.ones(added, dtype=bool)))
+
+
+def _parameters(chain: Chain, law: Law) -> list[Parameter]:
+    joint = chain.joints[law.joint]
+    if isinstance(law, CurveKnots):
+        unit, term = Curve.unit_of(joint.kind), Curve.name
+        period = law.count * law.spacing * law.periodic
+        bases: list[tuple[float, ...]] = [(law.first + k * law.spacing, law.spacing, period) for k in range(law.count)]
+        labels = [str(k) for k in range(law.count)]
+    else:
+        unit, term = Sag.unit_of(joint.kind), Sag.name
+        bases = [(float(frame), *law.gravity) for frame in law.frames]
+        labels = [str(frame) for frame in law.frames]
+    return [
+        Parameter(f"{joint.name}.{term}.{label}", unit, 0.0, term, law.joint, tuple(basis))
+        for label, basis in zip(labels, bases, strict=True)
+    ]
+
+
+def distal_frames(chain: Chain, joint: int) -> tuple[int, ...]:
+    """The frames beyond a joint at whose origins masses are told apart by their torque about it."""
+    motions = len(chain.joints)
+    every = replace(
+        chain,
+        parameters=(*chain.parameters, *_parameters(chain, SagMasses(joint, tuple(range(joint + 1, motions + 1))))),
+    )
+    rng = np.random.default_rng(0)
+    q = rng.uniform(-np.pi, np.pi, (motions, 64))
+    sag = Sag.of_chain(every)
+    # the torque must not depend on gravity's direction being unlucky: about three of them
+    kept: list[int] = []
+    rows: list[np.ndarray] = []
+    for k, frame in enumerate(range(joint + 1, motions + 1)):
+        torque = sag.by_parameters(every.params_nominal, q)[k]
+        if np.abs(torque).max() > 1e-6 and not any(np.abs(torque - row).max() < 1e-6 for row in rows):
+            kept.append(frame)
+            rows.append(torque)
+    return tuple(kept)

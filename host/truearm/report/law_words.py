@@ -1,0 +1,63 @@
+"""Sentences about the joint laws of a result, from the content of result.json."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from truearm.text import counted, one_line
+
+Document = Mapping[str, Any]
+
+STEPS = {"geometry": "geometry", "sag": "with sag", "curves": "with curves"}
+
+
+def law_sentences(document: Document) -> list[str]:
+    """What was learned of joint laws; empty where they were not asked for."""
+    found = document["joint_laws"]
+    if found is None:
+        return []
+    lines = [f"Joint laws: {one_line(reason)}." for reason in found["reasons"]]
+    kept = [law for law in found["tried"] if law["kept"]]
+    dropped = [law for law in found["tried"] if not law["kept"]]
+    if not kept:
+        tried = f" ({counted(len(dropped), 'law')} tried)" if dropped else ""
+        return [*lines, f"No joint law is supported by the evidence{tried}: the geometry alone is used."]
+    lines += [_kept(law) for law in kept]
+    if dropped:
+        names = ", ".join(f"{one_line(law['joint'])} {law['term']} {law['nats']:.1f}" for law in dropped)
+        lines.append(f"Tried and dropped, with their evidence in nats (6 are needed): {names}.")
+    if any(law["term"] == "sag" for law in kept) and not found["gravity_known"]:
+        lines.append("Gravity is taken to point along -z of the base frame; give gravity in the robot file otherwise.")
+    noise = found["noise"]
+    parts = [f"{noise['factor']:.2g} times the declared variances"]
+    if noise["shared_mm"]:
+        parts.append(f"{noise['shared_mm']:.2g} mm shared by the rows of a pose")
+    if noise["joint_mrad"]:
+        parts.append(f"{noise['joint_mrad']:.2g} mrad of every joint")
+    lines.append(f"Noise learned from the residuals: {', '.join(parts)}.")
+    return lines
+
+
+def _kept(law: Mapping[str, Any]) -> str:
+    start = f"{one_line(law['joint'])} {law['term']}: {law['rms_mrad']:.2g} mrad RMS, {law['nats']:.0f} nats"
+    if law["term"] != "curve":
+        return f"{start}."
+    low, high = law["covered_deg"]
+    periods = ", ".join(f"{one['cycles']:.0f} ({one['amplitude_mrad']:.2g} mrad)" for one in law["periods"])
+    return f"{start}, covered {low:.0f} to {high:.0f} deg, strongest cycles a turn: {periods}."
+
+
+def law_steps(document: Document, suffix: str) -> list[tuple[str, str, str]]:
+    """Each fit's name, fitted RMS and held-out mean in the unit of a suffix; empty where only the geometry was fitted."""
+    found = document["joint_laws"]
+    steps = found["steps"] if found else []
+    rows = []
+    for step in steps:
+        held = (step["held_out"] or {}).get(f"mean_{suffix}")
+        rows.append((STEPS[step["name"]], _number(step.get(f"rms_after_{suffix}")), _number(held)))
+    return rows if len(rows) > 1 else []
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4f}"
