@@ -1,6 +1,5 @@
 """What the operator sees of a made-up session, second by second."""
 
-import json
 from datetime import date
 
 import cbor2
@@ -12,6 +11,7 @@ from truearm.live.state import LiveState
 from truearm.record.status import Counters, Status
 from truearm.session.box_frames import Data
 from truearm.session.box_ident import decode_ident
+from truearm.session.joint_readings import JointLine
 from truearm.types import BallBar, Point, Rig
 
 S = 1_000_000_000
@@ -79,7 +79,7 @@ class Session:
             self.state.block(arrival, data)
             if self.robot:
                 q = self.q + 1e-5 * self.rng.standard_normal(self.q.size)
-                self.state.reading(arrival, json.dumps({"t": 1e-9 * self.t, "q": q.tolist()}).encode())
+                self.state.reading(arrival, JointLine(t=1e-9 * self.t, q=q.tolist()))
             if self.looks:
                 self.state.look()
         self.said += self.state.said

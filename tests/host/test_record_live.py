@@ -1,6 +1,5 @@
 """Dwells and lines as they are taken, and the plan that they belong to."""
 
-import json
 import re
 
 import cbor2
@@ -14,6 +13,7 @@ from truearm.live.state import LiveState
 from truearm.record.status import Counters, Status
 from truearm.session.box_frames import Data
 from truearm.session.box_ident import decode_ident
+from truearm.session.joint_readings import JointLine
 
 
 class TestDwells:
@@ -208,7 +208,7 @@ class TestLines:
                 within = position + speed * np.arange(52) * 983_040e-9
                 counts = np.rint(within / self.PER_TICK).astype("<i4")
                 if q is not None:
-                    state.reading(t, json.dumps({"t": 1e-9 * t, "q": q.tolist()}).encode())
+                    state.reading(t, JointLine(t=1e-9 * t, q=q.tolist()))
                 state.block(t, Data(0, 1, n0, t // 1000, 983_040, b"", counts.tobytes(), 0))
                 position += speed * 52 * 983_040e-9
                 t, n0 = t + 52 * 983_040, n0 + 52

@@ -3,6 +3,7 @@
 import pytest
 
 from truearm.record.joint_lines import MAX_LINE, JointLines
+from truearm.session.joint_readings import parse_line
 
 GOOD = b'{"t": 1.5, "seq": 3, "q": [0.1, -2]}'
 
@@ -35,14 +36,19 @@ class TestJointLines:
     )
     def test_what_is_none(self, line):
         lines = JointLines()
-        assert lines.push(GOOD + b"\n" + line + b"\n" + GOOD + b"\n") == [(True, GOOD), (False, line), (True, GOOD)]
+        good = parse_line(GOOD)
+        assert good is not None
+        assert lines.push(GOOD + b"\n" + line + b"\n" + GOOD + b"\n") == [(good, GOOD), (None, line), (good, GOOD)]
 
     def test_commanded_joints_and_carriage_returns(self):
         line = b'{"t": 2, "q": [0.1, 0.2], "q_cmd": [0.1, 0.3], "more": {"x": 1}}\r'
-        assert JointLines().push(line + b"\n") == [(True, line)]
+        ((reading, stored),) = JointLines().push(line + b"\n")
+        assert stored == line
+        assert reading is not None
+        assert (reading.t, reading.q, reading.q_cmd) == (2.0, [0.1, 0.2], [0.1, 0.3])
 
     def test_a_line_without_end(self):
         lines = JointLines()
         pieces = [item for _ in range(100) for item in lines.push(b"x" * 1000)]
-        assert all(not is_joints and len(piece) <= MAX_LINE for is_joints, piece in pieces)
+        assert all(reading is None and len(piece) <= MAX_LINE for reading, piece in pieces)
         assert sum(len(piece) for _, piece in pieces) + len(lines.flush()) == 100_000

@@ -14,6 +14,7 @@ from truearm.live.progress import SessionProgress
 from truearm.live.state import LiveState
 from truearm.live.view import WAITING, View
 from truearm.session.box_frames import Data
+from truearm.session.joint_readings import JointLine
 from truearm.types import Rig
 
 
@@ -181,5 +182,5 @@ class TestView:
     def test_a_view_that_stands_still_is_bounded(self):
         view = View(LiveState(SessionProgress(), None, False), Purpose())
         for _ in range(WAITING + 5):
-            view.reading(1, b"")
+            view.reading(1, JointLine(0.0, [0.0]))
         assert view.trouble == "the view stood still and missed 5 pieces; the recording did not"

@@ -14,7 +14,7 @@ from truearm.live.dwells_taken import ENOUGH_NS, ControllerTime, LiveDwell, Live
 from truearm.live.progress import SessionProgress, words_of
 from truearm.record.operator import OperatorEvent
 from truearm.session.box_ident import find_channel
-from truearm.session.joint_readings import parse_reading
+from truearm.session.joint_readings import JointLine
 from truearm.session.samples import extension, railed
 from truearm.text import one_line
 from truearm.types import BAR_MOUNTED
@@ -89,13 +89,11 @@ class LiveState:
             elif channel.name == LINE_CHANNELS[0] and (seen := counts[counts[:, k] != 0, k]).size:
                 self._stroke(self._strokes.feed(t_ns, float(extension(seen, channel).mean())))
 
-    def reading(self, t_ns: int, line: bytes) -> None:
+    def reading(self, t_ns: int, reading: JointLine) -> None:
         """A joint reading."""
         self._readings.append(t_ns)
-        reading = parse_reading(line)
-        if reading is not None:
-            t_ns = self._robot_time.host_ns(int(NS.of(reading.t)), t_ns)
-            self._ended(self._dwells.joints(t_ns, np.array(reading.q)))
+        t_ns = self._robot_time.host_ns(int(NS.of(reading.t)), t_ns)
+        self._ended(self._dwells.joints(t_ns, np.array(reading.q)))
 
     def look(self) -> None:
         """To be called now and then: a dwell may have become long enough, a pairing may have to be changed."""

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from truearm.session.box_frames import Data
     from truearm.session.box_ident import Ident
     from truearm.session.device_clock import OnlineClock, OnlineEstimate
+    from truearm.session.joint_readings import JointLine
 
 LIVE_S, PLAIN_S = 0.25, 1.0
 LOOK_S = 0.2  # for events, without a terminal
@@ -68,8 +69,8 @@ class View(Operator):
     def block(self, t_host_ns: int, data: Data) -> None:
         self._put("block", t_host_ns, data)
 
-    def reading(self, t_host_ns: int, line: bytes) -> None:
-        self._put("reading", t_host_ns, line)
+    def reading(self, t_host_ns: int, reading: JointLine) -> None:
+        self._put("reading", t_host_ns, reading)
 
     def exchange(self, t0_ns: int, t1_us: int, t2_us: int, t3_ns: int) -> None:
         self._put("exchange", t0_ns, t1_us, t2_us, t3_ns)

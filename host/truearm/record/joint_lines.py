@@ -16,7 +16,7 @@ from truearm.record.links import Arrivals, Clock, Link, Reopenable, backlog_of
 from truearm.record.operator import Operator
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
-from truearm.session.joint_readings import parse_reading
+from truearm.session.joint_readings import UNNUMBERED, JointLine, parse_line
 
 MAX_LINE = 8192  # bytes
 MAX_RUBBISH = 1 << 20  # bytes without a reading between them; a robot that sends so many is none
@@ -28,7 +28,7 @@ EXPECTED = 'expected are lines such as {"t": 1.5, "seq": 3, "q": [0.1, -2.0]}'
 class JointLines:
     """Lines of a robot's stream, exactly as received without their line feed.
 
-    A joint line is what ``parse_reading`` takes, of as many joints as the first. About 4 µs a line of six joints.
+    A joint line is what ``parse_line`` takes, of as many joints as the first. About 3 µs a line of six joints.
     """
 
     def __init__(self) -> None:
@@ -36,23 +36,24 @@ class JointLines:
         self._n_joints: int | None = None
         self.other_joints = 0  # readings of another number of joints than the first
 
-    def push(self, data: bytes) -> list[tuple[bool, bytes]]:
-        """``(True, line)`` for joint lines, ``(False, bytes)`` for all else, in order."""
-        return [(whole and self._is_joints(line), line) for whole, line in self._runs.push(data)]
+    def push(self, data: bytes) -> list[tuple[JointLine | None, bytes]]:
+        """Joint lines with what they say, and with None all else, in order."""
+        return [(self._reading(line) if whole else None, line) for whole, line in self._runs.push(data)]
 
     def flush(self) -> bytes:
         """What came behind the last line feed, when the stream has ended."""
         return self._runs.flush()
 
-    def _is_joints(self, line: bytes) -> bool:
-        reading = parse_reading(line)
+    def _reading(self, line: bytes) -> JointLine | None:
+        reading = parse_line(line)
         if reading is None:
-            return False
+            return None
         if self._n_joints is None:
             self._n_joints = len(reading.q)
-        fits = len(reading.q) == self._n_joints
-        self.other_joints += not fits
-        return fits
+        if len(reading.q) == self._n_joints:
+            return reading
+        self.other_joints += 1
+        return None
 
 
 class RobotIntake:
@@ -73,7 +74,7 @@ class RobotIntake:
         self._lines = JointLines()
         self._rubbish = 0  # bytes since the last reading
         self._silent = False
-        self._last: bytes = b""  # reading
+        self._last: JointLine | None = None  # reading
         self._linked = True
 
     def read(self) -> Arrivals:
@@ -122,13 +123,12 @@ class RobotIntake:
         never = isinstance(error, LinkClosed) and self.heard_ns is None  # it sent no reading: it is none, or has none
         return not isinstance(self._link, Reopenable) or isinstance(error, ProtocolError) or never
 
-    def _back(self, t_host_ns: int, line: bytes) -> None:
+    def _back(self, t_host_ns: int, after: JointLine) -> None:
         """The first reading behind a loss: how long it lasted, and how many readings went with it, if the robot counts them."""
         self.lost_ns = None
-        before, after = parse_reading(self._last), parse_reading(line)
-        lost = None
-        if before and after and None not in (before.seq, after.seq) and after.t > before.t and after.seq > before.seq:  # type: ignore[operator]
-            lost = after.seq - before.seq - 1  # type: ignore[operator]
+        before, lost = self._last, None
+        if before and UNNUMBERED not in (before.seq, after.seq) and after.t > before.t and after.seq > before.seq:
+            lost = after.seq - before.seq - 1
         away_s = None if self.heard_ns is None else round((t_host_ns - self.heard_ns) / 1e9, 3)
         self._writer.event("robot-back", t_host_ns, away_s=away_s, lost=lost)
 
@@ -151,15 +151,15 @@ class RobotIntake:
 
     def take(self, t_host_ns: int, data: bytes) -> None:
         """Store bytes that arrived."""
-        for is_joints, line in self._lines.push(data):
-            if is_joints:
+        for reading, line in self._lines.push(data):
+            if reading is not None:
                 if self.lost_ns is not None:
-                    self._back(t_host_ns, line)
+                    self._back(t_host_ns, reading)
                 self._rubbish = 0
                 self._counters.robot_lines += 1
-                self._writer.add("/robot/joints", t_host_ns, line)
-                self.heard_ns, self._last = t_host_ns, line
-                self._operator.reading(t_host_ns, line)
+                self._writer.add_reading(t_host_ns, line, reading)
+                self.heard_ns, self._last = t_host_ns, reading
+                self._operator.reading(t_host_ns, reading)
             else:
                 self._store_console(t_host_ns, line)
                 if _is_end(line) and self.end is None:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from truearm.record.status import Status
 from truearm.session.box_frames import Data
 from truearm.session.box_ident import Ident
+from truearm.session.joint_readings import JointLine
 
 
 class OperatorEvent(NamedTuple):
@@ -26,7 +27,7 @@ class Operator:
     def block(self, t_host_ns: int, data: Data) -> None:
         """Samples came, and are stored."""
 
-    def reading(self, t_host_ns: int, line: bytes) -> None:
+    def reading(self, t_host_ns: int, reading: JointLine) -> None:
         """A joint reading came, and is stored."""
 
     def exchange(self, t0_ns: int, t1_us: int, t2_us: int, t3_ns: int) -> None:

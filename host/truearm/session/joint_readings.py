@@ -231,11 +231,11 @@ def parse_lines(lines: Sequence[bytes], arrival_ns: Sequence[int] | Ints, joints
     """The readings among ``lines``: what ``parse_line`` takes, of as many joints as ``joints`` (None: as the first)."""
     rows = parse_usual(lines)
     if rows and {len(row.q) for row in rows} == {joints or len(rows[0].q)}:
-        return _columns(rows, np.array(arrival_ns, dtype=np.int64))
+        return columns_of_rows(rows, arrival_ns)
     found = [(row, arrival) for line, arrival in zip(lines, arrival_ns, strict=True) if (row := parse_line(line))]
     width = joints or (len(found[0][0].q) if found else 0)
     found = [(row, arrival) for row, arrival in found if len(row.q) == width]
-    return _columns([row for row, _ in found], np.array([arrival for _, arrival in found], dtype=np.int64), width)
+    return columns_of_rows([row for row, _ in found], [arrival for _, arrival in found], width)
 
 
 def concatenate(batches: Sequence[JointBatch]) -> JointBatch:
@@ -291,7 +291,9 @@ def _array(tagged: Any) -> NDArray[Any]:
     return np.frombuffer(tagged.value, _DTYPES[tagged.tag])
 
 
-def _columns(rows: Sequence[JointLine], arrival_ns: Ints, width: int | None = None) -> JointBatch:
+def columns_of_rows(
+    rows: Sequence[JointLine], arrival_ns: Sequence[int] | Ints, width: int | None = None
+) -> JointBatch:
     """Lines of equally many joints, ``width`` where there is no line, as columns."""
     width = len(rows[0].q) if rows else width or 0
     numbers = {key: [getattr(row, key) for row in rows] for key in NUMBERS}
@@ -300,7 +302,7 @@ def _columns(rows: Sequence[JointLine], arrival_ns: Ints, width: int | None = No
     more = {key: values for key, values in arrays.items() if values is not None}
     more |= {key: np.array(said, np.float64) for key, said in numbers.items() if said.count(None) < len(said)}
     return JointBatch(
-        arrival_ns=arrival_ns,
+        arrival_ns=np.array(arrival_ns, dtype=np.int64),
         t=np.array([row.t for row in rows], dtype=np.float64),
         seq=np.array([row.seq for row in rows], dtype=np.int64),
         q=_table([row.q for row in rows], width),
