@@ -327,7 +327,9 @@ def identify(
 
 
 @checked
-def validate(result: ResultArgument, table: TableArgument, rig: RigsArgument | None = None) -> Validation:
+def validate(
+    result: ResultArgument, table: TableArgument, rig: RigsArgument | None = None, keep_rig: bool = False
+) -> Validation:
     """Judge a calibration by other observations than it was identified from.
 
     Parameters
@@ -338,6 +340,8 @@ def validate(result: ResultArgument, table: TableArgument, rig: RigsArgument | N
         Observations that were not used to fit.
     rig : Rig or mapping of str to Rig, optional
         As of ``identify``.
+    keep_rig : bool
+        Hold what the identification found of the rig (trackers, targets, chucks, bars) and settle only what is left.
 
     Returns
     -------
@@ -348,7 +352,7 @@ def validate(result: ResultArgument, table: TableArgument, rig: RigsArgument | N
     Raises
     ------
     InputError
-        If an argument does not fit the others, or no row can judge.
+        If an argument does not fit the others, no row can judge, or nothing of the rig can be kept.
 
     Examples
     --------
@@ -360,7 +364,7 @@ def validate(result: ResultArgument, table: TableArgument, rig: RigsArgument | N
     The calibration holds:
     """
     rows = _table("table", table, result.robot)
-    return validated(result, _rigs(rig, rows), rows)
+    return validated(result, _rigs(rig, rows), rows, keep_rig=keep_rig)
 
 
 @checked

@@ -581,11 +581,12 @@ class SystematicErrors:
 
 
 class StillJoint(NamedTuple):
-    """A joint that does not move enough to show its axis; ``spread`` is from the least to the largest reading, rad or m."""
+    """A joint that does not move enough to show its axis; rad or m."""
 
     joint: str
     unit: str
-    spread: float
+    spread: float  # from the least to the largest reading
+    at: float  # the median reading
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import typer
 
 from truearm.cli.options import (
@@ -25,12 +27,19 @@ def validate(
     base: BaseOption = None,
     tip: TipOption = None,
     rig: NamedRigsOption = None,
+    keep_rig: Annotated[
+        bool,
+        typer.Option(
+            "--keep-rig", help="Hold what the identification found of the rig: trackers, targets, chucks, bars."
+        ),
+    ] = False,
     as_json: JsonOption = False,
     allow_damaged: AllowDamagedOption = False,
 ) -> None:
     """Judge a calibration by other measurements: errors with and without it, by region, and a verdict.
 
-    The robot stays as identified. What the rig does not know is settled on the rows that judge, for both alike.
+    The robot stays as identified. What the rig does not know is settled on the rows that judge, for both alike, or with --keep-rig
+    held as it was identified, where nothing was moved since. Without the calibration base and tool are placed on these rows too.
 
     \b
     Example:
@@ -42,7 +51,7 @@ def validate(
     from truearm.workflows.validate import validate_files, validation_lines
 
     sources = Sources(tuple(inputs), rigs_of(rig), allow_damaged=allow_damaged, say=warn)
-    document = validate_files(result, RobotChoice(robot, base, tip), sources).document
+    document = validate_files(result, RobotChoice(robot, base, tip), sources, keep_rig).document
     if as_json:
         typer.echo(format_document(document))
     else:

@@ -147,11 +147,18 @@ def still_joints(chain: Chain, q: Floats) -> tuple[StillJoint, ...]:
     since then it is the poses that are alike."""
     spread = np.ptp(q, axis=0)
     found = tuple(
-        StillJoint(joint.name, unit, float(spread[i]))
+        StillJoint(joint.name, unit, float(spread[i]), float(np.median(q[:, i])))
         for i, (joint, unit) in enumerate(zip(chain.joints, chain.joint_units, strict=True))
         if spread[i] < STILL * UNITS[unit].weak_sigma
     )
     return found if len(found) < len(spread) else ()
+
+
+def moved(chain: Chain, still: Sequence[StillJoint], q: Floats) -> Mask:
+    """(n,) whether one of the joints that stood still is elsewhere in readings (n, j)."""
+    of = {joint.name: i for i, joint in enumerate(chain.joints)}
+    apart = [np.abs(q[:, of[joint.joint]] - joint.at) > STILL * UNITS[joint.unit].weak_sigma for joint in still]
+    return np.any(apart, axis=0) if apart else np.zeros(len(q), dtype=bool)
 
 
 def _seen_by_moving_only(

@@ -35,7 +35,7 @@ from truearm.estimate.problem import Problem, Rigs, build_problem, settled, with
 from truearm.estimate.solution import Options, Solution, of_data
 from truearm.estimate.solvers import SOLVERS, Loss, with_loss
 from truearm.estimate.solvers import solver as solver_of
-from truearm.estimate.systematic import FitChi2, systematic_errors
+from truearm.estimate.systematic import FitChi2, Fitted, systematic_errors
 from truearm.estimate.uncertainty import goodness, prior_shares
 from truearm.estimate.validation import has_freedom
 from truearm.estimate.whitened_rows import only, standardised
@@ -159,7 +159,7 @@ def identify(
     chi2, freedom = fit_quality.reduced * fit_quality.freedom, fit_quality.freedom
     explained = not fit_quality.reduced > fit_quality.band[1]
     taken = only(problem, found.weight > 0.0)
-    wrong = systematic_errors(taken, x, columns, information, FitChi2(chi2, freedom, explained), how)
+    wrong = systematic_errors(taken, x, columns, Fitted.of(information), FitChi2(chi2, freedom, explained), how)
     if wrong is not None:
         wrong = replace(wrong, moves=_moves(chain, x, x + wrong.shift, table.q[fitted]))
     pose = poses(table.select(fitted))

@@ -90,6 +90,18 @@ class FitChi2(NamedTuple):
         return FitChi2(max(self.chi2 - drop, 1e-9 * self.chi2), max(self.freedom - freedom, 1.0), self.explained)
 
 
+class Fitted(NamedTuple):
+    """What the parameters follow: columns S (k, r) with S Sᵀ their covariance, priors included, and the step that is left along them (r,)."""
+
+    root: Floats
+    left: Floats
+
+    @classmethod
+    def of(cls, fit: Information) -> Fitted:
+        root = half(spectrum(fit.root))
+        return cls(root, root.T @ (fit.root.T @ fit.rhs))
+
+
 class _Whitened(NamedTuple):
     """The rows' m scalar residuals in the order of measurement, the parameters' part taken off."""
 
@@ -120,11 +132,11 @@ class _Best(NamedTuple):
 
 
 def systematic_errors(
-    problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Information, goodness: FitChi2, how: Measured
+    problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Fitted, goodness: FitChi2, how: Measured
 ) -> SystematicErrors | None:
     """What is off beyond chance in a fit of the problem's ``columns`` that ended at x (P,), in the order of how sure it is.
 
-    ``fit`` is the information there, priors included. See the module for the tests. None where nothing is off, and for a fit
+    See the module for the tests. None where nothing is off, and for a fit
     without a degree of freedom or with residuals that are not finite.
     """
     rows = _whitened(problem, x, columns, fit)
@@ -158,11 +170,11 @@ def systematic_errors(
     first = _whitened(problem, x, columns, fit)
     described, part = _described(found, rivals, problem.errors, first, how, state, families)
     shift = np.zeros(x.size)
-    shift[columns] = -half(spectrum(fit.root)) @ part
+    shift[columns] = -fit.root @ part
     return SystematicErrors(described, state.chi2 / max(state.freedom, 1.0), shift)
 
 
-def _whitened(problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Information) -> _Whitened:
+def _whitened(problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Fitted) -> _Whitened:
     """The rows at x, in their order."""
     parts: list[tuple[Indices, Floats, Floats]] = []
     k = int(columns.sum())
@@ -188,9 +200,8 @@ def _whitened(problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Info
         return _Whitened(row, np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)))
     order = np.argsort(row, kind="stable")
     jac, errors = (np.concatenate([np.concatenate(list(part[i])) for part in parts])[order] for i in (1, 2))
-    root = half(spectrum(fit.root))
-    basis = jac @ root
-    residual = errors[:, -1] - basis @ (root.T @ (fit.root.T @ fit.rhs))
+    basis = jac @ fit.root
+    residual = errors[:, -1] - basis @ fit.left
     return _Whitened(row[order], basis, residual, errors[:, :-1])
 
 

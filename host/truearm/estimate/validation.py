@@ -1,11 +1,12 @@
 """A robot judged by observations that it was not fitted to: which rows can judge, and what they say.
 
 What the rig does not know (a socket's place, a line's pose, a ball's) is settled on the judging rows themselves, with the
-robot fixed, as nothing could be predicted there otherwise. Rows that fit such unknowns whatever they say are no judges.
+robot fixed, as nothing could be predicted there otherwise. Rows that fit such unknowns whatever they say are no judges. Unknowns
+that the identification found may be kept as it left them: they are then judged with the robot.
 
-How large an error should be if the robot is as it was identified, with covariance P, follows from both. Of whitened rows
-with noise ε and the robot's error δ, r = ε − A δ, the rig's unknowns J u (with their priors, as rows of their own below J)
-take the part H r away, H = U₁U₁ᵀ of the thin SVD's U₁ beside J. What is left has the covariance
+How large an error should be if the robot, and what is kept beside it, is as it was identified, with covariance P, follows from both.
+Of whitened rows with noise ε and the robot's error δ, r = ε − A δ, the rig's other unknowns J u (with their priors, as rows of their
+own below J) take the part H r away, H = U₁U₁ᵀ of the thin SVD's U₁ beside J. What is left has the covariance
 
     (I − H) + (I − H) A P Aᵀ (I − H) .
 
@@ -19,6 +20,7 @@ tested for systematic errors as those of any other (``systematic``).
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -32,12 +34,14 @@ from truearm.estimate.measured_order import measured_order
 from truearm.estimate.prediction import MOVES
 from truearm.estimate.problem import Problem, Rigs, build_problem, settled, without_knowledge
 from truearm.estimate.solution import Options
-from truearm.estimate.systematic import FitChi2, systematic_errors
+from truearm.estimate.systematic import FitChi2, Fitted, systematic_errors
+from truearm.estimate.uncertainty import covariance_root
 from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.kinds.group import unit_columns
 from truearm.model.chain import Chain
 from truearm.types import Floats, ObservationTable, Residuals, SystematicErrors
 
+NOTHING: Mapping[str, float] = MappingProxyType({})
 LEVEL = 0.99  # of consistent sessions that are called so
 LEAST_FREEDOM = 1e-6  # share of a row's residuals that must be left to judge by; rounding leaves 1e-12
 
@@ -47,9 +51,14 @@ class Judgement(NamedTuple):
 
     error: Residuals  # sizes of the rows' residuals by unit
     judging: NDArray[np.bool_]  # (n,) False for rows that fit whatever they say
-    n_settled: int  # unknowns of the rig that were settled on these rows
     problem: Problem
     x: Floats  # (P,)
+    settled: NDArray[np.bool_]  # (P,) unknowns of the rig that were settled on these rows; all others are as identified
+
+    @property
+    def identified(self) -> tuple[str, ...]:
+        """The names of the parameters that are as identified: the robot's, then what was kept of the rig."""
+        return tuple(name for name, settled in zip(self.problem.names, self.settled, strict=True) if not settled)
 
 
 class Expected(NamedTuple):
@@ -63,27 +72,42 @@ class Expected(NamedTuple):
     unseen: NDArray[np.bool_]  # (n,) rows that a direction moves of which the identification saw nothing
 
 
-def judge(chain: Chain, rig: Rigs, table: ObservationTable, params: Floats) -> Judgement:
-    """Judge the robot with parameters (p,) by a table. Raises ProblemError as ``build_problem``."""
+def judge(
+    chain: Chain,
+    rig: Rigs,
+    table: ObservationTable,
+    params: Floats,
+    kept: Mapping[str, float] = NOTHING,
+    place: NDArray[np.bool_] | None = None,
+) -> Judgement:
+    """Judge the robot with parameters (p,) by a table. Raises ProblemError as ``build_problem``.
+
+    kept : values of the rig's unknowns that are held and not settled, by name; others are passed over.
+    place : (p,) parameters of the robot that are fitted to these rows as the rig's unknowns are: where base and tool stand.
+    """
     # The known distance between sockets must not help to place them: the error is the spread about each socket.
     problem = without_knowledge(build_problem(chain, rig, table))
-    x = np.concatenate([params, problem.start[problem.n_robot :]])
-    rig_only = np.arange(x.size) >= problem.n_robot
-    found = fit(problem, rig_only, x, Options(), DAMPING_START)
+    p = problem.n_robot
+    values = [kept.get(name, start) for name, start in zip(problem.names[p:], problem.start[p:], strict=True)]
+    x = np.concatenate([params, values])
+    settle = np.array([i >= p and name not in kept for i, name in enumerate(problem.names)])
+    columns = settle.copy()
+    columns[:p] |= np.zeros(p, dtype=bool) if place is None else place
+    found = fit(problem, columns, x, Options(), DAMPING_START)
     error = {unit: np.abs(residual) for unit, residual in found.information.residual.items()}
-    return Judgement(error, has_freedom(problem, rig_only, found.x), int(rig_only.sum()), problem, found.x)
+    return Judgement(error, has_freedom(problem, columns, found.x), problem, found.x, settle)
 
 
 def expected(judgement: Judgement, covariance: Floats, unseen: Floats) -> Mapping[str, Expected]:
-    """What the rows of a judgement should say, by SI unit, with the robot's covariance (p, p) and ``unseen`` directions (p, d).
+    """What the rows of a judgement should say, by SI unit, with covariance (k, k) and ``unseen`` directions (k, d) of what is as identified.
 
     The largest weight of each direction is 1.
     """
-    problem, x, p = settled(judgement.problem, judgement.x), judgement.x, judgement.problem.n_robot
+    problem, x, rig = settled(judgement.problem, judgement.x), judgement.x, judgement.settled
     parts = [part for part in whitened_blocks(problem, x, np.ones(x.size, dtype=bool)) if part.row is not None]
     jac = np.concatenate([part.jac.reshape(-1, x.size) for part in parts])
-    taken = _taken(jac[:, p:], problem.prior_sigma[p:])
-    left = jac[:, :p] - taken @ (taken.T @ jac[:, :p])
+    taken = _taken(jac[:, rig], problem.prior_sigma[rig])
+    left = jac[:, ~rig] - taken @ (taken.T @ jac[:, ~rig])
     due = {
         unit: Expected(np.full(problem.n_rows, np.nan), np.full(problem.n_rows, np.nan), np.zeros(problem.n_rows, bool))
         for unit in judgement.error
@@ -124,35 +148,47 @@ def consistency(
     judgement: Judgement, table: ObservationTable, covariance: Floats, unseen: Floats
 ) -> Consistency | None:
     """Test a judgement of the ``table``'s rows; arguments as of ``expected``. None without a degree of freedom."""
-    problem, x, p = judgement.problem, judgement.x, judgement.problem.n_robot
-    known = np.diag(covariance) > 0.0
-    columns = np.concatenate([known | unseen.any(axis=1), np.ones(x.size - p, dtype=bool)])
-    prior = np.concatenate([np.full(int(columns[:p].sum()), np.inf), problem.prior_sigma[p:]])
+    problem, x, settle = judgement.problem, judgement.x, judgement.settled
+    identified = np.flatnonzero(~settle)
+    spread = covariance_root(covariance)
+    spread = spread[:, spread.any(axis=0)]
+    columns = settle.copy()
+    columns[identified] = spread.any(axis=1) | unseen.any(axis=1)
+    prior = np.where(settle, problem.prior_sigma, np.inf)[columns]
     information = with_prior(observe(problem, x, columns), (problem.start - x)[columns], prior)
-    rows = _precision_root(covariance[np.ix_(columns[:p], columns[:p])])
-    k = int(columns.sum())
-    triangle = np.zeros((k + 1, k + 1))
-    triangle[:k, :k], triangle[:k, k] = information.root, information.rhs
-    triangle = fold(triangle, np.pad(rows, ((0, 0), (0, k + 1 - rows.shape[1]))))
-    whole = information._replace(root=triangle[:k, :k], rhs=triangle[:k, k])
-    parts = spectrum(whole.root)
-    fitted = half(parts).T @ (whole.root.T @ whole.rhs)
-    freedom = information.n_residuals + len(rows) - int(seen(parts).sum())
+    # What was seen varies with its covariance as the prior, what was not without one; then the rig's unknowns.
+    rig = np.eye(x.size)[columns][:, settle]
+    of_robot, elsewhere = (np.zeros((x.size, part.shape[1])) for part in (spread, unseen))
+    of_robot[identified], elsewhere[identified] = spread, unseen
+    unknown = elsewhere[columns] @ _felt(information.root, elsewhere[columns], rig)
+    ways = np.concatenate([of_robot[columns], unknown, rig], axis=1)
+    k = ways.shape[1]
+    along = np.concatenate([information.root @ ways, information.rhs[:, None]], axis=1)
+    triangle = fold(fold(np.zeros((k + 1, k + 1)), along), np.eye(spread.shape[1], k + 1))
+    parts = spectrum(triangle[:k, :k])
+    root = half(parts)
+    left = root.T @ (triangle[:k, :k].T @ triangle[:k, k])
+    freedom = information.n_residuals + spread.shape[1] - int(seen(parts).sum())
     if freedom < 1:
         return None
-    chi2 = max(information.chi2 - float(fitted @ fitted), 0.0)
+    chi2 = max(information.chi2 - float(left @ left), 0.0)
     limit = float(special.chdtri(freedom, 1.0 - LEVEL))
     how = measured_order(table, np.ones(len(table), dtype=bool))
-    wrong = systematic_errors(problem, x, columns, whole, FitChi2(chi2, freedom, chi2 <= limit), how)
+    fitted = Fitted(ways @ root, left)
+    wrong = systematic_errors(problem, x, columns, fitted, FitChi2(chi2, freedom, chi2 <= limit), how)
     return Consistency(chi2, freedom, limit, wrong)
 
 
-def _precision_root(covariance: Floats) -> Floats:
-    """(r, k) rows whose squares are the inverse of a covariance (k, k) along the directions in which it is not 0."""
-    scale = np.sqrt(np.where(np.diag(covariance) > 0.0, np.diag(covariance), 1.0))
-    values, vectors = np.linalg.eigh(covariance / scale / scale[:, None])
-    some = values > RANK_TOLERANCE * values.max(initial=0.0)
-    return np.asarray((vectors[:, some] / np.sqrt(values[some])).T / scale)
+def _felt(root: Floats, unseen: Floats, rig: Floats) -> Floats:
+    """(d, e) the combinations of ``unseen`` directions (k, d) that move the rows otherwise than the rig's unknowns (k, s) can.
+
+    By more than MOVES of what a single parameter does, in the information's ``root`` (k, k).
+    """
+    basis, weight, _ = np.linalg.svd(root @ rig, full_matrices=False)
+    basis = basis[:, weight > RANK_TOLERANCE * weight.max(initial=0.0)]
+    moves = root @ unseen
+    _, size, vt = np.linalg.svd(moves - basis @ (basis.T @ moves), full_matrices=False)
+    return np.asarray(vt[size > MOVES * np.linalg.norm(root, axis=0).max(initial=0.0)].T)
 
 
 def _taken(jac: Floats, prior_sigma: Floats) -> Floats:

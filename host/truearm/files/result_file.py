@@ -36,6 +36,7 @@ from truearm.types import (
     PredictedError,
     Relabelling,
     Residuals,
+    StillJoint,
     SystematicError,
     SystematicErrors,
 )
@@ -100,6 +101,8 @@ class StoredResult:
     covariance: Floats
     null_space: tuple[NullDirection, ...]
     frames: tuple[NullDirection, ...]  # along which parameters were held as a choice of frame
+    still: tuple[StillJoint, ...]
+    lost: tuple[str, ...]  # parameters that were held as those joints stood still
     laws: tuple[Law, ...]  # joint laws whose parameters follow the robot's own
     document: Mapping[str, Any]  # the whole file as parsed
     joint_range: JointRange | None = None  # None: of an earlier version
@@ -506,7 +509,17 @@ _OF = Key("of", Choice(("robot", "rig")))
 _PARAMETER = _later((_text("name"), _text("unit"), *_NUMBERS, Key("free", Flag()), _OF), _StoredParameter)
 _COVARIANCE = _later((_NAMES, Key("matrix", _many(_many(_NUMBER)))), _StoredCovariance)
 _DIRECTION = _later((_NAMES, Key("weights", _many(_KNOWN))), NullDirection)
-_DEFAULTS = _later((Key("frames", _many(_DIRECTION), optional=True),), dict)
+_STILL = _later(
+    (_text("joint"), Key("unit", Choice(("rad", "m"))), Key("spread", _KNOWN), Key("at", _KNOWN)), StillJoint
+)
+_DEFAULTS = _later(
+    (
+        Key("frames", _many(_DIRECTION), optional=True),
+        Key("still", _many(_STILL), optional=True),
+        Key("lost", _many(Text(MAX_TEXT)), optional=True),
+    ),
+    dict,
+)
 _JOINT_RANGE = _later((Key("lower", _many(_KNOWN)), Key("upper", _many(_KNOWN))), JointRange)
 _RESULT = _later(
     (
@@ -535,7 +548,8 @@ def stored_result(document: Mapping[str, Any]) -> StoredResult:
         raise SchemaError("covariance: names parameters that are not there")
     if len(covariance.matrix) != size or any(len(row) != size for row in covariance.matrix):
         raise SchemaError(f"covariance: matrix: needs {size} rows of {size} numbers, one of each of its names")
-    frames: tuple[NullDirection, ...] = fields.get("defaults", {}).get("frames", ())
+    defaults = fields.get("defaults", {})
+    frames: tuple[NullDirection, ...] = defaults.get("frames", ())
     for where, directions in (("null_space", fields["null_space"]), ("defaults: frames", frames)):
         for i, direction in enumerate(directions, start=1):
             if len(direction.names) != len(direction.weights):
@@ -558,6 +572,8 @@ def stored_result(document: Mapping[str, Any]) -> StoredResult:
         covariance=np.array(covariance.matrix).reshape(size, size),
         null_space=fields["null_space"],
         frames=frames,
+        still=defaults.get("still", ()),
+        lost=defaults.get("lost", ()),
         laws=(fields.get("joint_laws") or {}).get("laws", ()),
         document=document,
         joint_range=joint_range,

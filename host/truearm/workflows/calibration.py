@@ -166,7 +166,7 @@ def calibration_of(stored: StoredResult, robot: Robot, called: str, result: str)
         )
     if not np.isfinite(identified).all() or not np.abs(identified).max() < 1e4:
         raise InputError(f"{result}: a parameter's value is missing or absurd; identify again")
-    return Calibration(robot, stored, nominal, identified, _covariance(stored, names), _unseen(stored, names))
+    return Calibration(robot, stored, nominal, identified, covariance_of(stored, names), unseen_of(stored, names))
 
 
 def _laws_of(stored: StoredResult, robot: Robot, result: str) -> tuple[Law, ...]:
@@ -219,8 +219,8 @@ def check_joints(argument: str, given: Sequence[float] | None, joint_units: tupl
     return q
 
 
-def _covariance(stored: StoredResult, names: tuple[str, ...]) -> Floats:
-    """(p, p) of the robot's parameters, 0 for what was held."""
+def covariance_of(stored: StoredResult, names: Sequence[str]) -> Floats:
+    """(k, k) of some parameters, 0 for what was held."""
     at = {name: i for i, name in enumerate(names)}
     covariance = np.zeros((len(names), len(names)))
     rows = [i for i, name in enumerate(stored.covariance_names) if name in at]
@@ -229,8 +229,8 @@ def _covariance(stored: StoredResult, names: tuple[str, ...]) -> Floats:
     return covariance
 
 
-def _unseen(stored: StoredResult, names: tuple[str, ...]) -> Floats:
-    """(p, d) the robot's part of the null space, and what was held as a choice of frame: other fixtures may see either."""
+def unseen_of(stored: StoredResult, names: Sequence[str]) -> Floats:
+    """(k, d) the null space's part of some parameters, and what was held as a choice of frame: other fixtures may see either."""
     at = {name: i for i, name in enumerate(names)}
     directions = (*stored.null_space, *stored.frames)
     unseen = np.zeros((len(names), len(directions)))

@@ -1,7 +1,8 @@
 """The work of ``truearm validate``: errors of the robot as described and as identified, by region, and a verdict.
 
 The verdict holds the errors against what is to be expected: the noise that rig and table declare, and what the identification did
-not know better (``estimate.validation.consistency``). How large the calibration's own residuals were is no measure: a calibration
+not know better (``estimate.validation.consistency``). "Without" is the robot as described, once its base and tool are placed on these rows:
+how they are bolted on is no error that a calibration could take credit for. How large the calibration's own residuals were is no measure: a calibration
 that fits badly would be judged leniently for it. There are three answers. The errors are consistent with that; or they are smaller
 than without the calibration, but a part of them is unexplained; or they are not smaller.
 """
@@ -17,9 +18,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.errors import InputError
+from truearm.errors import Argument, InputError
+from truearm.estimate.defaults import moved
+from truearm.estimate.frame_choice import mounting
 from truearm.estimate.problem import Rigs
-from truearm.estimate.validation import Expected, consistency, expected, judge
+from truearm.estimate.validation import Expected, Judgement, consistency, expected, judge
 from truearm.files.result_file import Input, systematic_entries
 from truearm.files.robot_file import RobotChoice
 from truearm.kinds.registry import regions as regions_of_kinds
@@ -28,7 +31,7 @@ from truearm.report.systematic_words import systematic_sentences
 from truearm.text import counted, one_line
 from truearm.types import Figures, Floats, ObservationTable
 from truearm.units import MM, SUFFIXES, UNITS, Scale, key, shown, title
-from truearm.workflows.calibration import Calibration, read_calibration
+from truearm.workflows.calibration import Calibration, covariance_of, read_calibration, unseen_of
 from truearm.workflows.inputs import Sources, check_files, hashed_inputs, observed
 from truearm.workflows.session_parts import with_parts
 
@@ -69,7 +72,7 @@ class ValidationRegion:
 class Validation:
     """How a calibration does on ``n`` other observations. Printing it shows errors in mm and deg, and the verdict.
 
-    ``before`` and ``after`` are errors without and with the calibration, by SI unit; ``expected`` is the RMS that declared
+    ``before`` and ``after`` are errors without (base and tool placed on these rows) and with the calibration, by SI unit; ``expected`` is the RMS that declared
     noise and the calibration's own uncertainty explain in those rows that do not depend on what it did not see, empty
     where there are none. ``n_unseen`` rows depend on that. ``n_left_out`` rows are not judged, since they fit the unknowns
     of the rig whatever they say; ``n_settled`` such unknowns were estimated on these rows. ``regions`` are groups and
@@ -106,23 +109,43 @@ class Validation:
         return "\n".join(validation_lines(self.document))
 
 
-def validate_files(result: Path, robot: RobotChoice, sources: Sources) -> Validation:
-    """Read a result and the observations that judge it. Raises InputError in one line."""
+def validate_files(result: Path, robot: RobotChoice, sources: Sources, keep_rig: bool = False) -> Validation:
+    """Read a result and the observations that judge it; ``keep_rig`` as of ``validated``. Raises InputError in one line."""
     calibration = read_calibration(result, robot)
     sources = replace(sources, inputs=tuple(with_parts(list(sources.inputs))))
     check_files(sources, robot)
     rig, table = observed(sources, calibration.joint_units)
-    return validated(calibration, rig, table, hashed_inputs(sources, robot))
+    return validated(calibration, rig, table, hashed_inputs(sources, robot), keep_rig)
 
 
-def validated(calibration: Calibration, rig: Rigs, table: ObservationTable, inputs: Sequence[Input] = ()) -> Validation:
-    """Numbers and verdict; ``inputs`` are the files that the rows were read from. Raises InputError where no row can judge."""
-    before, after = (judge(calibration.chain, rig, table, p) for p in (calibration.nominal, calibration.identified))
+def validated(
+    calibration: Calibration, rig: Rigs, table: ObservationTable, inputs: Sequence[Input] = (), keep_rig: bool = False
+) -> Validation:
+    """Numbers and verdict; ``inputs`` are the files that the rows were read from.
+
+    ``keep_rig``: unknowns of the rig that the identification found are held as it left them. Raises InputError where no row can
+    judge, and where nothing of the rig can be kept.
+    """
+    chain, stored = calibration.chain, calibration.stored
+    kept = _identified_rig(calibration) if keep_rig else {}
+    raw, after = (judge(chain, rig, table, p, kept) for p in (calibration.nominal, calibration.identified))
+    n_settled, n_kept = int(after.settled.sum()), len(after.identified) - len(calibration.nominal)
+    if keep_rig and n_settled and not n_kept:
+        names = [name for name, settled in zip(after.problem.names, after.settled, strict=True) if settled]
+        text = f": the result identified no unknown of this rig, as {names[0]}; use the names of its rig"
+        raise InputError(Argument("keep_rig"), text)
+    before = _placed(calibration, rig, table, raw, kept)
     judging = before.judging & after.judging
     if not judging.any():
         raise InputError("no row can judge: each fits unknowns of the rig whatever it says; measure more there")
-    due = expected(after, calibration.covariance, calibration.unseen)
-    test = consistency(after, table, calibration.covariance, calibration.unseen)
+    covariance, unseen = (of(stored, after.identified) for of in (covariance_of, unseen_of))
+    due = expected(after, covariance, unseen)
+    elsewhere = moved(chain, stored.still, table.q)
+    if elsewhere.any():  # what their joints did not show then, these rows depend on
+        due = {si: of._replace(unseen=of.unseen | elsewhere) for si, of in due.items()}
+        lost = np.array([[name == one for one in stored.lost] for name in after.identified], dtype=float)
+        unseen = np.concatenate([unseen, lost], axis=1)
+    test = consistency(after, table, covariance, unseen)
     errors = {
         si: Errors(before.error[si], error, due[si], judging & np.isfinite(error))
         for si, error in after.error.items()
@@ -136,17 +159,20 @@ def validated(calibration: Calibration, rig: Rigs, table: ObservationTable, inpu
     }
     hashes = [entry for entry in inputs if entry.role == "observations"]
     figures, regions = _figures(errors, judging), _regions(calibration, table, errors, judging)
-    unseen = int((judging & np.any([of.due.unseen for of in errors.values()], axis=0)).sum())
+    n_unseen = int((judging & np.any([of.due.unseen for of in errors.values()], axis=0)).sum())
     due_rms, due_entries = _expected(errors)
     document: dict[str, Any] = {
         "rows": int(judging.sum()),
         "left_out": int((~judging).sum()),
-        "settled": after.n_settled,
+        "settled": n_settled,
+        "kept": n_kept,
         "identified_from": [entry.name for entry in hashes if entry.sha256 in seen],
         "residual_units": [UNITS[si].scale.suffix for si in errors],
         **{key("reference", si): _reference(calibration.stored.document, si) for si in errors},
         **_figure_entries(*figures),
-        "unseen": unseen,
+        "placed": before is not raw,
+        **{key("rms_raw", si): _shown(_root_mean(raw.error[si][of.rows] ** 2), si) for si, of in errors.items()},
+        "unseen": n_unseen,
         "expected": due_entries,
         **{key("unexplained", si): _shown(_unexplained(of, of.rows), si) for si, of in errors.items()},
         "better": {UNITS[si].scale.suffix: _is_better(of) for si, of in errors.items()},
@@ -159,8 +185,25 @@ def validated(calibration: Calibration, rig: Rigs, table: ObservationTable, inpu
         "regions": [_region_entry(region) for region in regions],
     }
     words = verdict(document)
-    counts = int(judging.sum()), int((~judging).sum()), after.n_settled, unseen
+    counts = int(judging.sum()), int((~judging).sum()), n_settled, n_unseen
     return Validation(words, *counts, *figures, due_rms, regions, document | {"verdict": words})
+
+
+def _identified_rig(calibration: Calibration) -> dict[str, float]:
+    """What the identification found of the rig, by name."""
+    return {name: of.value for name, of in calibration.parameters.items() if of.of == "rig" and math.isfinite(of.value)}
+
+
+def _placed(
+    calibration: Calibration, rig: Rigs, table: ObservationTable, raw: Judgement, kept: Mapping[str, float]
+) -> Judgement:
+    """The robot as described, once base and tool are placed on the rows; as it is where fewer rows could judge then."""
+    chain, stored = calibration.chain, calibration.stored
+    place = mounting(chain, calibration.nominal).either & stored.free[stored.of_robot]
+    if not place.any():
+        return raw
+    found = judge(chain, rig, table, calibration.nominal, kept, place)
+    return raw if (raw.judging & ~found.judging).any() else found
 
 
 class Errors(NamedTuple):
@@ -328,7 +371,7 @@ def verdict(document: Mapping[str, Any]) -> str:
     if document["unseen"]:
         words += (
             f" {counted(document['unseen'], 'row hangs', 'rows hang')} on combinations of parameters that it did not see when it "
-            "was identified, as how base or tool stand: identify from these rows too."
+            "was identified, as how base or tool stand, or a joint that stood still: identify from these rows too."
         )
     worse = [region["region"] for region in document["regions"] if any(_is_worse(region, unit) for unit in helped)]
     if worse:
@@ -367,6 +410,16 @@ def validation_lines(document: Mapping[str, Any]) -> list[str]:
     """The document as a person reads it: a table a unit, and what it means."""
     lines = [line for suffix in document["residual_units"] for line in _error_lines(document, SUFFIXES[suffix])]
     lines.append("Expected is, with the calibration, what declared noise and its own uncertainty explain.")
+    if document["placed"]:
+        units = [SUFFIXES[suffix] for suffix in document["residual_units"]]
+        raw = " and ".join(
+            f"{document[f'rms_raw_{unit.suffix}']:.{UNITS[unit.si].decimals}f} {unit.symbol}" for unit in units
+        )
+        lines.append(
+            f"Without is the robot as described, once base and tool are placed on these rows; where the rig says they stand: {raw} RMS."
+        )
+    else:
+        lines.append("Without is the robot as described, where the rig says that it stands.")
     if document["chi2_reduced"] is not None:
         lines.append(
             f"χ² per degree of freedom {document['chi2_reduced']:.3g}; consistent up to {document['chi2_limit']:.3g} (99 %)."
@@ -374,6 +427,8 @@ def validation_lines(document: Mapping[str, Any]) -> list[str]:
     lines += systematic_sentences(document)
     if document["settled"]:
         lines.append(f"{document['settled']} unknowns of the rig were settled on these rows, without and with alike.")
+    if document["kept"]:
+        lines.append(f"{counted(document['kept'], 'unknown')} of the rig held as identified.")
     if document["left_out"]:
         lines.append(f"{document['left_out']} rows are not judged: they fit such unknowns whatever they say.")
     return [*lines, one_line(document["verdict"])]

@@ -1,0 +1,94 @@
+"""``truearm.validate`` with the rig kept as it was identified, and with joints that stood still when it was."""
+
+from dataclasses import replace
+
+import device_bench
+import numpy as np
+import pytest
+from puma_bench import ROBOT, SIGMA, TRUTH, random_poses
+
+import truearm
+from truearm.estimate.validation import consistency, judge
+from truearm.model.chain import point_forward
+from truearm.model.rotation import rotation
+from truearm.types import Device, Point, Rig
+from truearm.workflows.calibration import covariance_of, unseen_of
+
+SENSOR = tuple(tuple(SIGMA**2 * (i == k) for k in range(3)) for i in range(3))
+RIG = Rig(targets={"ball": Point("ball", (0.0, 0.0, 0.1), None)}, trackers={"t": Device("t", SENSOR)})
+POSE = np.array([1.5, 0.2, 0.5, 0.1, 0.2, 0.3])
+
+
+def session(rng, n=100, moved=0.0, tracker="t", joint1=None):
+    """Positions by a tracker that nobody measured, of a target that nobody measured; the tracker ``moved`` along x."""
+    q = random_poses(n, rng)
+    if joint1 is not None:
+        q[:, 0] = joint1
+    points = point_forward(ROBOT.chain, TRUTH, q, np.array(device_bench.TARGETS["ball"].xyz))
+    xyz = (points - POSE[:3] - [moved, 0.0, 0.0]) @ rotation(POSE[3:])
+    xyz = xyz + SIGMA * rng.normal(size=xyz.shape)
+    return device_bench.rows("position", q, xyz=xyz, tracker=tracker, target="ball")
+
+
+@pytest.fixture(scope="module")
+def result():
+    return truearm.identify(ROBOT, session(np.random.default_rng(0), 200), RIG)
+
+
+def test_a_tracker_that_stayed_may_be_kept(result):
+    rows = session(np.random.default_rng(1))
+    settled, kept = (truearm.validate(result, rows, RIG, keep_rig=keep) for keep in (False, True))
+    assert (settled.document["settled"], settled.document["kept"]) == (9, 0)
+    assert (kept.document["settled"], kept.document["kept"]) == (0, 9)
+    assert settled.document["consistent"]
+    assert kept.document["consistent"]
+    # What is settled on a hundred rows takes 9 of their 300 degrees of freedom, and is as uncertain again.
+    assert kept.document["chi2_freedom"] == settled.document["chi2_freedom"] + 9
+    assert "9 unknowns of the rig held as identified" in str(kept)
+
+
+def test_a_tracker_that_was_moved_shows_only_where_it_is_kept(result):
+    rows = session(np.random.default_rng(2), moved=1e-3)
+    assert truearm.validate(result, rows, RIG).document["consistent"]
+    kept = truearm.validate(result, rows, RIG, keep_rig=True)
+    assert not kept.document["consistent"]
+    assert kept.after["m"].rms == pytest.approx(1e-3, rel=0.1)
+
+
+def test_nothing_to_keep_is_an_error(result):
+    rig = replace(RIG, trackers={"u": Device("u", SENSOR)}, targets={"ball": Point("ball", (0.0, 0.0, 0.1))})
+    with pytest.raises(
+        truearm.InputError, match=r"keep_rig: the result identified no unknown of this rig, as tracker\.u"
+    ):
+        truearm.validate(result, session(np.random.default_rng(3), tracker="u"), rig, keep_rig=True)
+
+
+def test_the_kept_rigs_covariance_counts():
+    """χ² of judged sessions, robot, tracker and target kept: the mean of 12 values of 90 degrees of freedom, ± 4 σ.
+
+    Twenty poses to identify from: without the covariance of tracker and target the errors would be far above the noise.
+    """
+    rng, found = np.random.default_rng(4), []
+    for _ in range(12):
+        result = truearm.identify(ROBOT, session(rng, 20), RIG)
+        values = {name: of.value for name, of in result.parameters.items() if of.of == "rig"}
+        rows = session(rng, 30)
+        judgement = judge(ROBOT.chain, RIG, rows, result.identified, values)
+        matrices = (of(result.stored, judgement.identified) for of in (covariance_of, unseen_of))
+        found.append(consistency(judgement, rows, *matrices))
+    assert {of.freedom for of in found} == {90}
+    assert np.mean([of.chi2 for of in found]) == pytest.approx(90.0, abs=4.0 * np.sqrt(180.0 / 12))
+
+
+def test_a_joint_that_stood_still_is_unseen_where_it_moves():
+    """Joint 1 was held by its brake: what its axis is, those rows did not tell."""
+    rng = np.random.default_rng(5)
+    still = truearm.identify(ROBOT, session(rng, 150, joint1=0.3), RIG)
+    assert still.document["defaults"]["still"][0]["joint"] == "joint1"
+    assert still.document["defaults"]["still"][0]["at"] == pytest.approx(0.3)
+    there = truearm.validate(still, session(rng, 60, joint1=0.301), RIG)
+    assert there.n_unseen == 0
+    assert there.document["consistent"]
+    elsewhere = truearm.validate(still, session(rng, 60, joint1=-0.5), RIG)
+    assert elsewhere.n_unseen == 60
+    assert "or a joint that stood still" in elsewhere.verdict
