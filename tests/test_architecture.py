@@ -147,7 +147,7 @@ def test_one_version_of_package_firmware_and_image():
 
 def test_only_simulate_demo_and_reproduce_know_the_simulator():
     users = {p.stem for p in python_files(HOST) if any(i.startswith("truearm_sim") for i in imports(p))}
-    assert users <= {"simulate", "demo", "demo_steps", "demo_lines", "demo_text", "reproduce"}
+    assert users <= {"simulate", "simulated_robot", "demo", "demo_steps", "demo_lines", "demo_text", "reproduce"}
     outside = [p for p in python_files(HOST / "reproduce") if any(i.startswith("truearm_sim") for i in imports(p))]
     assert not outside  # the room; its command may
 

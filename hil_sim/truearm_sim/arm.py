@@ -1,4 +1,4 @@
-"""How an arm's links come to rest and how far they are from what the joints read; the default arm is stiff and quick.
+"""How an arm moves, how its links come to rest and how far they are from what the joints read; the default arm is a stiff PUMA 560.
 
 A worn arm's links lie behind their encoders by half the backlash, on the side that they come from. A slow arm's joints are short
 of their place when the commanded motion ends and come up exponentially, encoders and all. A limber arm's links swing on while
@@ -13,14 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.types import Floats
+from truearm_sim.joint_errors import JointError
 
+PUMA_SPEED = tuple(np.deg2rad([82.0, 54.0, 122.0, 228.0, 241.0, 228.0]).tolist())  # rad/s
+PUMA_ACCELERATION = (4.0, 4.0, 6.0, 15.0, 15.0, 15.0)  # rad/s²
 BLOCK = 4096  # readings whose noise is drawn together
 _NOISE = 16  # of the generators; the sensors have those below
 
 
 @dataclass(frozen=True)
 class Arm:
-    """What of an arm differs from a stiff and quick one, each joint alike but for the backlash."""
+    """What of an arm differs from a stiff and quick one, each joint alike but for backlash and speed."""
 
     backlash: tuple[float, ...] = ()  # rad, of each joint; none: 0
     lag: float = 0.0  # rad, by which a joint that moved is short of its place on arrival
@@ -29,6 +32,9 @@ class Arm:
     swing_hz: float = 4.0
     swing_s: float = 0.15  # in which the swing dies down by a factor e
     reading_sigma: float = 0.0  # rad, noise of a joint reading
+    speed: tuple[float, ...] = PUMA_SPEED  # rad/s (m/s), of each joint at most
+    acceleration: tuple[float, ...] = PUMA_ACCELERATION  # rad/s² (m/s²)
+    errors: tuple[JointError, ...] = ()  # of the joints beyond geometry
 
     def rest_s(self, quick: float) -> float:
         """Time after arrival [s] at which all has died down by e⁻¹⁰; ``quick``: that of the stiff arm."""
@@ -38,6 +44,17 @@ class Arm:
         """How far the links (m, j) stand from their encoders after motion in these directions (m, j) of −1, 0 or 1."""
         half = 0.5 * np.array(self.backlash or (0.0,))
         return np.asarray(-half * direction)
+
+    def apart(self, q: Floats) -> Floats:
+        """How far the links (k, j) stand from their encoders at readings q (k, j), by what depends on the joints alone."""
+        return np.asarray(sum((error.at(q) for error in self.errors), np.zeros(q.shape)))
+
+    def durations(self, delta: Floats) -> Floats:
+        """Shortest durations (n,) [s] of quintics over delta (n, j) [rad, m]."""
+        size, j = np.abs(delta), delta.shape[1]
+        by_speed = 15.0 / 8.0 * size / np.array(self.speed[:j])
+        by_acceleration = np.sqrt(10.0 / np.sqrt(3.0) * size / np.array(self.acceleration[:j]))
+        return np.asarray(np.maximum(by_speed, by_acceleration).max(axis=1))
 
     def short(self, since: Floats, share: Floats) -> Floats:
         """How far the joints (k,) are from their place, of motion by +1, ``since`` arrival [s]; before, by the share of the way."""

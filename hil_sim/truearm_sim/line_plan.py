@@ -9,16 +9,17 @@ import numpy as np
 
 from truearm.errors import PlanError
 from truearm.files import plan_file
-from truearm.model.robot import builtin_robot
+from truearm.model.robot import Robot, builtin_robot
 from truearm.plan.ball_bar_plan import make_site
 from truearm.plan.bar_paths import way_without_bar
+from truearm.plan.branches import branch_of
 from truearm.plan.cartesian_lines import Shape, candidate_lines
 from truearm.plan.collision_shapes import Sizes
 from truearm.plan.forecast import Known
 from truearm.plan.measurement_limits import Limits, Site
 from truearm.types import Floats, Plan, Point, Rig
 from truearm_sim.line_device import REACH
-from truearm_sim.world import DESIGN, ROBOT
+from truearm_sim.true_robot import PAPER
 
 MAGNET = "magnet"
 TARGETS = {MAGNET: Point(MAGNET, (0.0, 0.0, 0.10))}
@@ -33,15 +34,20 @@ def line_rig(rig: Rig | None = None) -> Rig:
 
 
 def drawn_line_plan(
-    n_lines: int, seed: int = 0, rig: Rig | None = None, speed: float = SPEED, back: bool = True
+    n_lines: int,
+    seed: int = 0,
+    rig: Rig | None = None,
+    speed: float = SPEED,
+    back: bool = True,
+    robot: Robot | None = None,
 ) -> Plan:
     """``n_lines`` lines, named l1, l2 …, each driven there and, with ``back``, back; via points lead from one to the next.
 
-    Raises PlanError where the arm reaches no such lines.
+    ``robot``: the PUMA 560 by default. Raises PlanError where the arm has no branch or reaches no such lines.
     """
-    robot, rig = builtin_robot(ROBOT), rig or line_rig()
-    design = robot.parameter_sets[DESIGN]
-    site = make_site(replace(Known.design(robot, rig), params=design), Limits(), Sizes(), seed)
+    robot = robot or builtin_robot(PAPER)
+    known = replace(Known.design(robot, rig or line_rig()), branch=branch_of(robot))
+    site = make_site(known, Limits(), Sizes(), seed)
     point = np.array(TARGETS[MAGNET].xyz)
     found = candidate_lines(site, Shape(LENGTH, speed=speed), n_lines, point, JOINT_SPEED, seed=seed, least=n_lines)
     parts = [lines_plan(q, f"l{i}", speed, back) for i, q in enumerate(found.q[:, [0, -1]], start=1)]

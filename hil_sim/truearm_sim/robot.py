@@ -25,8 +25,6 @@ from truearm_sim.arm import Arm, last_direction
 from truearm_sim.clocks import Clock
 from truearm_sim.paths import Path
 
-SPEED = np.deg2rad([82.0, 54.0, 122.0, 228.0, 241.0, 228.0])  # rad/s, a PUMA 560's
-ACCELERATION = np.array([4.0, 4.0, 6.0, 15.0, 15.0, 15.0])  # rad/s²
 STEP = 2.0 * np.pi / 2**19  # rad, what a joint reading is a multiple of: 1.2e-5, a 19-bit encoder
 SERVO_SIGMA = 5e-5  # rad, where a joint comes to rest about its command
 DWELL = 2.0  # s
@@ -99,14 +97,14 @@ class Controller:
 
         ``paths``: of every row that is a line.
         """
-        paths = paths or {}
+        paths, arm = paths or {}, arm or Arm()
         off = new_pairing(plan) if remount is None else remount | new_pairing(plan)
         pose = np.repeat(np.arange(len(plan)), 1 + off)
         mounting = np.concatenate([pose[1:] == pose[:-1], [False]])
         q = plan.q[pose]
         q[mounting, -1] -= MOUNTING
         delta = np.diff(q, axis=0, prepend=q[:1])
-        durations = move_durations(delta)
+        durations = arm.durations(delta)
         ring = ring_amplitudes(delta, durations)
         for stop in np.flatnonzero(plan.lines[pose]):
             durations[stop], ring[stop] = paths[int(pose[stop])].seconds, 0.0
@@ -127,7 +125,7 @@ class Controller:
             q_held=q + SERVO_SIGMA * servo[went],
             ring=ring,
             direction=last_direction(delta),
-            arm=arm or Arm(),
+            arm=arm,
             seed=seed,
             paths=paths,
             delay=delay,
@@ -160,7 +158,7 @@ class Controller:
     @property
     def q_rest(self) -> Floats:
         """Joints (m, j) as they are when they have come to rest: the links behind their encoders where the arm is worn."""
-        return np.asarray(self.q_held + self.arm.behind(self.direction))
+        return np.asarray(self.q_held + self.arm.behind(self.direction) + self.arm.apart(self.q_held))
 
     def is_settled(self, t: Floats) -> NDArray[np.bool_]:
         """Whether the joints stand at ``q_rest`` of their stop, to 30 nm at the endpoint, at each time t (k,)."""
@@ -171,10 +169,11 @@ class Controller:
         return self._between(self.q, t)
 
     def q_true(self, t: Floats) -> Floats:
-        """Joints as they are (k, j) at times t (k,): servo error, ringing and backlash included."""
+        """Joints as they are (k, j) at times t (k,): servo error, ringing, backlash and what else the arm has of errors."""
         i = self.stop_index(t)
         swing = self.arm.swinging(t - self.arrive[i])[:, None] * self.direction[i]
-        return np.asarray(self.q_driven(t) + self.arm.behind(self.direction[i]) + swing)
+        driven = self.q_driven(t)
+        return np.asarray(driven + self.arm.behind(self.direction[i]) + swing + self.arm.apart(driven))
 
     def q_driven(self, t: Floats) -> Floats:
         """Joints at their encoders (k, j) at times t (k,): what a reading without noise would be."""
@@ -280,14 +279,6 @@ def stays(plan: Plan) -> Floats:
     out = np.select([plan.dwells, plan.lines | begins], [DWELL, TURN], 0.0)
     out[new - 1] += PAUSE
     return out
-
-
-def move_durations(delta: Floats) -> Floats:
-    """Shortest durations (n,) [s] of quintics over delta (n, j) [rad]."""
-    size, j = np.abs(delta), delta.shape[1]
-    by_speed = 15.0 / 8.0 * size / SPEED[:j]
-    by_acceleration = np.sqrt(10.0 / np.sqrt(3.0) * size / ACCELERATION[:j])
-    return np.asarray(np.maximum(by_speed, by_acceleration).max(axis=1))
 
 
 def quintic(share: Floats) -> Floats:

@@ -16,18 +16,20 @@ from numpy.typing import NDArray
 
 from truearm.files import plan_file
 from truearm.model.chain import Chain, point_forward
-from truearm.model.robot import builtin_robot
+from truearm.model.robot import Robot, builtin_robot
+from truearm.plan.branches import branch_of
 from truearm.plan.forecast import Known
 from truearm.plan.shells import plan_shells
 from truearm.types import BallBar, Floats, Plan, Point, Rig
+from truearm.units import CM
 from truearm_sim import sensors
 from truearm_sim.arm import Arm
 from truearm_sim.clocks import Clock, Clocks, draw_clocks
 from truearm_sim.line_device import REACH, Flaws, LineDevices, Placement, place_devices, written_down
 from truearm_sim.paths import line_paths
-from truearm_sim.robot import SPEED, Controller, Inputs, States, new_pairing
+from truearm_sim.robot import Controller, Inputs, States, new_pairing
+from truearm_sim.true_robot import PAPER, moving, reach, true_params
 
-ROBOT, DESIGN, TRUTH = "puma560", "design", "optimised"
 REPEATABILITY = 84e-6  # m
 NO_BAR = BallBar("", math.nan, math.nan, math.nan, math.nan)  # at rows of a plan with the bar off
 NO_POINT = Point("", (math.nan, math.nan, math.nan))
@@ -41,16 +43,31 @@ MAG_Y = 0.15  # m, of the sensor's middle in the base frame
 Level = Callable[[Floats], NDArray[np.bool_]]
 
 
-def standard_rig() -> Rig:
-    """Three chucks on the table before a PUMA 560, three spheres on its endpoint, bars of 46 and 61 cm."""
+def standard_rig(robot: Robot | None = None) -> Rig:
+    """Three chucks on the table before a robot, three spheres on its endpoint, two bars: of 46 and 61 cm for the PUMA 560, which is
+    the default, else in proportion to the arm's reach. Raises PlanError for a robot without a branch.
+    """
+    if robot is None or robot.chain.name == PAPER:
+        return Rig(
+            chucks=_triangle("c", centre=(0.45, 0.15, 0.08), radius=0.20, turn=0.2),
+            spheres=_triangle("s", centre=(0.0, 0.0, 0.04), radius=0.13, turn=0.5),
+            bars=_bars(0.46, 0.61),
+        )
+    r = 0.92 * reach(robot, branch_of(robot))
     return Rig(
-        chucks=_triangle("c", centre=(0.45, 0.15, 0.08), radius=0.20, turn=0.2),
-        spheres=_triangle("s", centre=(0.0, 0.0, 0.04), radius=0.13, turn=0.5),
-        bars={
-            name: BallBar(name, zero, gain=1.0, travel=0.075, sigma=REPEATABILITY)
-            for name, zero in (("bar46", 0.46), ("bar61", 0.61))
-        },
+        chucks=_triangle("c", centre=(0.53 * r, 0.05 * r, 0.07), radius=0.165 * r, turn=0.2),
+        spheres=_triangle("s", centre=(0.0, 0.0, 0.05), radius=0.094 * r, turn=0.5),
+        bars=_bars(round(0.42 * r, 2), round(0.53 * r, 2)),
     )
+
+
+def _bars(*zeros: float) -> dict[str, BallBar]:
+    """Bars of these lengths [m], named by their centimetres."""
+    names = [f"bar{round(CM.of(zero))}" for zero in zeros]
+    return {
+        name: BallBar(name, zero, gain=1.0, travel=0.075, sigma=REPEATABILITY)
+        for name, zero in zip(names, zeros, strict=True)
+    }
 
 
 def _triangle(prefix: str, centre: tuple[float, float, float], radius: float, turn: float) -> dict[str, Point]:
@@ -69,12 +86,14 @@ def arrivals(plan: Plan) -> NDArray[np.int64]:
     return np.maximum.accumulate(np.where(came, np.arange(len(plan)), 0))
 
 
-def standard_plan(n_poses: int = 800, seed: int = 0, rig: Rig | None = None) -> Plan:
-    """``n_poses`` poses with each bar of the rig, one bar after the other, planned on the design model."""
-    robot = builtin_robot(ROBOT)
-    known = replace(Known.design(robot, rig or standard_rig()), params=robot.parameter_sets[DESIGN])
-    plans = [plan_shells(known, bar, n_poses, seed, SPEED) for bar in known.rig.bars]
-    return plan_file.concatenate(*plans)
+def standard_plan(n_poses: int = 800, seed: int = 0, rig: Rig | None = None, robot: Robot | None = None) -> Plan:
+    """``n_poses`` poses with each bar of the rig, one bar after the other, planned on the design model of a robot, the PUMA 560 by
+    default. Raises PlanError for a robot that does not reach them.
+    """
+    robot = robot or builtin_robot(PAPER)
+    known = replace(Known.design(robot, rig or standard_rig(robot)), branch=branch_of(robot))
+    speed = np.array(moving(robot).speed)
+    return plan_file.concatenate(*(plan_shells(known, bar, n_poses, seed, speed) for bar in known.rig.bars))
 
 
 @dataclass(frozen=True)
@@ -108,8 +127,9 @@ class World:
         flaws: Flaws | None = None,
         robot_input: int | None = None,
         trigger_ms: tuple[int, int] = TRIGGER_MS,
+        robot: Robot | None = None,
     ) -> None:
-        """``params`` (p,): the true robot, Table II's optimised values by default; ``clocks``: drawn from the seed.
+        """``robot``: the PUMA 560 by default. ``params`` (p,): as it truly is, default ``true_params``; ``clocks``: drawn from the seed.
 
         ``mag_period_ns``: how often the box is configured to read its magnetostrictive sensor, 0: never; default: MAG_PERIOD_NS
         where lines are driven. A share ``lost_stops`` of its shots has no stop pulse. ``arm``: a stiff one by default.
@@ -118,19 +138,19 @@ class World:
         toggled every ``trigger_ms``; None: not at all.
         Raises PlanError when the plan names something that the rig does not have, and for a line that cannot be driven.
         """
-        robot = builtin_robot(ROBOT)
+        robot = robot or builtin_robot(PAPER)
         self.seed = seed
-        self.rig = rig or standard_rig()
+        self.rig = rig or standard_rig(robot)
         plan_file.check_against_rig(plan, self.rig, "the plan")
         self.chain: Chain = robot.chain
-        self.params = robot.parameter_sets[TRUTH] if params is None else params
+        self.params = true_params(robot, seed) if params is None else params
         self.clocks = clocks or draw_clocks(seed)
         bars = [self.rig.bars.get(name, NO_BAR) for name in plan.bar]
         self._p_chuck = np.array([self.rig.chucks.get(name, NO_POINT).xyz for name in plan.chuck])
         self._p_sphere = np.array([self.rig.spheres.get(name, NO_POINT).xyz for name in plan.sphere])
         self._zero, self._gain, self._travel = np.array([(bar.zero, bar.gain, bar.travel) for bar in bars]).T
         self._scatter = sensors.repeatability(seed, len(plan))[arrivals(plan)] * [bar.sigma for bar in bars]
-        paths = line_paths(plan, self.chain, robot.parameter_sets[DESIGN], self.rig)
+        arm, paths = moving(robot, arm), line_paths(plan, self.chain, self.chain.params_nominal, self.rig)
         self.controller = Controller.from_plan(
             plan, self.clocks.robot, seed, robot_rate, self._runs_out(plan), arm, paths, robot_delay_s
         )

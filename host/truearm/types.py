@@ -365,10 +365,11 @@ class Plan:
     line: Strings = field(default_factory=_absent)  # (n,) the line device's placement, "" but on lines
     target: Strings = field(default_factory=_absent)  # (n,) the tool point on the line, "" but on lines
     speed: Floats = field(default_factory=_absent)  # (n,) m/s, NaN but on lines
+    robot: Strings = field(default_factory=_absent)  # (n,) the robot that the row was planned for, "" where nobody says
 
     def __post_init__(self) -> None:
         n = self.q.shape[:1]
-        for name, value in (("move", Move.DWELL.value), ("line", ""), ("target", ""), ("speed", np.nan)):
+        for name, value in (("move", Move.DWELL.value), ("line", ""), ("target", ""), ("speed", np.nan), ("robot", "")):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, np.full(n, value))
         shapes = {getattr(self, name).shape for name in self.columns()[1:]}
@@ -392,6 +393,10 @@ class Plan:
     def lines(self) -> NDArray[np.bool_]:
         """(n,) the rows on the way to which the line device is read."""
         return np.asarray(self.move == Move.LINE)
+
+    def of_robot(self, name: str) -> Plan:
+        """The plan as one for a robot."""
+        return replace(self, robot=np.full(len(self), name))
 
     def select(self, rows: NDArray[Any]) -> Plan:
         """The rows of a boolean mask or an index array."""

@@ -7,8 +7,13 @@ from truearm.cli.main import main
 from truearm.files.plan_file import read_plan, write_plan
 from truearm.files.rig_file import read_rig, write_rig
 from truearm.workflows.simulate import SimulateOptions, visits
+from truearm.workflows.simulated_robot import simulated_robot
 from truearm_sim.line_plan import drawn_line_plan, line_rig
 from truearm_sim.world import World, standard_plan, standard_rig
+
+
+def visited(options):
+    return visits(options, simulated_robot(options.model, options.truth, options.seed))
 
 
 @pytest.fixture(scope="module")
@@ -22,16 +27,16 @@ def folder(tmp_path_factory):
 
 
 def test_plans_from_files_are_what_is_visited(folder):
-    plan, rig = visits(SimulateOptions(folder, plan=folder / "lines.csv", rig=folder / "lines.toml"))
+    plan, rig = visited(SimulateOptions(folder, plan=folder / "lines.csv", rig=folder / "lines.toml"))
     assert np.array_equal(plan.q, read_plan(folder / "lines.csv").q)
     assert rig == read_rig(folder / "lines.toml")
     assert list(World(1, plan, rig).rig.lines) == ["l1"]
-    plan, rig = visits(SimulateOptions(folder, plan=folder / "bars.csv"))
+    plan, rig = visited(SimulateOptions(folder, plan=folder / "bars.csv"))
     assert (len(plan), rig) == (18, standard_rig())
 
 
 def test_lines_are_drawn_and_driven_there_and_back(folder):
-    plan, rig = visits(SimulateOptions(folder, lines=1, seed=2))
+    plan, rig = visited(SimulateOptions(folder, lines=1, seed=2))
     assert np.array_equal(plan.q, read_plan(folder / "lines.csv").q)
     assert plan.move.tolist() == ["via", "line", "line"]
     assert list(rig.targets) == ["magnet"]
@@ -42,7 +47,7 @@ def test_lines_are_drawn_and_driven_there_and_back(folder):
     [
         (["--plan", "{}/lines.csv", "--lines", "2"], "give one of them"),
         (["--rig-file", "{}/lines.toml"], "--rig-file needs the --plan"),
-        (["--plan", "{}/short.csv"], "has 1 joints, the simulated PUMA 560 has 6"),
+        (["--plan", "{}/short.csv"], "has 1 joints, robot puma560 has 6; choose another robot with --model"),
         (["--plan", "{}/lines.csv"], "column target: 'magnet' is not in the rig"),
         (["--plan", "{}/none.csv"], "no such file"),
         (["--robot-delay-ms", "nan"], "Invalid value for '--robot-delay-ms'"),

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 from truearm.types import Plan
 from truearm_sim import robot
+from truearm_sim.arm import PUMA_ACCELERATION, PUMA_SPEED, Arm
 from truearm_sim.clocks import Clock, draw_clocks
-from truearm_sim.robot import Controller, move_durations, quintic
+from truearm_sim.robot import Controller, quintic
 
 CLOCKS = st.builds(Clock, st.floats(-1e4, 1e4), st.floats(-500.0, 500.0), st.floats(-1e-3, 1e-3), st.floats(60.0, 1e4))
 
@@ -53,8 +54,8 @@ def test_speeds_and_accelerations_are_kept_and_used():
     controller = Controller.from_plan(small_plan())
     step = 1e-3
     q = controller.q_commanded(np.arange(0.0, controller.duration, step))
-    speed = np.abs(np.diff(q, axis=0)) / step / robot.SPEED
-    acceleration = np.abs(np.diff(q, 2, axis=0)) / step**2 / robot.ACCELERATION
+    speed = np.abs(np.diff(q, axis=0)) / step / np.array(PUMA_SPEED)
+    acceleration = np.abs(np.diff(q, 2, axis=0)) / step**2 / np.array(PUMA_ACCELERATION)
     # Differences over 1 ms of a quintic lie below its peaks by the mean value theorem.
     assert speed.max() <= 1.0 + 1e-9
     assert acceleration.max() <= 1.0 + 1e-6
@@ -65,9 +66,9 @@ def test_speeds_and_accelerations_are_kept_and_used():
 
 def test_durations_by_hand():
     # 1 rad of joint 1: 15/8 / 1.43 rad/s = 1.31 s by speed, √(5.774/4) = 1.20 s by acceleration.
-    assert move_durations(np.array([[1.0, 0, 0, 0, 0, 0]]))[0] == pytest.approx(15 / 8 / np.deg2rad(82.0))
-    assert move_durations(np.array([[0.1, 0, 0, 0, 0, 0]]))[0] == pytest.approx(np.sqrt(0.1 * 10 / np.sqrt(3.0) / 4.0))
-    assert move_durations(np.zeros((1, 6)))[0] == 0.0
+    assert Arm().durations(np.array([[1.0, 0, 0, 0, 0, 0]]))[0] == pytest.approx(15 / 8 / np.deg2rad(82.0))
+    assert Arm().durations(np.array([[0.1, 0, 0, 0, 0, 0]]))[0] == pytest.approx(np.sqrt(0.1 * 10 / np.sqrt(3.0) / 4.0))
+    assert Arm().durations(np.zeros((1, 6)))[0] == 0.0
 
 
 def test_the_quintic_starts_and_ends_at_rest():
@@ -117,7 +118,7 @@ def test_the_joints_ring_and_settle():
     deviation = [np.abs(controller.q_true(controller.arrive + dt) - controller.q_held).max() for dt in (0.028, 0.5)]
     # A quarter of a period after arrival: RING_SHARE · a/ω² at decay exp(-0.56); for 4 … 15 rad/s² some 1e-4 rad.
     assert 1e-5 < deviation[0] < 1e-3
-    limit = robot.RING_SHARE * robot.ACCELERATION / (2 * np.pi * robot.RING_HZ) ** 2
+    limit = robot.RING_SHARE * np.array(PUMA_ACCELERATION) / (2 * np.pi * robot.RING_HZ) ** 2
     assert np.all(np.abs(controller.ring) <= limit + 1e-12)
     # The sphere lies within 1 m of the axes of joints 1 and 2, 0.6 m of joint 3, 0.2 m of the wrist: 30 nm in all.
     assert limit @ [1.0, 1.0, 0.6, 0.2, 0.2, 0.2] * np.exp(-10.0) < 30e-9

@@ -6,21 +6,30 @@ the session file, the clocks. What is found is judged by rows that were not fitt
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, assert_never
+from typing import Annotated, assert_never
 
 import typer
 
-from truearm.cli.options import SeedOption, out_folder
-from truearm.cli.output import print_lines
-from truearm.workflows.demo_steps import Steps, clock_truth, observe, record_virtually, visits_in_words, write_setup
-
-if TYPE_CHECKING:
-    from truearm.record.status import Status
+from truearm.cli.options import BaseOption, BranchOption, SeedOption, TipOption, branch_given, out_folder
+from truearm.cli.output import print_lines, recording_progress
+from truearm.cli.truth_options import (
+    DEFAULT_MODEL,
+    DEFAULT_PERIODS,
+    DEFAULT_STIFFNESS,
+    GearErrorOption,
+    GearPeriodsOption,
+    MassesOption,
+    ModelOption,
+    RepeatabilityOption,
+    StiffnessOption,
+    ToleranceOption,
+    TruthOutOption,
+    TruthSeedOption,
+    WornOption,
+    truth_of,
+)
 
 MARK = ".truearm-demo"  # in a folder that the demo made and may write again
 RATE_HZ = 500.0  # the dwells stand still; a thousand takes ten seconds longer and finds the same
@@ -50,15 +59,31 @@ def what_is_planned(rig: DemoRig, poses: int) -> str:
 def demo(
     out: Annotated[Path, out_folder("session, tables, result and report")] = Path("out/demo"),
     poses: Annotated[
-        int, typer.Option(metavar="N", min=90, max=5000, help="Dwells with each bar: 46 cm to fit, 61 cm to validate.")
+        int,
+        typer.Option(
+            metavar="N", min=90, max=5000, help="Dwells with each of two bars, one to fit and one to validate."
+        ),
     ] = 800,
     seed: SeedOption = 1,
     rate: Annotated[float, typer.Option(metavar="HZ", help="Samples a second of each channel.")] = RATE_HZ,
     rig: Annotated[
         DemoRig, typer.Option(help="What measures: the ball-bar, lines driven along a line device, or both at once.")
     ] = DemoRig.ballbar,
+    model: ModelOption = DEFAULT_MODEL,
+    base: BaseOption = None,
+    tip: TipOption = None,
+    branch: BranchOption = None,
+    worn: WornOption = False,
+    tolerance: ToleranceOption = None,
+    repeatability: RepeatabilityOption = None,
+    gear_error: GearErrorOption = 0.0,
+    gear_periods: GearPeriodsOption = DEFAULT_PERIODS,
+    masses: MassesOption = None,
+    stiffness: StiffnessOption = DEFAULT_STIFFNESS,
+    truth_out: TruthOutOption = None,
+    truth_seed: TruthSeedOption = None,
 ) -> None:
-    """Calibrate a simulated PUMA 560 with a ball-bar or a line device, from the firmware to the report.
+    """Calibrate a simulated robot, the PUMA 560 by default, with a ball-bar or a line device, from the firmware to the report.
 
     The box runs the real firmware in MicroPython (in CPython, and it says so, where there is none), in virtual time.
 
@@ -66,17 +91,34 @@ def demo(
     Example:
       truearm demo --out out/demo
       truearm demo --rig line --out out/line
+      truearm demo --model ur5e --poses 200 --out out/ur5e
     """
     from truearm.cli import demo_text
-    from truearm.files.disk import own_folder
+    from truearm.files.disk import check_writable, own_folder
+    from truearm.files.robot_file import RobotChoice
     from truearm.workflows import demo_ball_bar, demo_lines
+    from truearm.workflows.demo_steps import (
+        Steps,
+        clock_truth,
+        observe,
+        record_virtually,
+        visits_in_words,
+        write_setup,
+    )
+    from truearm.workflows.demo_steps import subject as robot_subject
     from truearm.workflows.record import nearest_osr
     from truearm.workflows.simulate import find_interpreter
+    from truearm.workflows.simulated_robot import looks_like_truth, write_truth
     from truearm_sim import micropython
     from truearm_sim.simbox import SimulatedBox
     from truearm_sim.world import World, standard_plan
 
     osr = nearest_osr(rate)
+    truth = truth_of(tolerance, gear_error, gear_periods, masses, stiffness, repeatability, worn, truth_seed)
+    subject = robot_subject(RobotChoice(model, base, tip), branch_given(branch), truth, seed)
+    simulated, robot = subject.simulated, subject.robot
+    if truth_out is not None:
+        check_writable(truth_out, inputs=subject.choice.files, ours=looks_like_truth)
     own_folder(out, MARK)
     interpreter = find_interpreter()
     if interpreter is None:
@@ -87,50 +129,39 @@ def demo(
     with steps.step(f"plan {what_is_planned(rig, poses)}"):
         match rig:
             case DemoRig.ballbar:
-                world = World(seed, standard_plan(poses, seed))
+                plan = standard_plan(poses, seed, subject.rig, robot)
+                world = World(seed, plan, subject.rig, simulated.params, arm=simulated.arm, robot=robot)
             case DemoRig.line | DemoRig.both:
-                world = demo_lines.world_of(rig is DemoRig.both, poses, seed)
+                world = demo_lines.world_of(rig is DemoRig.both, poses, seed, subject)
             case _:
                 assert_never(rig)
         write_setup(out, world)
+        if truth_out is not None:
+            write_truth(truth_out, world, robot, truth, seed)
     plan = world.controller.plan
     box = SimulatedBox(world, interpreter, seed=seed)
     try:
         name = f"record {visits_in_words(plan)}, {world.duration / 60:.0f} minutes of robot time"
-        with steps.step(name), _progress(world.duration) as progress:
+        with steps.step(name), recording_progress(world.duration) as progress:
             record_virtually(out, plan, world, box, osr, seed, progress)
         with steps.step("sync: clocks, dwells, observations"):
-            result = observe(out)
-        truth = clock_truth(result, box)
+            result = observe(out, robot)
+        clock = clock_truth(result, box)
     finally:
         box.close()
     match rig:
         case DemoRig.ballbar:
             with steps.step("identify, validate"):
-                found = demo_ball_bar.calibrate(out, result.table)
+                found = demo_ball_bar.calibrate(out, result.table, subject)
             with steps.step("report"):
-                page = demo_ball_bar.write_page(out, found, result, truth, steps)
+                page = demo_ball_bar.write_page(out, found, result, clock, steps)
             found_lines, used = demo_text.ball_bar_lines(found), f"{len(result.table)} dwells used"
         case DemoRig.line | DemoRig.both:
             with steps.step("identify, validate"):
-                lines = demo_lines.calibrate(rig is DemoRig.both, out, result.table)
+                lines = demo_lines.calibrate(rig is DemoRig.both, out, result.table, subject)
             with steps.step("report"):
-                page = demo_lines.write_page(out, lines, result, truth, steps)
+                page = demo_lines.write_page(out, lines, result, clock, steps)
             found_lines, used = demo_text.line_lines(lines), demo_text.used(result.table)
         case _:
             assert_never(rig)
-    print_lines([*demo_text.recording_lines(result, truth, steps, used), *found_lines, f"\nreport          {page}"])
-
-
-@contextmanager
-def _progress(duration_s: float) -> Iterator[Callable[[Status], None] | None]:
-    """A bar on a terminal; nothing elsewhere."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as display:
-        task = display.add_task("recording", total=duration_s)
-        yield lambda status: display.update(task, completed=status.elapsed_s)
+    print_lines([*demo_text.recording_lines(result, clock, steps, used), *found_lines, f"\nreport          {page}"])

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.session.observations import SyncResult
-from truearm.types import Figures, ObservationTable
-from truearm.units import MM, NS, US
+from truearm.types import BallBar, Figures, ObservationTable
+from truearm.units import CM, MM, NS, US
 from truearm.workflows.demo_ball_bar import BallBarCalibration
 from truearm.workflows.demo_lines import N_LINES, LineCalibration, delay_words
-from truearm.workflows.demo_steps import FITTED, ClockTruth, Steps
+from truearm.workflows.demo_steps import ClockTruth, Steps
 
 
 def recording_lines(result: SyncResult, truth: ClockTruth, steps: Steps, used: str) -> list[str]:
@@ -31,21 +31,27 @@ def used(table: ObservationTable) -> str:
     return " and ".join([f"{dwells} dwells"] * (dwells > 0) + [f"{points} points on lines used"])
 
 
+def shells(bar: BallBar) -> str:
+    """What the shells of a bar are called."""
+    return f"{CM.of(bar.zero):.0f} cm shells"
+
+
 def ball_bar_lines(found: BallBarCalibration) -> list[str]:
     """What the ball-bar found: rank, and the errors on the shells that were fitted and on the others."""
     estimate = found.estimate
     n_free, n_fitted = int(estimate.free.sum()), int(estimate.fitted.sum())
-    expected = MM.of(found.rig.bars[FITTED].sigma * (1.0 - estimate.rank / n_fitted) ** 0.5)
+    subject = found.subject
+    expected = MM.of(subject.fitted.sigma * (1.0 - estimate.rank / n_fitted) ** 0.5)
     lines = [
         f"parameters      rank {found.all_free.rank} of {len(estimate.free)}; {n_free} free, {estimate.status} "
         f"in {estimate.iterations} iterations",
-        f"46 cm shells    {MM.text(estimate.rms_before['m'], '.3f')} RMS before, {MM.text(estimate.rms_after['m'], '.4f')} after "
+        f"{shells(subject.fitted):<16}{MM.text(estimate.rms_before['m'], '.3f')} RMS before, {MM.text(estimate.rms_after['m'], '.4f')} after "
         f"({n_fitted} dwells; noise alone would leave {expected:.4f})",
     ]
     before, after = estimate.held_out_before, estimate.held_out
     if before is not None and after is not None:
         lines.append(
-            f"61 cm shells    {MM.text(before.figures['m'].rms, '.3f')} RMS before, "
+            f"{shells(subject.judging):<16}{MM.text(before.figures['m'].rms, '.3f')} RMS before, "
             f"{MM.text(after.figures['m'].rms, '.4f')} after ({after.n} dwells that were not fitted)"
         )
     return lines
@@ -61,8 +67,8 @@ def line_lines(found: LineCalibration) -> list[str]:
     is_line, fitted = table.kind == "line", estimate.fitted
     sensors = MM.of(float(np.linalg.norm(found.rig.line_sigma)))
     if found.with_bar:
-        text += _group("46 cm shells", found, ~is_line & fitted, "")
-        text += _group("61 cm shells", found, ~is_line & ~fitted, ", not fitted")
+        text += _group(shells(found.subject.fitted), found, ~is_line & fitted, "")
+        text += _group(shells(found.subject.judging), found, ~is_line & ~fitted, ", not fitted")
     text += _group(f"{N_LINES} lines", found, is_line & fitted, f"; the sensors alone would leave {sensors:.4f}")
     text += _group("validation line", found, is_line & ~fitted, ", not fitted")
     if not found.with_bar:

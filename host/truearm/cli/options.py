@@ -6,13 +6,16 @@ import math
 import re
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from truearm.errors import InputError
-from truearm.model.builtin import builtin_names
+from truearm.model.builtin import builtin_names, names_with_branch
 from truearm.units import DEG, MM, Scale, from_shown
+
+if TYPE_CHECKING:
+    from truearm.model.workspace import Branch
 
 LARGEST_MM, LARGEST_DEG = 1e5, 720.0  # of a frame
 LONGEST_NAME = 64  # letters of a rig's name, as of a table's identifiers
@@ -51,6 +54,14 @@ BaseOption = Annotated[
 TipOption = Annotated[
     str | None,
     typer.Option("--tip", metavar="LINK", help="Last link of a URDF. Default: as identified, or its only leaf."),
+]
+BranchOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="LOW:HIGH,…",
+        help="Joint bounds of the configuration to stay in [deg]; default: the robot file's [branch], which "
+        f"{', '.join(names_with_branch())} have.",
+    ),
 ]
 OwnFramesOption = Annotated[
     bool,
@@ -189,3 +200,15 @@ def check_finite(**given: float | None) -> None:
     for name, value in given.items():
         if value is not None and not math.isfinite(value):
             raise InputError(f"--{name.replace('_', '-')} must be a finite number, is {value}")
+
+
+def branch_given(text: str | None) -> Branch | None:
+    """Bounds of the joints [rad] of the option in deg, None where it was not given. Raises InputError."""
+    import numpy as np
+
+    from truearm.model.workspace import Branch
+
+    if text is None:
+        return None
+    lower, upper = spans_of("--branch", text, DEG)
+    return Branch(np.array(lower), np.array(upper))

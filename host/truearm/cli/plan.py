@@ -10,11 +10,13 @@ import typer
 
 from truearm.cli.options import (
     BaseOption,
+    BranchOption,
     JsonOption,
     RigOption,
     RobotOption,
     SeedOption,
     TipOption,
+    branch_given,
     check_finite,
     choices,
     one_of,
@@ -23,13 +25,11 @@ from truearm.cli.options import (
 )
 from truearm.cli.output import command_group, print_json, print_lines
 from truearm.errors import InputError
-from truearm.model.builtin import names_with_branch
 from truearm.plan.criteria import Criterion, criterion_summary
 from truearm.plan.route_program import dialects_help
-from truearm.units import DEG, MM, MM_S
+from truearm.units import MM, MM_S
 
 if TYPE_CHECKING:
-    from truearm.model.workspace import Branch
     from truearm.plan.region import Region
 
 app = command_group(
@@ -69,14 +69,6 @@ MeasuredOption = Annotated[
     list[Path] | None,
     typer.Option(metavar="FILE", help="Sessions and tables that count as measured already (repeatable)."),
 ]
-BranchOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="LOW:HIGH,…",
-        help="Joint bounds of the configuration to stay in [deg]; default: the robot file's [branch], which "
-        f"{', '.join(names_with_branch())} have.",
-    ),
-]
 OutOption = Annotated[Path | None, out_file("the plan that record follows (.csv)")]
 ProgramOption = Annotated[
     list[Path] | None,
@@ -112,18 +104,6 @@ def _region_of(text: str | None) -> Region | None:
     if len(lower) != 3:
         raise InputError(f"--region {text[:60]!r}: needs LOW:HIGH in mm for x, y and z, between commas")
     return Region(np.array(lower), np.array(upper))
-
-
-def _branch_of(text: str | None) -> Branch | None:
-    """Bounds of the joints [rad] of the option in deg, None where it was not given. Raises InputError."""
-    import numpy as np
-
-    from truearm.model.workspace import Branch
-
-    if text is None:
-        return None
-    lower, upper = spans_of("--branch", text, DEG)
-    return Branch(np.array(lower), np.array(upper))
 
 
 @app.command("ballbar")
@@ -190,7 +170,7 @@ def ballbar(
         rig=rig,
         result=result,
         measured=tuple(measured or ()),
-        branch=_branch_of(branch),
+        branch=branch_given(branch),
         out=out,
         programs=tuple(program or ()),
         signals=Signals(output_line, input_line),
@@ -269,7 +249,7 @@ def line(
         rig=rig,
         result=result,
         measured=tuple(measured or ()),
-        branch=_branch_of(branch),
+        branch=branch_given(branch),
         out=out,
         rig_out=rig_out,
         programs=tuple(program or ()),
@@ -332,7 +312,7 @@ def characterize(
         robot=RobotChoice(robot, base, tip),
         rig=rig,
         result=result,
-        branch=_branch_of(branch),
+        branch=branch_given(branch),
         out=out,
         programs=tuple(program or ()),
         signals=Signals(output_line, input_line),

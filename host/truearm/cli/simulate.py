@@ -1,4 +1,4 @@
-"""``truearm simulate``: a box and a robot in real time behind ports of this machine, to try everything without hardware."""
+"""``truearm simulate``: a box and any robot, in real time behind ports of this machine or in virtual time into a session file."""
 
 from __future__ import annotations
 
@@ -7,12 +7,41 @@ from typing import Annotated
 
 import typer
 
-from truearm.cli.options import PlanOption, SeedOption, out_folder
+from truearm.cli.options import BaseOption, BranchOption, PlanOption, SeedOption, TipOption, branch_given, out_folder
+from truearm.cli.output import recording_progress
+from truearm.cli.truth_options import (
+    DEFAULT_MODEL,
+    DEFAULT_PERIODS,
+    DEFAULT_STIFFNESS,
+    GearErrorOption,
+    GearPeriodsOption,
+    MassesOption,
+    ModelOption,
+    RepeatabilityOption,
+    StiffnessOption,
+    ToleranceOption,
+    TruthOutOption,
+    TruthSeedOption,
+    WornOption,
+    truth_of,
+)
 from truearm.units import MS
+
+FAST_RATE_HZ = 500.0
 
 
 def simulate(
-    out: Annotated[Path, out_folder("plan.csv and rig.toml")] = Path("out/simulated"),
+    out: Annotated[Path, out_folder("plan.csv and rig.toml, with --fast session.mcap")] = Path("out/simulated"),
+    model: ModelOption = DEFAULT_MODEL,
+    base: BaseOption = None,
+    tip: TipOption = None,
+    branch: BranchOption = None,
+    fast: Annotated[
+        bool, typer.Option("--fast", help="Record in virtual time, straight into session.mcap: seconds, not minutes.")
+    ] = False,
+    rate: Annotated[
+        float, typer.Option(metavar="HZ", help="With --fast: samples a second of each channel.")
+    ] = FAST_RATE_HZ,
     port: Annotated[
         int, typer.Option(metavar="PORT", min=0, max=65535, help="TCP port of the box; 0 takes a free one.")
     ] = 7007,
@@ -46,9 +75,15 @@ def simulate(
             min=0, max=15, metavar="INPUT", help="The robot's digital input that the box's trigger output toggles."
         ),
     ] = None,
-    worn: Annotated[
-        bool, typer.Option("--worn", help="An arm with backlash, slow to settle, that swings, with noisy readings.")
-    ] = False,
+    worn: WornOption = False,
+    tolerance: ToleranceOption = None,
+    repeatability: RepeatabilityOption = None,
+    gear_error: GearErrorOption = 0.0,
+    gear_periods: GearPeriodsOption = DEFAULT_PERIODS,
+    masses: MassesOption = None,
+    stiffness: StiffnessOption = DEFAULT_STIFFNESS,
+    truth_out: TruthOutOption = None,
+    truth_seed: TruthSeedOption = None,
     seed: SeedOption = 1,
     level: Annotated[
         str,
@@ -59,19 +94,30 @@ def simulate(
         typer.Option(metavar="SECONDS:KIND", help="Something that goes wrong; repeatable. An unknown KIND lists them."),
     ] = None,
 ) -> None:
-    """Simulate a sensor box and a robot in real time, on this machine's loopback.
+    """Simulate a sensor box and a robot, to rehearse a session on your own arm.
 
-    The firmware's own files run in a real MicroPython (in CPython, and it says so, where there is none), or with --level chip in an
+    The true robot differs from its design by a hidden truth that is drawn from tolerances (--truth-out reveals it). It runs in real time
+    on this machine's loopback, or with --fast in virtual time straight into a session file. The firmware's own files run in a real MicroPython (in CPython, and it says so, where there is none), or with --level chip in an
     emulated RP2040, whose time may fall behind the wall clock's on a slow machine. Time starts with the first connection. Ends when the
     robot's program has ended and the recorder has gone, or with Ctrl-C.
 
-    Example: truearm simulate, and in another terminal the truearm record line that it prints. With a plan of your own:
-    truearm simulate --plan plan.csv --rig-file rig.toml
+    \b
+    Example:
+      truearm simulate     (and in another terminal the truearm record line that it prints)
+      truearm simulate --model ur5e --plan plan.csv --rig-file rig.toml --fast --out rehearsal
     """
-    from truearm.workflows.simulate import SimulateOptions, simulate_box_and_robot
+    from truearm.files.robot_file import RobotChoice
+    from truearm.workflows.record import nearest_osr
+    from truearm.workflows.simulate import SimulateOptions, simulate_box_and_robot, simulate_fast
 
     options = SimulateOptions(
         folder=out,
+        model=RobotChoice(model, base, tip),
+        branch=branch_given(branch),
+        truth=truth_of(tolerance, gear_error, gear_periods, masses, stiffness, repeatability, worn, truth_seed),
+        truth_out=truth_out,
+        fast=fast,
+        osr=nearest_osr(rate),
         port=port,
         robot=robot,
         robot_port=robot_port,
@@ -82,9 +128,11 @@ def simulate(
         rig=rig_file,
         robot_delay_s=MS.to_si(robot_delay_ms),
         trigger=trigger,
-        worn=worn,
         seed=seed,
         level=level,
         faults=tuple(fault or ()),
     )
-    simulate_box_and_robot(options, typer.echo)
+    if fast:
+        simulate_fast(options, typer.echo, recording_progress)
+    else:
+        simulate_box_and_robot(options, typer.echo)

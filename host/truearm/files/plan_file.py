@@ -1,7 +1,7 @@
 """Plan files: CSV with one row a place, in the order of the visits (docs/table-format.md).
 
-Columns ``pose, shell, bar, chuck, sphere``, then, in plans that hold more than dwells, ``move, line, target, speed_mm_s``, then
-``q1_rad … qj_rad``; ``pose`` counts from 0. The recorder stores the plan in the session; later a dwell is known by the
+Columns ``pose, shell, bar, chuck, sphere``, then, in plans that hold more than dwells, ``move, line, target, speed_mm_s``, then ``robot``, the
+name of the robot that it was made for, which may be left out, then ``q1_rad … qj_rad``; ``pose`` counts from 0. The recorder stores the plan in the session; later a dwell is known by the
 planned joint vector that it stands at, a line by those between which it was driven.
 """
 
@@ -15,7 +15,7 @@ from typing import assert_never
 
 import numpy as np
 
-from truearm.errors import PlanError
+from truearm.errors import Argument, PlanError
 from truearm.files.csv_cells import NUMBER, read_rows
 from truearm.files.disk import read_text, write_atomic
 from truearm.schema import NAME
@@ -26,6 +26,8 @@ MAX_BYTES = 16 * 2**20
 MAX_JOINTS = 64
 IDS = Plan.IDS
 MOTION = ("move", "line", "target", "speed_mm_s")  # all four or none
+ROBOT = "robot"
+MAX_ROBOT = 100  # characters of a robot's name
 FASTEST = 10.0  # m/s; a speed beyond was written in another unit
 
 
@@ -47,14 +49,14 @@ def parse_plan(text: str, name: str) -> Plan:
     if not rows:
         raise PlanError(f"{name}: is empty; a plan begins with the header pose,shell,bar,chuck,sphere,q1_rad,...")
     header = rows[0][1]
-    moving = MOTION[0] in header[:6]
-    names = _names(moving)
+    moving, named = MOTION[0] in header[:6], ROBOT in header[:10]
+    names = _names(moving, named)
     expected = [*names, *_joints(len(header) - len(names))]
     if not len(names) < len(header) <= len(names) + MAX_JOINTS or header != expected:
         wrong = next((title for title, right in zip(header, expected, strict=False) if title != right), "the last")
         raise PlanError(
-            f"{name} row 1: column {wrong[:40]!r} is wrong; the header is {','.join(_names(False))},q1_rad,... "
-            f"or {','.join(_names(True))},q1_rad,..."
+            f"{name} row 1: column {wrong[:40]!r} is wrong; the header is {','.join(_names(False, False))},q1_rad,... "
+            f"or {','.join(_names(True, False))},q1_rad,..., with or without {ROBOT} before the joints"
         )
     if len(rows) == 1:
         raise PlanError(f"{name}: has a header but no poses")
@@ -64,7 +66,7 @@ def parse_plan(text: str, name: str) -> Plan:
         _check_names(dict(zip(names, cells, strict=False)), pose, where)
     q = np.array([[_angle(c, f"{name} row {number}") for c in cells[len(names) :]] for number, cells in rows[1:]])
     columns = dict(zip(names, np.array([cells[: len(names)] for _, cells in rows[1:]]).T, strict=True))
-    ids = {name: columns[name] for name in IDS}
+    ids = {name: columns[name] for name in (*IDS, *(ROBOT,) * named)}
     if not moving:
         return Plan(q, **ids)
     move = np.where(columns["move"] == "", Move.DWELL.value, columns["move"])
@@ -74,9 +76,9 @@ def parse_plan(text: str, name: str) -> Plan:
     return Plan(q, **ids, move=move, line=columns["line"], target=columns["target"], speed=speed)
 
 
-def _names(moving: bool) -> list[str]:
+def _names(moving: bool, named: bool) -> list[str]:
     """The columns before the joints."""
-    return ["pose", *IDS, *(MOTION if moving else ())]
+    return ["pose", *IDS, *(MOTION if moving else ()), *(ROBOT,) * named]
 
 
 def _joints(n_joints: int) -> list[str]:
@@ -92,6 +94,8 @@ def _check_row(cells: list[str], pose: int, width: int, where: str) -> None:
 
 def _check_names(cells: dict[str, str], pose: int, where: str) -> None:
     """The names of one row and its kind of move against each other."""
+    if len(cells.get(ROBOT, "")) > MAX_ROBOT:
+        raise PlanError(f"{where} column {ROBOT}: has more than {MAX_ROBOT} characters")
     move = cells.get("move") or Move.DWELL
     if move not in tuple(Move):
         raise PlanError(f"{where} column move: {move[:40]!r} is none of {', '.join(Move)}")
@@ -156,16 +160,24 @@ def check_against_rig(plan: Plan, rig: Rig, name: str) -> None:
                 )
 
 
+def check_robot(plan: Plan, robot: str, name: str, *remedy: str | Argument) -> None:
+    """Raise PlanError for a plan that says that it was made for another robot; ``remedy`` ends the message."""
+    others = sorted(set(plan.robot.tolist()) - {"", robot})
+    if others:
+        raise PlanError(f"{name}: was made for robot {', '.join(others)}, not for {robot}", *remedy)
+
+
 def format_plan(plan: Plan) -> str:
     """The text of a plan file; every joint comes back bit for bit, a speed to a picometre a second. Plans of dwells alone have no columns of motion."""
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
-    moving = not plan.dwells.all()
-    writer.writerow([*_names(moving), *_joints(plan.q.shape[1])])
+    moving, named = not plan.dwells.all(), bool((plan.robot != "").any())
+    writer.writerow([*_names(moving, named), *_joints(plan.q.shape[1])])
     for pose in range(len(plan)):
         motion = _motion(plan, pose) if moving else ()
         names = (getattr(plan, name)[pose] for name in IDS)
-        writer.writerow([pose, *names, *motion, *map(repr, plan.q[pose].tolist())])
+        robot = [plan.robot[pose]] if named else []
+        writer.writerow([pose, *names, *motion, *robot, *map(repr, plan.q[pose].tolist())])
     return text.getvalue()
 
 

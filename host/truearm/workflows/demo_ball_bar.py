@@ -6,19 +6,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from truearm.workflows.demo_steps import VALIDATED, ClockTruth, Steps, recording_facts
+from truearm.workflows.demo_steps import ClockTruth, Steps, Subject, of_model, recording_facts, robot_title
 
 if TYPE_CHECKING:
-    from truearm.model.robot import Robot
     from truearm.session.observations import SyncResult
     from truearm.types import Estimate, Floats, ObservationTable, PredictedError, Rig
 
 
 @dataclass(frozen=True)
 class BallBarCalibration:
-    """The identified robot: the paper's 36 free parameters, and all 54 free, which shows the rank."""
+    """The identified robot: with its usual free parameters (the paper's 36), and with all of them free, which shows the rank."""
 
-    robot: Robot
+    subject: Subject
     rig: Rig
     estimate: Estimate
     all_free: Estimate
@@ -26,26 +25,31 @@ class BallBarCalibration:
     predicted: PredictedError | None
 
 
-def calibrate(out: Path, table: ObservationTable) -> BallBarCalibration:
-    """Fit the 46 cm shells, judge by the 61 cm ones; writes result.json."""
+def calibrate(out: Path, table: ObservationTable, subject: Subject) -> BallBarCalibration:
+    """Fit the shells of the first bar, judge by those of the second; writes result.json."""
     from truearm.estimate.identify import identify
     from truearm.estimate.prediction import predicted_point_error
+    from truearm.estimate.prior import prior_named
     from truearm.files.result_file import RobotFrames, document_of, write_result
     from truearm.files.rig_file import read_rig
-    from truearm.files.robot_file import RobotChoice, load_robot
     from truearm.workflows.calibration_report import longitudes
+    from truearm.workflows.identify import default_free, default_prior
     from truearm.workflows.inputs import Sources, hashed_inputs
 
-    robot, rig = load_robot("puma560"), read_rig(out / "rig.toml")
-    chain, held_out = robot.chain, table.bar == VALIDATED
-    estimate = identify(chain, rig, table, free=robot.free, hold_out=held_out)
+    robot, rig, judging = subject.robot, read_rig(out / "rig.toml"), subject.judging.name
+    chain, held_out, prior = robot.chain, table.bar == judging, default_prior(robot, "lm")
+    estimate = identify(
+        chain, rig, table, free=default_free(robot), hold_out=held_out, prior_sigma=prior_named(chain, prior)
+    )
     all_free = identify(chain, rig, table, hold_out=held_out)
     frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, chain.joint_units)
-    inputs = hashed_inputs(Sources((out / "session.mcap",), {"": out / "rig.toml"}), RobotChoice("puma560"))
+    inputs = hashed_inputs(Sources((out / "session.mcap",), {"": out / "rig.toml"}), subject.choice)
     predicted = predicted_point_error(chain, rig, table, estimate)
-    document = document_of(estimate, table, frames, inputs, [f"bar={VALIDATED}"], "none", predicted)
+    document = document_of(
+        estimate, table, frames, inputs, [f"bar={judging}"], prior if robot.is_urdf else "none", predicted
+    )
     write_result(out / "result.json", document)
-    return BallBarCalibration(robot, rig, estimate, all_free, longitudes(chain, rig, table, estimate), predicted)
+    return BallBarCalibration(subject, rig, estimate, all_free, longitudes(chain, rig, table, estimate), predicted)
 
 
 def write_page(out: Path, found: BallBarCalibration, result: SyncResult, truth: ClockTruth, steps: Steps) -> Path:
@@ -53,7 +57,7 @@ def write_page(out: Path, found: BallBarCalibration, result: SyncResult, truth: 
     from truearm.report.calibration_page import CalibrationPage, render
 
     page = CalibrationPage(
-        title="PUMA 560, ball-bar calibration",
+        title=f"{robot_title(found.subject)}, ball-bar calibration",
         subtitle="simulated robot, real firmware, wire, recorder and estimator",
         estimate=found.estimate,
         table=result.table,
@@ -61,10 +65,10 @@ def write_page(out: Path, found: BallBarCalibration, result: SyncResult, truth: 
         facts=(
             ("dwells used", f"{len(result.table)} of {len(result.dwells)}"),
             *recording_facts(result, truth),
-            ("rank with all 54 parameters free", f"{found.all_free.rank}"),
+            (f"rank with all {len(found.all_free.free)} parameters free", f"{found.all_free.rank}"),
         ),
         steps=tuple(steps.done),
-        command=f"truearm demo --out {out}",
+        command=of_model(found.subject, f"truearm demo --out {out}"),
         validation=found.estimate.held_out,
         predicted=found.predicted,
     )

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from truearm.estimate.solvers import Prior
 from truearm.units import MS, NS
-from truearm.workflows.demo_steps import FITTED, VALIDATED, ClockTruth, Steps, recording_facts
+from truearm.workflows.demo_steps import ClockTruth, Steps, Subject, of_model, recording_facts, robot_title
 
 if TYPE_CHECKING:
     from truearm.model.robot import Robot
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 N_LINES = 4
 CHECK = "check"  # the line that judges
 REGION = (0.2, -0.35, 0.05), (0.7, 0.35, 0.6)
+REGION_REACH = 0.92  # m, of the arm that this region fits
+LENGTH = 0.5  # m, of its lines
 CANDIDATES = 30
 DRAW = 1000  # of the line that judges: beside the planner's own
 SPEED = 0.1  # m/s
@@ -30,29 +32,41 @@ ROBOT_DELAY_S = 8e-3
 RATE_HZ, RATE_OF_BOTH_HZ = 125.0, 50.0  # joint readings a second; an hour and a half at 125 would be recorded longer
 
 
-def world_of(with_bar: bool, poses: int, seed: int) -> World:
+def world_of(with_bar: bool, poses: int, seed: int, subject: Subject) -> World:
     """The robot that drives planned lines, after ``poses`` dwells with each bar if ``with_bar``."""
     from dataclasses import replace
 
     from truearm.files.plan_file import concatenate
     from truearm_sim.line_plan import line_rig
-    from truearm_sim.world import World, standard_plan, standard_rig
+    from truearm_sim.world import World, standard_plan
 
-    plan, rig = planned_lines(seed), line_rig()
+    simulated, robot = subject.simulated, subject.robot
+    plan, rig = planned_lines(seed, robot), line_rig()
     if with_bar:
-        plan, rig = concatenate(standard_plan(poses, seed), plan), line_rig(standard_rig())
+        plan, rig = concatenate(standard_plan(poses, seed, subject.rig, robot), plan), line_rig(subject.rig)
     rig = replace(rig, time_offset_sigma=None)
-    return World(seed, plan, rig, robot_rate=RATE_OF_BOTH_HZ if with_bar else RATE_HZ, robot_delay_s=ROBOT_DELAY_S)
+    return World(
+        seed,
+        plan,
+        rig,
+        simulated.params,
+        robot_rate=RATE_OF_BOTH_HZ if with_bar else RATE_HZ,
+        arm=simulated.arm,
+        robot_delay_s=ROBOT_DELAY_S,
+        robot=robot,
+    )
 
 
-def planned_lines(seed: int) -> Plan:
+def planned_lines(seed: int, robot: Robot) -> Plan:
     """Lines as ``truearm plan line`` plans them on the design, and one more in their region."""
+    from dataclasses import replace
+
     import numpy as np
 
     from truearm.files.plan_file import concatenate
-    from truearm.files.robot_file import load_robot
     from truearm.plan.ball_bar_plan import make_site
     from truearm.plan.bar_paths import Pace
+    from truearm.plan.branches import branch_of
     from truearm.plan.cartesian_lines import Shape, candidate_lines
     from truearm.plan.collision_shapes import Sizes
     from truearm.plan.forecast import Known
@@ -60,9 +74,12 @@ def planned_lines(seed: int) -> Plan:
     from truearm.plan.measurement_limits import Limits
     from truearm.plan.region import Region
     from truearm_sim.line_plan import JOINT_SPEED, MAGNET, TARGETS, line_rig, lines_plan, with_ways
+    from truearm_sim.true_robot import PAPER, reach
 
-    robot, region, shape = load_robot("puma560"), Region(*np.array(REGION)), Shape(speed=SPEED)
-    known = Known.design(robot, line_rig())
+    branch = branch_of(robot)
+    size = 1.0 if robot.chain.name == PAPER else reach(robot, branch) / REGION_REACH
+    region, shape = Region(*(size * np.array(REGION))), Shape(min(LENGTH, size * LENGTH), speed=SPEED)
+    known = replace(Known.design(robot, line_rig()), branch=branch)
     site = make_site(known, Limits(), Sizes(), seed)
     wanted = LinesWanted(N_LINES, shape=shape, n_candidates=CANDIDATES, seed=seed)
     planned = plan_lines(site, known, wanted, Pace(), region, MAGNET)
@@ -75,7 +92,7 @@ class LineCalibration:
     """What was identified of lines, and by what else it is judged."""
 
     with_bar: bool
-    robot: Robot
+    subject: Subject
     rig: Rig
     table: ObservationTable
     estimate: Estimate
@@ -90,8 +107,8 @@ class LineCalibration:
         return Prior.NONE if self.with_bar else Prior.WIDE
 
 
-def calibrate(with_bar: bool, out: Path, table: ObservationTable) -> LineCalibration:
-    """Fit four lines, with them the 46 cm shells, and judge by the rest; writes result.json."""
+def calibrate(with_bar: bool, out: Path, table: ObservationTable, subject: Subject) -> LineCalibration:
+    """Fit four lines, with them the shells of the first bar, and judge by the rest; writes result.json."""
     import numpy as np
 
     from truearm.estimate.identify import SolverOptions, identify
@@ -99,13 +116,13 @@ def calibrate(with_bar: bool, out: Path, table: ObservationTable) -> LineCalibra
     from truearm.estimate.prior import wide_prior
     from truearm.files.result_file import RobotFrames, document_of, write_result
     from truearm.files.rig_file import read_rig
-    from truearm.files.robot_file import RobotChoice, load_robot
     from truearm.workflows.calibration_report import longitudes
+    from truearm.workflows.identify import default_free
     from truearm.workflows.inputs import Sources, hashed_inputs
 
-    robot, rig = load_robot("puma560"), read_rig(out / "rig.toml")
-    chain = robot.chain
-    judges = (table.line == CHECK) | (table.bar == VALIDATED)
+    robot, rig = subject.robot, read_rig(out / "rig.toml")
+    chain, free, judging = robot.chain, default_free(robot), subject.judging.name
+    judges = (table.line == CHECK) | (table.bar == judging)
     if not with_bar:
         prior = wide_prior(chain)
         estimate, other = (
@@ -113,7 +130,7 @@ def calibrate(with_bar: bool, out: Path, table: ObservationTable) -> LineCalibra
                 chain,
                 rig,
                 table,
-                free=robot.free,
+                free=free,
                 hold_out=judges,
                 prior_sigma=prior,
                 options=SolverOptions(solver=solver),
@@ -121,15 +138,15 @@ def calibrate(with_bar: bool, out: Path, table: ObservationTable) -> LineCalibra
             for solver in ("map", "recursive")
         )
     else:
-        estimate = identify(chain, rig, table, free=robot.free, hold_out=judges)
-        other = identify(chain, rig, table, free=robot.free, hold_out=np.asarray(table.bar != FITTED))
-    hold_out = (f"line={CHECK}", *[f"bar={VALIDATED}"] * with_bar)
+        estimate = identify(chain, rig, table, free=free, hold_out=judges)
+        other = identify(chain, rig, table, free=free, hold_out=np.asarray(table.bar != subject.fitted.name))
+    hold_out = (f"line={CHECK}", *[f"bar={judging}"] * with_bar)
     predicted = predicted_point_error(chain, rig, table, estimate)
     found = LineCalibration(
-        with_bar, robot, rig, table, estimate, other, longitudes(chain, rig, table, estimate), predicted, hold_out
+        with_bar, subject, rig, table, estimate, other, longitudes(chain, rig, table, estimate), predicted, hold_out
     )
     frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, chain.joint_units)
-    inputs = hashed_inputs(Sources((out / "session.mcap",), {"": out / "rig.toml"}), RobotChoice("puma560"))
+    inputs = hashed_inputs(Sources((out / "session.mcap",), {"": out / "rig.toml"}), subject.choice)
     write_result(
         out / "result.json", document_of(estimate, table, frames, inputs, list(hold_out), found.prior, predicted)
     )
@@ -142,14 +159,14 @@ def write_page(out: Path, found: LineCalibration, result: SyncResult, truth: Clo
 
     with_bar = " and ball-bar" * found.with_bar
     page = CalibrationPage(
-        title=f"PUMA 560, calibration by lines{with_bar}",
+        title=f"{robot_title(found.subject)}, calibration by lines{with_bar}",
         subtitle="simulated robot, real firmware, wire, recorder and estimator",
         estimate=found.estimate,
         table=result.table,
         longitude=found.longitude,
         facts=(*recording_facts(result, truth), ("delay of the robot's readings", delay_words(found.estimate))),
         steps=tuple(steps.done),
-        command=f"truearm demo --rig {'both' if found.with_bar else 'line'} --out {out}",
+        command=of_model(found.subject, f"truearm demo --rig {'both' if found.with_bar else 'line'} --out {out}"),
         prior=found.prior,
         predicted=found.predicted,
     )

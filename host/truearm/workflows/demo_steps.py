@@ -10,17 +10,51 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from truearm.errors import LinkError
+from truearm.files.robot_file import RobotChoice
 from truearm.units import NS, US
 from truearm.workflows.session_observations import Say
+from truearm.workflows.simulated_robot import SimulatedRobot, TruthOptions, simulated_robot, with_repeatability
 
 if TYPE_CHECKING:
+    from truearm.model.robot import Robot
+    from truearm.model.workspace import Branch
     from truearm.record.status import Status
     from truearm.session.observations import SyncResult
-    from truearm.types import Plan
+    from truearm.types import BallBar, Plan, Rig
     from truearm_sim.simbox import SimulatedBox
     from truearm_sim.world import World
 
-FITTED, VALIDATED = "bar46", "bar61"
+
+@dataclass(frozen=True)
+class Subject:
+    """The robot that the demo calibrates: as a user names it, as it is in the lab, and the rig of its ball-bars."""
+
+    choice: RobotChoice
+    simulated: SimulatedRobot
+    rig: Rig
+
+    @property
+    def robot(self) -> Robot:
+        """The model that is calibrated."""
+        return self.simulated.robot
+
+    @property
+    def fitted(self) -> BallBar:
+        """The bar whose shells are fitted."""
+        return list(self.rig.bars.values())[0]
+
+    @property
+    def judging(self) -> BallBar:
+        """The bar whose shells judge."""
+        return list(self.rig.bars.values())[1]
+
+
+def subject(choice: RobotChoice, branch: Branch | None, truth: TruthOptions, seed: int) -> Subject:
+    """Return the robot with its hidden truth before the simulator's rig. Raises InputError."""
+    from truearm_sim.world import standard_rig
+
+    simulated = simulated_robot(choice, truth, seed, branch)
+    return Subject(choice, simulated, with_repeatability(standard_rig(simulated.robot), truth))
 
 
 @dataclass(frozen=True)
@@ -51,6 +85,18 @@ class Steps:
         return sum(seconds for _, seconds in self.done)
 
 
+def robot_title(subject: Subject) -> str:
+    """What a page calls the robot."""
+    name = subject.robot.chain.name
+    return "PUMA 560" if name == "puma560" else name
+
+
+def of_model(subject: Subject, command: str) -> str:
+    """A demo's command with the option that chooses its robot, none for the default one."""
+    name = subject.choice.robot
+    return command if name == "puma560" else command.replace("truearm demo", f"truearm demo --model {name}", 1)
+
+
 def write_setup(out: Path, world: World) -> None:
     """plan.csv and rig.toml, as a person would have them."""
     from truearm.files.plan_file import write_plan
@@ -68,15 +114,16 @@ def record_virtually(
     osr: int,
     seed: int,
     progress: Callable[[Status], None] | None = None,
+    step_ns: int | None = None,
 ) -> None:
-    """The recorder on the lab's links and clock: session.mcap."""
+    """The recorder on the lab's links and clock: session.mcap. ``step_ns``: the longest step of the box's time; None: the lab's own."""
     from truearm.interrupt import asked_to_stop
     from truearm.record.recorder import Hooks, RecordOptions, record
     from truearm.record.session_writer import SessionWriter
     from truearm.workflows.record import plan_rows
-    from truearm_sim.lab import Lab
+    from truearm_sim.lab import STEP_NS, Lab
 
-    lab = Lab(world, box, seed)
+    lab = Lab(world, box, seed, STEP_NS if step_ns is None else step_ns)
     writer = SessionWriter(out / "session.mcap", lab.clock, overwrite=True)
     # An exception in the middle of a grant would leave the box's process waiting for its other half.
     with asked_to_stop() as interrupted:
@@ -94,14 +141,13 @@ def record_virtually(
         raise LinkError(f"the simulated recording ended early: {summary.reason}, {summary.text}")
 
 
-def observe(out: Path) -> SyncResult:
+def observe(out: Path, robot: Robot) -> SyncResult:
     """The observations of session.mcap, also written as observations.csv."""
     from truearm.files.observation_table import write_table
-    from truearm.files.robot_file import load_robot
     from truearm.workflows.session_observations import observations_of_session
 
     result = observations_of_session(out / "session.mcap")
-    write_table(out / "observations.csv", result.table, load_robot("puma560").chain.joint_units)
+    write_table(out / "observations.csv", result.table, robot.chain.joint_units)
     return result
 
 

@@ -174,10 +174,11 @@ def plan_ball_bar_files(files: PlanFiles, budget: Budget, options: BallBarOption
     _check(files)
     if (budget.n is None) == (budget.minutes is None):
         raise InputError("give a budget: ", Argument("poses"), " or ", Argument("minutes"))
-    planned = planned_ball_bar(_known(files), budget, _with_reserve(options, files.result), say)
+    known = _known(files)
+    planned = planned_ball_bar(known, budget, _with_reserve(options, files.result), say)
     route = planned.route
     if files.out is not None:
-        write_plan(files.out, route.visits)
+        write_plan(files.out, route.visits.of_robot(known.chain.name))
     _write_programs(files, route.stops, options.dwell)
     return {
         **_document(planned.forecast),
@@ -230,7 +231,7 @@ def plan_line_files(files: PlanFiles, budget: Budget, options: LineOptions) -> d
     site = make_site(known, Limits(), Sizes(), options.seed)
     planned = plan_lines(site, known, wanted, Pace(), options.region, target)
     if files.out is not None:
-        write_plan(files.out, planned.visits)
+        write_plan(files.out, planned.visits.of_robot(known.chain.name))
     if files.rig_out is not None:
         write_rig(files.rig_out, planned.rig)
     tool = known.rig.targets[target].xyz if target else (0.0, 0.0, 0.0)
@@ -257,7 +258,7 @@ def plan_approaches_files(files: PlanFiles, options: ApproachOptions, say: Say =
     site = make_site(known, limits, Sizes(), options.seed)
     route = plan_approaches(site, pairing, wanted, Pace(dwell=options.dwell), say)
     if files.out is not None:
-        write_plan(files.out, route.visits)
+        write_plan(files.out, route.visits.of_robot(known.chain.name))
     _write_programs(files, route.stops, options.dwell)
     return {
         "bar": pairing.bar,

@@ -1,8 +1,10 @@
-"""The work of ``truearm simulate``: a box and a robot in real time behind ports of this machine."""
+"""The work of ``truearm simulate``: a box and a robot in real time behind ports of this machine, or in virtual time into a session file."""
 
 from __future__ import annotations
 
 import shlex
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
@@ -10,20 +12,41 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, assert_never
 
 from truearm.errors import Argument, InputError, LinkError
+from truearm.files.robot_file import RobotChoice
+from truearm.workflows.demo_steps import record_virtually
 from truearm.workflows.session_observations import Say
+from truearm.workflows.simulated_robot import (
+    AS_DRAWN,
+    SimulatedRobot,
+    TruthOptions,
+    check_plan,
+    looks_like_truth,
+    simulated_robot,
+    with_repeatability,
+    write_truth,
+)
 
 CHIP_STEP_NS = 20_000_000  # an emulated chip may be slower than the wall clock
-N_JOINTS = 6
+RTDE_JOINTS = 6
+SESSION = "session.mcap"
 MARK = ".truearm-simulated"  # in a folder that simulate made and may write again
 
 # what the robot may speak: scheme of its address, usual port, readings a second
 ROBOTS = {"lines": ("tcp", 7008, 50.0), "rtde": ("rtde", 30004, 500.0)}
 
 if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
+    from truearm.model.robot import Robot
+    from truearm.model.workspace import Branch
+    from truearm.record.status import Status
     from truearm.types import Plan, Rig
     from truearm_sim.hardware import PowerOn
     from truearm_sim.micropython import Interpreter
-    from truearm_sim.simbox import Fault
+    from truearm_sim.simbox import Fault, SimulatedBox
+    from truearm_sim.world import World
+
+    Progress = Callable[[Status], None] | None
 
 
 class Level(StrEnum):
@@ -40,15 +63,25 @@ class Hardware(NamedTuple):
     longest_step_ns: int | None
 
 
+PUMA = RobotChoice("puma560")
+
+
 @dataclass(frozen=True)
 class SimulateOptions:
     """What is simulated, and where it listens.
 
-    ``robot`` is one of ROBOTS, ``level`` a Level. ``plan`` and ``rig`` are files that stand in for ``poses`` with each bar, or
-    for ``lines``. ``faults`` are written SECONDS:KIND. A port of 0 is any free one.
+    ``model`` is the robot, ``branch`` where poses are drawn, by default the robot file's, ``truth`` what it is beside its design, written to ``truth_out``. ``robot`` is one of ROBOTS, ``level`` a Level.
+    ``plan`` and ``rig`` are files that stand in for ``poses`` with each bar, or for ``lines``. ``faults`` are written SECONDS:KIND. A port
+    of 0 is any free one. ``fast``: nothing listens; all is recorded in virtual time, at the oversampling ratio ``osr``.
     """
 
     folder: Path
+    model: RobotChoice = PUMA
+    branch: Branch | None = None
+    truth: TruthOptions = AS_DRAWN
+    truth_out: Path | None = None
+    fast: bool = False
+    osr: int = 8192
     port: int = 7007
     robot: str = "lines"
     robot_port: int | None = None
@@ -59,7 +92,6 @@ class SimulateOptions:
     rig: Path | None = None
     robot_delay_s: float = 0.0
     trigger: int | None = None
-    worn: bool = False
     seed: int = 1
     level: str = "vm"
     faults: tuple[str, ...] = ()
@@ -70,52 +102,31 @@ def simulate_box_and_robot(options: SimulateOptions, say: Say) -> None:
 
     Raises InputError, and LinkError where the ports cannot be had.
     """
-    from truearm.files.disk import own_folder
-    from truearm.files.plan_file import write_plan
-    from truearm.files.rig_file import write_rig
-    from truearm_sim.arm import WORN
     from truearm_sim.ports import Port, Terminal
     from truearm_sim.rtde_server import RtdeServer
     from truearm_sim.serve import serve
-    from truearm_sim.simbox import SimulatedBox
-    from truearm_sim.world import World
 
-    folder, seed = options.folder, options.seed
-    if options.robot not in ROBOTS:
-        raise InputError(Argument("robot"), f" {options.robot!r} is not known; it is one of {', '.join(ROBOTS)}")
-    scheme, usual_port, rate = ROBOTS[options.robot]
-    faults = [parse_fault(text) for text in options.faults]
-    plan, rig = visits(options)
-    arm = WORN if options.worn else None
-    world = World(
-        seed,
-        plan,
-        rig,
-        robot_rate=rate,
-        arm=arm,
-        robot_delay_s=options.robot_delay_s,
-        robot_input=options.trigger,
-    )
-    own_folder(folder, MARK)
-    of_box = hardware(options.level, say)
-    write_plan(folder / "plan.csv", plan)
-    write_rig(folder / "rig.toml", world.rig)
-    box = SimulatedBox(world, power_on=of_box.power_on, faults=faults, seed=seed)
+    scheme, usual_port, rate = _spoken(options.robot)
+    world, of_box, box = _lab(options, rate, say)
+    if options.robot == "rtde" and (joints := len(world.chain.joints)) != RTDE_JOINTS:
+        raise InputError(
+            Argument("robot"), f" rtde: a controller of {RTDE_JOINTS} joints, {world.chain.name} has {joints}"
+        )
+    folder = options.folder
     try:
         box_port = Terminal() if options.pty else Port.listen("127.0.0.1", options.port)
         listener = Port.listen("127.0.0.1", usual_port if options.robot_port is None else options.robot_port)
     except OSError as exc:
+        box.close()
         ports = Argument("port"), " and ", Argument("robot_port")
         raise LinkError(f"cannot listen: {exc.strerror}; choose other ports with ", *ports) from exc
     robot_end = RtdeServer(listener, rate) if options.robot == "rtde" else listener
     device = box_port.path if isinstance(box_port, Terminal) else f"socket://127.0.0.1:{box_port.number}"
-    dwells, driven = int(plan.dwells.sum()), int(plan.lines.sum())
-    what = " and ".join([f"{dwells} poses"] * (dwells > 0) + [f"{driven} drives along lines"] * (driven > 0))
-    say(f"{what}, {world.duration / 60:.0f} minutes. Record them with\n")
+    say(f"{_visits_of(world)}. Record them with\n")
     say(
         f"  truearm record --device {device} --robot {scheme}://127.0.0.1:{listener.number} "
         f"--plan {shlex.quote(str(folder / 'plan.csv'))} --rig {shlex.quote(str(folder / 'rig.toml'))} "
-        f"--out {shlex.quote(str(folder / 'session.mcap'))}\n"
+        f"--out {shlex.quote(str(folder / SESSION))}\n"
     )
     try:
         goes_on = "; its controller goes on, so end the recording with q" if options.robot == "rtde" else ""
@@ -134,27 +145,120 @@ def simulate_box_and_robot(options: SimulateOptions, say: Say) -> None:
         robot_end.close()
 
 
-def visits(options: SimulateOptions) -> tuple[Plan, Rig]:
-    """What the robot visits and what stands around it: files where they are given, else drawn. Raises InputError."""
+def simulate_fast(
+    options: SimulateOptions, say: Say, progress: Callable[[float], AbstractContextManager[Progress]]
+) -> None:
+    """Record everything in virtual time, into session.mcap of the folder.
+
+    ``progress``: of so many seconds of robot time, what hears of the recording. Raises InputError.
+    """
+    if options.robot != "lines" or options.pty:
+        raise InputError(Argument("fast"), " has no ports; leave out ", Argument("robot"), " and ", Argument("pty"))
+    _, _, rate = _spoken(options.robot)
+    world, of_box, box = _lab(options, rate, say)
+    started = time.perf_counter()
+    try:
+        with progress(world.duration) as hears:
+            record_virtually(
+                options.folder,
+                world.controller.plan,
+                world,
+                box,
+                options.osr,
+                options.seed,
+                hears,
+                step_ns=of_box.longest_step_ns,
+            )
+    finally:
+        box.close()
+    say(f"{_visits_of(world)}, recorded in {time.perf_counter() - started:.1f} s: {options.folder / SESSION}")
+
+
+def _spoken(robot: str) -> tuple[str, int, float]:
+    """What the robot speaks: scheme, usual port, readings a second. Raises InputError."""
+    if robot not in ROBOTS:
+        raise InputError(Argument("robot"), f" {robot!r} is not known; it is one of {', '.join(ROBOTS)}")
+    return ROBOTS[robot]
+
+
+def _lab(options: SimulateOptions, rate: float, say: Say) -> tuple[World, Hardware, SimulatedBox]:
+    """The world, what runs behind its box, and the box; writes plan, rig and truth. Raises InputError."""
+    from truearm.files.disk import check_writable, own_folder
+    from truearm.files.plan_file import write_plan
+    from truearm.files.rig_file import write_rig
+    from truearm_sim.simbox import SimulatedBox
+    from truearm_sim.world import World
+
+    folder, seed, truth = options.folder, options.seed, options.truth
+    faults = [parse_fault(text) for text in options.faults]
+    simulated = simulated_robot(options.model, truth, seed, options.branch)
+    plan, rig = visits(options, simulated)
+    if options.truth_out is not None:
+        read = [path for path in (options.plan, options.rig, *options.model.files) if path is not None]
+        check_writable(options.truth_out, inputs=read, ours=looks_like_truth)
+    world = World(
+        seed,
+        plan,
+        rig,
+        simulated.params,
+        robot_rate=rate,
+        arm=simulated.arm,
+        robot_delay_s=options.robot_delay_s,
+        robot_input=options.trigger,
+        robot=simulated.robot,
+    )
+    own_folder(folder, MARK)
+    of_box = hardware(options.level, say)
+    write_plan(folder / "plan.csv", plan)
+    write_rig(folder / "rig.toml", world.rig)
+    if options.truth_out is not None:
+        write_truth(options.truth_out, world, simulated.robot, truth, seed)
+    return world, of_box, SimulatedBox(world, power_on=of_box.power_on, faults=faults, seed=seed)
+
+
+def _visits_of(world: World) -> str:
+    """The robot, what it visits, and how long that takes."""
+    plan = world.controller.plan
+    dwells, driven = int(plan.dwells.sum()), int(plan.lines.sum())
+    what = " and ".join([f"{dwells} poses"] * (dwells > 0) + [f"{driven} drives along lines"] * (driven > 0))
+    return f"{world.chain.name}: {what}, {world.duration / 60:.0f} minutes"
+
+
+def visits(options: SimulateOptions, simulated: SimulatedRobot) -> tuple[Plan, Rig]:
+    """What the robot visits and what stands around it: files where they are given, else drawn.
+
+    Raises InputError, and PlanError for a plan that is another robot's, or where the robot has no branch to draw poses from.
+    """
     from truearm.files.plan_file import read_plan
     from truearm.files.rig_file import read_rig
-    from truearm_sim.line_plan import drawn_line_plan, line_rig
-    from truearm_sim.world import standard_plan, standard_rig
+    from truearm_sim.line_plan import line_rig
+    from truearm_sim.world import standard_rig
 
-    lines, plan_file, rig_file = options.lines, options.plan, options.rig
-    rig = read_rig(rig_file) if rig_file is not None else line_rig() if lines else standard_rig()
-    if plan_file is None:
-        if rig_file is not None:
-            raise InputError(Argument("rig_file"), " needs the ", Argument("plan"), " that was made for it")
-        return drawn_line_plan(lines, options.seed) if lines else standard_plan(options.poses, options.seed), rig
-    if lines:
+    lines, plan_file, rig_file, robot = options.lines, options.plan, options.rig, simulated.robot
+    if plan_file is None and rig_file is not None:
+        raise InputError(Argument("rig_file"), " needs the ", Argument("plan"), " that was made for it")
+    if lines and plan_file is not None:
         raise InputError(
             Argument("lines"), " draws lines and ", Argument("plan"), " reads what the robot visits: give one of them"
         )
+    if rig_file is not None:
+        rig = read_rig(rig_file)
+    else:
+        rig = with_repeatability(line_rig() if lines else standard_rig(robot), options.truth)
+    if plan_file is None:
+        return _drawn(options, robot, rig).of_robot(robot.chain.name), rig
     plan = read_plan(plan_file)
-    if plan.q.shape[1] != N_JOINTS:
-        raise InputError(f"{plan_file}: has {plan.q.shape[1]} joints, the simulated PUMA 560 has {N_JOINTS}")
+    check_plan(plan, robot, rig, str(plan_file))
     return plan, rig
+
+
+def _drawn(options: SimulateOptions, robot: Robot, rig: Rig) -> Plan:
+    from truearm_sim.line_plan import drawn_line_plan
+    from truearm_sim.world import standard_plan
+
+    if options.lines:
+        return drawn_line_plan(options.lines, options.seed, rig, robot=robot)
+    return standard_plan(options.poses, options.seed, rig, robot)
 
 
 def hardware(level: str, say: Say) -> Hardware:

@@ -1,0 +1,112 @@
+"""The options of ``truearm simulate`` and ``truearm demo`` that say which robot is simulated and what its hidden truth is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from truearm.cli.options import check_finite, numbers_of
+from truearm.errors import InputError
+from truearm.model.builtin import builtin_names
+from truearm.units import DEG, MM, MRAD
+
+if TYPE_CHECKING:
+    from truearm.workflows.simulated_robot import TruthOptions
+
+ModelOption = Annotated[
+    str,
+    typer.Option(
+        "--model",
+        metavar="ROBOT",
+        help=f"The robot to simulate: built-in ({', '.join(builtin_names())}), robot file (.toml) or URDF (.urdf).",
+    ),
+]
+ToleranceOption = Annotated[
+    str | None,
+    typer.Option(
+        "--tolerance",
+        metavar="MM,DEG",
+        help="Standard deviations of the true lengths and angles about the design; default: 0.5,0.1146. The PUMA 560 without it is "
+        "Goswami's, Table II.",
+    ),
+]
+GearErrorOption = Annotated[
+    float,
+    typer.Option("--gear-error-mrad", min=0.0, metavar="MRAD", help="Amplitude of the gears' error, of each period."),
+]
+GearPeriodsOption = Annotated[
+    str, typer.Option("--gear-periods-deg", metavar="DEG,…", help="Periods of the gears' error, in joint angle.")
+]
+MassesOption = Annotated[
+    str | None,
+    typer.Option(
+        "--masses-kg",
+        metavar="KG,…",
+        help="Masses of the links, one a joint: the joints sag under them. Default: stiff.",
+    ),
+]
+StiffnessOption = Annotated[
+    float, typer.Option("--stiffness-nm-rad", min=1.0, metavar="NM/RAD", help="Stiffness of each joint that sags.")
+]
+RepeatabilityOption = Annotated[
+    float | None,
+    typer.Option(
+        "--repeatability-mm",
+        min=0.0,
+        metavar="MM",
+        help="Repeatability of the bars, as the rig declares it too (0.084).",
+    ),
+]
+TruthOutOption = Annotated[
+    Path | None, typer.Option("--truth-out", metavar="FILE", help="Write the hidden truth (.json).")
+]
+TruthSeedOption = Annotated[
+    int | None,
+    typer.Option(
+        "--truth-seed",
+        min=0,
+        metavar="N",
+        help="Random seed of the truth: the same arm on another day. Default: --seed.",
+    ),
+]
+WornOption = Annotated[
+    bool, typer.Option("--worn", help="An arm with backlash, slow to settle, that swings, with noisy readings.")
+]
+
+DEFAULT_MODEL, DEFAULT_PERIODS, DEFAULT_STIFFNESS = "puma560", "180,90", 5e4
+
+
+def truth_of(
+    tolerance: str | None,
+    gear_error_mrad: float,
+    gear_periods_deg: str,
+    masses_kg: str | None,
+    stiffness: float,
+    repeatability_mm: float | None,
+    worn: bool,
+    truth_seed: int | None,
+) -> TruthOptions:
+    """Return what the options say of the truth, in SI units. Raises InputError."""
+    from truearm.workflows.simulated_robot import TruthOptions
+
+    check_finite(gear_error_mrad=gear_error_mrad, stiffness_nm_rad=stiffness, repeatability_mm=repeatability_mm)
+    drawn, masses = numbers_of("--tolerance", tolerance, 2), numbers_of("--masses-kg", masses_kg)
+    periods = numbers_of("--gear-periods-deg", gear_periods_deg) or ()
+    if drawn is not None and min(drawn) < 0.0:
+        raise InputError(f"--tolerance {tolerance}: a standard deviation is not negative")
+    if not all(0.1 <= period <= 3600.0 for period in periods):
+        raise InputError(f"--gear-periods-deg {gear_periods_deg[:60]}: a period is from 0.1 to 3600 deg")
+    if masses is not None and not all(0.0 <= mass <= 1e4 for mass in masses):
+        raise InputError(f"--masses-kg {(masses_kg or '')[:60]}: a mass is from 0 to 10000 kg")
+    return TruthOptions(
+        tolerance=None if drawn is None else (MM.to_si(drawn[0]), DEG.to_si(drawn[1])),
+        gear_error=MRAD.to_si(gear_error_mrad),
+        gear_periods=tuple(map(DEG.to_si, periods)),
+        masses=masses,
+        stiffness=stiffness,
+        repeatability=None if repeatability_mm is None else MM.to_si(repeatability_mm),
+        worn=worn,
+        seed=truth_seed,
+    )

@@ -1,0 +1,151 @@
+"""The robot that ``truearm simulate`` and ``truearm demo`` put into the lab: a model as a user names it, and its hidden truth."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from truearm.errors import Argument, InputError, PlanError
+from truearm.files.disk import write_atomic
+from truearm.files.robot_file import RobotChoice, load_robot
+from truearm.model.chain import point_forward
+from truearm.plan.branches import branch_of
+from truearm.units import MM
+
+if TYPE_CHECKING:
+    from truearm.model.robot import Robot
+    from truearm.model.workspace import Branch
+    from truearm.types import Floats, Plan, Rig
+    from truearm_sim.arm import Arm
+    from truearm_sim.world import World
+
+TRUTH_FORMAT = "truearm-truth"
+
+
+@dataclass(frozen=True)
+class TruthOptions:
+    """What the true robot is beside its design, in SI units.
+
+    ``tolerance``: standard deviations of lengths [m] and angles [rad]; None: the simulator's, or what the robot file says was measured.
+    ``gear_error``: amplitude [rad] of a sine of each of the ``gear_periods`` [rad]. ``masses`` [kg] of the links, one a joint, None for
+    joints that do not sag, ``stiffness`` [N·m/rad] of each. ``repeatability`` [m] of the bars, None for the rig's. ``worn``: backlash,
+    slow settling, swinging links, noisy readings. ``seed`` draws the truth; None: what draws all else.
+    """
+
+    tolerance: tuple[float, float] | None = None
+    gear_error: float = 0.0
+    gear_periods: tuple[float, ...] = ()
+    masses: tuple[float, ...] | None = None
+    stiffness: float = 5e4
+    repeatability: float | None = None
+    worn: bool = False
+    seed: int | None = None
+
+
+AS_DRAWN = TruthOptions()
+
+
+@dataclass(frozen=True)
+class SimulatedRobot:
+    """A model, its true parameters (p,) and its arm."""
+
+    robot: Robot
+    params: Floats
+    arm: Arm
+
+
+def simulated_robot(model: RobotChoice, truth: TruthOptions, seed: int, branch: Branch | None = None) -> SimulatedRobot:
+    """Return the robot, in the branch that is given, with its truth, drawn from the truth's own seed or this one. Raises InputError, and RobotError as ``load_robot`` does."""
+    from truearm_sim.arm import WORN, Arm
+    from truearm_sim.joint_errors import GearError, JointError, Sag
+    from truearm_sim.true_robot import Tolerance, true_params
+
+    robot = load_robot(model.robot or "", model.base, model.tip)
+    if branch is not None:
+        robot = replace(robot, branch=branch_of(robot, branch))
+    seed = seed if truth.seed is None else truth.seed
+    chain = robot.chain
+    params = true_params(robot, seed, None if truth.tolerance is None else Tolerance(*truth.tolerance))
+    errors: list[JointError] = []
+    if truth.gear_error:
+        errors.append(GearError.drawn(truth.gear_error, truth.gear_periods, len(chain.joints), seed))
+    if truth.masses is not None:
+        if len(truth.masses) != len(chain.joints):
+            text = f": needs {len(chain.joints)} masses, one a joint of {chain.name}, has {len(truth.masses)}"
+            raise InputError(Argument("masses_kg"), text)
+        errors.append(Sag(chain, params, np.array(truth.masses), truth.stiffness))
+    return SimulatedRobot(robot, params, replace(WORN if truth.worn else Arm(), errors=tuple(errors)))
+
+
+def with_repeatability(rig: Rig, truth: TruthOptions) -> Rig:
+    """Return the rig with the bars' repeatability that was asked for."""
+    if truth.repeatability is None:
+        return rig
+    bars = {name: replace(bar, sigma=truth.repeatability) for name, bar in rig.bars.items()}
+    return replace(rig, bars=bars)
+
+
+def check_plan(plan: Plan, robot: Robot, rig: Rig, name: str) -> None:
+    """Raise PlanError for a plan that another robot was meant to drive, with what to do; ``name`` is the plan's file.
+
+    Where the plan does not name its robot the bars tell: another arm would tear most of them out of their travel.
+    """
+    from truearm.files.plan_file import check_against_rig, check_robot
+
+    chain = robot.chain
+    check_robot(plan, chain.name, name, "; choose the robot to simulate with ", Argument("model"))
+    if plan.q.shape[1] != len(chain.joints):
+        text = f"{name}: has {plan.q.shape[1]} joints, robot {chain.name} has {len(chain.joints)}; choose another robot with "
+        raise PlanError(text, Argument("model"))
+    check_against_rig(plan, rig, name)
+    rows = np.flatnonzero(plan.dwells)
+    if not rows.size:
+        return
+    bars = [rig.bars[bar] for bar in plan.bar[rows]]
+    p_sphere, p_chuck = (
+        np.array([points[point].xyz for point in names[rows]])
+        for points, names in ((rig.spheres, plan.sphere), (rig.chucks, plan.chuck))
+    )
+    length = np.linalg.norm(point_forward(chain, chain.params_nominal, plan.q[rows], p_sphere) - p_chuck, axis=1)
+    beyond = np.abs(length - [bar.zero for bar in bars]) - [0.5 * abs(bar.gain) * bar.travel for bar in bars]
+    if np.mean(beyond > 0.0) > 0.5:
+        text = (
+            f"{name}: robot {chain.name} would pull the bar out of its travel at {int(np.sum(beyond > 0.0))} of {rows.size} poses, by "
+            f"{MM.text(float(np.median(beyond[beyond > 0.0])), '.0f')} (median); the plan is for another robot or rig; choose them with "
+        )
+        raise PlanError(text, Argument("model"), " and ", Argument("rig_file"))
+
+
+def looks_like_truth(head: bytes) -> bool:
+    """Whether a file that begins so is empty or a truth."""
+    return not head.strip() or TRUTH_FORMAT.encode() in head[:100]
+
+
+def write_truth(path: Path, world: World, robot: Robot, truth: TruthOptions, seed: int) -> None:
+    """Write the hidden truth of a world as JSON, in SI units. Raises InputError."""
+    write_atomic(path, json.dumps(truth_document(world, robot, truth, seed), indent=1) + "\n")
+
+
+def truth_document(world: World, robot: Robot, truth: TruthOptions, seed: int) -> dict[str, Any]:
+    """Return what a calibration of this world is judged by: true parameters beside the design, errors of the joints, clocks, bars."""
+    chain, arm, hidden = robot.chain, world.controller.arm, world.truth
+    pairs = zip(chain.parameters, chain.params_nominal.tolist(), hidden.params.tolist(), strict=True)
+    return {
+        "format": TRUTH_FORMAT,
+        "robot": chain.name,
+        "seed": seed if truth.seed is None else truth.seed,
+        "parameters": [{"name": p.name, "unit": p.unit, "design": d, "true": t} for p, d, t in pairs],
+        "gear_error_rad": truth.gear_error,
+        "gear_periods_rad": list(truth.gear_periods) if truth.gear_error else [],
+        "masses_kg": None if truth.masses is None else list(truth.masses),
+        "stiffness_nm_rad": None if truth.masses is None else truth.stiffness,
+        "backlash_rad": list(arm.backlash),
+        "reading_sigma_rad": arm.reading_sigma,
+        "robot_delay_s": hidden.robot_delay,
+        "bars": {name: {"zero_m": bar.zero, "repeatability_m": bar.sigma} for name, bar in world.rig.bars.items()},
+        "clocks": {"device_ppm": hidden.clocks.device.ppm, "robot_ppm": hidden.clocks.robot.ppm},
+    }
