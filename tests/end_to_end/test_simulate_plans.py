@@ -6,6 +6,7 @@ import pytest
 from truearm.cli.main import main
 from truearm.files.plan_file import read_plan, write_plan
 from truearm.files.rig_file import read_rig, write_rig
+from truearm.model.robot import builtin_robot
 from truearm.workflows.simulate import SimulateOptions, visits
 from truearm.workflows.simulated_robot import simulated_robot
 from truearm_sim.line_plan import drawn_line_plan, line_rig
@@ -22,6 +23,11 @@ def folder(tmp_path_factory):
     write_plan(out / "lines.csv", drawn_line_plan(1, 2))
     write_rig(out / "lines.toml", line_rig())
     write_plan(out / "bars.csv", standard_plan(9, 1))
+    ur5e = builtin_robot("ur5e")
+    of_ur5e = standard_plan(9, 1, standard_rig(ur5e), ur5e)
+    write_rig(out / "ur5e.toml", standard_rig(ur5e))
+    write_plan(out / "ur5e.csv", of_ur5e.of_robot("ur5e"))
+    write_plan(out / "nameless.csv", of_ur5e)
     (out / "short.csv").write_text("pose,shell,bar,chuck,sphere,q1_rad\n0,,bar46,c1,s1,0.1\n")
     return out
 
@@ -50,6 +56,29 @@ def test_lines_are_drawn_and_driven_there_and_back(folder):
         (["--plan", "{}/short.csv"], "has 1 joints, robot puma560 has 6; choose another robot with --model"),
         (["--plan", "{}/lines.csv"], "column target: 'magnet' is not in the rig"),
         (["--plan", "{}/none.csv"], "no such file"),
+        (
+            ["--plan", "{}/ur5e.csv", "--rig-file", "{}/ur5e.toml"],
+            "ur5e.csv: was made for robot ur5e, not for puma560; choose the robot to simulate with --model",
+        ),
+        (
+            ["--plan", "{}/nameless.csv", "--rig-file", "{}/ur5e.toml"],
+            "robot puma560 would pull the bar out of its travel at",
+        ),
+        (
+            ["--plan", "{}/nameless.csv", "--rig-file", "{}/ur5e.toml", "--model", "panda"],
+            "has 6 joints, robot panda has 7",
+        ),
+        (["--model", "nope"], "'nope' is no built-in robot"),
+        (["--masses-kg", "1,2"], "--masses-kg: needs 6 masses, one a joint of puma560, has 2"),
+        (["--masses-kg", "1,2,x"], "--masses-kg 1,2,x: needs some numbers"),
+        (["--tolerance", "1"], "--tolerance 1: needs 2 numbers"),
+        (["--gear-periods-deg", "0"], "--gear-periods-deg 0: a period is from 0.1"),
+        (["--fast", "--robot", "rtde"], "--fast has no ports; leave out --robot"),
+        (["--fast", "--truth-out", "{}/ur5e.toml"], "ur5e.toml"),
+        (
+            ["--model", "panda", "--robot", "rtde", "--poses", "9"],
+            "--robot rtde: a controller of 6 joints, panda has 7",
+        ),
         (["--robot-delay-ms", "nan"], "Invalid value for '--robot-delay-ms'"),
     ],
 )
@@ -58,3 +87,11 @@ def test_what_cannot_be_simulated_is_said(folder, tmp_path, capsys, options, say
     assert main(["simulate", "--out", str(tmp_path / "x"), *arguments]) == 2
     assert says in capsys.readouterr().err
     assert not (tmp_path / "x").exists()
+
+
+def test_a_plan_names_its_robot_and_says_so_again(folder):
+    """A name that every row has; a plan without it is as it was."""
+    assert set(read_plan(folder / "ur5e.csv").robot) == {"ur5e"}
+    assert set(read_plan(folder / "nameless.csv").robot) == {""}
+    assert (folder / "nameless.csv").read_text().startswith("pose,shell,bar,chuck,sphere,q1_rad")
+    assert np.array_equal(read_plan(folder / "ur5e.csv").q, read_plan(folder / "nameless.csv").q)

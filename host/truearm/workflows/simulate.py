@@ -108,10 +108,6 @@ def simulate_box_and_robot(options: SimulateOptions, say: Say) -> None:
 
     scheme, usual_port, rate = _spoken(options.robot)
     world, of_box, box = _lab(options, rate, say)
-    if options.robot == "rtde" and (joints := len(world.chain.joints)) != RTDE_JOINTS:
-        raise InputError(
-            Argument("robot"), f" rtde: a controller of {RTDE_JOINTS} joints, {world.chain.name} has {joints}"
-        )
     folder = options.folder
     try:
         box_port = Terminal() if options.pty else Port.listen("127.0.0.1", options.port)
@@ -192,6 +188,10 @@ def _lab(options: SimulateOptions, rate: float, say: Say) -> tuple[World, Hardwa
     folder, seed, truth = options.folder, options.seed, options.truth
     faults = [parse_fault(text) for text in options.faults]
     simulated = simulated_robot(options.model, truth, seed, options.branch)
+    joints = len(simulated.robot.chain.joints)
+    if options.robot == "rtde" and joints != RTDE_JOINTS:
+        text = f" rtde: a controller of {RTDE_JOINTS} joints, {simulated.robot.chain.name} has {joints}"
+        raise InputError(Argument("robot"), text)
     plan, rig = visits(options, simulated)
     if options.truth_out is not None:
         read = [path for path in (options.plan, options.rig, *options.model.files) if path is not None]
