@@ -9,19 +9,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from truearm.errors import ProgramError
-from truearm.files.programs.program import (
-    Surroundings,
-    changed_text,
-    changes_of,
-    joint_changes,
-    marks_of,
-    parse_program,
-    poses_of,
-    quarters_of,
-    solved,
-    targets_of,
-)
+from truearm.files.programs.new_text import changed_text, changes_of, joint_changes, marks_of, solved
+from truearm.files.programs.program import Surroundings, parse_program
 from truearm.files.programs.syntax import MAX_DEPTH
+from truearm.files.programs.targets import poses_of, quarters_of, targets_of
 from truearm.files.programs.values import NOWHERE, readings_of
 from truearm.model.poses import apart, pose_of
 
@@ -107,7 +98,7 @@ def test_script_targets_are_those_that_moves_go_to():
     np.testing.assert_allclose(place[0], pose_of(np.array([[0.4, -0.2, 0.3]]), np.array([[0, 3.2, 0]]))[0])
     np.testing.assert_allclose(place[1, :3, 3], [1.0, 0.0, 0.05])  # the feature's frame, then the point in it
     np.testing.assert_allclose(tool[:, :3, 3], [[0, 0, 0.1]] * 4)
-    assert targets.poses[0].goal.near == (0, 1, 2, 3, 4, 5)
+    assert targets.poses[0].goal.near.values == (0, 1, 2, 3, 4, 5)
 
 
 P = "p[0.4,0.1,0.3,0,3,0]"

@@ -16,27 +16,26 @@ from truearm.correct.methods import Method
 from truearm.correct.model_pair import ModelPair, believed
 from truearm.correct.straight_moves import straight_moves
 from truearm.errors import Argument, ProgramError
+from truearm.files.programs.new_text import changed_text, changes_of, joint_changes, marks_of, solved
 from truearm.files.programs.program import (
-    PoseTarget,
     Program,
     ProgramLanguage,
     Refused,
     Surroundings,
-    Targets,
-    changed_text,
-    changes_of,
-    joint_changes,
     language_of,
-    marks_of,
+    read_program,
+    refused_at,
+)
+from truearm.files.programs.syntax import Taught
+from truearm.files.programs.targets import (
+    PoseTarget,
+    Targets,
+    literal_poses,
     nears_of,
     poses_of,
     quarters_of,
-    read_program,
-    solved,
-    statement_of,
     targets_of,
 )
-from truearm.files.programs.syntax import Taught
 from truearm.files.programs.values import Pose, fixed_six, readings_of
 from truearm.model.poses import inverted, pose_of
 from truearm.text import counted, listed
@@ -129,21 +128,22 @@ def correct_program(
             Argument("joint_moves"),
         )
     targets = targets_of(program, options.joint_moves is JointMoves.CORRECT, options.split)
-    place, frame, tools = poses_of(targets.poses)
+    literals = literal_poses(targets.poses)
+    place, frame, tools = poses_of(targets.poses, literals)
     ends = base.pose @ frame @ place @ inverted(tools) @ inverted(flange.pose)
     n_joints = len(how.pair.chain.joints)
     near, quarters = nears_of(targets.poses, n_joints), quarters_of(targets.poses, n_joints)
     done = _corrected_poses(how, ends, near, quarters)
-    literals = [literal for literal, _ in targets.joints]
-    joints = _corrected_joints(how, literals)
+    readings = [literal for literal, _ in targets.joints]
+    joints = _corrected_joints(how, readings)
     refused = [*targets.refused, *_problems(program, done, [one.at for one in targets.poses])]
     refused += _problems(program, joints, [at for _, at in targets.joints])
     good = [i for i, problem in enumerate(done.problem) if not problem]
     poses = [targets.poses[i] for i in good]
     asked = inverted(frame[good]) @ inverted(base.pose) @ done.commanded[good] @ flange.pose @ tools[good]
-    new = solved(poses, asked)
+    new = solved(poses, asked, literals)
     refused += [
-        _refused(program, one.at, "its target and another's depend on each other", "" if options.split else "split")
+        refused_at(program, one.at, "its target and another's depend on each other", "" if options.split else "split")
         for one in new.circular
     ]
     refused = sorted(set(refused))
@@ -155,18 +155,18 @@ def correct_program(
     kept = [i for i, one in enumerate(poses) if one not in new.circular]
     moved = [i for i, problem in enumerate(joints.problem) if not problem]
     changes = changes_of(program, [poses[i] for i in kept], asked[kept], new)
-    changes += joint_changes([literals[i] for i in moved], joints.q[moved])
+    changes += joint_changes([readings[i] for i in moved], joints.q[moved])
     if not changes:
         raise ProgramError(f"{path}: holds no target that can be corrected, so nothing was written")
     changes += marks_of(program, refused) if options.mark else []
     lines_of = [program.source.line(_place(targets.poses[good[i]])) for i in kept]
-    lines_of += [program.source.line(literals[i].start) for i in moved]
+    lines_of += [program.source.line(readings[i].start) for i in moved]
     rows = [good[i] for i in kept]
     correction = _joined(_rows(done, rows), _rows(joints, moved))
     whole = np.tile(np.eye(4), (len(moved), 1, 1))  # joint readings are of no tool
     at_end = flange.pose @ tools[rows]
     of_pose = {i: k for k, i in enumerate(rows)}
-    of_joints = {literals[i].start: len(rows) + k for k, i in enumerate(moved)}
+    of_joints = {readings[i].start: len(rows) + k for k, i in enumerate(moved)}
     corrected = CorrectedTargets(
         tuple(f"line {line}" for line in lines_of),
         np.arange(len(lines_of)) >= len(rows),
@@ -316,12 +316,7 @@ def _joined(a: Correction, b: Correction) -> Correction:
 
 
 def _problems(program: Program, done: Correction, places: Sequence[int]) -> list[Refused]:
-    return [_refused(program, at, problem) for at, problem in zip(places, done.problem, strict=True) if problem]
-
-
-def _refused(program: Program, at: int, why: str, remedy: str = "") -> Refused:
-    motion = next(one for one in program.motions if one.start == at)
-    return Refused(program.source.line(at), statement_of(program, motion), why, remedy)
+    return [refused_at(program, at, problem) for at, problem in zip(places, done.problem, strict=True) if problem]
 
 
 def _place(target: PoseTarget) -> int:

@@ -52,7 +52,7 @@ MOST_STARTS = 64  # of a straight move that are told apart
 Key = tuple[int, str]
 
 
-@dataclass
+@dataclass(slots=True)
 class Motion:
     """A statement that moves the robot; ``problems`` say why it, or a part of it, cannot be corrected.
 
@@ -245,10 +245,10 @@ class Flow:
         if self.steps < 0:
             raise ProgramError(f"{self.source.name}: its routines and loops are too involved to be followed; split it")
         match statement:
-            case Assign(target, value, scope):
-                self._assign(target, self.value(value), scope)
             case Do(what):
                 self.value(what)
+            case Assign(target, value, scope):
+                self._assign(target, self.value(value), scope)
             case If(conditions, blocks, whole):
                 for condition in conditions:
                     self.value(condition)
@@ -325,13 +325,15 @@ class Flow:
 
     def value(self, expression: Expression) -> Values:
         """What an expression may be."""
-        match expression:
-            case Number() | Text() | Truth():
-                return (expression,)
-            case Taught():
-                return (self.language.literal(expression),)
+        match expression:  # the most frequent first
+            case Call():
+                return self._call(expression)
             case Name(name, start):
                 return self.get(name) or (Unknown(f"{name} has no value that this file gives", start, UNDECLARED),)
+            case Taught():
+                return (self.language.literal(expression),)
+            case Number() | Text() | Truth():
+                return (expression,)
             case Items(items, pose):
                 return (Listed(tuple(self.value(item) for item in items), pose),)
             case Element(of, at, start):
@@ -341,8 +343,6 @@ class Flow:
                 return tuple(dict.fromkeys(found)) or (Unknown("the list has no such element", start),)
             case Operation(sign, operands, start):
                 return combined(start, _operator(sign, start), [self.value(operand) for operand in operands])
-            case Call():
-                return self._call(expression)
             case _:
                 assert_never(expression)
 
@@ -495,7 +495,7 @@ class Flow:
 
 def _goal(value: Value, tool: Value, frame: Value, argument: Expression) -> Goal | tuple[str, str]:
     """The goal, or why there is none."""
-    place = (argument.start, argument.end) if not isinstance(argument, Text | Truth) else (-1, -1)
+    place = (argument.start, argument.end) if not isinstance(argument, Number | Text | Truth) else (-1, -1)
     if isinstance(value, Unknown):
         return value.why, "" if value.remedy == UNDECLARED else value.remedy
     if isinstance(value, Taught):

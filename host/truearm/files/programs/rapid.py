@@ -37,8 +37,6 @@ from truearm.files.programs.syntax import (
     Taught,
     Text,
     Truth,
-    numbers_in,
-    tokens_of,
 )
 
 _N = rf"\s*[+-]?{NUMBER}\s*"
@@ -49,10 +47,10 @@ def _list(n: int) -> str:
 
 
 _TOKENS = re.compile(
-    rf"""(?P<skip>\s+|![^\r\n]*|\xef\xbb\xbf|%%%[^%]*%%%)
-    |(?P<robtarget>\[{_list(3)},{_list(4)},{_list(4)},{_list(6)}\])|(?P<jointtarget>\[{_list(6)},{_list(6)}\])
+    rf"""(?:\s++|![^\r\n]*+|\xef\xbb\xbf|%%%[^%]*+%%%)*+
+    (?:(?P<robtarget>\[{_list(3)},{_list(4)},{_list(4)},{_list(6)}\])|(?P<jointtarget>\[{_list(6)},{_list(6)}\])
     |(?P<number>0[xX][0-9A-Fa-f]+|0[bB][01]+|{NUMBER})|(?P<word>[A-Za-z]\w*)|(?P<string>"(?:[^"\r\n]|"")*")
-    |(?P<sign>:=|<>|<=|>=|[-+*/()\[\]{{}},:;=<>.\\?%|])""",
+    |(?P<sign>:=|<>|<=|>=|[-+*/()\[\]{{}},:;=<>.\\?%|]))?""",
     re.VERBOSE | re.ASCII,
 )
 _BINDS = {"or": 1, "xor": 1, "and": 2, "=": 4, "<>": 4, "<": 4, ">": 4, "<=": 4, ">=": 4}
@@ -101,9 +99,9 @@ class Module(NamedTuple):
 
 def read_rapid(source: Source) -> tuple[Module, ...]:
     """The modules of a program. Raises ProgramError with file and line."""
-    reader = _Reader(source, tokens_of(source, _TOKENS))
+    reader = _Reader(source, _TOKENS)
     found = [reader.module()]
-    while reader.here.kind != END:
+    while reader.kind != END:
         found.append(reader.module())
     return tuple(found)
 
@@ -112,17 +110,17 @@ class _Reader(Reader):
     """The grammar by recursive descent."""
 
     def is_word(self, *words: str) -> bool:
-        return self.here.kind == "word" and self.here.text.lower() in words
+        return self.kind == "word" and self.text.lower() in words
 
     def take(self, text: str) -> None:
-        if self.here.text.lower() != text:
+        if self.text.lower() != text:
             raise self.unexpected(text.upper() if text.isalpha() else quoted_sign(text))
         self.step()
 
     def word(self, wanted: str) -> str:
-        if self.here.kind != "word" or self.here.text.lower() in _NO_NAMES:
+        if self.kind != "word" or self.text.lower() in _NO_NAMES:
             raise self.unexpected(wanted)
-        return self.step().text.lower()
+        return self.once(self.step().lower())
 
     def module(self) -> Module:
         data: list[Declared] = []
@@ -130,10 +128,11 @@ class _Reader(Reader):
         records: dict[str, tuple[tuple[str, str], ...]] = {}
         self.take("module")
         self.word("the module's name")
-        if self.here.text == "(":
-            while self.here.text != ")":
-                if self.step().kind == END:
+        if self.text == "(":
+            while self.text != ")":
+                if self.kind == END:
                     raise self.unexpected(")")
+                self.step()
             self.step()
         while not self.is_word("endmodule"):
             self.declared(data, routines, records)
@@ -167,41 +166,38 @@ class _Reader(Reader):
             raise self.unexpected("a declaration or a routine")
 
     def datum(self) -> Declared:
-        kind, start = self.step().text.lower(), self.before.start
+        kind, start = self.step().lower(), self.last
         type_of, name = self.word("a type"), self.word("a name")
-        if self.here.text == "{":
+        if self.text == "{":
             self.step()
             self.bracketed("}")
         value = None
-        if self.here.text == ":=":
+        if self.text == ":=":
             self.step()
             value = self.expression()
         self.take(";")
         return Declared(name, kind, type_of, value, start)
 
     def routine(self) -> Routine:
-        kind, start = self.step().text.lower(), self.before.start
+        kind, start = self.step().lower(), self.last
         if kind == "func":
             self.word("a type")
         name = self.word("a name")
-        parameters = self.parameters() if self.here.text == "(" else ()
+        parameters = self.parameters() if self.text == "(" else ()
         body: list[Statement] = []
         while self.is_word("var", "pers", "const", "local"):
             if self.is_word("local"):
                 self.step()
             datum = self.datum()
             if datum.value is not None:
-                at = Name(datum.name, datum.start, datum.start)
-                body.append(Assign(at, datum.value, "local", datum.start, self.before.end))
+                body.append(Assign(Name(datum.name, datum.start), datum.value, "local"))
             else:
-                body.append(
-                    Assign(Name(datum.name, datum.start, datum.start), Truth(False), "local", datum.start, datum.start)
-                )
+                body.append(Assign(Name(datum.name, datum.start), Truth(False), "local"))
         body += self.block()
         handlers: list[Block] = []
         while self.is_word("error", "undo", "backward"):
             self.step()
-            if self.here.text == "(":
+            if self.text == "(":
                 self.step()
                 self.bracketed(")")
             handlers.append(self.block())
@@ -211,23 +207,23 @@ class _Reader(Reader):
     def parameters(self) -> tuple[Parameter, ...]:
         found: list[Parameter] = []
         self.step()
-        while self.here.text != ")":
-            optional = self.here.text in ("\\", "|")
+        while self.text != ")":
+            optional = self.text in ("\\", "|")
             if optional:
                 self.step()
             words = []
-            while self.here.kind == "word":
-                words.append(self.step().text.lower())
+            while self.kind == "word":
+                words.append(self.step().lower())
             if not words:
                 raise self.unexpected("a parameter")
-            if self.here.text == "{":
-                while self.step().text != "}":
-                    if self.here.kind == END:
+            if self.text == "{":
+                while self.step() != "}":
+                    if self.kind == END:
                         raise self.unexpected("}")
             found.append(Parameter(words[-1], None, optional))
-            if self.here.text == ",":
+            if self.text == ",":
                 self.step()
-            elif self.here.text not in (")", "|", "\\"):
+            elif self.text not in (")", "|", "\\"):
                 raise self.unexpected("a comma or )")
         self.step()
         return tuple(found)
@@ -236,26 +232,26 @@ class _Reader(Reader):
         """Statements up to the word that closes them, which is left."""
         self.deeper()
         found: list[Statement] = []
-        while not (self.here.kind == END or self.is_word(*_CLOSING)):
+        while not (self.kind == END or self.is_word(*_CLOSING)):
             found += self.statement()
         self.depth -= 1
         return tuple(found)
 
     def statement(self) -> list[Statement]:
-        start = self.here
-        word = start.text.lower() if start.kind == "word" else ""
+        start = self.start
+        word = self.text.lower() if self.kind == "word" else ""
         if word in _STATEMENTS:
             return _STATEMENTS[word](self)
-        if start.text == "%":
+        if self.text == "%":
             self.step()
             self.expression()
             self.take("%")
             arguments, named = self.arguments(";")
-            return [Do(Call("%", arguments, named, start.start, self.before.start), start.start, self.before.start)]
-        if self.ahead().text == ":":
+            return [Do(Call("%", arguments, named, start, self.last))]
+        if self.following == ":":
             self.step()
             self.step()
-            return [Jump(start.start)]
+            return [Jump(start)]
         return [self.simple()]
 
     def counted_loop(self) -> list[Statement]:
@@ -283,12 +279,13 @@ class _Reader(Reader):
 
     def returned(self) -> list[Statement]:
         self.step()
-        value = None if self.here.text == ";" else self.expression()
+        value = None if self.text == ";" else self.expression()
         self.take(";")
         return [Return(value)]
 
     def goto(self) -> list[Statement]:
-        start = self.step().start
+        start = self.start
+        self.step()
         self.word("a label")
         self.take(";")
         return [Jump(start)]
@@ -301,7 +298,7 @@ class _Reader(Reader):
     def raised(self) -> list[Statement]:
         """RAISE, RETRY or TRYNEXT: an error handler, which may be entered from anywhere, is left."""
         self.step()
-        if self.here.text != ";":
+        if self.text != ";":
             self.expression()
         self.take(";")
         return []
@@ -316,19 +313,19 @@ class _Reader(Reader):
 
     def simple(self) -> Statement:
         """An assignment, or an instruction or procedure with its arguments."""
-        start = self.here.start
-        if self.ahead().text in (":=", ".", "{"):
+        start = self.start
+        if self.following in (":=", ".", "{"):
             left = self.postfix()
             self.take(":=")
             value = self.expression()
             if not isinstance(left, Name | Element):
                 raise self.source.wrong(start, "what stands left of := is no variable")
-            found: Statement = Assign(left, value, "", start, self.before.end)
+            found: Statement = Assign(left, value)
             self.take(";")
             return found
         name = self.word("a statement")
         arguments, named = self.arguments(";")
-        return Do(Call(name, arguments, named, start, self.before.start), start, self.before.start)
+        return Do(Call(name, arguments, named, start, self.last))
 
     def choice(self) -> list[Statement]:
         self.step()
@@ -355,7 +352,7 @@ class _Reader(Reader):
         while self.is_word("case"):
             self.step()
             conditions.append(self.expression())
-            while self.here.text == ",":
+            while self.text == ",":
                 self.step()
                 conditions.append(self.expression())
             self.take(":")
@@ -373,24 +370,24 @@ class _Reader(Reader):
         values: list[Expression] = []
         named: list[tuple[str, Expression]] = []
         self.deeper()
-        while self.here.text != closing:
-            if self.here.text == "\\":
+        while self.text != closing:
+            if self.text == "\\":
                 self.step()
                 name = self.word("an argument's name")
                 value: Expression = Truth(True)
-                if self.here.text == ":=":
+                if self.text == ":=":
                     self.step()
                     value = self.expression()
-                elif self.here.text == "?":  # as the routine's own optional parameter, or not at all
+                elif self.text == "?":  # as the routine's own optional parameter, or not at all
                     self.step()
-                    at = self.here
-                    value = Call(PASSED, (Name(self.word("a parameter"), at.start, at.end),), (), at.start, at.end)
+                    at = self.start
+                    value = Call(PASSED, (Name(self.word("a parameter"), at),), (), at, self.end)
                 named.append((name, value))
             else:
                 values.append(self.expression())
-            if self.here.text == ",":
+            if self.text == ",":
                 self.step()
-            elif self.here.text not in (closing, "\\"):
+            elif self.text not in (closing, "\\"):
                 raise self.unexpected(f"a comma or {closing}")
         self.step()
         self.depth -= 1
@@ -398,61 +395,64 @@ class _Reader(Reader):
 
     def expression(self, least: int = 0) -> Expression:
         """An expression whose operators bind at least so strongly."""
-        start, text = self.here.start, self.here.text.lower()
+        start, text = self.start, self.text.lower()
         if text == "not" or text in ("-", "+"):
             self.step()
             inner = self.expression(_NOT if text == "not" else _MINUS)
             if isinstance(inner, Number):
-                left: Expression = Number(-inner.value if text == "-" else inner.value, start, inner.end)
+                left: Expression = Number(-inner.value if text == "-" else inner.value)
             else:
-                left = Operation(text, (inner,), start, self.before.end)
+                left = Operation(text, (inner,), start, self.end)
         else:
             left = self.postfix()
-        while (binds := _BINDS.get(self.here.text.lower(), -1)) > least and self.here.kind in ("sign", "word"):
-            sign = self.step().text.lower()
-            left = Operation(sign, (left, self.expression(binds)), start, self.before.end)
+        while (binds := _BINDS.get(self.text.lower(), -1)) > least and self.kind in ("sign", "word"):
+            sign = self.step().lower()
+            left = Operation(sign, (left, self.expression(binds)), start, self.end)
         return left
 
     def postfix(self) -> Expression:
         found = self.atom()
-        while self.here.kind == "sign" and self.here.text in "{.":
-            start = self.here.start
-            if self.step().text == ".":
-                found = Element(found, self.word("a component"), start, self.before.end)
+        while self.kind == "sign" and self.text in "{.":
+            start = self.start
+            if self.step() == ".":
+                found = Element(found, self.word("a component"), start, self.end)
                 continue
             for item in self.bracketed("}"):
-                counted = Operation("-", (item, Number(1.0)), start, self.before.end)  # counted from 1
-                found = Element(found, counted, start, self.before.end)
+                counted = Operation("-", (item, Number(1.0)), start, self.end)  # counted from 1
+                found = Element(found, counted, start, self.end)
         return found
 
     def atom(self) -> Expression:
-        token = self.here
-        word = token.text.lower()
-        if token.kind == "number":
-            self.step()
-            plain = not word.startswith(("0x", "0b"))
-            return Number(float(word) if plain else float(int(word, 0)), token.start, token.end)
-        if token.kind in ("robtarget", "jointtarget"):
-            self.step()
-            form = Form.ROBTARGET if token.kind == "robtarget" else Form.JOINTTARGET
-            return Taught(form, numbers_in(self.source.text, token.start, token.end), token.start, token.end)
-        if token.kind == "string":
-            self.step()
-            return Text(token.text[1:-1])
-        if token.kind == "word" and word in ("true", "false"):
-            self.step()
-            return Truth(word == "true")
-        if token.kind == "word" and word not in _NO_NAMES:
-            self.step()
-            if self.here.text == "(":
+        kind, text, start = self.kind, self.text, self.start
+        if kind == "word":
+            word = self.once(text.lower())
+            if word in ("true", "false"):
                 self.step()
-                arguments, named = self.arguments(")")
-                return Call(word, arguments, named, token.start, self.before.end)
-            return Name(word, token.start, token.end)
-        if token.text == "[":
+                return Truth(word == "true")
+            if word not in _NO_NAMES:
+                self.step()
+                if self.text == "(":
+                    self.step()
+                    arguments, named = self.arguments(")")
+                    return Call(word, arguments, named, start, self.end)
+                return Name(word, start)
+        elif kind == "number":
             self.step()
-            return Items(self.bracketed("]"), False, token.start, self.before.end)
-        if token.text == "(":
+            plain = not text.lower().startswith(("0x", "0b"))
+            return Number(float(text) if plain else float(int(text, 0)))
+        elif kind == "robtarget":
+            self.step()
+            return Taught(Form.ROBTARGET, text, start)
+        elif kind == "jointtarget":
+            self.step()
+            return Taught(Form.JOINTTARGET, text, start)
+        elif kind == "string":
+            self.step()
+            return Text(text[1:-1])
+        elif text == "[":
+            self.step()
+            return Items(self.bracketed("]"), False, start, self.end)
+        elif text == "(":
             self.step()
             found = self.expression()
             self.take(")")
@@ -463,14 +463,14 @@ class _Reader(Reader):
         """Expressions between commas up to a closing bracket, which is taken."""
         self.deeper()
         items: list[Expression] = []
-        while self.here.text != closing:
-            if closing == "}" and self.here.text == "*":
+        while self.text != closing:
+            if closing == "}" and self.text == "*":
                 self.step()
             else:
                 items.append(self.expression())
-            if self.here.text == ",":
+            if self.text == ",":
                 self.step()
-            elif self.here.text != closing:
+            elif self.text != closing:
                 raise self.unexpected(f"a comma or {closing}")
         self.step()
         self.depth -= 1

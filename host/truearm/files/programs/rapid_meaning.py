@@ -139,6 +139,7 @@ _FIELDS: Mapping[str, int] = {
     **{f"rax_{k}": k - 1 for k in range(1, 7)},
     **{f"eax_{letter}": k for k, letter in enumerate("abcdef")},
 }  # fmt: skip
+NO_AXES = tuple(f"[{','.join([none] * 6)}]]" for none in ("9E9", "9E+09"))  # as most editors write them
 NO_AXIS = 8.9e9  # 9E9 stands for an external axis that there is not
 _TOOL, _OBJECT = "tool0", "wobj0"
 
@@ -239,8 +240,9 @@ class Rapid:
     def _beside(self, target: Value, at: int) -> Value:
         """A target, unless one of its external axes may move the robot's base."""
         like = target.like if isinstance(target, Pose) else None
-        axes = like.numbers[11:] if like is not None else ()
-        used = (f"eax_{letter}" for letter, axis in zip("abcdef", axes, strict=False) if axis.value < NO_AXIS)
+        if like is None or like.text.replace(" ", "").endswith(NO_AXES):
+            return target
+        used = (f"eax_{letter}" for letter, axis in zip("abcdef", like.values[11:], strict=False) if axis < NO_AXIS)
         first = next((axis for axis in used if axis not in self.harmless), None)
         return (
             target if first is None else Unknown(f"its external axis {first} may move the robot's base", at, "harmless")
@@ -419,5 +421,6 @@ def _items(of: Value) -> tuple[Values, ...] | None:
     if not isinstance(of, Taught):
         return None
     ends = (3, 7, 11, 17) if of.form is Form.ROBTARGET else (6, 12)
-    parts = [of.numbers[start:end] for start, end in zip((0, *ends), ends, strict=False)]
-    return tuple((Listed(tuple((Number(number.value),) for number in part)),) for part in parts)
+    values = of.values
+    parts = [values[start:end] for start, end in zip((0, *ends), ends, strict=False)]
+    return tuple((Listed(tuple((Number(value),) for value in part)),) for part in parts)

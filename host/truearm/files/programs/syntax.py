@@ -8,24 +8,33 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_right
+from collections.abc import Iterator
 from dataclasses import dataclass
-from enum import Enum
+from enum import StrEnum
 from functools import cached_property
 from typing import Literal, NamedTuple
 
 from truearm.errors import ProgramError
 from truearm.schema import quoted
 
+_BRACKETS = dict.fromkeys(map(ord, "p[]"))
 MAX_DEPTH = 60  # of brackets and blocks within each other
 NUMBER = r"(?:[0-9]{1,40}(?:\.[0-9]{0,40})?|\.[0-9]{1,40})(?:[eE][+-]?[0-9]{1,4})?"
+NUMBERS = re.compile(rf"[+-]?{NUMBER}")
 
 
 class Number(NamedTuple):
-    """A plain number with its sign. ``start`` is −1 for a number that is written nowhere."""
+    """A number."""
 
     value: float
-    start: int = -1
-    end: int = -1
+
+
+class Written(NamedTuple):
+    """A plain number with its sign, and where it stands."""
+
+    value: float
+    start: int
+    end: int
 
 
 class Text(NamedTuple):
@@ -45,10 +54,14 @@ class Name(NamedTuple):
 
     name: str
     start: int
-    end: int
+
+    @property
+    def end(self) -> int:
+        """The place behind it."""
+        return self.start + len(self.name)
 
 
-class Form(Enum):
+class Form(StrEnum):
     """What a list of plain numbers is that stands in a program as one literal."""
 
     POSE = "p[…]"  # x, y, z [m], rotation vector [rad]
@@ -58,12 +71,27 @@ class Form(Enum):
 
 
 class Taught(NamedTuple):
-    """A literal of plain numbers: what a person or an editor wrote or taught there."""
+    """A literal of plain numbers: what a person or an editor wrote or taught there. Its numbers are read where they are asked for."""
 
     form: Form
-    numbers: tuple[Number, ...]
+    text: str
     start: int
-    end: int
+
+    @property
+    def end(self) -> int:
+        """The place behind it."""
+        return self.start + len(self.text)
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """The numbers."""
+        return tuple(map(float, self.text.translate(_BRACKETS).split(",")))
+
+    @property
+    def numbers(self) -> tuple[Written, ...]:
+        """The numbers with their places."""
+        found = NUMBERS.finditer(self.text)
+        return tuple(Written(float(m[0]), self.start + m.start(), self.start + m.end()) for m in found)
 
 
 class Items(NamedTuple):
@@ -111,17 +139,13 @@ class Assign(NamedTuple):
 
     target: Name | Element
     value: Expression
-    scope: Literal["global", "local", ""]
-    start: int
-    end: int
+    scope: Literal["global", "local", ""] = ""
 
 
 class Do(NamedTuple):
     """An expression, mostly a call, for its effect."""
 
     what: Expression
-    start: int
-    end: int
 
 
 class If(NamedTuple):
@@ -202,81 +226,72 @@ class Source:
         return ProgramError(f"{self.name} line {self.line(at)}: {what}")
 
 
-class Token(NamedTuple):
-    """A piece of a program's text. ``kind``: the name of the group of the language's pattern."""
-
-    kind: str
-    text: str
-    start: int
-    end: int
-
-
 END = "end of the file"
+Token = tuple[str, str, int]  # kind, the name of the group of the language's pattern; text; place
 
 
-def tokens_of(source: Source, pattern: re.Pattern[str]) -> list[Token]:
-    """The tokens of a text by a pattern whose named groups are the kinds, one of them "skip"; the last has kind END.
+def tokens_of(source: Source, pattern: re.Pattern[str]) -> Iterator[Token]:
+    """The tokens of a text one after the other, by a pattern whose named groups are the kinds.
 
-    Raises ProgramError with the line of what is no token.
+    It begins with what is passed over, and matches nothing else where there is no token. The last ones have kind END. Raises ProgramError with the line of what is no token.
     """
-    found, at, text = [], 0, source.text
+    at, text = 0, source.text
     for match in pattern.finditer(text):
         start, end = match.span()
         if start != at:
             break
         at = end
-        kind = match.lastgroup or ""
-        if kind != "skip":
-            found.append(Token(kind, match[0], start, end))
+        if kind := match.lastgroup:
+            found = match[kind]
+            yield kind, found, end - len(found)
     if at != len(text):
         raise source.wrong(at, f"{quoted(text[at : at + 12])} is not known in this language")
-    return [*found, Token(END, "", at, at)]
-
-
-_NUMBERS = re.compile(rf"(?:([+-])\s*)?({NUMBER})")
-
-
-def numbers_in(text: str, start: int, end: int) -> tuple[Number, ...]:
-    """The plain numbers with their signs in a part of a text that holds nothing else but signs and spaces."""
-    return tuple(
-        Number(float((match[1] or "") + match[2]), match.start(), match.end())
-        for match in _NUMBERS.finditer(text, start, end)
-    )
+    while True:
+        yield END, "", at
 
 
 class Reader:
-    """Tokens taken one after the other, by a language's grammar."""
+    """Tokens taken one after the other, by a language's grammar.
 
-    def __init__(self, source: Source, tokens: list[Token]) -> None:
-        self.source, self.tokens, self.at, self.depth = source, tokens, 0, 0
-        self.here = tokens[0]
+    ``kind``, ``text`` and ``start`` are of the token that is next, ``following`` is the text of the one behind it, ``last`` and ``end`` are the places of the one
+    that was taken last and behind it.
+    """
 
-    def step(self) -> Token:
-        """Take the token."""
-        token = self.here
-        if token.kind != END:
-            self.at += 1
-            self.here = self.tokens[self.at]
-        return token
+    __slots__ = ("_next", "_tokens", "depth", "end", "kind", "known", "last", "source", "start", "text")
 
-    def ahead(self, n: int = 1) -> Token:
-        """The token n places on."""
-        return self.tokens[min(self.at + n, len(self.tokens) - 1)]
+    def __init__(self, source: Source, pattern: re.Pattern[str]) -> None:
+        self.source, self.depth, self.last, self.end = source, 0, 0, 0
+        self._tokens = tokens_of(source, pattern)
+        self.kind, self.text, self.start = next(self._tokens)
+        self._next = next(self._tokens)
+        self.known: dict[str, str] = {}  # names, each kept once
+
+    def step(self) -> str:
+        """Take the token; its text."""
+        text, self.last = self.text, self.start
+        self.end = self.last + len(text)
+        self.kind, self.text, self.start = self._next
+        self._next = next(self._tokens)
+        return text
 
     @property
-    def before(self) -> Token:
-        """The token that was taken last."""
-        return self.tokens[max(self.at - 1, 0)]
+    def following(self) -> str:
+        """The text of the token behind the one that is next."""
+        return self._next[1]
 
-    def wrong(self, what: str, token: Token | None = None) -> ProgramError:
+    def once(self, name: str) -> str:
+        """A name, the same object each time."""
+        return self.known.setdefault(name, name)
+
+    def wrong(self, what: str) -> ProgramError:
         """An error where the reader stands."""
-        return self.source.wrong((token or self.here).start, what)
+        return self.source.wrong(self.start, what)
 
     def unexpected(self, wanted: str) -> ProgramError:
         """An error: something else was wanted here."""
-        if self.here.kind == END:
+        if self.kind == END:
             return self.wrong(f"the file ends where {wanted} should stand; it is cut short")
-        return self.wrong(f"{quoted(self.here.text)} stands where {wanted} should")
+        return self.wrong(f"{quoted(self.text)} stands where {wanted} should")
 
     def deeper(self) -> None:
         """Count a bracket or block that begins; ``depth`` is lowered where it ends."""

@@ -33,20 +33,19 @@ from truearm.files.programs.syntax import (
     Taught,
     Text,
     Truth,
-    numbers_in,
-    tokens_of,
 )
 
 _SIX = rf"\[[ \t]*[+-]?{NUMBER}[ \t]*(?:,[ \t]*[+-]?{NUMBER}[ \t]*){{5}}\]"
 _TOKENS = re.compile(
-    rf"""(?P<skip>[ \t\f]+|\#[^\r\n]*|\$[^\r\n]*|\xef\xbb\xbf)|(?P<newline>\r\n|\n|\r)|(?P<pose>p{_SIX})|(?P<joints>{_SIX})
+    rf"""(?:[ \t\f]++|\#[^\r\n]*+|\$[^\r\n]*+|\xef\xbb\xbf)*+(?:(?P<newline>\r\n|\n|\r)|(?P<pose>p{_SIX})|(?P<joints>{_SIX})
     |(?P<number>{NUMBER})|(?P<word>[A-Za-z_]\w*)|(?P<string>"[^"\r\n]*"|'[^'\r\n]*')
-    |(?P<sign>==|!=|<=|>=|[-+*/%()\[\],:=<>.])""",
+    |(?P<sign>==|!=|<=|>=|[-+*/%()\[\],:=<>.]))?""",
     re.VERBOSE | re.ASCII,
 )
 _BINDS = {"or": 1, "xor": 1, "and": 2, "==": 4, "!=": 4, "<": 4, ">": 4, "<=": 4, ">=": 4}
 _BINDS |= {"+": 5, "-": 5, "*": 6, "/": 6, "%": 6}
 _NOT, _MINUS = 3, 7
+_TRUTHS = frozenset({"True", "False", "true", "false"})
 _CLOSING = frozenset({"end", "else", "elif"})
 _LEAVES = {"break": Leave("break"), "continue": Leave("continue"), "halt": Leave("halt")}
 _NO_NAMES = _CLOSING | {"def", "thread", "sec", "if", "while", "return", "break", "continue", "halt", "global", "local"}
@@ -54,10 +53,10 @@ _NO_NAMES = _CLOSING | {"def", "thread", "sec", "if", "while", "return", "break"
 
 def read_urscript(source: Source) -> Block:
     """The statements of a program. Raises ProgramError with file and line."""
-    reader = _Reader(source, tokens_of(source, _TOKENS))
+    reader = _Reader(source, _TOKENS)
     block = reader.block()
-    if reader.here.kind != END:
-        raise reader.wrong(f"{reader.here.text} closes nothing")
+    if reader.kind != END:
+        raise reader.wrong(f"{reader.text} closes nothing")
     return block
 
 
@@ -69,16 +68,16 @@ class _Reader(Reader):
         self.deeper()
         found: list[Statement] = []
         while True:
-            while self.here.kind == "newline":
+            while self.kind == "newline":
                 self.step()
-            if self.here.kind == END or (self.here.kind == "word" and self.here.text in _CLOSING):
+            if self.kind == END or (self.kind == "word" and self.text in _CLOSING):
                 self.depth -= 1
                 return tuple(found)
             found.append(self.statement())
 
     def statement(self) -> Statement:
-        start = self.here
-        word = start.text if start.kind == "word" else ""
+        start = self.start
+        word = self.text if self.kind == "word" else ""
         if word in ("def", "thread", "sec"):
             return self.routine()
         if word == "if":
@@ -87,12 +86,12 @@ class _Reader(Reader):
             self.step()
             condition = self.expression()
             body = self.inner()
-            self.close("while", start.start)
+            self.close("while", start)
             return Loop(condition, body)
         found: Statement
         if word == "return":
             self.step()
-            ended = self.here.kind in ("newline", END) or self.here.text in _CLOSING
+            ended = self.kind in ("newline", END) or self.text in _CLOSING
             found = Return(None if ended else self.expression())
         elif word in _LEAVES:
             self.step()
@@ -100,54 +99,54 @@ class _Reader(Reader):
         else:
             if word in ("global", "local"):
                 self.step()
-            found = self.assigned(word if word in ("global", "local") else "", start.start)
-        if self.here.kind not in ("newline", END) and self.here.text not in _CLOSING:
+            found = self.assigned(word if word in ("global", "local") else "")
+        if self.kind not in ("newline", END) and self.text not in _CLOSING:
             raise self.unexpected("the end of the statement")
         return found
 
-    def assigned(self, scope: str, start: int) -> Statement:
+    def assigned(self, scope: str) -> Statement:
         """An assignment, a declaration without value, or an expression for its effect."""
         left = self.expression()
-        if self.here.text != "=" or self.here.kind != "sign":
+        if self.text != "=" or self.kind != "sign":
             if scope:
-                return Do(Truth(False), start, self.before.end)  # a name is declared; it has no value yet
-            return Do(left, start, self.before.end)
+                return Do(Truth(False))  # a name is declared; it has no value yet
+            return Do(left)
         if not isinstance(left, Name | Element):
             raise self.wrong("what stands left of = is no variable")
         self.step()
         value = self.expression()
-        at = self.before.end
-        return Assign(left, value, "global" if scope == "global" else "local" if scope else "", start, at)
+        return Assign(left, value, "global" if scope == "global" else "local" if scope else "")
 
     def routine(self) -> Routine:
-        kind, name = self.step(), self.word("a name")
+        start, kind = self.start, self.step()
+        name = self.word("a name")
         parameters: list[Parameter] = []
-        if self.here.text == "(":
+        if self.text == "(":
             self.step()
-            while self.here.text != ")":
+            while self.text != ")":
                 parameter = self.word("a parameter")
                 default = None
-                if self.here.text == "=":
+                if self.text == "=":
                     self.step()
                     default = self.expression()
                 parameters.append(Parameter(parameter, default, default is not None))
-                if self.here.text == ",":
+                if self.text == ",":
                     self.step()
-                elif self.here.text != ")":
+                elif self.text != ")":
                     raise self.unexpected("a comma or )")
             self.step()
         body = self.inner()
-        self.close(f"{kind.text} {name}", kind.start)
-        return Routine(name, tuple(parameters), body, "beside" if kind.text == "thread" else "routine", kind.start)
+        self.close(f"{kind} {name}", start)
+        return Routine(name, tuple(parameters), body, "beside" if kind == "thread" else "routine", start)
 
     def choice(self) -> If:
-        start = self.here.start
+        start = self.start
         conditions, blocks, whole = [], [], False
-        while self.here.text in ("if", "elif") and not whole:
+        while self.text in ("if", "elif") and not whole:
             self.step()
             conditions.append(self.expression())
             blocks.append(self.inner())
-            if self.here.text == "else":
+            if self.text == "else":
                 self.step()
                 blocks.append(self.inner())
                 whole = True
@@ -156,25 +155,25 @@ class _Reader(Reader):
 
     def inner(self) -> Block:
         """The block after a colon."""
-        if self.here.text != ":":
+        if self.text != ":":
             raise self.unexpected("a colon")
         self.step()
         return self.block()
 
     def close(self, what: str, start: int) -> None:
         """Take the end of what began at ``start``."""
-        if self.here.text != "end":
+        if self.text != "end":
             raise self.unexpected(f"the end of {what} (line {self.source.line(start)})")
         self.step()
 
     def word(self, wanted: str) -> str:
-        if self.here.kind != "word" or self.here.text in _NO_NAMES:
+        if self.kind != "word" or self.text in _NO_NAMES:
             raise self.unexpected(wanted)
-        return self.step().text
+        return self.once(self.step())
 
     def expression(self, least: int = 0) -> Expression:
         """An expression whose operators bind at least so strongly."""
-        start, text = self.here.start, self.here.text
+        start, text = self.start, self.text
         if text == "not":
             self.step()
             left = self.operation(text, (self.expression(_NOT),), start)
@@ -183,76 +182,78 @@ class _Reader(Reader):
             left = self.operation(text, (self.expression(_MINUS),), start)
         else:
             left = self.postfix()
-        while (binds := _BINDS.get(self.here.text, -1)) > least and self.here.kind in ("sign", "word"):
-            sign = self.step().text
+        while (binds := _BINDS.get(self.text, -1)) > least and self.kind in ("sign", "word"):
+            sign = self.step()
             left = self.operation(sign, (left, self.expression(binds)), start)
         return left
 
     def operation(self, sign: str, operands: tuple[Expression, ...], start: int) -> Expression:
         if len(operands) == 1 and sign in "+-" and isinstance(operands[0], Number):
-            return Number(-operands[0].value if sign == "-" else operands[0].value, start, operands[0].end)
-        return Operation(sign, operands, start, self.before.end)
+            return Number(-operands[0].value if sign == "-" else operands[0].value)
+        return Operation(sign, operands, start, self.end)
 
     def postfix(self) -> Expression:
         found = self.atom()
-        while self.here.kind == "sign" and self.here.text in "[.":
-            start = self.here.start
-            if self.step().text == ".":
-                found = Element(found, self.word("a field"), start, self.before.end)
-                if self.here.text == "(":  # a method, of an RPC handle for instance
+        while self.kind == "sign" and self.text in "[.":
+            start = self.start
+            if self.step() == ".":
+                found = Element(found, self.word("a field"), start, self.end)
+                if self.text == "(":  # a method, of an RPC handle for instance
                     arguments, named = self.arguments()
-                    found = Call(f".{found.at}", (found.of, *arguments), named, start, self.before.end)
+                    found = Call(f".{found.at}", (found.of, *arguments), named, start, self.end)
                 continue
             items = self.bracketed("]")
             if len(items) not in (1, 2):
                 raise self.source.wrong(start, "an index has one number, or two")
             for item in items:
-                found = Element(found, item, start, self.before.end)
+                found = Element(found, item, start, self.end)
         return found
 
     def atom(self) -> Expression:
-        token = self.here
-        if token.kind == "number":
-            self.step()
-            return Number(float(token.text), token.start, token.end)
-        if token.kind in ("pose", "joints"):
-            self.step()
-            form = Form.POSE if token.kind == "pose" else Form.JOINTS
-            return Taught(form, numbers_in(self.source.text, token.start, token.end), token.start, token.end)
-        if token.kind == "string":
-            self.step()
-            return Text(token.text[1:-1])
-        if token.kind == "word" and token.text in ("True", "False", "true", "false"):
-            self.step()
-            return Truth(token.text in ("True", "true"))
-        if token.kind == "word" and token.text not in _NO_NAMES:
+        kind, text, start = self.kind, self.text, self.start
+        if kind == "word" and text not in _NO_NAMES:
+            if text in _TRUTHS:
+                self.step()
+                return Truth(text in ("True", "true"))
             return self.named()
-        if token.text == "[":
+        if kind == "number":
             self.step()
-            return Items(self.bracketed("]"), False, token.start, self.before.end)
-        if token.text == "(":
+            return Number(float(text))
+        if kind == "pose":
+            self.step()
+            return Taught(Form.POSE, text, start)
+        if kind == "joints":
+            self.step()
+            return Taught(Form.JOINTS, text, start)
+        if kind == "string":
+            self.step()
+            return Text(text[1:-1])
+        if text == "[":
+            self.step()
+            return Items(self.bracketed("]"), False, start, self.end)
+        if text == "(":
             self.step()
             items = self.bracketed(")")
             if len(items) != 1:
-                raise self.source.wrong(token.start, "one expression belongs between the brackets")
+                raise self.source.wrong(start, "one expression belongs between the brackets")
             return items[0]
         raise self.unexpected("an expression")
 
     def named(self) -> Expression:
         """A variable, a call, p[…], or what is done with a thread."""
-        token = self.step()
-        if token.text == "p" and self.here.text == "[" and self.here.start == token.end:
+        start, name = self.start, self.once(self.step())
+        if self.text == "(":
+            arguments, named = self.arguments()
+            return Call(name, arguments, named, start, self.end)
+        if name == "p" and self.text == "[" and self.start == self.end:
             self.step()
-            return Items(self.bracketed("]"), True, token.start, self.before.end)
-        if token.text == "run" and self.here.kind == "word":
+            return Items(self.bracketed("]"), True, start, self.end)
+        if name == "run" and self.kind == "word":
             return self.postfix()
-        if token.text in ("join", "kill") and self.here.kind == "word":
+        if name in ("join", "kill") and self.kind == "word":
             self.postfix()
             return Truth(False)
-        if self.here.text == "(":
-            arguments, named = self.arguments()
-            return Call(token.text, arguments, named, token.start, self.before.end)
-        return Name(token.text, token.start, token.end)
+        return Name(name, start)
 
     def arguments(self) -> tuple[tuple[Expression, ...], tuple[tuple[str, Expression], ...]]:
         """What stands in the brackets of a call."""
@@ -261,19 +262,19 @@ class _Reader(Reader):
         values: list[Expression] = []
         named: list[tuple[str, Expression]] = []
         self.spaces()
-        while self.here.text != ")":
-            if self.here.kind == "word" and self.ahead().text == "=":
-                name = self.step().text
+        while self.text != ")":
+            if self.following == "=" and self.kind == "word":
+                name = self.once(self.step())
                 self.step()
                 self.spaces()
                 named.append((name, self.expression()))
             else:
                 values.append(self.expression())
             self.spaces()
-            if self.here.text == ",":
+            if self.text == ",":
                 self.step()
                 self.spaces()
-            elif self.here.text != ")":
+            elif self.text != ")":
                 raise self.unexpected("a comma or )")
         self.step()
         self.depth -= 1
@@ -284,13 +285,13 @@ class _Reader(Reader):
         self.deeper()
         items: list[Expression] = []
         self.spaces()
-        while self.here.text != closing:
+        while self.text != closing:
             items.append(self.expression())
             self.spaces()
-            if self.here.text == ",":
+            if self.text == ",":
                 self.step()
                 self.spaces()
-            elif self.here.text != closing:
+            elif self.text != closing:
                 raise self.unexpected(f"a comma or {closing}")
         self.step()
         self.depth -= 1
@@ -298,5 +299,5 @@ class _Reader(Reader):
 
     def spaces(self) -> None:
         """Pass over the ends of lines within brackets."""
-        while self.here.kind == "newline":
+        while self.kind == "newline":
             self.step()

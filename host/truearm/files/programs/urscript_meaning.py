@@ -259,13 +259,18 @@ def _solved(flow: Flow, arguments: Sequence[Values], named: Mapping[str, Values]
         there = _as_pose(pose, at)
         if isinstance(there, Unknown):
             return there
-        joints = numbers_of(near) or ()
+        joints: Taught | tuple[float, ...] | None
+        if isinstance(near, Taught):
+            joints = near if near.form is Form.JOINTS else None
+        else:
+            joints = numbers_of(near)
+            joints = joints if joints is not None and len(joints) == SIX else None
         own = None
         if not isinstance(tool, Truth | Text):
             own = _tool(tool, at)
             if isinstance(own, Unknown):
                 return own
-        return Solved(there, joints if len(joints) == SIX else None, own if isinstance(own, Pose) else None)
+        return Solved(there, joints, own if isinstance(own, Pose) else None)
 
     return combined(at, solved, [poses, nears or (Truth(False),), tools or (Truth(False),)])
 
@@ -296,7 +301,7 @@ def _items(of: Value) -> tuple[Values, ...] | None:
         and isinstance(of.factors[0].pose, Taught)
     ):
         of = of.factors[0].pose
-    return tuple((Number(number.value),) for number in of.numbers) if isinstance(of, Taught) else None
+    return tuple((Number(value),) for value in of.values) if isinstance(of, Taught) else None
 
 
 def _made(arguments: Sequence[Values], named: Mapping[str, Values], at: int) -> Values:

@@ -8,7 +8,8 @@ offsets leads back to the numbers that a person taught.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import product
 from typing import NamedTuple
 
@@ -69,7 +70,7 @@ class Solved(NamedTuple):
     """The joints at which the tool has a pose, nearest to ``near``; ``tool`` where it is not the one in force."""
 
     pose: Pose
-    near: tuple[float, ...] | None
+    near: Taught | tuple[float, ...] | None
     tool: Pose | None
 
 
@@ -79,7 +80,7 @@ class Goal(NamedTuple):
     target: Pose | Taught
     tool: Pose
     frame: Pose
-    near: tuple[float, ...] | None  # joint readings [rad] that say which configuration
+    near: Taught | tuple[float, ...] | None  # joint readings [rad] that say which configuration
     start: int  # of the argument that gives it
     end: int
 
@@ -118,7 +119,7 @@ def first_unknown(values: Sequence[Value]) -> Unknown | None:
 def numbers_of(value: Value) -> tuple[float, ...] | None:
     """The plain numbers of a list or literal; None where there is another thing, or several possibilities."""
     if isinstance(value, Taught):
-        return tuple(number.value for number in value.numbers)
+        return value.values
     if not isinstance(value, Listed):
         return None
     found = [item[0].value for item in value.items if len(item) == 1 and isinstance(item[0], Number)]
@@ -171,13 +172,22 @@ def taught_pose(taught: Taught) -> Pose:
     return Pose((Factor(taught),), taught if taught.form is Form.ROBTARGET else None)
 
 
+_NO_SIGNS = dict.fromkeys(map(ord, "p[] \t\r\n\f\v"))
+
+
+def values_of(literals: Sequence[Taught]) -> Floats:
+    """(n, k) the numbers of literals of one form."""
+    joined_text = ",".join([one.text for one in literals]).translate(_NO_SIGNS)
+    return np.fromstring(joined_text, sep=",").reshape(len(literals), -1)
+
+
 def matrices_of(literals: Sequence[Taught]) -> Floats:
     """(n, 4, 4) the poses [m] of literals of form POSE and ROBTARGET."""
     out = np.tile(np.eye(4), (len(literals), 1, 1))
     for form in (Form.POSE, Form.ROBTARGET):
         rows = [i for i, one in enumerate(literals) if one.form is form]
         if rows:
-            numbers = np.array([[number.value for number in literals[i].numbers[:7]] for i in rows])
+            numbers = values_of([literals[i] for i in rows])
             if form is Form.POSE:
                 place, turn = numbers[:, :3], Rotation.from_rotvec(numbers[:, 3:])
             else:
@@ -186,21 +196,42 @@ def matrices_of(literals: Sequence[Taught]) -> Floats:
     return out
 
 
-def matrix_of(pose: Pose, literals: Mapping[int, Floats]) -> Floats:
-    """(4, 4) the product; ``literals`` are the matrices of its literals by their places in the text."""
+@dataclass(frozen=True)
+class LiteralPoses:
+    """Poses (m, 4, 4) of literals; ``rows`` are their rows by the places of the literals."""
+
+    rows: Mapping[int, int]
+    matrices: Floats
+
+    def of(self, literal: Taught) -> Floats:
+        """(4, 4) the pose of one of them."""
+        return np.asarray(self.matrices[self.rows[literal.start]])
+
+
+def matrix_of(pose: Pose, literals: LiteralPoses) -> Floats:
+    """(4, 4) the product."""
     out = _IDENTITY
     for factor in pose.factors:
         of = factor.pose
-        if len(pose.factors) == 1 and isinstance(of, Taught) and not factor.inverse:
-            return literals[of.start]
-        here = np.array(of.rows).reshape(4, 4) if isinstance(of, Fixed) else literals[of.start]
+        here = np.array(of.rows).reshape(4, 4) if isinstance(of, Fixed) else literals.of(of)
         out = out @ (np.linalg.inv(here) if factor.inverse else here)
     return out
 
 
+def plain_literal(pose: Pose) -> Taught | None:
+    """The literal that a pose is, where it is nothing else."""
+    factor = pose.factors[0] if len(pose.factors) == 1 else None
+    return factor.pose if factor is not None and isinstance(factor.pose, Taught) and not factor.inverse else None
+
+
+def literals_in(pose: Pose) -> Iterator[Taught]:
+    """The literals of a product."""
+    return (factor.pose for factor in pose.factors if isinstance(factor.pose, Taught))
+
+
 def readings_of(taught: Taught) -> tuple[float, ...]:
     """The joint readings [rad] of a literal of form JOINTS or JOINTTARGET."""
-    values = tuple(number.value for number in taught.numbers[:6])
+    values = taught.values[:6]
     return values if taught.form is Form.JOINTS else tuple(float(DEG.to_si(value)) for value in values)
 
 

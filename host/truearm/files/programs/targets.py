@@ -1,0 +1,308 @@
+"""What of a program is to be corrected: which numbers of it each move goes to.
+
+A move's goal is a product of poses (``values.Pose``). One literal of it takes up the correction: the last one, which is the taught point where the others are
+features and offsets, unless another move needs it for itself. Two moves that would need two values of one literal are refused with both lines; with ``split``
+the later one gets numbers of its own, written where its argument stood.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import NamedTuple, assert_never
+
+import numpy as np
+
+from truearm.errors import ProgramError
+from truearm.files.programs.dataflow import Motion
+from truearm.files.programs.program import Program, Refused, refused_at, uncollected
+from truearm.files.programs.syntax import Form, Taught
+from truearm.files.programs.values import (
+    UNIT_QUATERNION,
+    Goal,
+    LiteralPoses,
+    Pose,
+    literals_in,
+    matrices_of,
+    matrix_of,
+    plain_literal,
+    values_of,
+)
+from truearm.types import Floats
+from truearm.units import DEG, MM, UNITS
+
+MAX_TARGETS = 100_000
+QUARTERS = (0, 3, 5)  # joints whose quarter turns a robtarget's configuration names: axes 1, 4 and 6
+
+
+class PoseTarget(NamedTuple):
+    """A pose that moves go to. ``literal`` takes up the correction; None where it is written into the move (``split``)."""
+
+    goal: Goal
+    literal: Taught | None
+    at: int  # of the first move that goes there
+
+
+class Line(NamedTuple):
+    """A straight move: its place, from where and to which pose. A start is a pose, or joint readings."""
+
+    at: int
+    start: int | Taught  # a pose's index among the targets' poses
+    end: int
+
+
+class Targets(NamedTuple):
+    """What is to be corrected: poses, and joint readings as literals; and the moves that cannot be.
+
+    ``lines`` are the straight moves, of which ``loose`` (by place) may begin elsewhere too.
+    """
+
+    poses: tuple[PoseTarget, ...]
+    joints: tuple[tuple[Taught, int], ...]
+    refused: tuple[Refused, ...]
+    lines: tuple[Line, ...]
+    loose: tuple[int, ...]
+
+
+Refuse = Callable[[Motion, str, str], None]
+
+
+@uncollected()
+def targets_of(program: Program, joint_moves: bool, split: bool) -> Targets:
+    """Which literals take up the corrections. ``joint_moves``: joint readings are corrected too; else they are left.
+
+    Raises ProgramError where there are too many targets.
+    """
+    refused: dict[Refused, None] = {}
+    users: dict[Goal, Motion] = {}
+    joints: dict[Taught, int] = {}
+
+    def refuse(motion: Motion, why: str, remedy: str) -> None:
+        refused[refused_at(program, motion.start, why, remedy)] = None
+
+    for motion in program.motions:
+        for why, remedy in motion.problems:
+            refuse(motion, why, remedy)
+        for goal in motion.goals:
+            if isinstance(goal.target, Pose):
+                users.setdefault(goal, motion)
+            elif joint_moves:
+                joints.setdefault(goal.target, motion.start)
+    if len(users) + len(joints) > MAX_TARGETS:
+        raise ProgramError(
+            f"{program.source.name}: has {len(users) + len(joints)} targets, the most is {MAX_TARGETS}; split it"
+        )
+    poses, index = _assigned(program, users, split, refuse)
+    literals = _literals_of(poses)
+    for literal in _suspects([*literals.values(), *joints]):
+        if (absurd := _absurd(literal)) is not None:
+            raise program.source.wrong(literal.start, absurd)
+    lines = tuple(dict.fromkeys(_lines(program, dict(zip(users, index, strict=True)))))
+    loose = tuple(motion.start for motion in program.motions if not motion.known_starts)
+    return Targets(poses, tuple(joints.items()), tuple(sorted(refused)), lines, loose)
+
+
+def _lines(program: Program, index: Mapping[Goal, int | None]) -> Iterator[Line]:
+    """The straight moves from known places to poses that are corrected."""
+    for motion in program.motions:
+        for start, end in motion.lines:
+            begin = start.target if isinstance(start.target, Taught) else index.get(start)
+            to = index.get(end)
+            if begin is not None and to is not None:
+                yield Line(motion.start, begin, to)
+
+
+def _assigned(
+    program: Program, users: Mapping[Goal, Motion], split: bool, refuse: Refuse
+) -> tuple[tuple[PoseTarget, ...], list[int | None]]:
+    """The targets, with a literal for each goal (those with one candidate choose first), and which of them each goal is."""
+    goals, motions = list(users), list(users.values())
+    fixtures = {literal.start for goal in goals for pose in goal[1:3] if pose.factors for literal in literals_in(pose)}
+    candidates = [_candidates(goal, fixtures) for goal in goals]
+    holders: dict[int, int] = {}
+    chosen: list[PoseTarget | None] = [None] * len(goals)
+    for i in sorted(range(len(goals)), key=lambda k: len(candidates[k])):
+        goal, motion = goals[i], motions[i]
+        taken: int | None = None
+        for literal in candidates[i]:
+            holder = holders.setdefault(literal.start, i)
+            if holder == i or _same(goals[holder], goal):
+                chosen[i] = PoseTarget(goal, literal, motion.start)
+                break
+            taken = holder if taken is None else taken
+        else:
+            chosen[i] = _split(goal, motion) if split else None
+            if chosen[i] is None:
+                why = "its target is not written as plain numbers in one place"
+                if taken is not None:
+                    line = program.source.line
+                    shared, other = line(candidates[i][0].start), line(motions[taken].start)
+                    why = f"it needs other numbers in the target of line {shared} than line {other} does"
+                refuse(motion, why, "" if split else "split")
+    unique: dict[object, int] = {}
+    index: list[int | None] = []
+    poses: list[PoseTarget] = []
+    for one in chosen:
+        if one is None:
+            index.append(None)
+            continue
+        key = one.goal._replace(near=None) if one.literal is None else one.literal.start
+        at = unique.setdefault(key, len(poses))
+        index.append(at)
+        if at == len(poses):
+            poses.append(one)
+    return tuple(poses), index
+
+
+def _split(goal: Goal, motion: Motion) -> PoseTarget | None:
+    """The goal written into its move, where the argument goes nowhere else."""
+    alone = sum(1 for other in motion.goals if (other.start, other.end) == (goal.start, goal.end)) == 1
+    return PoseTarget(goal, None, motion.start) if alone and goal.start >= 0 else None
+
+
+def _same(a: Goal, b: Goal) -> bool:
+    """Whether two goals ask the same of a literal."""
+    return (a.target, a.tool, a.frame) == (b.target, b.tool, b.frame)
+
+
+def _candidates(goal: Goal, fixtures: set[int]) -> list[Taught]:
+    """The literals that may take up a goal's correction, the best first."""
+    assert isinstance(goal.target, Pose)
+    found = list(literals_in(goal.target))
+    if len(found) == 1:
+        return found if found[0].start not in fixtures else []
+    starts = [one.start for one in found]
+    return [one for one in reversed(found) if starts.count(one.start) == 1 and one.start not in fixtures]
+
+
+def _suspects(literals: Sequence[Taught]) -> Iterator[Taught]:
+    """The literals with a number so large, or a quaternion so far from a unit one, that they may be absurd."""
+    for form in Form:
+        mine = [one for one in literals if one.form is form]
+        if mine:
+            values, odd = values_of(mine), np.zeros(len(mine), dtype=bool)
+            if form is Form.ROBTARGET:
+                odd = ~(np.abs(np.linalg.norm(values[:, 3:7], axis=1) - 1.0) <= UNIT_QUATERNION)
+            odd |= ~(np.abs(values[:, :6]) <= _plain(form)).all(axis=1)
+            yield from (mine[i] for i in np.flatnonzero(odd))
+
+
+def _plain(form: Form) -> float:
+    """What no length or angle of a literal exceeds that a robot reaches, in the units that it is written in."""
+    metres, radians = UNITS["m"].largest, UNITS["rad"].largest
+    match form:
+        case Form.POSE | Form.JOINTS:
+            return min(metres, radians)
+        case Form.ROBTARGET:
+            return float(MM.of(metres))
+        case Form.JOINTTARGET:
+            return float(DEG.of(radians))
+        case _:
+            assert_never(form)
+
+
+def _absurd(literal: Taught) -> str | None:
+    """Why a literal cannot be a pose or joint readings of a robot."""
+    numbers = literal.values
+    match literal.form:
+        case Form.POSE | Form.ROBTARGET as form:
+            pose = form is Form.POSE
+            largest = UNITS["m"].largest if pose else float(MM.of(UNITS["m"].largest))
+            if (far := _beyond(numbers[:6] if pose else numbers[:3], largest)) is not None:
+                return f"{far:g} is not a place that a robot reaches"
+            norm = 1.0 if pose else sum(value * value for value in numbers[3:7]) ** 0.5
+            if not abs(norm - 1.0) <= UNIT_QUATERNION:
+                return f"the orientation is no unit quaternion, its norm is {norm:.4g}"
+            return None
+        case Form.JOINTS | Form.JOINTTARGET as form:
+            largest = UNITS["rad"].largest if form is Form.JOINTS else float(DEG.of(UNITS["rad"].largest))
+            far = _beyond(numbers[:6], largest)
+            unit = "rad" if form is Form.JOINTS else "deg"
+            return None if far is None else f"{far:g} {unit} is no reading of a joint"
+        case _:
+            assert_never(literal.form)
+
+
+def _beyond(values: Sequence[float], largest: float) -> float | None:
+    if max(values) <= largest and min(values) >= -largest:
+        return None
+    return next((value for value in values if not abs(value) <= largest), None)
+
+
+# as arrays
+
+
+def poses_of(targets: Sequence[PoseTarget], known: LiteralPoses | None = None) -> tuple[Floats, Floats, Floats]:
+    """(n, 4, 4) targets in their frames, the frames in the controller's base, and the tools, in m; ``known`` are their ``literal_poses``."""
+    literals = known or literal_poses(targets)
+    goals = [one.goal for one in targets]
+    target, frame, tool = (
+        _products([pose for pose in poses if isinstance(pose, Pose)], literals)
+        for poses in ([g.target for g in goals], [g.frame for g in goals], [g.tool for g in goals])
+    )
+    return target, frame, tool
+
+
+def _products(poses: Sequence[Pose], literals: LiteralPoses) -> Floats:
+    """(n, 4, 4) of poses, many of which are one literal or the same object."""
+    out = np.empty((len(poses), 4, 4))
+    rows: list[tuple[int, int]] = []
+    known: dict[int, Floats] = {}
+    for i, pose in enumerate(poses):
+        if (literal := plain_literal(pose)) is not None:
+            rows.append((i, literals.rows[literal.start]))
+            continue
+        matrix = known.get(id(pose))
+        if matrix is None:
+            matrix = known[id(pose)] = matrix_of(pose, literals)
+        out[i] = matrix
+    if rows:
+        to, at = np.array(rows).T
+        out[to] = literals.matrices[at]
+    return out
+
+
+def literal_poses(targets: Sequence[PoseTarget]) -> LiteralPoses:
+    """The poses of all literals that targets, tools and frames are made of."""
+    found = _literals_of(targets)
+    return LiteralPoses(dict(zip(found, range(len(found)), strict=True)), matrices_of(list(found.values())))
+
+
+def _literals_of(targets: Sequence[PoseTarget]) -> dict[int, Taught]:
+    """The literals of targets, tools and frames by their places."""
+    found: dict[int, Taught] = {}
+    seen: set[int] = set()  # tools and frames are mostly the same objects
+    for one in targets:
+        for pose in one.goal[:3]:
+            if not isinstance(pose, Pose) or not pose.factors or id(pose) in seen:
+                continue
+            if one.literal is not None and len(pose.factors) == 1 and pose is one.goal.target:
+                found[one.literal.start] = one.literal
+                continue
+            seen.add(id(pose))
+            for literal in literals_in(pose):
+                found[literal.start] = literal
+    return found
+
+
+def nears_of(targets: Sequence[PoseTarget], n_joints: int) -> Floats:
+    """(n, j) joint readings [rad] near those of each target, NaN where the program says none."""
+    out = np.full((len(targets), n_joints), np.nan)
+    taught = [(i, one.goal.near) for i, one in enumerate(targets) if isinstance(one.goal.near, Taught)]
+    if taught and n_joints == 6:
+        out[[i for i, _ in taught]] = values_of([near for _, near in taught])
+    for i, one in enumerate(targets):
+        near = one.goal.near
+        if near is not None and not isinstance(near, Taught) and len(near) == n_joints:
+            out[i] = near
+    return out
+
+
+def quarters_of(targets: Sequence[PoseTarget], n_joints: int) -> Floats:
+    """(n, j) the quarter turns of axes 1, 4 and 6 by the configurations of robtargets, NaN elsewhere."""
+    out = np.full((len(targets), n_joints), np.nan)
+    likes = [(i, one.goal.target.like) for i, one in enumerate(targets) if isinstance(one.goal.target, Pose)]
+    known = [(i, like) for i, like in likes if like is not None]
+    if known and n_joints == 6:
+        rows = np.array([i for i, _ in known])
+        out[rows[:, None], QUARTERS] = values_of([like for _, like in known])[:, 7:10]
+    return out
