@@ -9,6 +9,7 @@ import io
 import os
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Annotated, Any, cast
 
 import typer
@@ -22,13 +23,16 @@ from truearm.cli.demo import demo
 from truearm.cli.export import export
 from truearm.cli.export_session import export_session
 from truearm.cli.identify import identify
+from truearm.cli.init import init
 from truearm.cli.inspect import inspect
 from truearm.cli.map import map_
 from truearm.cli.plan import app as plan
+from truearm.cli.project import ProjectCommand, defaults
 from truearm.cli.record import record
 from truearm.cli.recover import recover
 from truearm.cli.reproduce import reproduce
 from truearm.cli.simulate import simulate
+from truearm.cli.status import status
 from truearm.cli.validate import validate
 from truearm.errors import TruearmError
 from truearm.exit_codes import ExitCode, table
@@ -36,6 +40,8 @@ from truearm.text import one_line
 
 COMMANDS = (
     demo,
+    init,
+    status,
     simulate,
     record,
     recover,
@@ -64,7 +70,7 @@ app = typer.Typer(
     add_completion=False,
 )
 for _command in COMMANDS:
-    app.command(_command.__name__.strip("_").replace("_", "-"))(_command)
+    app.command(_command.__name__.strip("_").replace("_", "-"), cls=ProjectCommand)(_command)
 app.add_typer(box, name="box")
 app.add_typer(plan)
 
@@ -143,7 +149,8 @@ def _run(arguments: list[str]) -> int:
     command = typer.main.get_command(app)
     try:
         # Not command.main(): it prints errors in a box of several lines and swallows KeyboardInterrupt.
-        with command.make_context("truearm", list(arguments), obj=arguments) as context:
+        answers = defaults(Path.cwd())
+        with command.make_context("truearm", list(arguments), obj=arguments, default_map=answers) as context:
             command.invoke(context)
         sys.stdout.flush()
     except typer.Exit as exc:

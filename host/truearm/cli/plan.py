@@ -24,6 +24,7 @@ from truearm.cli.options import (
     spans_of,
 )
 from truearm.cli.output import command_group, print_json, print_lines
+from truearm.cli.project import ProjectCommand
 from truearm.errors import InputError
 from truearm.plan.criteria import Criterion, criterion_summary
 from truearm.plan.route_program import dialects_help
@@ -106,7 +107,7 @@ def _region_of(text: str | None) -> Region | None:
     return Region(np.array(lower), np.array(upper))
 
 
-@app.command("ballbar")
+@app.command("ballbar", cls=ProjectCommand)
 def ballbar(
     robot: RobotOption,
     rig: RigOption,
@@ -190,7 +191,7 @@ def ballbar(
     _print(plan_ball_bar_files(files, Budget(poses, minutes), options, _progress(as_json)), forecast_lines, as_json)
 
 
-@app.command("line")
+@app.command("line", cls=ProjectCommand)
 def line(
     robot: RobotOption,
     rig: RigOption,
@@ -267,7 +268,7 @@ def line(
     _print(plan_line_files(files, Budget(lines, minutes), options), forecast_lines, as_json)
 
 
-@app.command("characterize")
+@app.command("characterize", cls=ProjectCommand)
 def characterize(
     robot: RobotOption,
     rig: RigOption,

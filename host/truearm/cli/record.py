@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -26,7 +26,14 @@ from truearm.record.robots.sources import sources_help
 _PATIENCE_S = 600.0
 
 
+def _typed(context: typer.Context, name: str) -> Any:
+    """An option where it was typed, None where it is of truearm.toml."""
+    source = context.get_parameter_source(name)
+    return context.params[name] if source is not None and source.name == "COMMANDLINE" else None
+
+
 def record(
+    context: typer.Context,
     device: OptionalDeviceOption = None,
     out: Annotated[Path | None, out_file("a session (.mcap); --resume names its own")] = None,
     resume: Annotated[
@@ -79,6 +86,8 @@ def record(
     from truearm.cli.record_text import lines
     from truearm.workflows.record import Request, nearest_osr, record_request
 
+    if resume is not None:  # the session's own, not the project's
+        out, plan, rig, robot = (_typed(context, name) for name in ("out", "plan", "rig", "robot"))
     osr = None if rate is None else nearest_osr(rate)
     if duration is not None and not 0 < duration < math.inf:
         raise InputError(f"--duration {duration:g} is no time; give seconds above 0")

@@ -1,0 +1,136 @@
+"""``truearm init``: a folder becomes a project."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from truearm.cli.options import check_finite
+from truearm.cli.output import print_lines
+from truearm.errors import InputError
+from truearm.model.builtin import builtin_names
+from truearm.record.robots.sources import sources_help
+from truearm.units import MM
+
+UNKNOWN = "unknown"
+LONGEST_BAR_MM, SHORTEST_BAR_MM = 5000.0, 50.0
+
+
+def init(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="The folder; it is made if need be.")] = Path(),
+    model: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ROBOT", help=f"Built-in robot ({', '.join(builtin_names())}), robot file (.toml) or URDF (.urdf)."
+        ),
+    ] = None,
+    base: Annotated[str, typer.Option(metavar="LINK", help="First link of a URDF.")] = "",
+    tip: Annotated[str, typer.Option(metavar="LINK", help="Last link of a URDF.")] = "",
+    name: Annotated[str | None, typer.Option(metavar="TEXT", help="What is calibrated, as reports call it.")] = None,
+    serial: Annotated[str | None, typer.Option(metavar="TEXT", help="Serial number of the robot.")] = None,
+    operator: Annotated[str | None, typer.Option(metavar="TEXT", help="Who measures.")] = None,
+    address: Annotated[
+        str | None, typer.Option(metavar="URL", help=f"How the robot's joints are read: {sources_help()}.")
+    ] = None,
+    box: Annotated[
+        str | None, typer.Option(metavar="DEVICE", help="The box's port. Default: the one that is plugged in.")
+    ] = None,
+    bars: Annotated[
+        str | None,
+        typer.Option(
+            "--bars-mm", metavar="MM,…", help="Lengths of the bars at mid-travel. Default: two that suit the arm."
+        ),
+    ] = None,
+    known: Annotated[
+        str | None,
+        typer.Option(
+            "--known-mm",
+            metavar=f"MM|{UNKNOWN}",
+            help=f"How well the places of chucks and spheres are measured. Default: {UNKNOWN}, they are estimated.",
+        ),
+    ] = None,
+    zero: Annotated[
+        float | None,
+        typer.Option(
+            "--zero-sigma-mm", min=0.0, metavar="MM", help="How well the first bar's length is measured (0.1)."
+        ),
+    ] = None,
+    minutes: Annotated[
+        float,
+        typer.Option(min=0.0, max=1000.0, metavar="M", help="An operator's minutes of the first plan; 0: no plan."),
+    ] = 30.0,
+) -> None:
+    """Make a folder a project: truearm.toml, rig.toml and a first plan.
+
+    On a terminal what is not given is asked for; Enter takes what stands in brackets. In the folder, and in those below it, commands
+    then take from truearm.toml what they are not told: truearm record, truearm identify and truearm status need no options.
+
+    \b
+    Example:
+      truearm init cell3 --model ur5e --address rtde://192.168.0.2
+    """
+    from truearm.files.project_file import Project
+    from truearm.workflows.project import Wanted, create
+
+    asking = model is None and sys.stdin is not None and sys.stdin.isatty()
+    if model is None and not asking:
+        raise InputError("--model is missing: which robot is it? (see truearm init --help)")
+
+    def ask(given: str | None, question: str, default: str = "") -> str:
+        return (
+            given if given is not None else (typer.prompt(question, default=default, err=True) if asking else default)
+        )
+
+    model = ask(model, f"Robot: {', '.join(builtin_names())}, or a robot file or URDF", "ur5e")
+    project = Project(
+        model=model,
+        base=base,
+        tip=tip,
+        name=ask(name, "What is calibrated, as reports call it (Enter for nothing)"),
+        serial=ask(serial, "Serial number of the robot (Enter for none)"),
+        operator=ask(operator, "Who measures (Enter for nothing)"),
+        address=ask(address, "Address of the robot's joint readings, such as rtde://192.168.0.2 (Enter for none)"),
+        box=ask(box, "Port of the box (Enter for the one that is plugged in)"),
+    )
+    lengths = _lengths(
+        ask(bars, "Lengths of the bars at mid-travel [mm], between commas (Enter for two that suit the arm)")
+    )
+    places = _known(ask(known, f"How well are the places of chucks and spheres measured [mm], or {UNKNOWN}", UNKNOWN))
+    length = (
+        zero
+        if zero is not None
+        else _number("--zero-sigma-mm", ask(None, "How well is the first bar's length measured [mm]", "0.1"))
+    )
+    check_finite(zero_sigma_mm=zero, minutes=minutes)
+    wanted = Wanted(project, lengths, places, MM.to_si(length), minutes or None)
+    folder.mkdir(parents=True, exist_ok=True)
+    written = create(folder, wanted, lambda text: typer.echo(text, err=True))
+    print_lines(f"{path.name:<16}{path}" for path in written)
+    typer.echo(f"\nnext: put what you measured of the rig into {folder / project.rig}, then truearm status")
+
+
+def _number(option: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 <= value < math.inf:
+        raise InputError(f"{option} {text[:40]}: needs a number of 0 or more")
+    return value
+
+
+def _known(text: str) -> float | None:
+    return None if text == UNKNOWN else MM.to_si(_number("--known-mm", text))
+
+
+def _lengths(text: str) -> tuple[float, ...]:
+    values = [_number("--bars-mm", word) for word in text.split(",")] if text else []
+    if not all(SHORTEST_BAR_MM <= value <= LONGEST_BAR_MM for value in values) or len(set(values)) < len(values):
+        raise InputError(
+            f"--bars-mm {text[:40]}: needs different lengths from {SHORTEST_BAR_MM:g} to {LONGEST_BAR_MM:g} mm"
+        )
+    return tuple(map(MM.to_si, values))

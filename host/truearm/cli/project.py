@@ -1,0 +1,119 @@
+"""What the commands take from the project that they are started in: a default for each option that truearm.toml answers."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import typer
+from typer.core import TyperCommand
+
+from truearm.files.project_file import Project, find_project, read_project
+
+Answer = Callable[[], Any]  # what an option would have been given; None: nothing
+
+
+class ProjectCommand(TyperCommand):
+    """A command that says on standard error what it took from truearm.toml, before it begins."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command."""
+        taken = [
+            word
+            for one in self.params
+            if (source := ctx.get_parameter_source(one.name or "")) is not None and source.name == "DEFAULT_MAP"
+            for word in _words(one, ctx.params[one.name or ""])
+        ]
+        if taken:
+            typer.echo(f"truearm.toml: {shlex.join(taken)}", err=True)
+            if ctx.obj is not None:  # the command line, as results and reports quote it
+                ctx.obj.extend(taken)
+        return super().invoke(ctx)
+
+
+def _words(option: Any, value: Any) -> Sequence[str]:
+    """An option as it would be typed."""
+    flag = [option.opts[0]] if option.opts[0].startswith("-") else []
+    values = value if isinstance(value, list | tuple) else [value]
+    return [word for one in values for word in (*flag, str(one))]
+
+
+def defaults(folder: Path) -> dict[str, Any]:
+    """Return the answers of the project that ``folder`` is in, by command and parameter; empty where it is in none.
+
+    Raises InputError for a truearm.toml that is wrong.
+    """
+    file = find_project(folder)
+    if file is None:
+        return {}
+    return _answers(read_project(file), file.parent, folder)
+
+
+def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
+    def shown(path: Path) -> str:
+        return os.path.relpath(path, folder)
+
+    def there(name: str) -> Answer:
+        return lambda: shown(home / name) if (home / name).exists() else None
+
+    def text(value: str) -> Answer:
+        return lambda: value or None
+
+    def sessions() -> list[str] | None:
+        from truearm.workflows.project import sessions_of
+
+        return [shown(path) for path in sessions_of(home / project.sessions)] or None
+
+    def newest_session() -> str | None:
+        found = sessions()
+        return found[-1] if found else None
+
+    def newest_result() -> str | None:
+        from truearm.workflows.project import results_of
+
+        found = results_of(home / project.results)
+        return shown(found[-1]) if found else None
+
+    def new(in_folder: str, suffix: str) -> Answer:
+        def made() -> str:
+            from truearm.workflows.project import new_file
+
+            return shown(new_file(home / in_folder, suffix))
+
+        return made
+
+    def model() -> str:
+        return shown(home / project.model) if (home / project.model).is_file() else project.model
+
+    robot: Mapping[str, Answer] = {"robot": model, "base": text(project.base), "tip": text(project.tip)}
+    rig = {"rig": there(project.rig)}
+
+    def plan() -> str:
+        from truearm.workflows.project import new_plan
+
+        return shown(new_plan(home / project.plan))
+
+    planning: Mapping[str, Answer] = {**robot, **rig, "out": plan}
+    result: Mapping[str, Answer] = {"result": newest_result, **robot}
+    return {
+        "record": {
+            "device": text(project.box),
+            "robot": text(project.address),
+            "plan": there(project.plan),
+            **rig,
+            "out": new(project.sessions, ".mcap"),
+        },
+        "identify": {"inputs": sessions, **robot, "out": new(project.results, ".json")},
+        "validate": robot,  # its arguments are a result and what judges it: which of them is missing cannot be told
+        "correct": robot,
+        "map": result,
+        "export": result,
+        "inspect": {"session": newest_session},
+        "characterize": {"session": newest_session, **robot},
+        "export-session": {"session": newest_session},
+        "plan": {"ballbar": planning, "line": planning, "characterize": planning},
+        "box": {name: {"device": text(project.box)} for name in ("test", "monitor", "gauge", "info", "flash")},
+    }

@@ -1,0 +1,93 @@
+"""``truearm status``: what a project has, and what comes next."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, assert_never
+
+from truearm.cli.options import JsonOption
+from truearm.cli.output import print_json, print_lines
+from truearm.errors import InputError
+from truearm.files.project_file import FILE, find_project
+
+if TYPE_CHECKING:
+    from truearm.workflows.project import ProjectState
+
+
+def status(as_json: JsonOption = False) -> None:
+    """Show what the project of this folder has, and the command that comes next.
+
+    \b
+    Example:
+      truearm status
+    """
+    from truearm.workflows.project import state_of
+
+    file = find_project(Path.cwd())
+    if file is None:
+        raise InputError(f"no {FILE} here or in a folder above; truearm init makes one")
+    state = state_of(file)
+    if as_json:
+        print_json(_document(state))
+    else:
+        print_lines(_lines(state))
+
+
+def _lines(state: ProjectState) -> Iterator[str]:
+    project = state.project
+    yield f"project   {project.name or state.home.name}, {os.path.relpath(state.home)}"
+    yield f"robot     {project.model}{f', serial {project.serial}' * bool(project.serial)}, {project.address or 'no address'}"
+    yield f"rig       {os.path.relpath(state.rig) if state.rig else 'none'}"
+    yield f"plan      {f'{os.path.relpath(state.plan)}, {state.poses} poses' if state.plan else 'none'}"
+    yield f"sessions  {len(state.sessions) or 'none'}"
+    for session in state.sessions:
+        whole = "" if session.complete else ", not complete: it is being written, or truearm recover makes it whole"
+        yield f"          {os.path.relpath(session.path)}, {session.size / 1e6:.1f} MB{whole}"
+    yield f"results   {len(state.results) or 'none'}"
+    for result in state.results:
+        held = "" if result.held_out_mm is None else f", {result.held_out_mm:.4f} mm RMS held out"
+        yield f"          {os.path.relpath(result.path)}, {result.status}{held}"
+    command, why = _next(state)
+    yield f"next      {command} ({why})"
+
+
+def _next(state: ProjectState) -> tuple[str, str]:
+    """The command that comes next, and why."""
+    from truearm.workflows.project import Step
+
+    match state.next:
+        case Step.DESCRIBE:
+            return f"write {state.project.rig}", "the rig is not described yet: docs/rig.md"
+        case Step.PLAN:
+            return "truearm plan ballbar --minutes 30", "there is no plan yet"
+        case Step.RECORD:
+            return "truearm record", "nothing is recorded yet; truearm simulate rehearses it without hardware"
+        case Step.IDENTIFY:
+            return "truearm identify --hold-out 0.2", f"{state.sessions[-1].path.name} is not identified yet"
+        case Step.INSPECT:
+            return (
+                f"truearm inspect {os.path.relpath(state.sessions[-1].path)}",
+                f"the fit ended with: {state.results[-1].status}",
+            )
+        case Step.CORRECT:
+            result = os.path.relpath(state.results[-1].path)
+            return f"truearm correct {result} PROGRAM --out CORRECTED", "the robot is identified"
+        case _:
+            assert_never(state.next)
+
+
+def _document(state: ProjectState) -> dict[str, Any]:
+    return {
+        "format": "truearm-status",
+        "project": vars(state.project),
+        "folder": str(state.home),
+        "rig": str(state.rig) if state.rig else None,
+        "plan": str(state.plan) if state.plan else None,
+        "poses": state.poses,
+        "sessions": [{"file": str(s.path), "size_bytes": s.size, "complete": s.complete} for s in state.sessions],
+        "results": [{"file": str(r.path), "held_out_rms_mm": r.held_out_mm, "status": r.status} for r in state.results],
+        "next": _next(state)[0],
+        "why": _next(state)[1],
+    }

@@ -1,0 +1,86 @@
+"""truearm.toml: what the commands in a folder have in common, so that it need not be typed (docs/project.md).
+
+The file is looked for in the working folder and in those above it, as git looks for its own. Paths in it are relative to its folder.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from truearm.errors import InputError
+from truearm.files.disk import parse_toml, read_text
+from truearm.schema import Key, Table, Text, read
+
+FILE = "truearm.toml"
+FIRST_LINE = "# A truearm project (docs/project.md)"
+MAX_BYTES = 2**16
+MAX_LEVELS = 64  # of folders above the working one
+
+_LINE = Text(longest=400, one_line=True)
+
+
+@dataclass(frozen=True)
+class Project:
+    """What a truearm.toml says; "" for what it does not say.
+
+    ``model``: built-in robot, robot file or URDF, with ``base`` and ``tip`` of a URDF; ``serial`` of the robot and ``operator`` are for
+    the certificate. ``address``: how the robot's joints are read. ``box``: its port. ``rig``, ``plan``: files. ``sessions``, ``results``:
+    folders that record and identify write to.
+    """
+
+    model: str
+    name: str = ""
+    base: str = ""
+    tip: str = ""
+    serial: str = ""
+    operator: str = ""
+    address: str = ""
+    box: str = ""
+    rig: str = "rig.toml"
+    plan: str = "plan.csv"
+    sessions: str = "sessions"
+    results: str = "results"
+
+
+KEYS = tuple(Key(name, _LINE, optional=name != "model") for name in Project.__dataclass_fields__)
+PROJECT = Table(KEYS, Project)
+
+
+def find_project(start: Path) -> Path | None:
+    """The nearest truearm.toml in ``start`` or above it; None where there is none."""
+    for folder in [start, *start.parents][:MAX_LEVELS]:
+        if (folder / FILE).is_file():
+            return folder / FILE
+    return None
+
+
+def read_project(path: Path) -> Project:
+    """Read a truearm.toml. Raises InputError that names the file and the key."""
+    return read(
+        PROJECT, parse_toml(read_text(path, MAX_BYTES, InputError), str(path), InputError), str(path), InputError
+    )
+
+
+def format_project(project: Project) -> str:
+    """The text of a truearm.toml, with what each entry is for; what is not known yet stands there as a comment."""
+    remarks = {
+        "model": "built-in robot, robot file (.toml) or URDF (.urdf)",
+        "name": "what is calibrated, as reports call it",
+        "base": "first link of a URDF",
+        "tip": "last link of a URDF",
+        "serial": "serial number of the robot, for the certificate",
+        "operator": "who measures, for the certificate",
+        "address": "how truearm record reads the joints, such as rtde://192.168.0.2 (docs/robots.md)",
+        "box": "the box's port; without it the one that is plugged in",
+        "rig": "chucks, spheres, bars (docs/table-format.md)",
+        "plan": "the poses to measure",
+        "sessions": "folder of the recordings",
+        "results": "folder of the results",
+    }
+    values = vars(project)
+    lines = [FIRST_LINE, "# What a command in this folder or below it is not told, it takes from here.", ""]
+    for key in KEYS:
+        said = values[key.name] != ""
+        lines.append(f"{'' if said else '# '}{key.name} = {_LINE.format(values[key.name])}  # {remarks[key.name]}")
+    return "\n".join(lines) + "\n"

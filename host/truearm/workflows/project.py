@@ -1,0 +1,220 @@
+"""A project folder: what ``truearm init`` writes into one, and what ``truearm status`` finds there."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from datetime import datetime
+from enum import Enum, auto
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from truearm.errors import InputError, TruearmError
+from truearm.files.disk import write_atomic
+from truearm.files.project_file import FILE, Project, format_project, read_project
+from truearm.units import MM
+from truearm.workflows.session_observations import Say, silent
+
+if TYPE_CHECKING:
+    from truearm.types import Rig
+
+PLAN_MINUTES = 30.0
+RIG_HEAD = """\
+# The rig of {name}: docs/table-format.md says what may stand here, docs/rig.md what of it is worth measuring.
+# The coordinates are a proposal for an arm of this reach. Build the fixtures about so, then put in where things are in the end.
+# sigma: how well that was measured; "unknown": it is estimated from the measurements of the robot.
+"""
+CHUCKS = """
+# Chucks: magnetic cups on the table, in the robot's base frame. Measured with a coordinate measuring machine, a height gauge, a tape?"""
+SPHERES = """
+# Spheres: steel balls on the robot's end, in the frame of its flange."""
+BARS = """
+# Bars: zero is the length at mid-travel, centre to centre; gain its change with the reading; travel the full stroke; sigma what one
+# reading repeats to. Measure the first bar (a calliper over both balls, less their radii) and let the others be estimated."""
+
+
+class Wanted(NamedTuple):
+    """What ``init`` is told, in SI units: bars [m], how well chucks and spheres are known [m] and the first bar's length [m]."""
+
+    project: Project
+    bars: tuple[float, ...] = ()
+    known: float | None = None
+    zero_sigma: float = 1e-4
+    minutes: float | None = PLAN_MINUTES  # of the first plan; None: none is made
+
+
+class Step(Enum):
+    """What a project needs next: its rig described, a plan, a recording, a fit, a look at a fit that failed; or it is done."""
+
+    DESCRIBE = auto()
+    PLAN = auto()
+    RECORD = auto()
+    IDENTIFY = auto()
+    INSPECT = auto()
+    CORRECT = auto()
+
+
+@dataclass(frozen=True)
+class SessionState:
+    """A recording: file, size [byte], and whether it was completed."""
+
+    path: Path
+    size: int
+    complete: bool
+
+
+@dataclass(frozen=True)
+class ResultState:
+    """A result: file, held-out error [mm] where rows were held out, and how the fit ended."""
+
+    path: Path
+    held_out_mm: float | None
+    status: str
+
+
+@dataclass(frozen=True)
+class ProjectState:
+    """What is in a project's folder, and what comes next."""
+
+    project: Project
+    home: Path
+    rig: Path | None
+    plan: Path | None
+    poses: int
+    sessions: tuple[SessionState, ...]
+    results: tuple[ResultState, ...]
+    next: Step
+
+
+def sessions_of(folder: Path) -> list[Path]:
+    """The sessions of a folder by name, which is by date; parts that go on from one are read with it and are not listed."""
+    from truearm.workflows.session_parts import first_stem
+
+    every = sorted(folder.glob("*.mcap"))
+    return [
+        path
+        for path in every
+        if first_stem(path) == path.stem or path.with_name(f"{first_stem(path)}.mcap") not in every
+    ]
+
+
+def results_of(folder: Path) -> list[Path]:
+    """The results of a folder by name, which is by date."""
+    return sorted(folder.glob("*.json"))
+
+
+def new_file(folder: Path, suffix: str) -> Path:
+    """A file of this folder, named by date and time, that is not there; the folder is made."""
+    folder.mkdir(parents=True, exist_ok=True)
+    stem = datetime.now().astimezone().strftime("%Y-%m-%d-%H%M%S")
+    number = 1
+    while (path := folder / f"{stem}{f'-{number}' * (number > 1)}{suffix}").exists():
+        number += 1
+    return path
+
+
+def new_plan(path: Path) -> Path:
+    """The path, or one beside it with a number, that is not there."""
+    number = 1
+    while (found := path if number == 1 else path.with_stem(f"{path.stem}-{number}")).exists():
+        number += 1
+    return found
+
+
+def create(folder: Path, wanted: Wanted, say: Say = silent) -> list[Path]:
+    """Write truearm.toml, rig.toml and a first plan into a folder; return what was written.
+
+    Nothing that is there is written over. Raises InputError for a folder that is a project already, and as loading the robot and
+    planning do; nothing is written then.
+    """
+    from truearm.files.rig_file import read_rig
+    from truearm.files.robot_file import RobotChoice, load_robot
+    from truearm.plan.first_rig import first_rig
+    from truearm.workflows.plan import BallBarOptions, Budget, PlanFiles, plan_ball_bar_files
+
+    project = wanted.project
+    paths = {"project": folder / FILE, "rig": folder / project.rig, "plan": folder / project.plan}
+    if paths["project"].exists():
+        raise InputError(f"{paths['project']} is there already; edit it, or begin in another folder")
+    model = folder / project.model
+    choice = RobotChoice(str(model) if model.is_file() else project.model, project.base or None, project.tip or None)
+    robot = load_robot(choice.robot or "", choice.base, choice.tip)
+    for name in ("sessions", "results"):
+        (folder / getattr(project, name)).mkdir(parents=True, exist_ok=True)
+    written = []
+    if not paths["rig"].exists():
+        rig = first_rig(robot, wanted.bars, wanted.known, wanted.zero_sigma)
+        write_atomic(paths["rig"], _rig_text(rig, project.name or robot.chain.name))
+        written.append(paths["rig"])
+    read_rig(paths["rig"])
+    write_atomic(paths["project"], format_project(project))
+    written.insert(0, paths["project"])
+    if wanted.minutes is not None and not paths["plan"].exists():
+        say("planning")
+        files = PlanFiles(choice, paths["rig"], out=paths["plan"])
+        plan_ball_bar_files(files, Budget(minutes=wanted.minutes), BallBarOptions(), say)
+        written.append(paths["plan"])
+    return written
+
+
+def _rig_text(rig: Rig, name: str) -> str:
+    """A rig file for people: in mm, with what each part is."""
+    parts = [RIG_HEAD.format(name=name)]
+    for head, kind, points in ((CHUCKS, "chuck", rig.chucks), (SPHERES, "sphere", rig.spheres)):
+        parts.append(head)
+        for point in points.values():
+            xyz = ", ".join(f"{MM.of(x):g}" for x in point.xyz)
+            known = '"unknown"' if point.sigma is None else f"{MM.of(point.sigma):g}"
+            parts.append(f'[[{kind}]]\nname = "{point.name}"\nxyz_mm = [{xyz}]\nsigma_mm = {known}\n')
+    parts.append(BARS)
+    for bar in rig.bars.values():
+        lengths = {"zero": bar.zero, "travel": bar.travel, "sigma": bar.sigma, "zero_sigma": bar.zero_sigma}
+        keys = "\n".join(f"{key}_mm = {MM.of(value):g}" for key, value in lengths.items())
+        parts.append(f'[[bar]]\nname = "{bar.name}"\n{keys}\ngain_sigma = {bar.gain_sigma:g}\n')
+    return "\n".join(parts)
+
+
+def state_of(path: Path) -> ProjectState:
+    """What a project has and what comes next; ``path`` is its truearm.toml. Raises InputError for one that is wrong."""
+    project, home = read_project(path), path.parent
+    rig, plan = ((home / name) if (home / name).exists() else None for name in (project.rig, project.plan))
+    sessions = tuple(map(_session, sessions_of(home / project.sessions)))
+    results = tuple(map(_result, results_of(home / project.results)))
+    state = ProjectState(project, home, rig, plan, _poses(plan), sessions, results, Step.DESCRIBE)
+    return replace(state, next=_next(state))
+
+
+def _next(state: ProjectState) -> Step:
+    if state.rig is None:
+        return Step.DESCRIBE
+    if not state.sessions:
+        return Step.PLAN if state.plan is None else Step.RECORD
+    if not state.results or state.results[-1].path.stat().st_mtime < state.sessions[-1].path.stat().st_mtime:
+        return Step.IDENTIFY
+    return Step.CORRECT if state.results[-1].status == "converged" else Step.INSPECT
+
+
+def _poses(plan: Path | None) -> int:
+    from truearm.files.plan_file import read_plan
+
+    return 0 if plan is None else int(read_plan(plan).dwells.sum())
+
+
+def _session(path: Path) -> SessionState:
+    from truearm.session.message_columns import has_footer
+
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        return SessionState(path, size, has_footer(file, size))
+
+
+def _result(path: Path) -> ResultState:
+    from truearm.files.result_file import read_result
+
+    try:
+        document: dict[str, Any] = json.loads(path.read_bytes())
+        read_result(path)
+    except (TruearmError, ValueError, OSError) as exc:
+        return ResultState(path, None, f"cannot be read: {exc}")
+    held_out = document.get("held_out") or {}
+    return ResultState(path, held_out.get("rms_mm"), str(document["status"]))

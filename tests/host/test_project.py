@@ -1,0 +1,180 @@
+"""A project folder: init writes it, commands take from it what they are not told, status says what comes next."""
+
+import io
+import json
+import sys
+
+import numpy as np
+import pytest
+from session_stream import RIG, session
+
+from truearm.files.project_file import FILE, Project, find_project, format_project, read_project
+from truearm.files.rig_file import read_rig, write_rig
+from truearm.model.builtin import builtin_names
+from truearm.model.robot import builtin_robot
+from truearm.plan.first_rig import reach
+from truearm.record.links import HostClock
+from truearm.record.session_writer import SessionWriter
+
+
+@pytest.fixture
+def project(tmp_path, run, monkeypatch):
+    """A project of the PUMA without a plan, as the working folder."""
+    home = tmp_path / "cell"
+    assert run("init", home, "--model", "puma560", "--minutes", 0, "--operator", "A. B.").code == 0
+    monkeypatch.chdir(home)
+    return home
+
+
+def recorded(path, dwells=12):
+    with SessionWriter(path, HostClock()) as writer:
+        write_rig(path.with_suffix(".toml"), RIG)
+        writer.attach("rig.toml", "application/toml", path.with_suffix(".toml").read_bytes())
+        path.with_suffix(".toml").unlink()
+        for message in session(np.random.default_rng(2), dwells=dwells)[0]:
+            writer.add(message.topic, message.t_host_ns, message.data)
+
+
+def test_a_project_is_found_from_below(tmp_path):
+    (tmp_path / FILE).write_text(format_project(Project("ur5e", serial="2019-1")))
+    below = tmp_path / "a" / "b"
+    below.mkdir(parents=True)
+    assert find_project(below) == tmp_path / FILE
+    assert read_project(tmp_path / FILE) == Project("ur5e", serial="2019-1")
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ('modell = "ur5e"', "unknown key 'modell'; did you mean model?"),
+        ("", "needs model"),
+        ('model = "ur5e"\nbox = 3', "box: 3 is not text"),
+        ('model = "a\\nb"', "is not text of at most 400 characters, on one line"),
+        ("model = ", "truearm.toml"),
+        ('model = "' + "x" * 70_000 + '"', "truearm.toml"),
+    ],
+)
+def test_a_wrong_project_is_one_line(tmp_path, run, monkeypatch, text, complaint):
+    (tmp_path / FILE).write_text(text)
+    monkeypatch.chdir(tmp_path)
+    code, out, err = run("status")
+    assert (code, out) == (2, "")
+    assert complaint in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", builtin_names())
+def test_init_writes_a_rig_that_every_robot_reaches(tmp_path, run, name):
+    code, out, err = run("init", tmp_path / "cell", "--model", name, "--minutes", 0)
+    assert (code, err) == (0, "")
+    assert "rig.toml" in out
+    rig = read_rig(tmp_path / "cell" / "rig.toml")
+    assert all(point.sigma is None for point in (*rig.chucks.values(), *rig.spheres.values()))
+    farthest = max(np.linalg.norm(point.xyz[:2]) for point in rig.chucks.values())
+    assert farthest + min(bar.zero for bar in rig.bars.values()) < 1.3 * reach(builtin_robot(name))
+    assert [bar.zero_sigma for bar in rig.bars.values()] == [1e-4, 1e-3]
+
+
+def test_init_takes_what_was_measured(tmp_path, run):
+    given = ["--bars-mm", "460,610", "--known-mm", "0.02", "--zero-sigma-mm", "0.05", "--minutes", 0]
+    assert run("init", tmp_path, "--model", "puma560", *given).code == 0
+    rig = read_rig(tmp_path / "rig.toml")
+    assert list(rig.bars) == ["bar46", "bar61"]
+    assert rig.bars["bar46"].zero_sigma == 5e-5
+    assert rig.chucks["c1"].sigma == 2e-5
+
+
+def test_init_asks_on_a_terminal(tmp_path, run, monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    monkeypatch.setattr(sys, "stdin", Terminal("puma560\ncell 3\n\n\ntcp://127.0.0.1:7008\n\n460,610\n0.02\n0.05\n"))
+    monkeypatch.chdir(tmp_path)
+    assert run("init", "--minutes", 0).code == 0
+    said = read_project(tmp_path / FILE)
+    assert (said.model, said.name, said.address, said.box) == ("puma560", "cell 3", "tcp://127.0.0.1:7008", "")
+    assert read_rig(tmp_path / "rig.toml").bars["bar61"].zero == pytest.approx(0.61)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        ((), "--model is missing"),
+        (("--model", "ur55"), "ur5"),
+        (("--model", "ur5e", "--bars-mm", "370,370"), "needs different lengths"),
+        (("--model", "ur5e", "--bars-mm", "0.37"), "needs different lengths from 50 to 5000 mm"),
+        (("--model", "ur5e", "--known-mm", "about"), "--known-mm about: needs a number"),
+        (("--model", "ur5e", "--base", "a"), "choose links of a URDF"),
+    ],
+)
+def test_init_refuses_and_leaves_nothing(tmp_path, run, monkeypatch, arguments, complaint):
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
+    code, out, err = run("init", tmp_path / "cell", "--minutes", 0, *arguments)
+    assert (code, out) == (2, "")
+    assert complaint in err
+    assert not (tmp_path / "cell" / FILE).exists()
+
+
+def test_init_writes_over_nothing(project, run):
+    (project / "rig.toml").write_text("# mine")
+    code, _, err = run("init", project, "--model", "ur5e", "--minutes", 0)
+    assert code == 2
+    assert "is there already" in err
+    assert (project / "rig.toml").read_text() == "# mine"
+
+
+def test_status_says_what_comes_next(project, run):
+    assert "truearm plan ballbar" in run("status").out
+    (project / "sessions").mkdir(exist_ok=True)
+    recorded(project / "sessions" / "2026-01-01.mcap")
+    state = json.loads(run("status", "--json").out)
+    assert state["next"].startswith("truearm identify")
+    assert state["sessions"] == [
+        {
+            "file": str(project / "sessions" / "2026-01-01.mcap"),
+            "size_bytes": (project / "sessions" / "2026-01-01.mcap").stat().st_size,
+            "complete": True,
+        }
+    ]
+
+
+def test_commands_take_what_they_are_not_told(project, files, run, monkeypatch):
+    below = project / "notes"
+    below.mkdir()
+    monkeypatch.chdir(below)
+    recorded(project / "sessions" / "2026-01-01.mcap")
+    code, _, err = run("inspect")
+    assert code == 0
+    assert err.splitlines()[0] == "truearm.toml: ../sessions/2026-01-01.mcap"
+    err = run("identify").err
+    assert err.startswith("truearm.toml: ../sessions/2026-01-01.mcap --robot puma560 --out ../results/")
+    measured = ["identify", files / "poses.csv", "--rig", files / "rig.toml"]
+    assert run(*measured).code == 0
+    *_, result = every = sorted((project / "results").glob("*.json"))
+    assert json.loads(result.read_text())["robot"]["name"] == "puma560"
+    assert run(*measured, "--out", below / "own.json").code == 0
+    assert sorted((project / "results").glob("*.json")) == every  # what is typed comes first
+    assert run("export", "--format", "dh", "--out", below / "robot.csv").err.startswith(
+        f"truearm.toml: ../results/{result.name} --robot"
+    )
+
+
+def test_a_plan_is_never_written_over_by_default(project, run):
+    (project / "plan.csv").write_text("mine")
+    err = run("plan", "ballbar", "--poses", 9, "--candidates", 9).err
+    assert "--out plan-2.csv" in err
+    assert (project / "plan.csv").read_text() == "mine"
+
+
+def test_record_takes_address_and_rig(project, run):
+    (project / FILE).write_text(format_project(Project("puma560", address="nonsense://x", box="/dev/none")))
+    code, _, err = run("record", "--duration", 1)
+    assert code in (1, 2)
+    assert err.startswith("truearm.toml: --device /dev/none --out sessions/")
+    assert "--robot nonsense://x --rig rig.toml" in err
+
+
+def test_without_a_project_status_says_how_to_make_one(tmp_path, run, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert "truearm init makes one" in run("status").err
