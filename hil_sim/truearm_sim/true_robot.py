@@ -10,10 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from truearm.model.chain import GEOMETRY, forward, joint_frames
+from truearm.model.chain import GEOMETRY
 from truearm.model.joint_terms.offset import Offset
 from truearm.model.robot import Robot
-from truearm.model.workspace import Branch
 from truearm.types import Floats
 from truearm_sim.arm import Arm
 
@@ -62,12 +61,3 @@ def moving(robot: Robot, arm: Arm | None = None) -> Arm:
         speed=tuple(SLIDE_SPEED if slide else JOINT_SPEED for slide in slides),
         acceleration=tuple(SLIDE_ACCELERATION if slide else JOINT_ACCELERATION for slide in slides),
     )
-
-
-def reach(robot: Robot, branch: Branch) -> float:
-    """Return how far the end comes from the second joint [m], of poses drawn in a branch."""
-    chain = robot.chain
-    q = np.random.default_rng(0).uniform(branch.lower, branch.upper, (2000, len(branch.lower)))
-    end = forward(chain, chain.params_nominal, q)[:, :3, 3]
-    shoulder = joint_frames(chain, chain.params_nominal, q)[:, 1, :3, 3]
-    return float(np.linalg.norm(end - shoulder, axis=1).max())

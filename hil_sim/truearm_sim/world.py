@@ -18,19 +18,18 @@ from truearm.files import plan_file
 from truearm.model.chain import Chain, point_forward
 from truearm.model.robot import Robot, builtin_robot
 from truearm.plan.branches import branch_of
+from truearm.plan.first_rig import bars, first_rig, triangle
 from truearm.plan.forecast import Known
 from truearm.plan.shells import plan_shells
 from truearm.types import BallBar, Floats, Plan, Point, Rig
-from truearm.units import CM
 from truearm_sim import sensors
 from truearm_sim.arm import Arm
 from truearm_sim.clocks import Clock, Clocks, draw_clocks
 from truearm_sim.line_device import REACH, Flaws, LineDevices, Placement, place_devices, written_down
 from truearm_sim.paths import line_paths
 from truearm_sim.robot import Controller, Inputs, States, new_pairing
-from truearm_sim.true_robot import PAPER, moving, reach, true_params
+from truearm_sim.true_robot import PAPER, moving, true_params
 
-REPEATABILITY = 84e-6  # m
 NO_BAR = BallBar("", math.nan, math.nan, math.nan, math.nan)  # at rows of a plan with the bar off
 NO_POINT = Point("", (math.nan, math.nan, math.nan))
 MAG_PERIOD_NS = 983_040  # 1017 Hz
@@ -47,37 +46,13 @@ def standard_rig(robot: Robot | None = None) -> Rig:
     """Three chucks on the table before a robot, three spheres on its endpoint, two bars: of 46 and 61 cm for the PUMA 560, which is
     the default, else in proportion to the arm's reach. Raises PlanError for a robot without a branch.
     """
-    if robot is None or robot.chain.name == PAPER:
-        return Rig(
-            chucks=_triangle("c", centre=(0.45, 0.15, 0.08), radius=0.20, turn=0.2),
-            spheres=_triangle("s", centre=(0.0, 0.0, 0.04), radius=0.13, turn=0.5),
-            bars=_bars(0.46, 0.61),
-        )
-    r = 0.92 * reach(robot, branch_of(robot))
+    if robot is not None and robot.chain.name != PAPER:
+        return first_rig(robot)
     return Rig(
-        chucks=_triangle("c", centre=(0.53 * r, 0.05 * r, 0.07), radius=0.165 * r, turn=0.2),
-        spheres=_triangle("s", centre=(0.0, 0.0, 0.05), radius=0.094 * r, turn=0.5),
-        bars=_bars(round(0.42 * r, 2), round(0.53 * r, 2)),
+        chucks=triangle("c", (0.45, 0.15, 0.08), 0.20, turn=0.2, digits=6),
+        spheres=triangle("s", (0.0, 0.0, 0.04), 0.13, turn=0.5, digits=6),
+        bars=bars(0.46, 0.61),
     )
-
-
-def _bars(*zeros: float) -> dict[str, BallBar]:
-    """Bars of these lengths [m], named by their centimetres."""
-    names = [f"bar{round(CM.of(zero))}" for zero in zeros]
-    return {
-        name: BallBar(name, zero, gain=1.0, travel=0.075, sigma=REPEATABILITY)
-        for name, zero in zip(names, zeros, strict=True)
-    }
-
-
-def _triangle(prefix: str, centre: tuple[float, float, float], radius: float, turn: float) -> dict[str, Point]:
-    """Three points of an equilateral triangle in a plane of constant z, known to the micrometre as if measured."""
-    points = {}
-    for i in range(3):
-        angle = turn + 2.0 * math.pi * i / 3.0
-        x, y = centre[0] + radius * math.cos(angle), centre[1] + radius * math.sin(angle)
-        points[f"{prefix}{i + 1}"] = Point(f"{prefix}{i + 1}", (round(x, 6), round(y, 6), centre[2]))
-    return points
 
 
 def arrivals(plan: Plan) -> NDArray[np.int64]:

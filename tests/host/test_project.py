@@ -12,6 +12,7 @@ from truearm.files.project_file import FILE, Project, find_project, format_proje
 from truearm.files.rig_file import read_rig, write_rig
 from truearm.model.builtin import builtin_names
 from truearm.model.robot import builtin_robot
+from truearm.plan.branches import branch_of
 from truearm.plan.first_rig import reach
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
@@ -71,7 +72,9 @@ def test_init_writes_a_rig_that_every_robot_reaches(tmp_path, run, name):
     rig = read_rig(tmp_path / "cell" / "rig.toml")
     assert all(point.sigma is None for point in (*rig.chucks.values(), *rig.spheres.values()))
     farthest = max(np.linalg.norm(point.xyz[:2]) for point in rig.chucks.values())
-    assert farthest + min(bar.zero for bar in rig.bars.values()) < 1.3 * reach(builtin_robot(name))
+    assert farthest + min(bar.zero for bar in rig.bars.values()) < 1.3 * reach(
+        builtin_robot(name), branch_of(builtin_robot(name))
+    )
     assert [bar.zero_sigma for bar in rig.bars.values()] == [1e-4, 1e-3]
 
 
@@ -173,6 +176,14 @@ def test_record_takes_address_and_rig(project, run):
     assert code in (1, 2)
     assert err.startswith("truearm.toml: --device /dev/none --out sessions/")
     assert "--robot nonsense://x --rig rig.toml" in err
+
+
+def test_a_rehearsal_needs_no_options(project, run):
+    """The whole way by commands without options, in virtual time."""
+    assert run("plan", "ballbar", "--poses", 27, "--candidates", 400).code == 0
+    code, _, err = run("simulate", "--fast", "--out", project / "rehearsal", "--rate", 254)
+    assert code == 0, err
+    assert err.startswith("truearm.toml: --model puma560 --plan plan.csv --rig-file rig.toml")
 
 
 def test_without_a_project_status_says_how_to_make_one(tmp_path, run, monkeypatch):

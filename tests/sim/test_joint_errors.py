@@ -9,9 +9,10 @@ from tests.end_to_end.conftest import measured_by_bars
 from truearm.estimate.identify import identify
 from truearm.model.chain import forward, joint_frames
 from truearm.model.robot import builtin_robot
+from truearm.plan.first_rig import reach
 from truearm_sim.arm import Arm
 from truearm_sim.joint_errors import GRAVITY, GearError, Sag
-from truearm_sim.true_robot import Tolerance, moving, reach, true_params
+from truearm_sim.true_robot import Tolerance, moving, true_params
 from truearm_sim.world import World, standard_plan, standard_rig
 
 

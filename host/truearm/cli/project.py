@@ -24,7 +24,7 @@ class ProjectCommand(TyperCommand):
         taken = [
             word
             for one in self.params
-            if (source := ctx.get_parameter_source(one.name or "")) is not None and source.name == "DEFAULT_MAP"
+            if _source(ctx, one.name or "") == "DEFAULT_MAP"
             for word in _words(one, ctx.params[one.name or ""])
         ]
         if taken:
@@ -32,6 +32,16 @@ class ProjectCommand(TyperCommand):
             if ctx.obj is not None:  # the command line, as results and reports quote it
                 ctx.obj.extend(taken)
         return super().invoke(ctx)
+
+
+def typed(context: typer.Context, name: str) -> Any:
+    """Return an option that was typed, None where it is a default or of truearm.toml."""
+    return context.params[name] if _source(context, name) == "COMMANDLINE" else None
+
+
+def _source(context: typer.Context, name: str) -> str:
+    source = context.get_parameter_source(name)
+    return "" if source is None else source.name
 
 
 def _words(option: Any, value: Any) -> Sequence[str]:
@@ -91,6 +101,9 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
     robot: Mapping[str, Answer] = {"robot": model, "base": text(project.base), "tip": text(project.tip)}
     rig = {"rig": there(project.rig)}
 
+    simulated: Mapping[str, Answer] = {"model": model, "base": text(project.base), "tip": text(project.tip)}
+    planned = {"plan": there(project.plan), "rig_file": there(project.rig)}
+
     def plan() -> str:
         from truearm.workflows.project import new_plan
 
@@ -99,6 +112,8 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
     planning: Mapping[str, Answer] = {**robot, **rig, "out": plan}
     result: Mapping[str, Answer] = {"result": newest_result, **robot}
     return {
+        "demo": simulated,
+        "simulate": {**simulated, **(planned if (home / project.plan).exists() else {})},
         "record": {
             "device": text(project.box),
             "robot": text(project.address),

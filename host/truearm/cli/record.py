@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -19,17 +19,12 @@ from truearm.cli.options import (
     out_file,
 )
 from truearm.cli.output import print_lines
+from truearm.cli.project import typed
 from truearm.errors import IncompleteError, InputError
 from truearm.exit_codes import ExitCode
 from truearm.record.robots.sources import sources_help
 
 _PATIENCE_S = 600.0
-
-
-def _typed(context: typer.Context, name: str) -> Any:
-    """An option where it was typed, None where it is of truearm.toml."""
-    source = context.get_parameter_source(name)
-    return context.params[name] if source is not None and source.name == "COMMANDLINE" else None
 
 
 def record(
@@ -87,7 +82,7 @@ def record(
     from truearm.workflows.record import Request, nearest_osr, record_request
 
     if resume is not None:  # the session's own, not the project's
-        out, plan, rig, robot = (_typed(context, name) for name in ("out", "plan", "rig", "robot"))
+        out, plan, rig, robot = (typed(context, name) for name in ("out", "plan", "rig", "robot"))
     osr = None if rate is None else nearest_osr(rate)
     if duration is not None and not 0 < duration < math.inf:
         raise InputError(f"--duration {duration:g} is no time; give seconds above 0")

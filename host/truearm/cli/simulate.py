@@ -9,6 +9,7 @@ import typer
 
 from truearm.cli.options import BaseOption, BranchOption, PlanOption, SeedOption, TipOption, branch_given, out_folder
 from truearm.cli.output import recording_progress
+from truearm.cli.project import typed
 from truearm.cli.truth_options import (
     DEFAULT_MODEL,
     DEFAULT_PERIODS,
@@ -31,6 +32,7 @@ FAST_RATE_HZ = 500.0
 
 
 def simulate(
+    context: typer.Context,
     out: Annotated[Path, out_folder("plan.csv and rig.toml, with --fast session.mcap")] = Path("out/simulated"),
     model: ModelOption = DEFAULT_MODEL,
     base: BaseOption = None,
@@ -110,6 +112,8 @@ def simulate(
     from truearm.workflows.record import nearest_osr
     from truearm.workflows.simulate import SimulateOptions, simulate_box_and_robot, simulate_fast
 
+    if any(typed(context, name) is not None for name in ("poses", "lines", "model")):  # not the project's plan then
+        plan, rig_file = typed(context, "plan"), typed(context, "rig_file")
     options = SimulateOptions(
         folder=out,
         model=RobotChoice(model, base, tip),

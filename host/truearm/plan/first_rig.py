@@ -8,6 +8,7 @@ import numpy as np
 
 from truearm.model.chain import forward, joint_frames
 from truearm.model.robot import Robot
+from truearm.model.workspace import Branch
 from truearm.plan.branches import branch_of
 from truearm.types import BallBar, Point, Rig
 from truearm.units import CM
@@ -22,42 +23,41 @@ SHARE = 0.92  # of the reach: the outermost poses are singular
 POSES = 2000  # drawn, to find how far the arm reaches
 
 
-def reach(robot: Robot) -> float:
-    """How far [m] the end comes from the second joint, of poses drawn in the robot's branch. Raises PlanError for a robot without one."""
-    branch, chain = branch_of(robot), robot.chain
-    q = np.random.default_rng(0).uniform(branch.lower, branch.upper, (POSES, len(chain.joints)))
+def reach(robot: Robot, branch: Branch) -> float:
+    """How far the end comes from the second joint [m], of poses drawn in a branch."""
+    chain = robot.chain
+    q = np.random.default_rng(0).uniform(branch.lower, branch.upper, (POSES, len(branch.lower)))
     end = forward(chain, chain.params_nominal, q)[:, :3, 3]
     shoulder = joint_frames(chain, chain.params_nominal, q)[:, 1, :3, 3]
     return float(np.linalg.norm(end - shoulder, axis=1).max())
 
 
-def first_rig(robot: Robot, bars: tuple[float, ...] = (), known: float | None = None, zero_sigma: float = 1e-4) -> Rig:
-    """Three chucks before the arm, three spheres on its end, and bars of these lengths [m]; () for two that suit the reach.
+def first_rig(robot: Robot) -> Rig:
+    """Three chucks before the arm, three spheres on its end, two bars; all as if it were known exactly.
 
-    Coordinates are a proposal. ``known`` [m]: how well they will be known; None: not at all. ``zero_sigma`` [m]: how well the first bar's
-    length will be; the others' are estimated from 1 mm. Raises PlanError for a robot without a branch.
+    Raises PlanError for a robot without a branch.
     """
-    r = SHARE * reach(robot)
-    zeros = bars or (round(SHORT * r, 2), round(LONG * r, 2))
-    made: dict[str, BallBar] = {}
-    for zero in zeros:
-        name = f"bar{round(CM.of(zero))}"
-        sigma = zero_sigma if not made else max(zero_sigma, 1e-3)
-        made[name] = BallBar(name, zero, 1.0, TRAVEL, REPEATABILITY, sigma, 1e-3)
+    r = SHARE * reach(robot, branch_of(robot))
     return Rig(
-        chucks=_circle("c", (BEFORE * r, ASIDE * r, TABLE), CHUCKS * r, 0.2, known),
-        spheres=_circle("s", (0.0, 0.0, PLATE), SPHERES * r, 0.5, known),
-        bars=made,
+        chucks=triangle("c", (BEFORE * r, ASIDE * r, TABLE), CHUCKS * r, turn=0.2, digits=3),
+        spheres=triangle("s", (0.0, 0.0, PLATE), SPHERES * r, turn=0.5, digits=3),
+        bars=bars(round(SHORT * r, 2), round(LONG * r, 2)),
     )
 
 
-def _circle(
-    prefix: str, centre: tuple[float, float, float], radius: float, turn: float, known: float | None
+def bars(*zeros: float) -> dict[str, BallBar]:
+    """Bars of these lengths [m], named by their centimetres."""
+    names = [f"bar{round(CM.of(zero))}" for zero in zeros]
+    return {name: BallBar(name, zero, 1.0, TRAVEL, REPEATABILITY) for name, zero in zip(names, zeros, strict=True)}
+
+
+def triangle(
+    prefix: str, centre: tuple[float, float, float], radius: float, *, turn: float, digits: int
 ) -> dict[str, Point]:
+    """Three points of an equilateral triangle in a plane of constant z [m], rounded to so many digits."""
     points = {}
     for i in range(3):
         angle = turn + 2.0 * math.pi * i / 3.0
         x, y = centre[0] + radius * math.cos(angle), centre[1] + radius * math.sin(angle)
-        name = f"{prefix}{i + 1}"
-        points[name] = Point(name, (round(x, 3), round(y, 3), centre[2]), known)
+        points[f"{prefix}{i + 1}"] = Point(f"{prefix}{i + 1}", (round(x, digits), round(y, digits), centre[2]))
     return points

@@ -69,12 +69,13 @@ def planned_lines(seed: int, robot: Robot) -> Plan:
     from truearm.plan.branches import branch_of
     from truearm.plan.cartesian_lines import Shape, candidate_lines
     from truearm.plan.collision_shapes import Sizes
+    from truearm.plan.first_rig import reach
     from truearm.plan.forecast import Known
     from truearm.plan.line_plan import LinesWanted, plan_lines
     from truearm.plan.measurement_limits import Limits
     from truearm.plan.region import Region
     from truearm_sim.line_plan import JOINT_SPEED, MAGNET, TARGETS, line_rig, lines_plan, with_ways
-    from truearm_sim.true_robot import PAPER, reach
+    from truearm_sim.true_robot import PAPER
 
     branch = branch_of(robot)
     size = 1.0 if robot.chain.name == PAPER else reach(robot, branch) / REGION_REACH

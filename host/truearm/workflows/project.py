@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from truearm.types import Rig
 
 PLAN_MINUTES = 30.0
+OTHER_BARS = 1e-3  # m, how well the length of a bar is known that is estimated: an extension rod by a tape
+GAIN_SIGMA = 1e-3  # of a conditioner (docs/rig.md)
 RIG_HEAD = """\
 # The rig of {name}: docs/table-format.md says what may stand here, docs/rig.md what of it is worth measuring.
 # The coordinates are a proposal for an arm of this reach. Build the fixtures about so, then put in where things are in the end.
@@ -143,7 +145,7 @@ def create(folder: Path, wanted: Wanted, say: Say = silent) -> list[Path]:
         (folder / getattr(project, name)).mkdir(parents=True, exist_ok=True)
     written = []
     if not paths["rig"].exists():
-        rig = first_rig(robot, wanted.bars, wanted.known, wanted.zero_sigma)
+        rig = _as_known(first_rig(robot), wanted)
         write_atomic(paths["rig"], _rig_text(rig, project.name or robot.chain.name))
         written.append(paths["rig"])
     read_rig(paths["rig"])
@@ -155,6 +157,23 @@ def create(folder: Path, wanted: Wanted, say: Say = silent) -> list[Path]:
         plan_ball_bar_files(files, Budget(minutes=wanted.minutes), BallBarOptions(), say)
         written.append(paths["plan"])
     return written
+
+
+def _as_known(rig: Rig, wanted: Wanted) -> Rig:
+    """A first rig with the bars that there are, and what of it will be measured how well; all bars but the first to 1 mm."""
+    from truearm.plan.first_rig import bars
+
+    chucks, spheres = (
+        {name: replace(point, sigma=wanted.known) for name, point in points.items()}
+        for points in (rig.chucks, rig.spheres)
+    )
+    made = bars(*wanted.bars) if wanted.bars else rig.bars
+    sigmas = [wanted.zero_sigma] + [max(wanted.zero_sigma, OTHER_BARS)] * (len(made) - 1)
+    known = {
+        bar.name: replace(bar, zero_sigma=sigma, gain_sigma=GAIN_SIGMA)
+        for bar, sigma in zip(made.values(), sigmas, strict=True)
+    }
+    return replace(rig, chucks=chucks, spheres=spheres, bars=known)
 
 
 def _rig_text(rig: Rig, name: str) -> str:
