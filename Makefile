@@ -12,7 +12,7 @@ unexport PYTHONDONTWRITEBYTECODE
 DEVICE_FILES = $(shell find firmware protocol/truearm_wire hil_sim/truearm_sim/vm -path firmware/image -prune -o -name '*.py' -print 2>/dev/null | sort)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint device-check pytest collect soak bench micropython wire uf2 chip hardware hardware-check kicad-if-possible image-if-possible chip-if-possible venv test-lowest clean
+.PHONY: help demo test lint device-check pytest collect soak bench benchmark micropython wire uf2 chip hardware hardware-check kicad-if-possible image-if-possible chip-if-possible venv test-lowest clean
 
 help: ## this list
 	@sed -nE 's/^([a-z0-9-]+):.*## (.*)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-20s %s\n", $$1, $$2}'
@@ -47,6 +47,9 @@ soak: .venv/installed-test micropython chip-if-possible ## the long proofs
 
 bench: .venv/installed-test micropython build/bench-venv/installed ## the measurements that the documents quote
 	@for file in $(wildcard bench/*.py); do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+
+benchmark: .venv/installed-test build/bench-venv/installed ## real arms, geometry and joint laws: docs/real-arms.md and its picture
+	@$(BIN)/python bench/real_arms.py --write
 
 # Each peer in an environment of its own: they want different numpys. One that cannot be installed is said to be missing.
 build/bench-venv/installed: $(wildcard bench/peers/*.txt)

@@ -30,6 +30,7 @@ from truearm.types import Floats
 
 FLOOR = 1e-30  # a variance below this is none
 NEGLIGIBLE = 1e-7  # nats that a direction of the prior may be worth to be left out
+REVIVED = 0.03  # of the cap
 COUNTS = 1e-3  # of a block's variance: a kernel's below this may change as it likes when convergence is judged
 
 
@@ -105,9 +106,7 @@ def learned(
         here = weigh(marginal, blocks, out)
         largest = 0.0
         for i, block in enumerate(blocks):
-            z, v = here.z[block.columns], here.v(block.columns)
-            gain = (block.kernels @ z) @ z
-            loss = (block.kernels * v).sum(axis=(1, 2)) + 1.0 / block.cap**2
+            gain, loss = _gradient(here, block)
             new = np.maximum(out[i] * gain / loss, FLOOR)
             scale = np.maximum(new, COUNTS * max(float(new.sum()), COUNTS * block.cap**2))
             largest = max(largest, float((np.abs(new - out[i]) / scale).max()))
@@ -115,6 +114,25 @@ def learned(
         if largest < tolerance:
             break
     return out
+
+
+def revived(marginal: Marginal, blocks: Sequence[PriorBlock], variances: Sequence[Floats]) -> list[Floats]:
+    """The variances, where one that had fallen to nothing would raise the evidence begun again.
+
+    The fixed point multiplies, so what fell under a noise that was still too large would take very long to come back.
+    """
+    here, out = weigh(marginal, blocks, variances), []
+    for block, variance in zip(blocks, variances, strict=True):
+        gain, loss = _gradient(here, block)
+        again = (REVIVED * block.cap) ** 2
+        out.append(np.where((variance < again) & (gain > loss), again, variance))
+    return out
+
+
+def _gradient(here: Weighed, block: PriorBlock) -> tuple[Floats, Floats]:
+    """zᵀKz and tr KV + 1/cap² of each kernel."""
+    z, v = here.z[block.columns], here.v(block.columns)
+    return (block.kernels @ z) @ z, (block.kernels * v).sum(axis=(1, 2)) + 1.0 / block.cap**2
 
 
 def block_nats(here: Weighed, block: PriorBlock, variances: Floats) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from truearm.estimate.evidence import Marginal, Weighed, block_nats, learned, weigh
+from truearm.estimate.evidence import Marginal, Weighed, block_nats, learned, revived, weigh
 from truearm.estimate.law_candidates import prior_blocks
 from truearm.estimate.pose_noise import (
     PoseNoise,
@@ -124,12 +124,12 @@ def learn(of: LawProblem, variances: Mapping[Law, Floats], noise: PoseNoise) -> 
     x = of.start
     for i in range(ROUNDS):
         marginal, rest = _marginal(part, x, noise)
-        values = learned(marginal, blocks, values, FIRST_STEPS if i < 2 else STEPS)
+        values = learned(marginal, blocks, revived(marginal, blocks, values), FIRST_STEPS if i < 2 else STEPS)
         here = _posterior(part, x, rest, weigh(marginal, blocks, values))
         samples = _samples(part, x, here, every)
         x, old, noise = here.x, noise, learned_noise(samples, noise, shared)
         new, before = np.array(noise), np.array(old)
-        if i > 1 and np.all((np.abs(new - before) <= NOISE_END * new) | (new < NOTHING)):
+        if i > 2 and np.all((np.abs(new - before) <= NOISE_END * new) | (new < NOTHING)):
             break
     nats = {law: block_nats(here.weighed, b, v) for law, b, v in zip(of.laws, blocks, values, strict=True)}
     return Learned(dict(zip(of.laws, values, strict=True)), noise, nats, here.evidence)

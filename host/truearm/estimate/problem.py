@@ -31,6 +31,7 @@ from truearm.types import Floats, ObservationTable, Residuals, Rig
 from truearm.units import UNITS
 
 BLOCK = 4096  # observations evaluated at once: a Jacobian of 54 columns fills 1.8 MB, about the second-level cache
+WIDE = 128  # parameters of a robot; error curves have hundreds
 NO_ERRORS = Errors((), ())
 Rigs = Rig | Mapping[str, Rig]
 
@@ -174,7 +175,8 @@ def _with_unknown_sides(problem: Problem, sigma: Floats) -> Problem:
 
 
 def blocks(problem: Problem, size: int = BLOCK) -> Iterator[Group]:
-    """The problem's observations, at most ``size`` at once."""
+    """The problem's observations, at most ``size`` at once, and fewer where the robot has more than WIDE parameters."""
+    size = max(1, min(size, BLOCK * WIDE // problem.n_robot)) if problem.n_robot > WIDE else size
     for group in problem.groups:
         yield from pieces(group, size)
 
