@@ -1,8 +1,8 @@
 """Error curve: a cubic B-spline of the joint's own reading, one parameter a coefficient.
 
 The parameter of the coefficient k has ``basis`` (centre, spacing, period): its B-spline is at its largest at the reading
-``centre`` and reaches two spacings to either side. The knots of a joint are uniform. With a period (in readings) other than
-0 the curve repeats; else it is zero beyond its last coefficients.
+``centre`` and reaches two spacings to either side. The knots of a joint are uniform. With a period other than 0 they go round
+a whole turn; else the curve is zero beyond its last coefficients. A whole turn of the joint is the same place either way.
 
 A curve is no key of a robot file: ``model.law_chain`` adds it to a chain, by what an identification learned.
 """
@@ -39,7 +39,10 @@ class _Knots:
 
     def weights(self, q: Floats, derivative: bool = False) -> tuple[NDArray[np.intp], Floats]:
         """Which coefficients (4, n) act at readings q (n,), counted from 0 with one zero at ``count``, and their weights."""
-        at = (q - self.first) / self.spacing
+        turn = 2.0 * np.pi
+        middle = self.first + 0.5 * (self.count - 1) * self.spacing
+        with np.errstate(invalid="ignore"):
+            at = (q - turn * np.round((q.real - middle) / turn) - self.first) / self.spacing
         cell = np.floor(np.where(np.isfinite(at.real), at.real, 0.0)).astype(np.intp)
         u = at - cell
         if derivative:
