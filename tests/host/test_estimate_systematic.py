@@ -63,7 +63,7 @@ def test_derivatives_of_all_that_can_be_off_are_those_of_the_world():
     rows = table(random_poses(5, rng), np.full(5, 0.5), [PAIRS[0]] * 5)
     problem = build_problem(CHAIN, RIG, rows)
     lin = problem.groups[0].opened(CHAIN, problem.start)
-    columns = dict(zip(problem.errors.names, error_columns(lin)[0].T, strict=True))
+    columns = dict(zip(problem.errors.names, error_columns(lin, problem.errors.tool)[0].T, strict=True))
     h = 1e-6
 
     def change(chucks=CHUCKS, q_off=0.0, moved=UNMOVED):
@@ -231,3 +231,28 @@ def test_400_clean_worlds_give_at_most_four_findings():
         for seed in range(1000, 1400)
     ]
     assert sum(found) <= 4
+
+
+def test_a_tool_that_was_bumped_is_named_by_all_its_spheres():
+    """The plate with the three spheres is pushed 0.3 mm along its x and turned by 1 mrad while the session runs."""
+    named = 0
+    for seed in range(3):
+        rng, plan = np.random.default_rng(seed), worlds.plan()
+        at = 150
+        spheres = np.array([worlds.RIG.spheres[name].xyz for name in plan.sphere])
+        pushed = spheres @ rotation(np.array([0.0, 1e-3, 0.0])).T + [0.3e-3, 0.0, 0.0]
+        chucks = np.array([worlds.RIG.chucks[name].xyz for name in plan.chuck])
+        ends = np.where(np.arange(len(plan))[:, None] < at, spheres, pushed)
+        length = np.linalg.norm(point_forward(CHAIN, TRUTH, plan.q, ends) - chucks, axis=1)
+        rows = worlds.table(plan, length + SIGMA * rng.normal(size=len(plan)))
+        before = worlds.identified(rows)
+        found = findings(before)
+        candidates = {of.effect.what for of in found} | {name.partition("@")[0] for of in found for name in of.rivals}
+        named += "tool" in candidates
+        if found[0].effect.what != "tool":
+            continue
+        assert abs(found[0].rows[0] - at) <= 15
+        after = worlds.identified(rows, [found[0].effect])
+        assert after.systematic is None
+        assert worlds.tool_error(after, plan) < worlds.tool_error(before, plan)
+    assert named == 3

@@ -1,14 +1,14 @@
 """Systematic errors that a fit can hold as additional parameters: what stood, read or turned otherwise than described.
 
 An effect adds to what is predicted. The derivatives of a prediction by the numbers of the rig, known ones too, by each joint
-reading and by a motion of the robot's base are at hand in every row; an effect is one or several of them, times a
+reading and by a motion of the robot's base are at hand in every row, and so is that by a motion of the tool with all its points; an effect is one or several of them, times a
 profile over the rows: 1 in the rows that it concerns, or a ramp from −½ to ½ for a drift. So the parameter of an effect is
 in the unit of what is off: metres of a bar's zero, a chuck's coordinates, the radians of a joint.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -24,7 +24,8 @@ from truearm.types import Effect, Floats
 
 # As ``Linearised.wrenches`` begins: force and couple on each axis of the base frame, the derivatives by its displacement.
 BASE = (("base.x", "m"), ("base.rx", "rad"), ("base.y", "m"), ("base.ry", "rad"), ("base.z", "m"), ("base.rz", "rad"))
-MOVED_BASE = Fault(slice(None), constant=False)
+TOOL = (("tool.x", "m"), ("tool.y", "m"), ("tool.z", "m"), ("tool.rx", "rad"), ("tool.ry", "rad"), ("tool.rz", "rad"))
+MOVED = Fault(slice(None), constant=False)  # base or tool: where they always were is a parameter of the robot
 JUMPED = Fault(slice(None), constant=False, step=False, window=True)  # a joint's offset is a parameter of the robot
 
 
@@ -33,6 +34,7 @@ class Errors(NamedTuple):
 
     names: tuple[str, ...]
     units: tuple[str, ...]
+    tool: Floats = np.zeros((0, 0))  # (c, t) its motion, by the columns before it
 
     def unit(self, name: str) -> str:
         """The SI unit of a column."""
@@ -94,9 +96,20 @@ def profile(effect: Effect, n: int) -> Floats:
     return out
 
 
-def error_columns(lin: Linearised) -> Floats:
-    """(w, n, c) derivatives of the predictions by the rig, the joints and the base, of ``Group.opened``."""
-    return np.concatenate([lin.jac_rig, lin.by_joints, lin.wrenches[..., : len(BASE)]], axis=2)
+def error_columns(lin: Linearised, tool: Floats) -> Floats:
+    """(w, n, c + t) derivatives of the predictions by the rig, the joints, the base and the tool (c, t), of ``Group.opened``."""
+    single = np.concatenate([lin.jac_rig, lin.by_joints, lin.wrenches[..., : len(BASE)]], axis=2)
+    return np.concatenate([single, single @ tool], axis=2) if tool.size else single
+
+
+def motion_of_tool(names: Sequence[str], points: Mapping[str, Floats]) -> Floats:
+    """(c, 6) what moves where the end, and with it all its ``points`` (x, y, z by name), moves in its own axes (TOOL)."""
+    at = {name: i for i, name in enumerate(names)}
+    out = np.zeros((len(names), len(TOOL)))
+    for name, p_end in points.items():
+        rows = [at[f"{name}.{k}"] for k in "xyz"]
+        out[rows, :3], out[rows, 3:] = np.eye(3), np.cross(np.eye(3), p_end).T
+    return out
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,6 +119,7 @@ class EffectRows(Group):
     COMPONENTS = ()  # those of ``inner``, an instance's own
 
     inner: Group
+    tool: Floats  # (c, t) of ``Errors``
     columns: Indices  # (e,) of ``error_columns``
     profile: Floats  # (n, e)
 
@@ -121,7 +135,7 @@ class EffectRows(Group):
         """As ``evaluate``, with ``jac_rig`` by the known constants too, after the effects."""
         size = x.size - self.columns.size
         lin = self.inner.opened(chain, x[:size])
-        by_effects = error_columns(lin)[:, :, self.columns] * self.profile
+        by_effects = error_columns(lin, self.tool)[:, :, self.columns] * self.profile
         unknown, known = np.split(lin.jac_rig, [size - len(chain.parameters)], axis=2)
         residual = lin.residual - (by_effects @ x[size:]).T.ravel()
         return lin._replace(residual=residual, jac_rig=np.concatenate([unknown, by_effects, known], axis=2))
@@ -141,7 +155,7 @@ class EffectRows(Group):
         return replace(self, row=row, sensor_cov=self.sensor_cov[which], inner=inner, profile=self.profile[which])
 
 
-def with_effects(groups: Sequence[Group], columns: Indices, profiles: Floats) -> tuple[Group, ...]:
+def with_effects(groups: Sequence[Group], tool: Floats, columns: Indices, profiles: Floats) -> tuple[Group, ...]:
     """The groups with effects (n_rows, e) beside their parameters; knowledge that is no row has none of them."""
     return tuple(
         EffectRows(
@@ -149,6 +163,7 @@ def with_effects(groups: Sequence[Group], columns: Indices, profiles: Floats) ->
             sensor_cov=group.sensor_cov,
             constants=np.zeros(0),
             inner=group,
+            tool=tool,
             columns=columns,
             profile=np.zeros((len(group.sensor_cov), columns.size)) if group.row is None else profiles[group.row],
         )

@@ -19,11 +19,11 @@ import numpy as np
 
 from truearm.errors import ProblemError
 from truearm.estimate.backlash import Backlash
-from truearm.estimate.effects import BASE, JUMPED, MOVED_BASE, Cause, Errors, Modelled, with_effects
+from truearm.estimate.effects import BASE, JUMPED, MOVED, TOOL, Cause, Errors, Modelled, motion_of_tool, with_effects
 from truearm.estimate.prior import robot_prior
 from truearm.estimate.residual_noise import checked_joint_cov, residual_cov
 from truearm.kinds.group import Group
-from truearm.kinds.registry import kinds
+from truearm.kinds.registry import end_points, kinds
 from truearm.kinds.rig_use import RigUse, Scope
 from truearm.kinds.unknowns import Layout
 from truearm.model.chain import Chain
@@ -102,15 +102,17 @@ def build_problem(
     names = (*chain.parameter_names, *(u.name for u in free))
     units = (*(p.unit for p in chain.parameters), *(u.unit for u in free))
     groups = tuple(group for use in uses for group in use.make(layout))
-    errors, causes = _errors(chain, layout, uses)
+    errors, causes = _errors(chain, rigs, layout, uses)
     problem = Problem(chain, names, units, start, prior, groups, len(table), joint_cov, errors, causes)
     if backlash is not None:
         problem = _with_unknown_sides(problem, backlash.unknown(table))
     return _with_effects(problem, effects) if effects else problem
 
 
-def _errors(chain: Chain, layout: Layout, uses: Sequence[RigUse]) -> tuple[Errors, tuple[Cause, ...]]:
-    """By what predictions can be off, and by which things: the rig's, each joint, the base."""
+def _errors(
+    chain: Chain, rigs: Mapping[str, Rig], layout: Layout, uses: Sequence[RigUse]
+) -> tuple[Errors, tuple[Cause, ...]]:
+    """By what predictions can be off, and by which things: the rig's, each joint, the base, the tool where it has several points."""
     rig = [*layout.unknown, *layout.known]
     joints = [joint.name for joint in chain.joints]
     names = (*(number.name for number in rig), *joints, *(name for name, _ in BASE))
@@ -123,8 +125,20 @@ def _errors(chain: Chain, layout: Layout, uses: Sequence[RigUse]) -> tuple[Error
                 name = some[0] if len(some) == 1 else some[0].rpartition(".")[0]
                 causes[name] = Cause(name, some, fault)
     turned = (Cause(name, (name,), JUMPED) for name in joints)
-    every = (*causes.values(), *turned, Cause("base", tuple(name for name, _ in BASE), MOVED_BASE))
-    return Errors(names, units), every
+    every = [*causes.values(), *turned, Cause("base", tuple(name for name, _ in BASE), MOVED)]
+    value = {number.name: number.value for number in rig}
+    ends = [
+        f"{name}.{what}.{label}".removeprefix(".")
+        for name, one in rigs.items()
+        for what, points in end_points(one).items()
+        for label in points
+    ]
+    used_points = {name: np.array([value[f"{name}.{k}"] for k in "xyz"]) for name in ends if f"{name}.x" in value}
+    if len(used_points) < 2:
+        return Errors(names, units), tuple(every)
+    every.append(Cause("tool", tuple(name for name, _ in TOOL), MOVED))
+    tool = motion_of_tool(names, used_points)
+    return Errors((*names, *(name for name, _ in TOOL)), (*units, *(unit for _, unit in TOOL)), tool), tuple(every)
 
 
 def _with_effects(problem: Problem, effects: Sequence[Modelled]) -> Problem:
@@ -148,6 +162,9 @@ def _with_effects(problem: Problem, effects: Sequence[Modelled]) -> Problem:
     errors = Errors(
         (*problem.errors.names[before], *names, *problem.errors.names[of]),
         (*problem.errors.units[before], *units, *problem.errors.units[of]),
+        np.insert(problem.errors.tool, [unknown] * len(names), 0.0, axis=0)
+        if problem.errors.tool.size
+        else problem.errors.tool,
     )
     return replace(
         problem,
@@ -156,7 +173,7 @@ def _with_effects(problem: Problem, effects: Sequence[Modelled]) -> Problem:
         units=(*problem.units, *units),
         start=np.concatenate([problem.start, np.zeros(at.size)]),
         prior_sigma=np.concatenate([problem.prior_sigma, [UNITS[unit].weak_sigma for unit in units]]),
-        groups=with_effects(problem.groups, at, profiles),
+        groups=with_effects(problem.groups, problem.errors.tool, at, profiles),
     )
 
 

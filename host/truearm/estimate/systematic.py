@@ -186,7 +186,11 @@ def _whitened(problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Fitt
         by_x = np.concatenate([lin.wrenches @ lin.twists, lin.jac_rig[:, :, : size - p]], axis=2)
         stacked = (
             np.concatenate(
-                [by_x[:, :, columns], error_columns(lin), lin.residual.reshape(len(block.row), -1).T[:, :, None]],
+                [
+                    by_x[:, :, columns],
+                    error_columns(lin, problem.errors.tool),
+                    lin.residual.reshape(len(block.row), -1).T[:, :, None],
+                ],
                 axis=2,
             )
             .transpose(2, 0, 1)
