@@ -576,13 +576,15 @@ class SystematicErrors:
     """All that was found to be off in a fit, and what the fit would be with it as parameters, to first order.
 
     ``shift`` (P,) is by how much the parameters would move, ``moves`` [m] by how much the end then moves over the fitted
-    poses, in the root mean square.
+    poses, in the root mean square. ``held_out_ratio`` is the RMS, in σ, of rows that are held out in whole stretches of the order of
+    measurement, over what it is without them as parameters; rows that would be left out do not count.
     """
 
     found: tuple[SystematicError, ...]
     chi2_reduced: float
     shift: Floats
     moves: float = math.nan
+    held_out_ratio: float = math.nan
 
 
 class StillJoint(NamedTuple):

@@ -85,6 +85,15 @@ def test_wrong_groups_are_told(wanted: list[str], message: str) -> None:
         held_out_rows(TABLE, wanted, 0)
 
 
+@pytest.mark.parametrize("wanted", ["colour=a", "place=d", "d", "1.5"])
+def test_a_wrong_group_to_fit_is_told_by_its_own_option(wanted: str) -> None:
+    with pytest.raises(InputError) as told:
+        held_out_rows(TABLE, [], 0, [wanted])
+    assert "fit_only" in str(told.value)
+    assert "hold_out" not in str(told.value)
+    assert "fraction" not in str(told.value)
+
+
 def test_a_name_that_is_a_place_and_a_shell_must_say_which() -> None:
     table = parse_table("kind,q1_rad,place,socket,shell\nseat,0,a,0,b\nseat,0,b,0,c\n", "t.csv")
     with pytest.raises(InputError, match="say place=b or shell=b"):

@@ -8,6 +8,7 @@ from puma_bench import CHAIN, CHUCKS, DESIGN, FREE, PAIRS, RIG, SIGMA, TRUTH, le
 from truearm.estimate.effects import error_columns
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.problem import build_problem
+from truearm.estimate.systematic import FOLDS, STRETCHES
 from truearm.model.chain import point_forward
 from truearm.model.rotation import rotation
 from truearm.types import Device, Effect, ObservationTable, Point, Rig
@@ -188,40 +189,74 @@ def test_only_things_that_are_there_can_be_off():
         identify(CHAIN, RIG, rows, free=FREE, options=SolverOptions(effects=(Effect("chuck.c0", 100),)))
 
 
+def of_thing(what):
+    return lambda of: of.effect is not None and of.effect.what == what
+
+
+def slip(plan, rng):
+    rows, (chuck, at) = worlds.slipped(plan, rng)
+    return rows, lambda of: of_thing(f"chuck.{chuck}")(of) and abs(of.rows[0] - at) <= 15
+
+
+def encoder(plan, rng):
+    rows, joint = worlds.encoder_off(plan, rng)
+    return rows, of_thing(CHAIN.joints[joint].name)
+
+
+def half_a_mount(plan, rng):
+    rows, (first, last) = worlds.mislabelled(plan, rng)
+    return rows, lambda of: of.effect is None and of.rows[0] <= first and last <= of.rows[1]
+
+
+ZERO = of_thing("bar.bar46.zero")
+# The world, the plan, and the least share that is named rightly, at first place.
+FAULTS = {
+    "a chuck slips by 0.3 mm": (slip, worlds.plan, 0.9),
+    "the bar is 0.3 mm wrong": (lambda plan, rng: (worlds.wrong_bar(plan, rng), ZERO), worlds.plan, 0.9),
+    "zero drifts by 0.2 mm, check poses": (
+        lambda plan, rng: (worlds.drifting(plan, rng, 0.2e-3), ZERO),
+        worlds.plan,
+        0.95,
+    ),
+    "zero drifts by 0.1 mm, two visits": (
+        lambda plan, rng: (worlds.drifting(plan, rng, 0.1e-3), ZERO),
+        worlds.plan_of_two_visits,
+        0.8,
+    ),
+    "a joint is 0.3 mrad off, two visits": (encoder, worlds.plan_of_two_visits, 0.9),
+    "half a mount has another label": (half_a_mount, worlds.plan, 1.0),
+}
+
+
 @pytest.mark.soak
-@pytest.mark.parametrize("fault", ["slip", "bar", "drift_200_um", "drift_100_um", "encoder"])
+@pytest.mark.parametrize("fault", FAULTS)
 def test_faults_are_named_and_their_removal_restores_the_tool(fault):
-    """40 worlds a fault (seeds 0 to 39): at least 90 % named rightly, the drift of 100 µm by two visits 80 %."""
-    once, twice = worlds.plan(), worlds.plan_of_two_visits()
-    named, fixed = [], []
+    """40 worlds a fault (seeds 0 to 39): after applying what is suggested the tool errs by at most 1.25 times as much as in clean worlds."""
+    make, planned, least = FAULTS[fault]
+    plan, named, bent, mended = planned(), [], [], []
     for seed in range(EVERY_WORLD):
-        rng = np.random.default_rng(seed)
-        if fault == "slip":
-            rows, (chuck, at) = worlds.slipped(once, rng)
-            right = lambda of, c=chuck, k=at: of.effect.what == f"chuck.{c}" and abs(of.rows[0] - k) <= 15  # noqa: E731
-        elif fault == "encoder":
-            rows, joint = worlds.encoder_off(twice, rng)
-            right = lambda of, j=joint: of.effect.what == CHAIN.joints[j].name  # noqa: E731
-        else:
-            size = {"bar": 0.0, "drift_200_um": 200e-6, "drift_100_um": 100e-6}[fault]
-            rows = worlds.drifting(twice, rng, size) if size else worlds.wrong_bar(once, rng)
-            right = lambda of: of.effect.what == "bar.bar46.zero"  # noqa: E731
-        found = findings(worlds.identified(rows))
-        good = bool(found) and found[0].effect is not None and right(found[0])
-        named.append(good)
-        if good:
-            again = worlds.identified(rows, [of.effect for of in found if of.effect is not None])
-            fixed.append(worlds.tool_error(again, once))
+        rows, right = make(plan, np.random.default_rng(seed))
+        estimate = worlds.identified(rows)
+        found = findings(estimate)
+        named.append(bool(found) and right(found[0]))
+        bent.append(worlds.tool_error(estimate, plan))
+        if named[-1]:
+            effects = tuple(of.effect for of in found if of.effect is not None)
+            blocks = tuple(of.rows for of in found if of.effect is None)
+            options = SolverOptions(effects=effects, leave_out=blocks)
+            mended.append(
+                worlds.tool_error(identify(CHAIN, worlds.RIG, rows, free=FREE, prefer=FREE, options=options), plan)
+            )
     clean = [
-        worlds.tool_error(worlds.identified(worlds.clean(once, np.random.default_rng(seed))), once)
+        worlds.tool_error(worlds.identified(worlds.clean(plan, np.random.default_rng(seed))), plan)
         for seed in range(EVERY_WORLD)
     ]
+    before, after, without = (1e6 * np.mean(of) for of in (bent, mended, clean))
     print(
-        f"{fault}: named {np.mean(named):.3f}, tool {np.mean(fixed) * 1e6:.0f} µm, clean {np.mean(clean) * 1e6:.0f} µm"
+        f"{fault}: named {sum(named)} of {EVERY_WORLD}, tool {before:.0f} µm, mended {after:.0f} µm, clean {without:.0f} µm"
     )
-    assert np.mean(named) >= (0.8 if fault == "drift_100_um" else 0.9)
-    # A bar whose zero is unknown costs information that no estimator brings back: 1.33 times clean by the covariance.
-    assert np.mean(fixed) <= 1.5 * np.mean(clean)
+    assert np.mean(named) >= least
+    assert after <= 1.25 * without
 
 
 @pytest.mark.soak
@@ -230,6 +265,7 @@ def test_400_clean_worlds_give_at_most_four_findings():
         worlds.identified(worlds.clean(worlds.plan(), np.random.default_rng(seed))).systematic is not None
         for seed in range(1000, 1400)
     ]
+    print(f"{sum(found)} of {len(found)} clean worlds give a finding")
     assert sum(found) <= 4
 
 
@@ -256,3 +292,21 @@ def test_a_tool_that_was_bumped_is_named_by_all_its_spheres():
         assert after.systematic is None
         assert worlds.tool_error(after, plan) < worlds.tool_error(before, plan)
     assert named == 3
+
+
+def test_the_held_out_error_of_a_suggestion_is_that_of_refits():
+    rows, _ = worlds.slipped(worlds.plan(), np.random.default_rng(1))
+    found = worlds.identified(rows).systematic
+    fold = (np.arange(len(rows)) * STRETCHES) // len(rows) % FOLDS
+    square = []
+    for effects in ((), (found.found[0].effect,)):
+        error = [
+            identify(
+                CHAIN, worlds.RIG, rows, free=FREE, hold_out=fold == k, options=SolverOptions(effects=effects)
+            ).residual["m"][fold == k]
+            for k in range(FOLDS)
+        ]
+        square.append((np.concatenate(error) ** 2).sum())
+    # To first order, and but for the effect's prior, as the drop of χ².
+    assert found.held_out_ratio == pytest.approx(np.sqrt(square[1] / square[0]), rel=0.02)
+    assert found.held_out_ratio < 0.95

@@ -171,7 +171,9 @@ def systematic_errors(
     described, part = _described(found, rivals, problem.errors, first, how, state, families)
     shift = np.zeros(x.size)
     shift[columns] = -fit.root @ part
-    return SystematicErrors(described, state.chi2 / max(state.freedom, 1.0), shift)
+    before, after = (_held_out(of, _stretches(how))[_judging(rows)].sum() for of in (first, rows))
+    ratio = math.sqrt(after / before) if before > 0.0 else math.nan
+    return SystematicErrors(described, state.chi2 / max(state.freedom, 1.0), shift, held_out_ratio=ratio)
 
 
 def _whitened(problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Fitted) -> _Whitened:
@@ -386,10 +388,18 @@ def _survives(best: _Best, added: Floats, rows: _Whitened, more: _Whitened, how:
         if chance[0] + math.log(best.family.first.size) + log_families > math.log(LEVEL):
             return False
     variance = float(more.residual @ more.residual) / max(more.residual.size - more.basis.shape[1], 1)
-    stretch = (np.arange(how.row.size) * STRETCHES) // how.row.size
-    judging = (more.basis**2).sum(axis=1) < 1.0 - SEEN  # not the rows of a block, which were left out
-    gain = _held_out(rows, stretch) - _held_out(more, stretch)
-    return bool(gain[judging].sum() > LOWER * variance)
+    gain = _held_out(rows, _stretches(how)) - _held_out(more, _stretches(how))
+    return bool(gain[_judging(more)].sum() > LOWER * variance)
+
+
+def _stretches(how: Measured) -> Indices:
+    """(n,) to which stretch of the order of measurement rows belong."""
+    return np.asarray((np.arange(how.row.size) * STRETCHES) // how.row.size)
+
+
+def _judging(rows: _Whitened) -> NDArray[np.bool_]:
+    """(m,) all but the rows of blocks, which were left out."""
+    return np.asarray((rows.basis**2).sum(axis=1) < 1.0 - SEEN)
 
 
 def _held_out(rows: _Whitened, stretch: Indices) -> Floats:

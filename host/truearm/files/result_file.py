@@ -322,7 +322,11 @@ def systematic_entries(found: SystematicErrors | None, table: ObservationTable) 
     """The fields ``systematic`` and ``without_systematic`` for what was found to be off in the table's rows."""
     if found is None:
         return {"systematic": [], "without_systematic": None}
-    would_be = {"chi2_reduced": _number(found.chi2_reduced), "tool_moves_mm": _shown(found.moves, "m")}
+    would_be = {
+        "chi2_reduced": _number(found.chi2_reduced),
+        "tool_moves_mm": _shown(found.moves, "m"),
+        "held_out_ratio": _number(found.held_out_ratio),
+    }
     return {"systematic": [_systematic(one, table) for one in found.found], "without_systematic": would_be}
 
 

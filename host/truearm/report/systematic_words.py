@@ -25,7 +25,12 @@ def systematic_sentences(document: Mapping[str, Any], argument: Callable[[str], 
     chi2, moves = would_be["chi2_reduced"], would_be["tool_moves_mm"]
     after = "" if chi2 is None else f" χ² per degree of freedom is then {chi2:.3g}"
     moved = "" if moves is None else f", and the tool moves by {MM.text(MM.to_si(moves), '.3f')} RMS"
-    return [*lines, f"To apply {'it' if len(found) == 1 else 'all of them'}: {apply}.{after}{moved}."]
+    held = (
+        ""
+        if would_be["held_out_ratio"] is None
+        else f" Rows held out in turn then err {would_be['held_out_ratio']:.3g} times as much."
+    )
+    return [*lines, f"To apply {'it' if len(found) == 1 else 'all of them'}: {apply}.{after}{moved}.{held}"]
 
 
 def _sentence(entry: Mapping[str, Any]) -> str:

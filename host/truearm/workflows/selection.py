@@ -18,7 +18,7 @@ from truearm.types import Effect, ObservationTable
 
 Mask = NDArray[np.bool_]
 
-HOLD_OUT, ALLOW, LEAVE_OUT = Argument("hold_out"), Argument("allow"), Argument("leave_out")
+HOLD_OUT, FIT_ONLY, ALLOW, LEAVE_OUT = (Argument(name) for name in ("hold_out", "fit_only", "allow", "leave_out"))
 
 
 def held_out_rows(
@@ -32,19 +32,17 @@ def held_out_rows(
     Raises InputError for an unknown or ambiguous group and where nothing would be left to fit.
     """
     if fit_only:
-        others: Mask = ~np.any([_group_rows(table, group) for group in fit_only], axis=0)
+        others: Mask = ~np.any([_group_rows(table, group, FIT_ONLY) for group in fit_only], axis=0)
         also = held_out_rows(table, wanted, seed)
         held = others if also is None else others | also
         if held.all():
-            raise InputError(
-                Argument("fit_only"), f" {fit_only[0]} leaves no row to fit beside those that are held out"
-            )
+            raise InputError(FIT_ONLY, f" {fit_only[0]} leaves no row to fit beside those that are held out")
         return held if held.any() else None
     if not wanted:
         return None
     fractions = [value for value in map(_fraction, wanted) if value is not None]
     if not fractions:
-        mask: Mask = np.any([_group_rows(table, group) for group in wanted], axis=0)
+        mask: Mask = np.any([_group_rows(table, group, HOLD_OUT) for group in wanted], axis=0)
     elif len(wanted) == 1:
         mask = _random_rows(table, fractions[0], seed)
     else:
@@ -64,34 +62,33 @@ def _fraction(text: str) -> float | None:
     return value if 0.0 < value < 1.0 else None
 
 
-def _group_rows(table: ObservationTable, group: str) -> Mask:
+def _group_rows(table: ObservationTable, group: str, argument: Argument) -> Mask:
     column, equals, identifier = group.partition("=")
     if not equals:
-        return _bare_group_rows(table, group)
+        return _bare_group_rows(table, group, argument)
     if column not in identifiers():
-        raise InputError(
-            HOLD_OUT, f" {group}: {column!r} is no group; use one of {', '.join(identifiers())}, or a fraction"
-        )
+        fraction = ", or a fraction" if argument is HOLD_OUT else ""
+        raise InputError(argument, f" {group}: {column!r} is no group; use one of {', '.join(identifiers())}{fraction}")
     rows: Mask = table.column(column) == identifier
     if not identifier or not rows.any():
         known = [name for name in np.unique(table.column(column)) if name]
-        raise InputError(HOLD_OUT, f" {group}: no row has that {column}; {_listed(column, known)}")
+        raise InputError(argument, f" {group}: no row has that {column}; {_listed(column, known)}")
     return rows
 
 
-def _bare_group_rows(table: ObservationTable, identifier: str) -> Mask:
+def _bare_group_rows(table: ObservationTable, identifier: str, argument: Argument) -> Mask:
     found = [column for column in GROUPS if identifier and np.any(table.column(column) == identifier)]
     if len(found) > 1:
         raise InputError(
-            HOLD_OUT, f" {identifier} is a place and a shell; say place={identifier} or shell={identifier}"
+            argument, f" {identifier} is a place and a shell; say place={identifier} or shell={identifier}"
         )
-    if not found and _is_number(identifier):
+    if not found and _is_number(identifier) and argument is HOLD_OUT:
         raise InputError(
-            HOLD_OUT, f" {identifier}: a fraction lies between 0 and 1, as 0.2; a group is written shell=NAME"
+            argument, f" {identifier}: a fraction lies between 0 and 1, as 0.2; a group is written shell=NAME"
         )
     if not found:
         known = [f"{column}={name}" for column in GROUPS for name in np.unique(table.column(column)) if name]
-        raise InputError(HOLD_OUT, f" {identifier}: no place or shell has that name; {_listed('group', known)}")
+        raise InputError(argument, f" {identifier}: no place or shell has that name; {_listed('group', known)}")
     return np.asarray(getattr(table, found[0]) == identifier)
 
 
