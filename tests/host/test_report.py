@@ -37,16 +37,17 @@ def test_every_figure_is_there_with_units_and_words():
         "Before and after",
         "By pairing of chuck and sphere",
         "Normal probability",
+        "Residual in the order of measurement",
         "Convergence",
         "Correlation of the parameters",
     ]
     parsed = Strict(text)
-    assert len(parsed.all("figure")) == len(parsed.all("figcaption")) == len(parsed.all("svg")) == 7
+    assert len(parsed.all("figure")) == len(parsed.all("figcaption")) == len(parsed.all("svg")) == 8
     for drawing in drawings(text):
         assert drawing.get("role") == "img"
         assert len(drawing.get("aria-label")) > 40
         for axis in drawing.iterfind(".//text[@class='mid name']"):
-            assert axis.text is None or re.search(r"\[(mm|deg|%)\]$|^(observations|iteration)$", axis.text)
+            assert axis.text is None or re.search(r"\[(mm|deg|%)\]$|^(observations|iteration|row)$", axis.text)
 
 
 def test_a_seat_is_a_norm_and_has_no_gaussian():
@@ -83,7 +84,7 @@ def test_every_kind_has_its_words_and_units(kind):
         assert re.search(r"\[mm\]$|^(fitted|held-out) rows$", title)
     for drawing in drawings(text):
         for axis in drawing.iterfind(".//text[@class='mid name']"):
-            assert axis.text is None or re.search(r"\[(mm|deg|%)\]$|^(observations|iteration)$", axis.text)
+            assert axis.text is None or re.search(r"\[(mm|deg|%)\]$|^(observations|iteration|row)$", axis.text)
 
 
 def test_a_pose_has_a_position_and_a_rotation():

@@ -13,7 +13,7 @@ from scipy import integrate, stats
 from truearm.report import svg
 from truearm.report.calibration_page import render
 from truearm.report.correlation import correlation
-from truearm.report.figures import MAX_POINTS, figures_of
+from truearm.report.figures import MAX_POINTS, by_order, figures_of
 from truearm.report.page_tables import direction_words
 from truearm.report.page_text import escape, figures, number
 from truearm.report.residual_rows import Law, law_of, rows_by_kind
@@ -175,3 +175,33 @@ def test_the_largest_of_many_residuals_are_drawn():
     points = [point for d in marks for point in re.findall(r"M[\d.]+ ([\d.]+)h0", d)]
     assert len(points) <= 2 * MAX_POINTS
     assert min(map(float, points)) < 60.0  # near the top, which is at 30 of 300; all others are about 142
+
+
+def test_the_order_of_measurement_has_its_sessions_and_mounts():
+    """Two files, each with two mounts; the second file's residuals are 0.5 mm higher, and its mean shows it."""
+    page = make_page(400)
+    table = replace(
+        page.table,
+        chuck=np.repeat(["c1", "c2", "c1", "c2"], 100),
+        sphere=np.full(400, "s1"),
+        source=np.array([f"{'monday' if i < 200 else 'friday'}.csv row {i % 200 + 2}" for i in range(400)]),
+    )
+    off = np.where(np.arange(400) < 200, 0.0, 0.5e-3)
+    estimate = replace(
+        page.estimate, residual={"m": page.estimate.residual["m"] + off}, fitted=np.ones(400, dtype=bool)
+    )
+    (rows,) = rows_by_kind(estimate, table, page.longitude)
+    figure = by_order(rows)
+    assert "2 sessions, 4 mounts" in figure.caption
+    drawing = ElementTree.fromstring(figure.drawing)
+    marks = {css: [] for css in ("mount line", "session line")}
+    for line in drawing.iterfind("polyline"):
+        if line.get("class") in marks:
+            marks[line.get("class")].append(float(line.get("points").split(",")[0]))
+    assert len(marks["mount line"]) == 3
+    assert len(marks["session line"]) == 1
+    assert marks["session line"][0] == marks["mount line"][1]
+    mean = drawing.findall("polyline")[-1].get("points").split()
+    heights = np.array([float(point.split(",")[1]) for point in mean])
+    first, second = np.split(heights, 2)
+    assert second.max() < first.min(), "y of a drawing counts down"

@@ -23,6 +23,8 @@ from truearm.units import shown, symbol, title
 MAX_TIPS = 3000  # points with a tooltip each (about 120 B); beyond, points are bare
 MAX_POINTS = 12000  # points drawn at all; beyond, the largest tenth and an even choice of the others
 MAX_GROUPS = 24
+MAX_MARKS = 100  # changes of mount or session that are marked
+STRETCHES = 24  # of the order of measurement, each with its mean
 LETTER = 8.8  # width of a label's letter, of a phone's large ones
 FINEST_BIN = 1e-6  # as shown; noise-free residuals are rounding, or exactly zero
 LONGITUDE_BIN_DEG = 30.0
@@ -40,9 +42,16 @@ class Figure(NamedTuple):
 
 def figures_of(rows: Rows) -> list[Figure]:
     """All pictures of the rows of one kind; those that the data do not allow are left out."""
-    makers: tuple[Callable[[Rows], Figure | None], ...] = (histogram, by_longitude, before_after, by_group, quantiles)
+    makers: tuple[Callable[[Rows], Figure | None], ...] = (
+        histogram,
+        by_longitude,
+        before_after,
+        by_group,
+        quantiles,
+        by_order,
+    )
     if not rows.fitted.any():
-        makers = (before_after, by_group)
+        makers = (before_after, by_group, by_order)
     return [figure for figure in (make(rows) for make in makers) if figure is not None]
 
 
@@ -87,6 +96,41 @@ def _grid(edges: Floats) -> Floats:
     return np.linspace(edges[0], edges[-1], 161)
 
 
+def by_order(rows: Rows) -> Figure:
+    """Residual against the order of measurement, with sessions and mounts: what drifted or slipped shows here."""
+    x, y = rows.number.astype(float), rows.residual
+    plot = svg.Plot(svg.linear_axis("row", x[0], x[-1]), svg.linear_axis(rows.name, *_reach(y)), width=820.0)
+    floor, top = plot.y.low, plot.y.high
+    parts, entries = [svg.axes(plot)], []
+    new_session, new_mount = (x[1:][of[1:] != of[:-1]] - 0.5 for of in (rows.session, rows.mount))
+    marked = [("mount", new_mount)] if new_mount.size <= MAX_MARKS else []
+    marked += [("session", new_session)] if new_session.size <= MAX_MARKS else []
+    for css, places in marked:
+        parts += [svg.line(plot, [at, at], [floor, top], css + " line") for at in places]
+    for css, name, chosen in _sets(rows):
+        at = _drawn(y, chosen)
+        parts.append(_points(plot, x[at], y[at], css, rows.source[at], rows.unit, "row {}"))
+        entries.append((css, name))
+    means = _stretch_means(x[rows.fitted], y[rows.fitted])
+    for centre, mean, error in means:
+        parts.append(svg.line(plot, [centre, centre], [mean - 2 * error, mean + 2 * error], "mean line"))
+    parts.append(svg.line(plot, [m[0] for m in means], [m[1] for m in means], "mean line"))
+    keys = [(css + " line", f"new {css}") for css, places in marked if places.size]
+    parts.append(svg.legend(plot, [*entries, ("mean line", "mean ± 2 s.e."), *keys]))
+    n_mounts, n_sessions = new_mount.size + 1, new_session.size + 1
+    caption = (
+        f"In the order of measurement: {counted(n_sessions, 'session')}, {counted(n_mounts, 'mount')}. A mean that steps at some row, "
+        "or climbs, is what a slip or a drift leaves that the parameters could not follow."
+    )
+    return _figure(plot, "Residual in the order of measurement", caption, parts)._replace(wide=True)
+
+
+def _stretch_means(x: Floats, y: Floats) -> list[tuple[float, float, float]]:
+    """Centre, mean and standard error of the mean of stretches of equally many rows."""
+    parts = [at for at in np.array_split(np.arange(x.size), STRETCHES) if at.size >= FEWEST_IN_BIN]
+    return [(float(x[at].mean()), float(y[at].mean()), float(y[at].std(ddof=1) / math.sqrt(at.size))) for at in parts]
+
+
 def by_longitude(rows: Rows) -> Figure | None:
     """Residual against the longitude of the sphere about its chuck (Goswami 1993, Fig. 3)."""
     known = np.isfinite(rows.longitude)
@@ -98,7 +142,7 @@ def by_longitude(rows: Rows) -> Figure | None:
     parts, entries = [svg.axes(plot)], []
     for css, name, chosen in _sets(rows):
         at = _drawn(y, known & chosen)
-        parts.append(_points(plot, x[at], y[at], css, rows.source[at], rows.unit))
+        parts.append(_points(plot, x[at], y[at], css, rows.source[at], rows.unit, "{}°"))
         entries.append((css, name))
     means = _bin_means(x[known & rows.fitted], y[known & rows.fitted])
     for centre, mean, error in means:
@@ -151,10 +195,12 @@ def _drawn(values: Floats, chosen: NDArray[np.bool_]) -> NDArray[np.intp]:
     return np.concatenate([index[:keep], index[keep::stride]])
 
 
-def _points(plot: svg.Plot, x: Floats, y: Floats, css: str, source: NDArray[np.str_], unit: str) -> str:
+def _points(plot: svg.Plot, x: Floats, y: Floats, css: str, source: NDArray[np.str_], unit: str, where: str) -> str:
     if x.size > MAX_TIPS:
         return svg.dots(plot, x, y, css)
-    tips = (f"{s[:60]}: {figures(v)} {unit} at {number(a, 0)}°" for s, v, a in zip(source, y, x, strict=True))
+    tips = (
+        f"{s[:60]}: {figures(v)} {unit} at {where.format(number(a, 0))}" for s, v, a in zip(source, y, x, strict=True)
+    )
     return svg.scatter(plot, x, y, css, tips)
 
 

@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from truearm.estimate.measured_order import mountings, sessions
+from truearm.kinds.linearised import Indices
 from truearm.kinds.registry import kinds
 from truearm.report.words import PARTS, kind_name
 from truearm.types import Estimate, Figures, Floats, ObservationTable
@@ -32,6 +34,9 @@ class Rows(NamedTuple):
     fitted: NDArray[np.bool_]  # (n,)
     group: NDArray[np.str_]  # (n,)
     source: NDArray[np.str_]  # (n,)
+    number: Indices  # (n,) of the row in the table, from 1
+    session: Indices  # (n,) of the session or file that it came from, from 0
+    mount: Indices  # (n,) counts on where something else is mounted
     part: str = ""  # where the kind has residuals of several units: which
 
     @property
@@ -102,6 +107,7 @@ class Summary(NamedTuple):
 def rows_by_kind(estimate: Estimate, table: ObservationTable, longitude: Floats) -> list[Rows]:
     """The observations of each kind and unit as they are shown; rows without a finite residual are left out."""
     group, source, found = _groups(table), np.array([row_name(s) for s in table.source], dtype=np.str_), []
+    order = np.arange(1, len(table) + 1), sessions(table), mountings(table)
     wrapped = DEG.of(np.arctan2(np.sin(longitude), np.cos(longitude)))
     for kind in np.unique(table.kind):
         finite = {
@@ -113,7 +119,7 @@ def rows_by_kind(estimate: Estimate, table: ObservationTable, longitude: Floats)
             at = finite[si]
             after, before = (shown(residual[si][at], si) for residual in (estimate.residual, estimate.residual_before))
             part = PARTS.get(si, si) if len(units) > 1 else ""
-            rest = (wrapped[at], estimate.fitted[at], group[at], source[at], part)
+            rest = (wrapped[at], estimate.fitted[at], group[at], source[at], *(of[at] for of in order), part)
             found.append(Rows(str(kind), si, after, before, *rest))
     return found
 
