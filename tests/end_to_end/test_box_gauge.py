@@ -4,10 +4,14 @@ import io
 import json
 import re
 import sys
+import time
 
 import numpy as np
 import pytest
 from tests.end_to_end.box_server import MAG_PERIOD_NS, Stage, box, served
+
+from truearm_sim import sensors
+from truearm_sim import stage as stages
 
 
 class Operator(io.StringIO):
@@ -102,7 +106,7 @@ def test_places_that_make_no_reading(tmp_path, monkeypatch, capsys):
         assert box("gauge", "magnetostrictive", "--device", device, "--seconds", "0.2") == 2
         said = capsys.readouterr()
         assert "stop pulses are missing; is the magnet on the rod?" in said.out
-        assert "0 places were taken; a calibration needs four or more" in said.err
+        assert "places taken: 0; a calibration needs 5 or more" in said.err
         world.POLY = (0.0, 1e-3, 0.0)  # 1.5 mm are 1.5 V, beyond the converter
         monkeypatch.setattr(sys, "stdin", Operator(world, [(1.5, "1.5"), ""]))
         assert box("gauge", "lvdt", "--device", device, "--seconds", "0.2") == 2
@@ -136,3 +140,55 @@ def test_a_page_overwrites_nothing_but_a_page(tmp_path, capsys):
     assert box("gauge", "lvdt", "--device", "/dev/none", "--out", session) == 2
     assert "is nothing that truearm wrote; give another name" in capsys.readouterr().err
     assert session.read_bytes() == b"an afternoon"
+
+
+class Rehearsal(io.StringIO):
+    """Standard input of somebody at `truearm simulate --stage`: sets the carriage, waits for it to arrive or not, types what it reads."""
+
+    def __init__(self, stage, lines):
+        super().__init__()
+        self._stage, self._lines = stage, list(lines)
+
+    def readline(self, *_):
+        line = self._lines.pop(0) if self._lines else ""
+        if isinstance(line, tuple):
+            mm, waits = line
+            self._stage.move_to(1e-3 * mm)
+            end = time.monotonic() + 20.0
+            while waits and self._stage.position(np.array([self._stage.now_s]))[0] != 1e-3 * mm:
+                assert time.monotonic() < end
+                time.sleep(0.02)
+            line = f"{mm}"
+        return f"{line}\n"
+
+
+def test_a_gauging_is_rehearsed_on_the_simulated_stage(tmp_path, monkeypatch, capsys):
+    """Five places make a calibration, four do not; a carriage that still moves makes no place; the hidden curve is found."""
+    monkeypatch.chdir(tmp_path)
+    places = [-10, -5, 0, 5, 10]
+    stage = stages.Stage(3)
+    with served(stage) as (device, _, _):
+        command = ["gauge", "lvdt", "--device", device, "--seconds", "0.3", "--order", "2", "--yes"]
+        monkeypatch.setattr(sys, "stdin", Rehearsal(stage, [*((mm, True) for mm in places[:4]), (-5, True), ""]))
+        assert box(*command) == 2
+        said = capsys.readouterr()
+        assert "places taken: 4, some of them more than once (5 readings); a calibration needs 5 or more" in said.err
+        monkeypatch.setattr(sys, "stdin", Rehearsal(stage, [(40, False), *((mm, True) for mm in places), ""]))
+        assert box(*command) == 0
+        said = capsys.readouterr().out
+        assert re.search(r"not taken: the sensor moved by [-+][\d.e-]+ V while it was sampled; leave it alone", said)
+        assert "5 places, sigma" in said
+        assert box("info", "--device", device, "--json") == 0
+        entry = json.loads(capsys.readouterr().out)["streams"][0]["channels"][0]
+    found = np.array([m * 10.0**e for m, e in entry["calibration"]["poly"]])
+    curve, at = stage.curves[0], 1e-3 * np.linspace(-10.0, 10.0, 9)
+    # a sample's 3 µm over √305 is 0.17 µm a place; five places, a parabola: 0.17 µm times 0.94 at the ends, four times that
+    error = np.polynomial.polynomial.polyval(curve.volts(at), found) - at
+    assert np.abs(error).max() < 4 * 0.17e-6
+    assert (
+        abs(
+            np.polynomial.polynomial.polyval(curve.volts(at), (sensors.POLY[0][0] * 1e-7, sensors.POLY[1][0] * 1e-7))
+            - at
+        ).max()
+        > 2e-5
+    )

@@ -57,14 +57,15 @@ class PolyFit:
         return float(np.sqrt(np.mean(self.left_out**2)))
 
 
-def possible_orders(x: Floats, highest: int = MAX_ORDER) -> range:
-    """The orders that points at readings x (n,) allow: with SPARE points to spare, and fewer powers than distinct places.
-
-    Readings closer than a thousandth of the span are one place: there and back to the same reference are not two.
-    """
+def distinct_places(x: Floats) -> int:
+    """How many places readings x (n,) are of. Readings closer than a thousandth of the span are one: there and back are not two."""
     span = float(np.ptp(x)) if x.size else 0.0
-    places = 1 + int(np.count_nonzero(np.diff(np.sort(x)) > 1e-3 * span)) if span > 0.0 else min(x.size, 1)
-    return range(1, min(highest, x.size - 1 - SPARE, places - 2) + 1)
+    return 1 + int(np.count_nonzero(np.diff(np.sort(x)) > 1e-3 * span)) if span > 0.0 else min(x.size, 1)
+
+
+def possible_orders(x: Floats, highest: int = MAX_ORDER) -> range:
+    """The orders that points at readings x (n,) allow: with SPARE points to spare, and fewer powers than distinct places."""
+    return range(1, min(highest, x.size - 1 - SPARE, distinct_places(x) - 2) + 1)
 
 
 def fit(x: Floats, y: Floats, order: int) -> PolyFit:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 MAG = "mag"  # the stream of
 HEAD = "magnetostrictive"
+FEWEST_PLACES = 5
 ROUNDING = 1e-9  # m, that the stored decimals may differ from the fit
 
 
@@ -38,14 +39,15 @@ class Place:
 
 def calibrate(places: Sequence[Place], order: int | None, linear: bool) -> tuple[PolyFit, list[PolyFit]]:
     """The calibration, and all that were tried. Raises InputError."""
-    from truearm.box.gauge_polynomial import MAX_ORDER, chosen, fits
+    from truearm.box.gauge_polynomial import MAX_ORDER, chosen, distinct_places, fits
 
     x, y = _readings(places), _references(places)
-    tried = fits(x, y, 1 if linear else MAX_ORDER)
-    if not tried:
+    if (distinct := distinct_places(x)) < FEWEST_PLACES:
+        again = f", some of them more than once ({len(places)} readings)" if len(places) > distinct else ""
         raise InputError(
-            f"{len(places)} places were taken; a calibration needs four or more, with three distinct readings at least"
+            f"places taken: {distinct}{again}; a calibration needs {FEWEST_PLACES} or more, over the whole travel"
         )
+    tried = fits(x, y, 1 if linear else MAX_ORDER)
     if linear:
         return tried[0], tried
     if order is None:

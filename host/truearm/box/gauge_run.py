@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from truearm.box.control import BoxControl
     from truearm.session.box_ident import Channel, Ident, Stream
+    from truearm.session.samples import MeanOfSamples
 
 UNITS = suffixes("m", ("mm", "um", "in"))
 SETTLE_S = 0.2  # the converter's filter fills, and a hand leaves the stage
@@ -163,26 +164,33 @@ def _measured_places(
     """Ask for references and sample at each, until they end."""
     places: list[Place] = []
     stream, index = found
-    for reference in _typed(places, options.unit, operator) if listed is None else _listed(listed, operator):
+    for reference in _typed(places, options.unit, operator) if listed is None else _listed(listed, places, operator):
         counts = sample(box, stream, options.seconds)
         problem = trouble(counts[:, index], stream)
         if problem:
             operator.say(f"  not taken: {problem}")
             continue
         place = _place(reference, counts[:, index], stream, stream.channels[index], box)
+        if moves(place.mean):
+            operator.say(f"  not taken: {_moved(place, stream.channels[index])}; leave it alone and take it again")
+            continue
         places.append(place)
         operator.say(f"  {_placewords(len(places), place, stream.channels[index])}")
     return places
 
 
-def _listed(references: Sequence[float], operator: Operator) -> Iterator[float]:
+def _listed(references: Sequence[float], places: Sequence[Place], operator: Operator) -> Iterator[float]:
+    """Each reference until it is among the places that were taken, or is to be skipped."""
     for number, reference in enumerate(references, 1):
-        line = operator.ask(
-            f"{number} of {len(references)}: set {MM.text(reference, '.4f')}, then Enter (s: skip, q: enough): "
-        )
-        if line is None or line == "q":
-            return
-        if line != "s":
+        taken = len(places)
+        while len(places) == taken:
+            line = operator.ask(
+                f"{number} of {len(references)}: set {MM.text(reference, '.4f')}, then Enter (s: skip, q: enough): "
+            )
+            if line is None or line == "q":
+                return
+            if line == "s":
+                break
             yield reference
 
 
@@ -264,6 +272,13 @@ def _place(reference: float, counts: NDArray[np.int32], stream: Stream, channel:
 def _placewords(number: int, place: Place, channel: Channel) -> str:
     mean = place.mean
     noisy = f"noise {mean.noise:.2g}, mean ± {math.sqrt(mean.variance):.2g} {channel.unit}"
-    moves = abs(mean.drift) > STILL_MOVES * mean.drift_sigma > 0.0
-    still = "; it still moved while it was sampled, undo and take it again" if moves else ""
-    return one_line(f"{number}: {MM.text(place.reference, '.4f')} at {mean.mean:.8g} {channel.unit} ({noisy}){still}")
+    return one_line(f"{number}: {MM.text(place.reference, '.4f')} at {mean.mean:.8g} {channel.unit} ({noisy})")
+
+
+def moves(mean: MeanOfSamples) -> bool:
+    """Whether a sensor moved while it was sampled: beyond chance, and by more than a sample's noise. A creep below that spoils nothing."""
+    return abs(mean.drift) > max(STILL_MOVES * mean.drift_sigma, mean.noise)
+
+
+def _moved(place: Place, channel: Channel) -> str:
+    return one_line(f"the sensor moved by {place.mean.drift:+.2g} {channel.unit} while it was sampled")

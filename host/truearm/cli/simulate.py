@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import queue
+import sys
+import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -91,6 +95,13 @@ def simulate(
         str,
         typer.Option(metavar="LEVEL", help="vm: the firmware in MicroPython; chip: its image in an RP2040 emulator."),
     ] = "vm",
+    stage: Annotated[
+        bool,
+        typer.Option(
+            "--stage",
+            help="No robot: the sensors follow a reference that you set by typing mm, to rehearse truearm box gauge.",
+        ),
+    ] = False,
     fault: Annotated[
         list[str] | None,
         typer.Option(metavar="SECONDS:KIND", help="Something that goes wrong; repeatable. An unknown KIND lists them."),
@@ -110,7 +121,12 @@ def simulate(
     """
     from truearm.files.robot_file import RobotChoice
     from truearm.workflows.record import nearest_osr
-    from truearm.workflows.simulate import SimulateOptions, simulate_box_and_robot, simulate_fast
+    from truearm.workflows.simulate import (
+        SimulateOptions,
+        simulate_box_and_robot,
+        simulate_fast,
+        simulate_stage,
+    )
 
     if any(typed(context, name) is not None for name in ("poses", "lines", "model")):  # not the project's plan then
         plan, rig_file = typed(context, "plan"), typed(context, "rig_file")
@@ -136,7 +152,21 @@ def simulate(
         level=level,
         faults=tuple(fault or ()),
     )
-    if fast:
+    if stage:
+        simulate_stage(options, typer.echo, _typed_lines())
+    elif fast:
         simulate_fast(options, typer.echo, recording_progress)
     else:
         simulate_box_and_robot(options, typer.echo)
+
+
+def _typed_lines() -> Callable[[], list[str]]:
+    """Return what hands over the lines that were typed since it was asked last."""
+    lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+
+    def read() -> None:
+        for line in sys.stdin:
+            lines.put(line)
+
+    threading.Thread(target=read, daemon=True).start()
+    return lambda: [lines.get() for _ in range(lines.qsize())]

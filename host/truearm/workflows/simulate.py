@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple, assert_never
 
 from truearm.errors import Argument, InputError, LinkError
 from truearm.files.robot_file import RobotChoice
+from truearm.units import MM
 from truearm.workflows.demo_steps import record_virtually
 from truearm.workflows.session_observations import Say
 from truearm.workflows.simulated_robot import (
@@ -168,6 +169,51 @@ def simulate_fast(
     finally:
         box.close()
     say(f"{_visits_of(world)}, recorded in {time.perf_counter() - started:.1f} s: {options.folder / SESSION}")
+
+
+def simulate_stage(options: SimulateOptions, say: Say, typed: Callable[[], list[str]]) -> None:
+    """Serve a box whose sensors follow a carriage, until q is typed; ``typed`` hands over the lines since it was asked last.
+
+    A line is a position in mm. Raises InputError, and LinkError where the port cannot be had.
+    """
+    from truearm_sim.ports import Port, Terminal
+    from truearm_sim.serve import serve
+    from truearm_sim.simbox import SimulatedBox
+    from truearm_sim.stage import LARGEST, Stage
+
+    of_box = hardware(options.level, say)
+    stage = Stage(options.seed)
+    span = MM.text(LARGEST, ".0f")
+    box = SimulatedBox(
+        stage, power_on=of_box.power_on, faults=[parse_fault(f) for f in options.faults], seed=options.seed
+    )
+
+    def set_by_hand() -> bool:
+        for line in (text.strip() for text in typed()):
+            if line == "q":
+                return True
+            try:
+                stage.move_to(MM.to_si(float(line.replace(",", "."))))
+                say(f"the carriage goes to {MM.text(MM.to_si(float(line.replace(',', '.'))), '.4f')}")
+            except ValueError:
+                say(f"{line[:40]!r} is no position; type mm from -{span} to {span}, or q")
+        return False
+
+    try:
+        box_port = Terminal() if options.pty else Port.listen("127.0.0.1", options.port)
+        unused = Port.listen("127.0.0.1", 0)
+    except OSError as exc:
+        box.close()
+        raise LinkError(f"cannot listen: {exc.strerror}; choose another port with ", Argument("port")) from exc
+    device = box_port.path if isinstance(box_port, Terminal) else f"socket://127.0.0.1:{box_port.number}"
+    say(f"Gauge a sensor with\n\n  truearm box gauge lvdt --device {device}\n")
+    say(f"and set the reference here: type a position in mm from -{span} to {span}; q ends.")
+    try:
+        serve(stage, box, box_port, unused, stop=set_by_hand, longest_step_ns=of_box.longest_step_ns)
+    finally:
+        box.close()
+        box_port.close()
+        unused.close()
 
 
 def _spoken(robot: str) -> tuple[str, int, float]:
