@@ -183,7 +183,7 @@ def simulate_stage(options: SimulateOptions, say: Say, typed: Callable[[], list[
 
     of_box = hardware(options.level, say)
     stage = Stage(options.seed)
-    span = MM.text(LARGEST, ".0f")
+    span = f"-{MM.of(LARGEST):.0f} to {MM.text(LARGEST, '.0f')}"
     box = SimulatedBox(
         stage, power_on=of_box.power_on, faults=[parse_fault(f) for f in options.faults], seed=options.seed
     )
@@ -196,7 +196,7 @@ def simulate_stage(options: SimulateOptions, say: Say, typed: Callable[[], list[
                 stage.move_to(MM.to_si(float(line.replace(",", "."))))
                 say(f"the carriage goes to {MM.text(MM.to_si(float(line.replace(',', '.'))), '.4f')}")
             except ValueError:
-                say(f"{line[:40]!r} is no position; type mm from -{span} to {span}, or q")
+                say(f"{line[:40]!r} is no position; type one from {span}, or q")
         return False
 
     try:
@@ -207,7 +207,7 @@ def simulate_stage(options: SimulateOptions, say: Say, typed: Callable[[], list[
         raise LinkError(f"cannot listen: {exc.strerror}; choose another port with ", Argument("port")) from exc
     device = box_port.path if isinstance(box_port, Terminal) else f"socket://127.0.0.1:{box_port.number}"
     say(f"Gauge a sensor with\n\n  truearm box gauge lvdt --device {device}\n")
-    say(f"and set the reference here: type a position in mm from -{span} to {span}; q ends.")
+    say(f"and set the reference here: type a position from {span}; q ends.")
     try:
         serve(stage, box, box_port, unused, stop=set_by_hand, longest_step_ns=of_box.longest_step_ns)
     finally:

@@ -1,0 +1,67 @@
+"""The way from a rig to a validated calibration by commands alone, for the arms that people have (docs/rehearsal.md)."""
+
+import json
+import resource
+import time
+from pathlib import Path
+
+import pytest
+
+from truearm.cli.main import main
+
+PANDA_URDF = Path(__file__).parents[1] / "data" / "mukca" / "panda.urdf"
+PANDA_BRANCH = "--branch=-150:150,-95:95,-80:80,-165:-25,-150:150,25:165,-160:160"
+URDF = [str(PANDA_URDF), "--base", "panda_link0", "--tip", "panda_link8"]
+FEW, MANY = (54, 27, 300), (120, 60, 1500)  # poses to fit, poses to judge, candidates
+ARMS = {
+    "ur5e": (["ur5e"], [], FEW),
+    **{
+        name: pytest.param(([name], [], MANY), marks=pytest.mark.soak)
+        for name in ("panda", "irb120", "iiwa14", "ur10e", "ulb")
+    },
+    "urdf": pytest.param((URDF, [PANDA_BRANCH], MANY), marks=pytest.mark.soak),
+}
+
+
+def cpu_s():
+    """CPU seconds of this process and of those that it has waited for (the box's MicroPython)."""
+    return time.process_time() + sum(resource.getrusage(resource.RUSAGE_CHILDREN)[:2])
+
+
+@pytest.mark.parametrize(
+    "arm", [pytest.param(*getattr(v, "values", (v,)), marks=getattr(v, "marks", ()), id=k) for k, v in ARMS.items()]
+)
+def test_an_arm_is_rehearsed_by_commands_alone(arm, tmp_path, monkeypatch, capsys):
+    model, branch, (poses, check, candidates) = arm
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments):
+        assert main([str(argument) for argument in arguments]) == 0
+        return capsys.readouterr().out
+
+    fast = ["simulate", "--fast", "--model", *model]
+    run(*fast, *branch, "--poses", 9, "--out", "rehearsal")
+    rig, known = "rehearsal/rig.toml", ["--robot", *model]
+    for out, n, seed in (("plan.csv", poses, 0), ("check.csv", check, 5)):
+        budget = ["--poses", n, "--candidates", candidates, "--seed", seed]
+        run("plan", "ballbar", *known, *branch, "--rig", rig, *budget, "--out", out)
+    begun = cpu_s()
+    run(*fast, "--plan", "plan.csv", "--rig-file", rig, "--out", "first", "--truth-out", "truth.json", "--seed", 1)
+    run(*fast, "--plan", "check.csv", "--rig-file", rig, "--out", "second", "--seed", 2, "--truth-seed", 1)
+    run("identify", "first/session.mcap", *known, "--out", "result.json")
+    Path("targets.csv").write_text("name,x_mm,y_mm,z_mm\na,400,50,350\n")
+    in_file = known if model is URDF else []
+    run("correct", "result.json", "targets.csv", *in_file, "--out", "corrected.csv")
+    verdict = json.loads(run("validate", "result.json", "second/session.mcap", *in_file, "--json"))
+    spent = cpu_s() - begun
+
+    result = json.loads(Path("result.json").read_text())
+    assert result["n_observations"] == poses  # no dwell was lost
+    assert verdict["rows"] == check
+    # What the identified robot errs on poses that it was not fitted to is what noise and its own uncertainty explain, to 99 %.
+    assert verdict["consistent"]
+    assert verdict["rms_after_mm"] < 0.5 * verdict["rms_before_mm"]
+    assert spent < 60.0
+    print(
+        f"{arm[0][0]}: held out {verdict['rms_before_mm']:.3f} → {verdict['rms_after_mm']:.4f} mm, χ²/dof {verdict['chi2_reduced']:.2f}, {spent:.1f} s of CPU after planning"
+    )
