@@ -41,6 +41,17 @@ class LinePlacement(StrEnum):
     TWO_POINT = "two_point"
 
 
+class DwellLabel(NamedTuple):
+    """What was mounted during a dwell, settled after the recording; ``mounted`` is empty where nobody knows. Times are the host's."""
+
+    begin_ns: int
+    end_ns: int
+    mounted: Mapping[str, str]  # bar, chuck, sphere, shell
+    pose: int | None = None  # row of the plan
+    probability: float = float("nan")
+    detail: str = ""  # why nobody knows
+
+
 class Message(NamedTuple):
     """One message of a session file (hop 3): topic, host arrival time [ns, monotonic], bytes as stored."""
 

@@ -39,7 +39,7 @@ PARAMETER = {
 }
 LISTS = {
     *("inputs", "observations", "free", "null_space", "residual_units", "held_out_by", "parameters"),
-    *("suggested_free", "additions", "relabellings", "chi2_band", "suspect", "hardly_seen", "systematic"),
+    *("suggested_free", "additions", "relabellings", "chi2_band", "suspect", "hardly_seen", "systematic", "sessions"),
 }
 OBJECTS = {
     "robot",

@@ -161,7 +161,7 @@ def session(
     for k in range(0, times.size - BLOCK, BLOCK):
         box.data(int(times[k]), counts[k : k + BLOCK])
     frames = renumber(ident_frames + sorted(seq_less + box.messages, key=lambda m: m.t_host_ns))
-    robot = _robot(rng, q, corners, end_ns, joint_noise, step, robot_hz)
+    robot = robot_messages(rng, np.repeat(q, 2, axis=0), corners, end_ns, joint_noise, step, robot_hz)
     said = [_plan(i, row) for i, row in enumerate(q)] if plan else []
     everything = said + sorted(frames + robot, key=lambda m: m.t_host_ns)
     return everything, Truth(q, length, corners[::2], corners[1::2])
@@ -172,11 +172,12 @@ def _plan(pose: int, q: np.ndarray) -> Message:
     return Message("/plan", 0, json.dumps({"pose": pose, "q": q.tolist(), **fittings}).encode())
 
 
-def _robot(
+def robot_messages(
     rng: np.random.Generator, q: np.ndarray, corners: np.ndarray, end_ns: int, noise: float, step: float, hz: float
 ) -> list[Message]:
+    """Lines of a robot that passes joints q (m, j) at these host times (m,) [ns], in straight lines between."""
     times = np.arange(10**9, end_ns, 1e9 / hz)
-    path = np.stack([np.interp(times, corners, np.repeat(column, 2)) for column in q.T], axis=1)
+    path = np.stack([np.interp(times, corners, column) for column in q.T], axis=1)
     path += noise * rng.standard_normal(path.shape)
     path = step * np.rint(path / step) if step else path
     arrival = times + 400e3 + rng.exponential(200e3, times.size)

@@ -171,8 +171,8 @@ class TestThePlan:
         session.run(2.5)
         for _ in range(2):
             session.dwell()
-        (warning,) = (text for text in session.said if text.startswith("warning"))
-        assert warning == "warning: pose 2 is planned with bar b61; mounted is bar b46, chuck c1, sphere s1"
+        (warning,) = (text for text in session.said if text.startswith("contradiction"))
+        assert warning == "contradiction: pose 2 is planned with bar b61; confirmed is bar b46, chuck c1, sphere s1"
 
     def test_without_a_robot_they_come_in_order(self):
         session = Session(plan(*PAIRS), robot=False)

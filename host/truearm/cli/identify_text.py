@@ -21,6 +21,7 @@ from truearm.report.law_words import law_sentences, law_steps
 from truearm.report.parameter_cells import parameter_cells
 from truearm.report.systematic_words import systematic_sentences
 from truearm.report.words import drawing, kind_name, parts_words, pose_error_words, time_offset, unexplained_words
+from truearm.session.dwells import NEED_WORDS
 from truearm.text import counted, one_line
 from truearm.types import MeanError, PoseError, ResidualParts
 from truearm.units import MM, SUFFIXES, UNITS, from_shown, title
@@ -45,6 +46,8 @@ def show_result(document: Document, out: Path | None) -> None:
         for line in lines(document):
             console.print(line)
     for line in systematic_sentences(document, lambda name: f"--{name.replace('_', '-')}"):
+        console.print(line)
+    for line in dwell_lines(document):
         console.print(line)
     console.print(headline(document))
     console.print(how(document))
@@ -106,6 +109,20 @@ def _rows(sources: list[str]) -> str:
 
 def _pairing(names: list[str]) -> str:
     return f"chuck {one_line(names[0])}, sphere {one_line(names[1])}"
+
+
+def dwell_lines(document: Document) -> list[str]:
+    """What became of the dwells of each session, a line each."""
+    lines = []
+    for count in document.get("sessions", ()):
+        rejected = ", ".join(f"{n} {reason}" for reason, n in count["rejected"].items())
+        line = f"{one_line(count['session'])}: {count['used']} of {counted(count['dwells'], 'dwell')} used"
+        line += f"; rejected: {rejected}" * bool(rejected)
+        unsettled = sum(n for reason, n in count["rejected"].items() if reason in NEED_WORDS)
+        if unsettled:
+            line += f"; {unsettled} need your word: truearm relabel {one_line(count['session'])}"
+        lines.append(line + " (as relabelled)" * count["labels"])
+    return lines
 
 
 def headline(document: Document) -> str:

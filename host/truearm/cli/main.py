@@ -30,6 +30,7 @@ from truearm.cli.plan import app as plan
 from truearm.cli.project import ProjectCommand, defaults
 from truearm.cli.record import record
 from truearm.cli.recover import recover
+from truearm.cli.relabel import relabel
 from truearm.cli.reproduce import reproduce
 from truearm.cli.simulate import simulate
 from truearm.cli.status import status
@@ -45,6 +46,7 @@ COMMANDS = (
     simulate,
     record,
     recover,
+    relabel,
     add_joints,
     inspect,
     characterize,

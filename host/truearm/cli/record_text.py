@@ -12,8 +12,9 @@ def lines(recorded: Recorded) -> list[str]:
     if not recorded.kept:
         return []
     why = f" ({summary.text})" if summary.reason == "robot closed" else ""
+    dwells = [f"{out}: {recorded.dwells.sentence}"] if recorded.dwells is not None and recorded.dwells.dwells else []
     text = [f"{out}: {_totals(summary)}; ended: {summary.reason}{why}"]
-    return [*text, *(f"{out}: {fault}" for fault in summary.faults)]
+    return [*text, *dwells, *(f"{out}: {fault}" for fault in summary.faults)]
 
 
 def _totals(summary: RecordSummary) -> str:

@@ -31,6 +31,7 @@ NEAR_END = 0.1  # of the travel, at either end
 POSITION_BLOCKS = 8  # a tenth of a second: the bar may move
 BAR_CELLS = 31
 DRY_S = 2.0  # of a stream without samples
+CONTRADICTION = "contradiction"  # begins a line that plan and operator do not agree
 LATE_S = 1.0  # a reading older than that is shown as late
 
 
@@ -64,6 +65,7 @@ class LiveState:
         self._asked: dict[str, str] | None = None
         self._lost = (0, 0)
         self._complete = session_progress.complete
+        self.contradictions = 0  # dwells at which something else was confirmed than the plan has
         self._came: dict[int, tuple[int | None, float]] = {}  # of a stream: how far it had come, and since when
 
     # --- what comes
@@ -172,8 +174,9 @@ class LiveState:
         other = [key for key in BAR_MOUNTED if row.get(key) and row[key] != session_progress.mounted.get(key)]
         if other:
             planned = ", ".join(f"{key} {row[key]}" for key in other)
+            self.contradictions += 1
             self.said.append(
-                f"warning: pose {pose} is planned with {planned}; mounted is {words_of(session_progress.mounted)}"
+                f"{CONTRADICTION}: pose {pose} is planned with {planned}; confirmed is {words_of(session_progress.mounted)}"
             )
         self._say_complete()
 
@@ -287,6 +290,9 @@ class LiveState:
         rows.append(ViewLine("mounted", words_of(self.session_progress.mounted)))
         if change is not None:
             rows.append(ViewLine("change", f"mount {words_of(change)}; then press Enter", True))
+        if self.contradictions:
+            text = f"{self.contradictions} of the dwells: name what is mounted, or settle them with truearm relabel"
+            rows.append(ViewLine(CONTRADICTION, text, True))
         rows.append(ViewLine("last", self.last or "nothing yet"))
         return rows
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 from truearm.box.readiness import Purpose, check_box
 from truearm.errors import InputError
 from truearm.live.keyboard import Typed, may_ask, typed_lines
-from truearm.live.state import HELP, LiveState, ViewLine
+from truearm.live.state import CONTRADICTION, HELP, LiveState, ViewLine
 from truearm.record.joint_lines import SILENCE_S
 from truearm.record.operator import Operator, OperatorEvent
 from truearm.text import one_line
@@ -292,6 +292,9 @@ class _Live:
         at = "" if status is None else f"{status.elapsed_s:.1f} s: "
         for text in messages:
             style = "yellow" if text.startswith(("warning", "now mount")) else ""
+            if text.startswith(CONTRADICTION):
+                style = "bold red"
+                self._text.write("\a")
             self._live.console.print(Text(at + one_line(text), style))
         if status is not None:
             self._live.update(self._table(view.rows(status)), refresh=True)

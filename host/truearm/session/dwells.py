@@ -53,6 +53,8 @@ QUIET_FACTOR = 3.0
 LEAST_MOTION = 1e-6  # rad or m
 SHORTEST_S = 0.25  # shorter pauses (a turn of direction) are no attempt at a dwell and not listed
 
+DOUBTFUL = "doubtful"  # plan and operator agree on what was mounted, the readings do not bear it out
+NEED_WORDS = ("contradiction", "ambiguous", DOUBTFUL)  # a word of the operator settles it: truearm relabel
 REASONS = (
     "too short",
     "still moving",  # the joints
@@ -66,6 +68,8 @@ REASONS = (
     "no clock",
     "clock",  # its bound is larger than the guard
     "no plan match",
+    "contradiction",  # at a pose of the plan, but something else was confirmed
+    DOUBTFUL,
     "ambiguous",  # the plan holds this pose with different fittings, and nothing says which were mounted
 )
 

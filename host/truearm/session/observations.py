@@ -11,7 +11,7 @@ rests in, of the dwells that gave an observation (``SyncResult``).
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, islice
 
@@ -21,16 +21,17 @@ from truearm.errors import RigError
 from truearm.session.box_ident import Ident
 from truearm.session.box_reader import Blocks, BoxReader
 from truearm.session.device_clock import ClockReport, DeviceClock, fit_clock
+from truearm.session.dwell_labels import labelled
 from truearm.session.dwells import LEARNT, Dwell, DwellRules, Sensing, find_dwells, measured, usual_noise, without_noisy
 from truearm.session.joint_readings import Bins, JointReader, JointStream
 from truearm.session.line_passes import WANTED, Leg, LegSamples, LineRules, Listener, Pass, find_legs, measure
 from truearm.session.losses import Losses, StreamReport
 from truearm.session.manual_joints import has_manual_joints, manual_dwells
 from truearm.session.message_columns import Messages, Source, columns_of
-from truearm.session.plan_matching import Marks, Plan, match_plan, nearest_pose, passes_of
+from truearm.session.plan_matching import Marks, Plan, contradict, match_plan, nearest_pose, passes_of
 from truearm.session.samples import Allan, ChannelSamples, allan, bar_length, collect_samples, extension, mean_variance
 from truearm.session.trigger_edges import Output, with_edges
-from truearm.types import BAR_MOUNTED, Floats, ObservationTable, Rig, Strings
+from truearm.types import BAR_MOUNTED, DwellLabel, Floats, ObservationTable, Rig, Strings
 
 MOST_KEPT_BYTES = 64 << 20  # of messages, where legs are to be looked at
 
@@ -167,17 +168,18 @@ def observations(
     name: str = "session",
     found: Survey | None = None,
     line_rules: LineRules | None = None,
+    labels: Sequence[DwellLabel] | None = None,
 ) -> SyncResult:
     """Observations of the ball-bar and of a line device; ``found`` is the survey of the same messages, if it was made already.
 
-    ``name`` stands for the session in the table's ``source``. Raises RigError where a dwell's bar, chuck or sphere, a line
+    ``labels``: what was mounted, where that was settled afterwards; plan and events are not asked then. ``name`` stands for the session in the table's ``source``. Raises RigError where a dwell's bar, chuck or sphere, a line
     or its target is not in the rig, SessionError where the box has no channel of the ball-bar or no calibration of it.
     """
     rules, line_rules = rules or DwellRules(), line_rules or LineRules()
     if rig.line_travel is not None:
         line_rules = replace(line_rules, reach=0.5 * rig.line_travel)
     found = found or survey(source, ident, rules)
-    dwells = _pair(found, rig, rules)
+    dwells = _pair(found, rig, rules) if labels is None else _settled(found, rig, labels)
     passes = passes_of(found.legs, found.marks, rig, line_rules.pose_tolerance)
     good = sorted((d.start_host_ns, d.end_host_ns, i) for i, d in enumerate(dwells) if not d.reason)
     if good:
@@ -247,18 +249,32 @@ def _pair(found: Survey, rig: Rig, rules: DwellRules) -> list[Dwell]:
             row = None if pose is None else rows[pose]
             dwells[i] = _mounted(dwells[i], row, {} if pose is None else plan.mounted[pose], rig)
             if pose is None:
-                dwells[i] = replace(dwells[i], detail=_away(dwells[i], plan, rows, rules))
+                reason, detail = _unmatched(dwells[i], plan, rows, rules, said[k])
+                dwells[i] = replace(dwells[i], reason=reason, detail=detail)
     return dwells
 
 
-def _away(dwell: Dwell, plan: Plan, rows: list[int], rules: DwellRules) -> str:
-    """How far a dwell is from the plan."""
+def _settled(found: Survey, rig: Rig, labels: Sequence[DwellLabel]) -> list[Dwell]:
+    dwells = labelled(found.dwells, labels)
+    for dwell in dwells:
+        if not dwell.reason:
+            _check_rig(dwell.mounted, rig)
+    return dwells
+
+
+def _unmatched(
+    dwell: Dwell, plan: Plan, rows: list[int], rules: DwellRules, said: Mapping[str, str]
+) -> tuple[str, str]:
+    """Why a dwell is no pose of the plan: the reason, and how far off it is."""
     nearest, distance = nearest_pose(dwell.q, plan)
     if nearest < 0:
-        return f"the plan is of {plan.q.shape[1]} joints"
-    if distance <= rules.pose_tolerance:
-        return f"pose {rows[nearest]} is out of turn, or other fittings are on"
-    return f"{distance:.3f} rad from pose {rows[nearest]}"
+        return "no plan match", f"the plan is of {plan.q.shape[1]} joints"
+    if distance > rules.pose_tolerance:
+        return "no plan match", f"{distance:.3f} rad from pose {rows[nearest]}"
+    if contradict(said, plan.mounted[nearest]):
+        needs, confirmed = (" ".join(of.get(key) or "?" for key in BAR_MOUNTED) for of in (plan.mounted[nearest], said))
+        return "contradiction", f"pose {rows[nearest]} needs {needs}; {confirmed} was confirmed"
+    return "no plan match", f"pose {rows[nearest]} is out of turn"
 
 
 def _mounted(dwell: Dwell, pose: int | None, mounted: dict[str, str], rig: Rig) -> Dwell:

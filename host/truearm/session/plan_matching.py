@@ -169,12 +169,13 @@ def _near_pairs(q: Floats, plan: Plan, tolerance: float, said: Sequence[Mapping[
         poses = np.sort(order[first[dwell] : last[dwell]])
         away = np.max(np.abs(plan.q[poses] - q[dwell]), axis=1, initial=0.0)
         for pose, distance in zip(poses.tolist(), away.tolist(), strict=True):
-            if distance <= tolerance and not _contradict(said[dwell], plan.mounted[pose]):
+            if distance <= tolerance and not contradict(said[dwell], plan.mounted[pose]):
                 pairs.append(_Pair(dwell, pose, scale * (tolerance - distance)))
     return pairs
 
 
-def _contradict(said: Mapping[str, str], planned: Mapping[str, str]) -> bool:
+def contradict(said: Mapping[str, str], planned: Mapping[str, str]) -> bool:
+    """Whether what was said to be mounted is not what the plan has."""
     return any(said.get(key) and planned.get(key) and said[key] != planned[key] for key in NAMED)
 
 

@@ -35,9 +35,9 @@ from truearm.session.message_columns import Messages, Source, columns_of
 from truearm.session.observations import SyncResult, Visits, joined, observations, visits
 from truearm.session.session_file import Session, open_session
 from truearm.text import one_line
-from truearm.types import Floats, Message, Rig
+from truearm.types import DwellLabel, Floats, Message, Rig
 from truearm.workflows.inspect import ident_of
-from truearm.workflows.session_observations import attached_rig
+from truearm.workflows.session_observations import attached_rig, labels_of
 from truearm.workflows.session_parts import session_parts
 
 LEAST_VISITS = 6
@@ -61,6 +61,7 @@ class Part(NamedTuple):
     messages: Source
     name: str
     ident: Ident | None = None
+    labels: tuple[DwellLabel, ...] | None = None
 
 
 def characterize_files(
@@ -79,7 +80,9 @@ def characterize_files(
     chain = load_robot(files.robot.robot or "", files.robot.base, files.robot.tip).chain
     opened = {path: open_session(path, files.allow_damaged) for path in paths}
     rig = _rig(opened, files.rig)
-    parts = [Part(_with_plan(one, files.plan), path.name, ident_of(one)) for path, one in opened.items()]
+    parts = [
+        Part(_with_plan(one, files.plan), path.name, ident_of(one), labels_of(path)) for path, one in opened.items()
+    ]
     found, noise = characterized(parts, chain, rig, bands)
     if files.out is not None:
         write_atomic(files.out, format_noise(noise, list(remarks(found)), "m" in chain.joint_units))
@@ -175,7 +178,7 @@ def characterized(
 
 def _synced(part: Part, chain: Chain, rig: Rig, bands: Sequence[float]) -> tuple[SyncResult, Visits]:
     """What one file says."""
-    result = observations(part.messages, rig, ident=part.ident, name=part.name)
+    result = observations(part.messages, rig, ident=part.ident, name=part.name, labels=part.labels)
     n_joints = result.table.q.shape[1]
     if len(result.table) and n_joints != len(chain.joints):
         raise InputError(f"{part.name}: its robot has {n_joints} joints, the robot given has {len(chain.joints)}")

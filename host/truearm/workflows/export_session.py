@@ -21,7 +21,7 @@ from truearm.session.session_tables import dwell_columns, pass_columns, plan_col
 from truearm.text import one_line
 from truearm.types import Rig
 from truearm.workflows.inspect import ident_of
-from truearm.workflows.session_observations import attached_rig
+from truearm.workflows.session_observations import attached_rig, labels_of
 
 SAID = "session.json"
 
@@ -110,7 +110,7 @@ def _observations(
     if rig is None:
         yield "dwells", dwell_columns(found, found.dwells, units)
         raise InputError("was recorded without a rig; give a rig to have observations")
-    result = observations(session.batches, rig, name=session.path.name, found=found)
+    result = observations(session.batches, rig, name=session.path.name, found=found, labels=labels_of(session.path))
     yield "dwells", dwell_columns(found, result.dwells, units)
     if result.passes:
         yield "passes", pass_columns(result.passes)

@@ -27,7 +27,7 @@ from truearm.model.robot import Robot
 from truearm.types import Estimate, ObservationTable, PredictedError
 from truearm.workflows.calibration import Calibration, calibration_of
 from truearm.workflows.calibration_report import write_page
-from truearm.workflows.inputs import Sources, check_files, hashed_inputs, observed
+from truearm.workflows.inputs import DwellCount, Sources, check_files, hashed_inputs, read_sources
 from truearm.workflows.selection import free_parameters, held_out_rows, matching, parse_effect, parse_rows
 from truearm.workflows.session_parts import with_parts
 
@@ -170,11 +170,11 @@ def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: Ident
     wanted = (files.out, looks_like_result), (files.save_table, looks_like_table), (files.report, looks_like_page)
     check_files(sources, files.robot, [(path, ours) for path, ours in wanted if path is not None])
     robot = load_robot(files.robot.robot or "", files.robot.base, files.robot.tip)
-    rig, table = observed(sources, robot.chain.joint_units)
+    rig, table, counts = read_sources(sources, robot.chain.joint_units, robot)
     selection = selected(robot, table, hold_out, options)
     if files.save_table is not None:
         write_table(files.save_table, table, robot.chain.joint_units)
-    found = identified(robot, rig, table, selection, options, inputs=hashed_inputs(sources, files.robot))
+    found = identified(robot, rig, table, selection, options, inputs=hashed_inputs(sources, files.robot), counts=counts)
     if files.report is not None:
         write_page(files.report, found, files.command)
     if files.out is not None:
@@ -213,9 +213,10 @@ def identified(
     options: IdentifyOptions = DEFAULTS,
     *,
     inputs: Sequence[Input] = (),
+    counts: Sequence[DwellCount] = (),
     progress: Progress | None = None,
 ) -> Identification:
-    """Identify the selected parameters. ``inputs`` are the files that result.json names as its sources.
+    """Identify the selected parameters. ``inputs`` are the files that result.json names as its sources, ``counts`` what became of their dwells.
 
     A choice of frame and joints that stand still are held, unless their parameters were asked for by name.
     Raises ProblemError where observations and robot make no problem that can be solved.
@@ -254,5 +255,6 @@ def identified(
         predicted = predicted_point_error(chain, rig, table, estimate, any_base=bool(chosen.base))
     frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, chain.joint_units)
     document = document_of(estimate, table, frames, inputs, selection.held_out_by, prior, predicted, chosen)
+    document["sessions"] = [count._asdict() for count in counts]
     of_robot = vars(calibration_of(stored_result(document), robot, chain.name, "the identification"))
     return Identification(**of_robot, rig=rig, table=table, estimate=estimate, predicted=predicted)

@@ -2,21 +2,33 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from truearm.errors import Argument, InputError
 from truearm.files.disk import check_writable, same_file
+from truearm.files.labels_file import labels_path
 from truearm.files.noise_file import check_against_rigs, read_noise, with_noise
 from truearm.files.observation_table import check_against_rig, concatenate, read_table
 from truearm.files.result_file import Input, input_of
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import RobotChoice
+from truearm.model.robot import Robot
+from truearm.session.dwells import DOUBTFUL, NEED_WORDS
 from truearm.types import ObservationTable, Rig
-from truearm.workflows.session_observations import Say, SessionOptions, observations_of_session, silent
+from truearm.workflows.relabel import borne_out_rows
+from truearm.workflows.session_observations import (
+    Say,
+    SessionOptions,
+    labels_of,
+    observations_of_session,
+    silent,
+)
 from truearm.workflows.session_parts import is_part
 from truearm.workflows.session_rigs import Assigned, session_rigs
 
@@ -65,16 +77,50 @@ def check_files(sources: Sources, robot: RobotChoice, outputs: Sequence[Output] 
         check_writable(path, inputs=[*sources.files, *robot.files], ours=ours)
 
 
+class DwellCount(NamedTuple):
+    """What became of a session's dwells: how many there are, how many are used, and of the others how many for which reason.
+
+    ``labels``: whether they were settled by ``truearm relabel``.
+    """
+
+    session: str
+    dwells: int
+    used: int
+    rejected: Mapping[str, int]
+    labels: bool
+
+    @property
+    def need_words(self) -> int:
+        """Dwells of which nobody knows what was mounted."""
+        return sum(n for reason, n in self.rejected.items() if reason in NEED_WORDS)
+
+
+class Observed(NamedTuple):
+    """The rig, or the rigs by name, the observations, and what became of the sessions' dwells."""
+
+    rigs: Rig | dict[str, Rig]
+    table: ObservationTable
+    counts: tuple[DwellCount, ...]
+
+
 def observed(sources: Sources, joint_units: tuple[str, ...] | None) -> tuple[Rig | dict[str, Rig], ObservationTable]:
     """The rig, or the rigs by name, and the observations, held against each other.
 
     ``joint_units`` are the robot's; None does without that check.
     """
+    found = read_sources(sources, joint_units)
+    return found.rigs, found.table
+
+
+def read_sources(sources: Sources, joint_units: tuple[str, ...] | None, robot: Robot | None = None) -> Observed:
+    """Like ``observed``, with what became of the dwells. By the nominal ``robot`` labels that the readings do not bear out are left out."""
     inputs = list(sources.inputs)
     noise = None if sources.noise is None else read_noise(sources.noise)
     given = {name: with_noise(read_rig(path), noise) for name, path in sources.rigs.items()}
     of_session = {path: (name, with_noise(rig, noise)) for path, (name, rig) in session_rigs(inputs, given).items()}
-    tables = {path: _read_input(path, joint_units, of_session.get(path), sources) for path in inputs}
+    read = {path: _read_input(path, joint_units, of_session.get(path), sources, robot) for path in inputs}
+    tables = {path: table for path, (table, _) in read.items()}
+    counts = tuple(count for _, count in read.values() if count is not None)
     table = concatenate([part for part in tables.values() if len(part)] or list(tables.values()))
     if not len(table):
         raise InputError(f"{inputs[0]}: no dwell and no line gave an observation; see truearm inspect {inputs[0]}")
@@ -84,11 +130,11 @@ def observed(sources: Sources, joint_units: tuple[str, ...] | None) -> tuple[Rig
     if "" in rigs or not rigs:
         one = rigs.get("", with_noise(Rig(), noise))
         check_against_rig(table, one)
-        return one, table
+        return Observed(one, table, counts)
     _check_names(table, rigs, sources.rigs)
     for name, rig in rigs.items():
         check_against_rig(table.select(table.rig == name), rig)
-    return rigs, table
+    return Observed(rigs, table, counts)
 
 
 def _check_names(table: ObservationTable, rigs: dict[str, Rig], files: Mapping[str, Path]) -> None:
@@ -105,24 +151,38 @@ def _check_names(table: ObservationTable, rigs: dict[str, Rig], files: Mapping[s
 
 
 def _read_input(
-    path: Path, joint_units: tuple[str, ...] | None, assigned: Assigned | None, sources: Sources
-) -> ObservationTable:
+    path: Path,
+    joint_units: tuple[str, ...] | None,
+    assigned: Assigned | None,
+    sources: Sources,
+    robot: Robot | None,
+) -> tuple[ObservationTable, DwellCount | None]:
     if assigned is None:
-        return read_table(path, joint_units)
+        return read_table(path, joint_units), None
     name, rig = assigned
     options = SessionOptions(
         sources.allow_damaged, is_part(path, list(sources.inputs)), sources.line_points, sources.say
     )
-    table = observations_of_session(path, rig, options).table
+    result = observations_of_session(path, rig, options)
+    table = result.table
     if joint_units is not None and len(table) and table.q.shape[1] != len(joint_units):
         raise InputError(f"{path}: its robot has {table.q.shape[1]} joints, the robot given has {len(joint_units)}")
-    return replace(table, rig=np.full(len(table), name))
+    labels = labels_of(path) is not None
+    rejected = Counter(result.reasons)
+    if robot is not None and not labels:
+        borne_out = borne_out_rows(robot, rig, result)
+        table = table.select(borne_out)
+        rejected += Counter({DOUBTFUL: int((~borne_out).sum())})
+    used = sum(table.kind == "ball_bar")
+    count = DwellCount(path.name, len(result.dwells), int(used), dict(sorted(rejected.items())), labels)
+    return replace(table, rig=np.full(len(table), name)), count
 
 
 def hashed_inputs(sources: Sources, robot: RobotChoice) -> list[Input]:
     """Name and SHA-256 of every file that an identification read."""
     return [
         *(input_of("observations", path) for path in sources.inputs),
+        *(input_of("labels", labels) for path in sources.inputs if (labels := labels_path(path)).exists()),
         *(input_of("rig", rig) for rig in sources.rigs.values()),
         *(input_of("noise", noise) for noise in [sources.noise] if noise),
         *(input_of("robot", file) for file in robot.files),

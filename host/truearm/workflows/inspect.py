@@ -222,12 +222,13 @@ def _measured(session: Session, found: Survey) -> dict[str, Any]:
 def _observations(session: Session, attached: bytes, found: Survey) -> SyncResult:
     from truearm.files.rig_file import parse_rig
     from truearm.session.observations import observations
+    from truearm.workflows.session_observations import labels_of
 
     try:
         text = attached.decode()
     except UnicodeDecodeError as exc:
         raise InputError("the attached rig.toml is no UTF-8 text") from exc
-    return observations(session.batches, parse_rig(text, "rig.toml"), found=found)
+    return observations(session.batches, parse_rig(text, "rig.toml"), found=found, labels=labels_of(session.path))
 
 
 def _pass_row(number: int, one: Pass) -> dict[str, Any]:

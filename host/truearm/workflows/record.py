@@ -17,6 +17,7 @@ from truearm.live.progress import SessionProgress
 from truearm.live.state import LiveState
 from truearm.live.view import View, showing
 from truearm.types import Move
+from truearm.workflows.recorded_dwells import RecordedDwells, recorded_dwells
 from truearm.workflows.session_parts import SETUP, Earlier, earlier, gone_on
 
 if TYPE_CHECKING:
@@ -78,6 +79,7 @@ class Recorded:
     kept: bool
     trouble: str
     missing: str  # why it is not what was asked for, "" if it is
+    dwells: RecordedDwells | None = None  # of a recording with a robot and a rig
 
 
 def record_request(request: Request, output: TextIO) -> Recorded:
@@ -88,7 +90,23 @@ def record_request(request: Request, output: TextIO) -> Recorded:
         summary, writer, view = _record(device, work, request, output)
     except WriteError as exc:  # what came until then is in the file
         raise IncompleteError(*exc.args) from exc
-    return Recorded(writer.path, summary, writer.kept, view.trouble, what_is_missing(summary, work.robot is not None))
+    dwells = None
+    if writer.kept and work.robot is not None and work.rig is not None and (work.rows or work.mounted):
+        dwells = recorded_dwells(writer.path)
+    missing = "; ".join(
+        filter(None, [what_is_missing(summary, work.robot is not None), unsettled(dwells, writer.path)])
+    )
+    return Recorded(writer.path, summary, writer.kept, view.trouble, missing, dwells)
+
+
+def unsettled(dwells: RecordedDwells | None, session: Path) -> str:
+    """Which dwells of a recording give no observation, and what to do; "" if every pose gave one."""
+    if dwells is None or not (dwells.need_words or dwells.lost):
+        return ""
+    text = dwells.sentence
+    if dwells.need_words:
+        return f"{text}: settle what was mounted with truearm relabel {session}"
+    return f"{text}; truearm inspect {session} says why"
 
 
 def what_is_missing(summary: RecordSummary, with_robot: bool) -> str:

@@ -13,7 +13,7 @@ from truearm.text import one_line
 if TYPE_CHECKING:
     from truearm.session.observations import SyncResult
     from truearm.session.session_file import Session
-    from truearm.types import Rig
+    from truearm.types import DwellLabel, Rig
 
 SUFFIX = ".mcap"
 RIG = "rig.toml"
@@ -38,6 +38,13 @@ class SessionOptions:
     may_be_empty: bool = False
     line_points: int | None = None
     say: Say = silent
+
+
+def labels_of(path: Path) -> tuple[DwellLabel, ...] | None:
+    """What was settled of a session's dwells (``truearm relabel``), None where nothing was. Raises SessionError."""
+    from truearm.files.labels_file import last_dwells, read_labels
+
+    return last_dwells(read_labels(path))
 
 
 def is_session(path: Path) -> bool:
@@ -78,7 +85,9 @@ def observations_of_session(path: Path, rig: Rig | None = None, options: Session
     if rig is None:
         raise RigError(f"{path}: was recorded without a rig; give one as ", Argument("rig"))
     rules = LineRules(points=options.line_points)
-    result = observations(session.batches, rig, ident=ident_of(session), name=path.name, line_rules=rules)
+    result = observations(
+        session.batches, rig, ident=ident_of(session), name=path.name, line_rules=rules, labels=labels_of(path)
+    )
     if not len(result.table) and not options.may_be_empty:
         what, rejected = ("line", result.pass_reasons) if result.passes else ("dwell", result.reasons)
         reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(rejected.items()))

@@ -1,0 +1,126 @@
+"""``truearm relabel``: what was mounted at the dwells of a session, settled after the recording."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from truearm.cli.options import (
+    BaseOption,
+    JsonOption,
+    OptionalRobotOption,
+    SessionArgument,
+    SessionRigOption,
+    TipOption,
+)
+from truearm.cli.output import print_json, print_lines
+from truearm.live.keyboard import may_ask
+from truearm.text import counted, one_line
+
+if TYPE_CHECKING:
+    from truearm.session.dwell_labels import Pairing
+    from truearm.workflows.relabel import Run
+
+TRUSTS = "plan|typed|evidence"  # workflows.relabel.Trust
+
+
+def relabel(
+    session: SessionArgument,
+    robot: OptionalRobotOption = None,
+    base: BaseOption = None,
+    tip: TipOption = None,
+    rig: SessionRigOption = None,
+    trust: Annotated[
+        str | None,
+        typer.Option(
+            metavar=TRUSTS,
+            help="Believe the plan, what was typed, or the evidence of all of it and the readings together (needs --robot). Default: ask.",
+        ),
+    ] = None,
+    undo: Annotated[bool, typer.Option("--undo", help="Take back the last decision.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Settle what was mounted at the dwells of a session where plan, operator and readings do not say the same.
+
+    The session itself is not changed: the labels stand beside it in NAME.labels.json, written whole or not at all, and every later
+    command uses them. With --trust evidence a dwell is labelled where one pairing has a probability of 99.8 %, else it is left out.
+    Without --trust you are asked about each run of dwells that is in doubt.
+
+    \b
+    Example:
+      truearm relabel session.mcap --robot puma560 --trust evidence
+      truearm relabel session.mcap --undo
+    """
+    from truearm.errors import InputError
+    from truearm.files.robot_file import RobotChoice
+    from truearm.workflows.relabel import RelabelOptions, Trust
+    from truearm.workflows.relabel import relabel as relabel_session
+    from truearm.workflows.relabel import undo as undo_labels
+
+    if undo:
+        if trust is not None:
+            raise InputError("--undo takes a decision back and --trust makes one; give one of them")
+        document = undo_labels(session)
+    else:
+        if trust is not None and trust not in tuple(Trust):
+            raise InputError(f"--trust {trust[:40]!r} is none of {', '.join(Trust)}")
+        ask = _ask if may_ask() and not as_json else None
+        options = RelabelOptions(RobotChoice(robot, base, tip), rig, None if trust is None else Trust(trust), ask)
+        document = relabel_session(session, options)
+    if as_json:
+        print_json(document)
+    else:
+        print_lines(lines(document))
+
+
+def lines(document: dict[str, Any]) -> list[str]:
+    """What was settled, for people."""
+    sessions = ", ".join(map(one_line, document["sessions"]))
+    if "decisions_left" in document:
+        left = document["decisions_left"]
+        return [
+            f"{sessions}: the last decision is taken back; "
+            + (f"{left} left" if left else "plan and operator count again")
+        ]
+    text = [
+        f"{sessions}: {counted(document['dwells'], 'dwell')}, {document['with_reading']} with a reading within the stroke: "
+        f"{document['usable']} labelled, {document['otherwise_than_planned']} of all otherwise than planned"
+    ]
+    for row in document["table"]:
+        if row["bar"] is None and row["reading"]:
+            text.append(f"  dwell {row['dwell']} left out: {one_line(row['detail'])}")
+    return [*text, "Undo: truearm relabel --undo"]
+
+
+def _ask(run: Run) -> Pairing | None:
+    """Ask what was mounted at a run of dwells."""
+    from truearm.errors import InputError
+    from truearm.live.mounted_parts import parse_mounted
+    from truearm.session.dwell_labels import pairing_of
+
+    choices = {}
+    where = f"dwell {run.first}" if run.first == run.last else f"dwells {run.first} to {run.last}"
+    typer.echo(f"{one_line(run.part.name)}, {where}:")
+    for letter, what, pairing in (
+        ("p", "the plan", run.planned[0] if len(run.planned) == 1 else None),
+        ("t", "confirmed", run.confirmed),
+        ("e", f"evidence, {run.probability:.1%}", run.found),
+    ):
+        if pairing is not None:
+            choices[letter] = pairing
+            typer.echo(f"  {letter}  {one_line(' '.join(pairing))} ({what})")
+    while True:
+        answer = typer.prompt("  letter, bar=NAME,chuck=NAME,sphere=NAME, or s to leave them out").strip()
+        if answer == "s":
+            return None
+        if answer in choices:
+            return choices[answer]
+        try:
+            pairing = pairing_of(parse_mounted(answer))
+        except InputError as exc:
+            typer.echo(f"  {exc}")
+            continue
+        if pairing is not None:
+            return pairing
+        typer.echo("  name bar, chuck and sphere")

@@ -1,0 +1,399 @@
+"""What was mounted at each dwell of a ball-bar session, from all that speaks of it, as a probability.
+
+The hidden state of a dwell is a pairing of the rig (bar, chuck, sphere), or something that the rig does not have. It changes as operators change
+it: mostly where the plan asks for it, now and then not at all, too late, or to something else (``transition``). What was typed is a witness of what is
+mounted from then on, wrong once in a while (TYPED). The reading is the other witness: what the sensor shows against what each pairing predicts; a
+sensor beyond its stroke speaks against every pairing that should be within it. One dwell cannot decide, with a nominal robot another pairing often
+fits as well. Runs of dwells can, which is what the forward-backward algorithm of a hidden Markov model weighs (Rabiner 1989, Proc. IEEE 77, III-B).
+
+The nominal robot predicts to some millimetres or centimetres, with errors that neighbouring poses share. So the robot is fitted meanwhile: its
+parameters, with a Gaussian prior about the nominal ones, linearised, from the dwells by the probability of their pairing. A dwell is judged by the
+fit without the run that it belongs to, else a wrong run would confirm itself; within a run each dwell is judged given the one before, since a
+prediction that is off by a common amount still predicts the difference. The covariance of that fit is the uncertainty of its prediction, widened where
+the usual misfit is larger. Fit and judgement alternate, with a noise that falls from NOISE's first to its last value, so that what is still labelled
+wrongly cannot bend the first fits (deterministic annealing).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise, product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+from scipy.linalg import cho_factor, cho_solve
+
+from truearm.estimate.prior import wide_prior
+from truearm.estimate.problem import build_problem
+from truearm.model.chain import Chain
+from truearm.types import BAR_MOUNTED, Floats, ObservationTable, Rig
+
+Pairing = tuple[str, str, str]  # bar, chuck, sphere
+Mask = NDArray[np.bool_]
+Indices = NDArray[np.intp]
+
+# How operators change what is mounted, as probabilities. Nothing depends on their second digit.
+DONE = 0.9  # the plan asks for another pairing, and it is mounted
+FORGOTTEN = 0.05  # the old one stays
+PUT_RIGHT = 0.1  # at a dwell where the plan asks for nothing new, what is not as planned is mounted as planned
+UNASKED = 2e-3  # something else, at any dwell
+FOREIGN = 1e-3  # something that the rig does not have
+TYPED = 20.0  # how much likelier a pairing is named when it is mounted than when it is not
+
+NOISE = (
+    5e-3,
+    4e-3,
+    3e-3,
+    2.5e-3,
+    2e-3,
+    1.5e-3,
+    1e-3,
+    7e-4,
+    5e-4,
+    3e-4,
+    3e-4,
+    3e-4,
+)  # m, of a reading about the fitted robot, round by round
+TAIL, TAIL_SIGMAS = 0.01, 10.0  # a reading may be off without being of another pairing
+SOFT = 2.5  # σ, beyond which a reading counts for less in the fit (Cauchy's loss)
+LOST = 0.02  # a sensor whose bar is within its stroke is beyond it all the same
+DIFFUSE = 10.0  # σ of an unknown of the rig without prior
+MOST_PAIRINGS = 150
+MOST_SUSPECT, WIDENED = 8, 2.0  # runs left out where the fit misses by so much more than it claims
+
+SURE = 0.998  # the least probability of a label that is used by the evidence alone
+DOUBTED = 0.9  # where a label that plan and operator agree on has less, all evidence is asked
+BORNE_OUT = 0.99  # the least probability of such a label, by all evidence
+
+
+@dataclass(frozen=True)
+class Readings:
+    """The dwells of a session in their order."""
+
+    q: Floats  # (n, j) rad or m
+    extension: Floats  # (n,) m, of the sensor; NaN: there is no reading
+    beyond: Mask  # (n,) there is none since the sensor is beyond its stroke
+
+    @property
+    def read(self) -> Mask:
+        """(n,) whether there is a reading."""
+        return np.isfinite(self.extension)
+
+    def take(self, part: slice) -> Readings:
+        """Some of the dwells."""
+        return Readings(self.q[part], self.extension[part], self.beyond[part])
+
+
+@dataclass(frozen=True)
+class Words:
+    """What is said of each of n dwells: ``planned``, the pairings that the plan may have had mounted, () where it says nothing;
+    ``typed``, what was named since the dwell before, in order."""
+
+    planned: Sequence[Sequence[Pairing]]
+    typed: Sequence[Sequence[Pairing]]
+
+
+@dataclass(frozen=True)
+class Mountings:
+    """``probability`` (n, k + 1) of each of the k ``pairings`` at each dwell, the last column that of none of them."""
+
+    pairings: tuple[Pairing, ...]
+    probability: Floats
+
+    def sure(self) -> list[Pairing | None]:
+        """The pairing of each dwell, None where none is as probable as SURE."""
+        best = self.probability[:, :-1].argmax(axis=1)
+        return [
+            self.pairings[k] if p[k] >= SURE else None for k, p in zip(best.tolist(), self.probability, strict=True)
+        ]
+
+
+def mountings(chain: Chain, rig: Rig, readings: Readings, words: Words, free: Mask) -> Mountings:
+    """What was mounted at each dwell. ``free`` (p,): the robot's parameters that are fitted.
+
+    Raises ProblemError where dwells and robot do not go together.
+    """
+    pairings = candidates(rig, words)
+    transitions, told = _course(words, pairings)
+    fit = _Fit(chain, rig, readings, [pairings] * len(readings.q), free)
+    return Mountings(pairings, _annealed(fit, transitions, told))
+
+
+def label_support(chain: Chain, rig: Rig, readings: Readings, labels: Sequence[Pairing], free: Mask) -> Floats:
+    """(n,) probability that each dwell is of the pairing that it is said to be of, and not of anything else.
+
+    Raises ProblemError where dwells and robot do not go together.
+    """
+    changed = [True, *(a != b for a, b in pairwise(labels))]
+    steps = [np.array([[DONE, 1.0 - DONE]] * 2), np.array([[1.0 - UNASKED, UNASKED], [PUT_RIGHT, 1.0 - PUT_RIGHT]])]
+    transitions, told = [steps[0] if new else steps[1] for new in changed], np.zeros((len(labels), 2))
+    for noise in (NOISE[-3:], NOISE):  # where nothing is wrong nothing bends the first fit
+        fit = _Fit(chain, rig, readings, [[label] for label in labels], free)
+        support = _annealed(fit, transitions, told, noise)[:, 0]
+        if fit.widened < WIDENED and (support[readings.read] >= DOUBTED).all():
+            break
+    return support
+
+
+def candidates(rig: Rig, words: Words) -> tuple[Pairing, ...]:
+    """All pairings of a rig; of one with very many, those that plan or operator name."""
+    every = tuple(product(rig.bars, rig.chucks, rig.spheres))
+    if len(every) <= MOST_PAIRINGS:
+        return every
+    named = {pairing for of_dwell in (*words.planned, *words.typed) for pairing in of_dwell}
+    return tuple(pairing for pairing in every if pairing in named)
+
+
+def _annealed(fit: _Fit, transitions: Sequence[Floats], told: Floats, noise: Sequence[float] = NOISE) -> Floats:
+    """(n, k + 1) probabilities of the states, the fit and the labels settled together under a noise [m] that falls."""
+    nothing = np.zeros_like(told)
+    probability = posterior(transitions, told, nothing, nothing)
+    if not fit.readings.read.any():
+        return probability
+    for fit.noise in noise:
+        seen = fit.judge(probability)
+        probability = posterior(transitions, told, *fit.densities(seen))
+        fit.move(probability, seen)
+    for _ in range(MOST_SUSPECT):
+        seen = fit.judge(probability)
+        probability = posterior(transitions, told, *fit.densities(seen))
+        if not fit.suspect(probability, seen):
+            break
+        fit.move(probability, seen)
+    return probability
+
+
+def _course(words: Words, pairings: Sequence[Pairing]) -> tuple[list[Floats], Floats]:
+    """The transition to each dwell, the first from anything, and (n, k + 1) what the operator's words add to the log-likelihood."""
+    number = {pairing: i for i, pairing in enumerate(pairings)}
+    told = np.zeros((len(words.planned), len(pairings) + 1))
+    transitions = []
+    wanted: list[int] = []
+    follows_words = not any(words.planned)
+    for i, (planned, typed) in enumerate(zip(words.planned, words.typed, strict=True)):
+        said = [number[pairing] for pairing in typed if pairing in number][-1:]
+        told[i, said] += np.log(TYPED)
+        now = said if follows_words else [number[pairing] for pairing in planned if pairing in number]
+        asked = bool(now) and set(now) != set(wanted)
+        wanted = now or wanted
+        transitions.append(transition(len(pairings), wanted, asked))
+    return transitions, told
+
+
+def transition(k: int, wanted: Sequence[int], asked: bool) -> Floats:
+    """(k + 1, k + 1) from what was mounted to what is, where ``wanted`` are the pairings that the plan may want and ``asked``
+    says whether it wants them from this dwell on."""
+    out = np.full((k + 1, k + 1), UNASKED / k)
+    out[:, k] = FOREIGN
+    stay, goal = np.arange(k + 1), np.array(wanted, dtype=np.intp)
+    if not goal.size:
+        out[stay, stay] += 1.0
+    elif asked:
+        out[:, goal] += DONE / goal.size
+        out[stay, stay] += FORGOTTEN
+        out[:, :k] += (1.0 - DONE - FORGOTTEN) / k
+    else:
+        right = np.isin(stay, goal)
+        out[stay, stay] += np.where(right, 1.0, 1.0 - PUT_RIGHT)
+        out[np.ix_(~right, goal)] += PUT_RIGHT / goal.size
+    return np.asarray(out / out.sum(axis=1, keepdims=True))
+
+
+def posterior(transitions: Sequence[Floats], told: Floats, came: Floats, stayed: Floats) -> Floats:
+    """(n, s) probability of each state at each dwell, by the forward-backward algorithm.
+
+    ``transitions`` (s, s) to each dwell, of the first the mean over all states; ``told`` (n, s) log-likelihoods of the words; ``came`` (n, s) those of
+    the readings where another state was before, ``stayed`` where the same was.
+    """
+    top = np.maximum(came, stayed).max(axis=1, keepdims=True)
+    came, stayed = np.exp(came - top + told), np.exp(stayed - top + told)
+    n, states = came.shape
+    forward, backward = np.empty_like(came), np.ones_like(came)
+    forward[0] = transitions[0].mean(axis=0) * came[0]
+    forward[0] /= forward[0].sum()
+    steps = [transitions[0]]
+    for i in range(1, n):
+        step = transitions[i] * came[i]
+        step[range(states), range(states)] = transitions[i].diagonal() * stayed[i]
+        steps.append(step)
+        forward[i] = forward[i - 1] @ step
+        forward[i] /= forward[i].sum()
+    for i in range(n - 2, -1, -1):
+        backward[i] = steps[i + 1] @ backward[i + 1]
+        backward[i] /= backward[i].sum()
+    both = forward * backward
+    return np.asarray(both / both.sum(axis=1, keepdims=True))
+
+
+class _Seen(NamedTuple):
+    """How the readings miss the predictions of the candidates, by the fit without the run of the dwell [m], all (n, k).
+
+    ``after``, ``after_sigma``: given the dwell before, in the same state; NaN where there is none.
+    """
+
+    misfit: Floats
+    sigma: Floats
+    after: Floats
+    after_sigma: Floats
+
+
+class _Fit:
+    """The robot that the dwells show, linearised about its parameters so far.
+
+    ``candidates``: the k pairings that each dwell may be of.
+    """
+
+    def __init__(
+        self, chain: Chain, rig: Rig, readings: Readings, candidates: Sequence[Sequence[Pairing]], free: Mask
+    ) -> None:
+        self.readings, self.noise = readings, NOISE[0]
+        self.n, self.k = len(candidates), len(candidates[0])
+        flat = [pairing for of_dwell in candidates for pairing in of_dwell]
+        number = {pairing: i for i, pairing in enumerate(dict.fromkeys(flat))}
+        self.number = np.array([number[pairing] for pairing in flat]).reshape(self.n, self.k)
+        bars = np.array([(rig.bars[bar].zero, rig.bars[bar].gain, 0.5 * rig.bars[bar].travel) for bar, _, _ in flat])
+        zero, self.gain, self.half = bars.reshape(self.n, self.k, 3).transpose(2, 0, 1)
+        extension = np.where(readings.read, readings.extension, 0.0)
+        table = ObservationTable(
+            q=np.repeat(readings.q, self.k, axis=0),
+            kind=np.full(len(flat), "ball_bar"),
+            value=(zero + self.gain * extension[:, None]).ravel(),
+            **dict(zip(BAR_MOUNTED, np.array(flat).T, strict=True)),
+        )
+        self.problem = build_problem(chain, rig, table, wide_prior(chain))
+        self.columns = np.concatenate([free, np.ones(len(self.problem.names) - free.size, dtype=bool)])
+        self.prior = 1.0 / np.minimum(self.problem.prior_sigma[self.columns], DIFFUSE) ** 2
+        self.x = self.problem.start.copy()
+        self.widened = 1.0
+        self.left_out = np.zeros(self.n, dtype=bool)  # of the fit, as they may be wrong
+        self.soft = np.ones(self.n)  # what Cauchy's loss leaves of each dwell
+        self._linearise()
+
+    def _linearise(self) -> None:
+        (group,) = (group for group in self.problem.groups if group.row is not None)
+        assert group.row is not None
+        lin = group.evaluate(self.problem.chain, self.x)
+        residual, jac = np.empty(self.n * self.k), np.empty((self.n * self.k, int(self.columns.sum())))
+        residual[group.row], jac[group.row] = lin.residual, lin.jac_params[:, self.columns]
+        self.residual, self.jac = residual.reshape(self.n, self.k), jac.reshape(self.n, self.k, -1)
+
+    def _weighted(self, probability: Floats) -> tuple[Indices, Floats]:
+        """The likeliest candidate of each dwell, and (n,) its weight in the fit [1/m²], 0 where it is not likely."""
+        best = probability[:, : self.k].argmax(axis=1)
+        likely = probability[np.arange(self.n), best]
+        return best, np.where(
+            self.readings.read & ~self.left_out & (likely > 0.5), self.soft * likely, 0.0
+        ) / self.noise**2
+
+    def _normal(self, best: Indices, weight: Floats) -> tuple[Floats, Floats]:
+        """Information and right-hand side of the prior and all dwells."""
+        rows = np.arange(self.n)
+        weighted = self.jac[rows, best] * weight[:, None]
+        info = np.diag(self.prior) + weighted.T @ self.jac[rows, best]
+        away = (self.problem.start - self.x)[self.columns]
+        return info, self.prior * away + weighted.T @ self.residual[rows, best]
+
+    def move(self, probability: Floats, seen: _Seen) -> None:
+        """Fit to all dwells, by the probability of their candidates."""
+        best, _ = self._weighted(probability)
+        rows = np.arange(self.n)
+        self.soft = 1.0 / (1.0 + (seen.misfit[rows, best] / (SOFT * seen.sigma[rows, best])) ** 2)
+        info, rhs = self._normal(*self._weighted(probability))
+        self.x[self.columns] += cho_solve(cho_factor(info), rhs)
+        self._linearise()
+
+    def suspect(self, probability: Floats, seen: _Seen) -> bool:
+        """Leave the run that misses most out of the fit while the fit is worse than its noise; whether one was left out."""
+        if self.widened < WIDENED:
+            return False
+        best, weight = self._weighted(probability)
+        rows = np.arange(self.n)
+        ratio = np.where(weight > 0.0, np.abs(seen.misfit[rows, best]) / seen.sigma[rows, best], 0.0)
+        worst = int(ratio.argmax())
+        run = next(run for run in runs(self.number[rows, best]) if run.start <= worst < run.stop)
+        self.left_out[run] = True
+        return bool(weight[worst] > 0.0)
+
+    def judge(self, probability: Floats) -> _Seen:
+        """Hold each dwell against the fit without its run."""
+        best, weight = self._weighted(probability)
+        rows = np.arange(self.n)
+        jac, residual = self.jac[rows, best], self.residual[rows, best]
+        info, rhs = self._normal(best, weight)
+
+        def without(out: slice, used: slice) -> tuple[Floats, Floats]:
+            """(m, k) misfits of some dwells by the fit without others, and (m, k, p) their derivatives, whitened by its covariance."""
+            less = jac[out] * weight[out, None]
+            root = np.linalg.inv(np.linalg.cholesky(info - less.T @ jac[out]))
+            delta = root.T @ (root @ (rhs - less.T @ residual[out]))
+            return self.residual[used] - self.jac[used] @ delta, self.jac[used] @ root.T
+
+        seen = _Seen(*(np.full((self.n, self.k), np.nan) for _ in range(4)))
+        label = self.number[rows, best]
+        cut = runs(label)
+        for run in cut:
+            misfit, along = without(run, run)
+            seen.misfit[run] = misfit
+            seen.sigma[run] = np.sqrt((along**2).sum(axis=2) + self.noise**2)
+            self._condition(seen, run, misfit, along)
+        for before, run in pairwise(cut):
+            pair = slice(run.start - 1, run.start + 1)
+            self._condition(seen, pair, *without(slice(before.start, run.stop), pair))
+        known = np.flatnonzero(weight > 0.0)
+        after = known[(known > 0) & (label[known] == label[known - 1])]
+        self.widened = widen(seen.misfit, seen.sigma, known, best)
+        widen(seen.after, seen.after_sigma, after, best)
+        return seen
+
+    def _condition(self, seen: _Seen, part: slice, misfit: Floats, along: Floats) -> None:
+        """Note what the dwells of a part miss, each given the one before in it."""
+        variance = (along**2).sum(axis=2) + self.noise**2
+        ratio = (along[1:] * along[:-1]).sum(axis=2) / variance[:-1]
+        both = (self.readings.read[part][1:] & self.readings.read[part][:-1])[:, None]
+        later = slice(part.start + 1, part.stop)
+        seen.after[later] = np.where(both, misfit[1:] - ratio * misfit[:-1], np.nan)
+        seen.after_sigma[later] = np.sqrt(np.maximum(variance[1:] - ratio**2 * variance[:-1], self.noise**2))
+
+    def densities(self, seen: _Seen) -> tuple[Floats, Floats]:
+        """(n, k + 1) log-likelihoods [1/m] of what each dwell shows, where another state was before, and where the same was."""
+        k, read, beyond = self.k, self.readings.read, self.readings.beyond & ~self.readings.read
+        came = np.zeros((self.n, k + 1))
+        came[read, :k] = log_density(seen.misfit[read], seen.sigma[read], seen.sigma[read])
+        came[read, k] = -np.log(2.0 * self.half.max())
+        predicted, sigma = ((figure / self.gain)[beyond] for figure in (-seen.misfit, seen.sigma * np.sign(self.gain)))
+        half = self.half[beyond]
+        inside = special.ndtr((half - predicted) / sigma) - special.ndtr((-half - predicted) / sigma)
+        came[beyond, :k] = np.log(np.maximum(1.0 - inside, LOST))
+        came[beyond, k] = np.log(0.5)
+        stayed = came.copy()
+        after = read & np.isfinite(seen.after[:, 0])
+        stayed[after, :k] = log_density(seen.after[after], seen.after_sigma[after], seen.sigma[after])
+        return came, stayed
+
+
+def log_density(misfit: Floats, sigma: Floats, wide: Floats) -> Floats:
+    """Of a reading that misses its prediction by so much: a normal distribution of ``sigma``, with a foot by ``wide``."""
+
+    def normal(s: Floats) -> Floats:
+        return np.asarray(-0.5 * (misfit / s) ** 2 - np.log(s) - 0.5 * np.log(2.0 * np.pi))
+
+    return np.asarray(np.logaddexp(np.log(1.0 - TAIL) + normal(sigma), np.log(TAIL) + normal(TAIL_SIGMAS * wide)))
+
+
+def widen(misfit: Floats, sigma: Floats, rows: Indices, best: Indices) -> float:
+    """Widen σ where the usual misfit of the likeliest candidates of some rows is larger than it; by how much."""
+    ratio = np.abs(misfit[rows, best[rows]]) / sigma[rows, best[rows]]
+    if not np.isfinite(ratio).any():
+        return 1.0
+    factor = max(1.0, float(np.nanmedian(ratio)) / float(special.ndtri(0.75)))
+    sigma *= factor
+    return factor
+
+
+def runs(labels: Indices) -> list[slice]:
+    """Runs of equal labels (n,)."""
+    edges = (np.flatnonzero(np.diff(labels)) + 1).tolist()
+    return [slice(a, b) for a, b in pairwise([0, *edges, len(labels)])]

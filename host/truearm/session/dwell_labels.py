@@ -1,0 +1,109 @@
+"""What plan and operator say of each dwell, and what of it was settled afterwards (``truearm relabel``)."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from truearm.session.dwells import Dwell
+from truearm.session.plan_matching import Marks, Plan, match_plan, nearest_pose
+from truearm.types import BAR_MOUNTED, DwellLabel
+
+Pairing = tuple[str, str, str]  # bar, chuck, sphere
+
+
+@dataclass(frozen=True)
+class Said:
+    """Of one dwell: the ``rows`` of the plan that it may be, the likeliest first; the pairings ``planned`` for it, () where it is out of turn
+    or no row of the plan; those ``typed`` since the dwell before; and what was confirmed last, ``confirmed``."""
+
+    rows: tuple[int, ...]
+    planned: tuple[Pairing, ...]
+    typed: tuple[Pairing, ...]
+    confirmed: Pairing | None
+
+
+def pairing_of(mounted: Mapping[str, str]) -> Pairing | None:
+    """Bar, chuck and sphere, None where one of them is not named."""
+    if not all(mounted.get(key) for key in BAR_MOUNTED):
+        return None
+    return mounted["bar"], mounted["chuck"], mounted["sphere"]
+
+
+def may_be_dwells(dwells: Sequence[Dwell], marks: Marks, tolerance: float) -> tuple[int, ...]:
+    """The numbers of the stops that are whole and, where there is a plan, at a pose of it."""
+    plan = marks.plan()
+    whole = [i for i, dwell in enumerate(dwells) if not dwell.reason]
+    if plan is None:
+        return tuple(whole)
+    return tuple(i for i in whole if 0.0 <= nearest_pose(dwells[i].q, plan)[1] <= tolerance)
+
+
+def said_of_dwells(dwells: Sequence[Dwell], marks: Marks, tolerance: float) -> list[Said]:
+    """What plan and operator say of dwells in order of time; the one says nothing of the other."""
+    plan, rows = marks.plan(), marks.dwells
+    near, planned = _of_plan(dwells, plan, tolerance)
+    times = [t for t, _ in marks.mountings]
+    ends = [bisect_right(times, dwell.start_host_ns) for dwell in dwells]
+    said = []
+    for k, end in enumerate(ends):
+        words = [pairing_of(mounted) for _, mounted in marks.mountings[:end]]
+        since = words[ends[k - 1] if k else 0 :]
+        typed = tuple(pairing for pairing in since if pairing is not None)
+        confirmed = words[-1] if words else None
+        said.append(Said(tuple(rows[pose] for pose in near[k]), planned[k], typed, confirmed))
+    return said
+
+
+def _of_plan(
+    dwells: Sequence[Dwell], plan: Plan | None, tolerance: float
+) -> tuple[list[list[int]], list[tuple[Pairing, ...]]]:
+    """The poses near each dwell, the matched one first, and the pairings planned for it."""
+    nothing: list[tuple[Pairing, ...]] = [()] * len(dwells)
+    if plan is None or not dwells or dwells[0].q.size != plan.q.shape[1]:
+        return [[] for _ in dwells], nothing
+    q = np.array([dwell.q for dwell in dwells])
+    matches = match_plan(q, plan, tolerance, [{}] * len(dwells))
+    near, planned = [], nothing
+    for k, pose in enumerate(matches.poses):
+        away = np.max(np.abs(plan.q - q[k]), axis=1)
+        poses = [int(p) for p in np.argsort(away, kind="stable") if away[p] <= tolerance]
+        near.append(sorted(poses, key=lambda p: p != pose))
+        if pose is not None:
+            alike = poses if k in matches.ambiguous else [pose]
+            found = (pairing_of(plan.mounted[p]) for p in alike)
+            planned[k] = tuple(dict.fromkeys(pairing for pairing in found if pairing is not None))
+    return near, planned
+
+
+def label_of(dwell: Dwell, said: Said, marks: Marks, pairing: Pairing | None, detail: str = "") -> DwellLabel:
+    """The label of a dwell that is of ``pairing``, None: left out. Its pose is one that was planned with that, if there is one."""
+    rows = sorted(said.rows, key=lambda row: pairing_of(marks.rows[row].mounted) != pairing)
+    row = rows[0] if rows else None
+    mounted = {} if pairing is None else dict(zip(BAR_MOUNTED, pairing, strict=True))
+    if pairing is not None and row is not None and pairing_of(marks.rows[row].mounted) == pairing:
+        mounted = dict(marks.rows[row].mounted)
+    return DwellLabel(dwell.start_host_ns, dwell.end_host_ns, mounted, row, detail=detail)
+
+
+def labelled(dwells: Sequence[Dwell], labels: Sequence[DwellLabel]) -> list[Dwell]:
+    """The dwells with what was settled, each by the label whose time it overlaps."""
+    order = sorted(labels, key=lambda label: label.begin_ns)
+    begins = [label.begin_ns for label in order]
+    found = []
+    for dwell in dwells:
+        if dwell.reason:
+            found.append(dwell)
+            continue
+        at = bisect_right(begins, (dwell.start_host_ns + dwell.end_host_ns) // 2) - 1
+        label = order[at] if at >= 0 and order[at].end_ns >= dwell.start_host_ns else None
+        if label is None:
+            found.append(replace(dwell, reason="no plan match", detail="it has no label"))
+        elif pairing_of(label.mounted) is None:
+            found.append(replace(dwell, pose=label.pose, reason="ambiguous", detail=label.detail))
+        else:
+            found.append(replace(dwell, pose=label.pose, mounted=dict(label.mounted)))
+    return found

@@ -1,0 +1,79 @@
+"""What a recording that just ended holds for ``identify``: how many of its dwells can be used, and how many need the operator's word."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from truearm.errors import TruearmError
+from truearm.text import counted
+
+if TYPE_CHECKING:
+    from truearm.session.observations import SyncResult
+
+
+@dataclass(frozen=True)
+class RecordedDwells:
+    """Of the stops at poses of the plan, without a plan of all that were long enough.
+
+    ``unusable``: for other reasons, each with how many; ``lost``: poses of the plan that were visited and gave no observation.
+    """
+
+    dwells: int
+    usable: int
+    need_words: int
+    unusable: dict[str, int]
+    lost: int
+
+    @property
+    def sentence(self) -> str:
+        """``39 dwells: 31 usable, 8 need your word``."""
+        parts = [f"{self.usable} usable"]
+        if self.need_words:
+            parts.append(f"{self.need_words} {'needs' if self.need_words == 1 else 'need'} your word")
+        parts += [f"{n} {reason}" for reason, n in self.unusable.items()]
+        return f"{counted(self.dwells, 'dwell')}: {', '.join(parts)}"
+
+
+def recorded_dwells(session: Path) -> RecordedDwells | None:
+    """Look through a session; None where it has no rig with a ball-bar, or cannot be read."""
+    from truearm.session.session_file import open_session
+    from truearm.workflows.session_observations import SessionOptions, attached_rig, observations_of_session
+
+    try:
+        rig = attached_rig(open_session(session), session)
+        if rig is None or not rig.bars:
+            return None
+        return counted_dwells(observations_of_session(session, rig, SessionOptions(may_be_empty=True)))
+    except TruearmError:  # identify says what is wrong with it
+        return None
+
+
+def counted_dwells(result: SyncResult) -> RecordedDwells:
+    """The account of a session's dwells."""
+    from truearm.session.dwells import NEED_WORDS, DwellRules
+
+    plan = result.survey.marks.plan()
+    need_words = NEED_WORDS if plan is not None else (*NEED_WORDS, "no plan match")
+    counts: dict[str, int] = {}
+    visited, measured = set[int](), set[int]()
+    total = 0
+    for dwell in result.dwells:
+        if plan is None:
+            if dwell.reason == "too short":
+                continue
+        else:
+            away = np.max(np.abs(plan.q - dwell.q), axis=1) if plan.q.shape[1] == dwell.q.size else np.array([np.inf])
+            if away.min() > DwellRules().pose_tolerance:
+                continue
+            visited.add(int(away.argmin()))
+            if not dwell.reason:
+                measured.add(int(away.argmin()))
+        total += 1
+        counts[dwell.reason] = counts.get(dwell.reason, 0) + 1
+    usable = counts.pop("", 0)
+    words = sum(counts.pop(reason, 0) for reason in need_words)
+    return RecordedDwells(total, usable, words, dict(sorted(counts.items())), len(visited - measured))

@@ -1,0 +1,322 @@
+"""The work of ``truearm relabel``: what was mounted at each dwell of a session, settled by what is trusted."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, assert_never
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.errors import Argument, InputError, RigError, SessionError
+from truearm.estimate.mountings import BORNE_OUT, DOUBTED, SURE, Mountings, Readings, Words, label_support, mountings
+from truearm.files.labels_file import Decision, no_labels, read_labels, with_decision, write_labels
+from truearm.files.rig_file import read_rig
+from truearm.files.robot_file import RobotChoice, load_robot
+from truearm.session.dwell_labels import Pairing, Said, label_of, may_be_dwells, pairing_of, said_of_dwells
+from truearm.types import BAR_MOUNTED, DwellLabel, Rig
+from truearm.workflows.session_observations import attached_rig
+from truearm.workflows.session_parts import session_parts
+
+if TYPE_CHECKING:
+    from truearm.model.robot import Robot
+    from truearm.session.dwells import Dwell
+    from truearm.session.observations import Survey, SyncResult
+
+AT_ONCE = 1000  # dwells
+LEAST_DWELLS = 3  # fewer say nothing of one another
+STILL_WRITTEN_S = 5.0  # a recorder writes every second
+
+
+class Trust(StrEnum):
+    """What is believed where plan, operator and readings differ."""
+
+    PLAN = "plan"
+    TYPED = "typed"
+    EVIDENCE = "evidence"
+
+
+@dataclass(frozen=True)
+class Run:
+    """Neighbouring dwells of which the same is said, and the same found: numbers from 1 on. ``probability``: the least of ``found``."""
+
+    part: Path
+    first: int
+    last: int
+    planned: tuple[Pairing, ...]
+    confirmed: Pairing | None
+    found: Pairing | None
+    probability: float
+
+
+Answer = Callable[[Run], Pairing | None]  # what was mounted, None: leave these dwells out
+
+
+@dataclass(frozen=True)
+class RelabelOptions:
+    """``trust`` None: ``ask`` is asked about every run of which plan, operator and readings do not say the same."""
+
+    robot: RobotChoice
+    rig: Path | None = None
+    trust: Trust | None = None
+    ask: Answer | None = None
+
+
+@dataclass(frozen=True)
+class Part:
+    """One file of the session: all of its stops, and what is said of those ``good`` ones that may be dwells."""
+
+    path: Path
+    found: Survey
+    good: tuple[int, ...]
+    said: tuple[Said, ...]
+
+    def dwell(self, k: int) -> Dwell:
+        """The k-th good one."""
+        return self.found.dwells[self.good[k]]
+
+
+def relabel(session: Path, options: RelabelOptions) -> dict[str, Any]:
+    """Settle what was mounted at the dwells of a session and its further parts, write it beside them, and return what is printed.
+
+    Raises InputError, SessionError for a session that is incomplete or still being written.
+    """
+    paths = session_parts(session)
+    parts, rig, readings = _read(paths, options.rig)
+    said = [one for part in parts for one in part.said]
+    robot = (
+        None if options.robot.robot is None else load_robot(options.robot.robot, options.robot.base, options.robot.tip)
+    )
+    found = None if robot is None else _evidence(robot, rig, readings, said)
+    if options.trust is Trust.EVIDENCE and found is None:
+        raise InputError(Argument("trust"), " evidence: give the nominal robot as ", Argument("robot"))
+    chosen = [
+        one if one is not None or read or not words.planned else words.planned[0]  # no reading: it gives no observation
+        for one, read, words in zip(_chosen(parts, said, found, options), readings.read, said, strict=True)
+    ]
+    before = [read_labels(path) or no_labels(path) for path in paths]  # all of them, before anything is written
+    rows, at = list[dict[str, Any]](), 0
+    for part, labels in zip(parts, before, strict=True):
+        settled = [_label(part, k, chosen[at + k], found, at + k) for k in range(len(part.good))]
+        trust = "asked" if options.trust is None else options.trust.value
+        decision = Decision(trust, tuple(settled), "" if robot is None else robot.chain.name)
+        write_labels(part.path, with_decision(labels, decision))
+        rows += [_row(part, k, label, readings, at + k) for k, label in enumerate(settled)]
+        at += len(part.good)
+    usable = sum(row["bar"] is not None and row["reading"] for row in rows)
+    return {
+        "sessions": [path.name for path in paths],
+        "trust": options.trust and options.trust.value,
+        "dwells": len(rows),
+        "with_reading": sum(row["reading"] for row in rows),
+        "usable": usable,
+        "otherwise_than_planned": sum(row["bar"] is not None and row["otherwise"] for row in rows),
+        "table": rows,
+    }
+
+
+def undo(session: Path) -> dict[str, Any]:
+    """Take back the last decision about a session and its further parts. Raises InputError where there is none."""
+    paths = session_parts(session)
+    before = {path: labels for path in paths if (labels := read_labels(path)) is not None}
+    if not before:
+        raise InputError(f"{session}: nothing was relabelled; there is nothing to undo")
+    for path, labels in before.items():
+        write_labels(path, replace(labels, decisions=labels.decisions[:-1]))
+    return {
+        "sessions": [path.name for path in paths],
+        "decisions_left": max(len(b.decisions) - 1 for b in before.values()),
+    }
+
+
+def _read(paths: Sequence[Path], rig_file: Path | None) -> tuple[list[Part], Rig, Readings]:
+    """The files, the one rig of all, and the readings of all good stops."""
+    from truearm.session.observations import survey
+    from truearm.session.session_file import open_session
+    from truearm.workflows.inspect import ident_of
+
+    parts, readings = list[Part](), list[Readings]()
+    rig = None if rig_file is None else read_rig(rig_file)
+    for path in paths:
+        session = open_session(path, allow_damaged=True)
+        if session.truncated:
+            _refuse_unfinished(path)
+        session = open_session(path)
+        rig = rig or attached_rig(session, path)
+        if rig is None:
+            raise RigError(f"{path}: was recorded without a rig; give one as ", Argument("rig"))
+        if not (rig.bars and rig.chucks and rig.spheres):
+            raise RigError(f"{path}: its rig has no ball-bar, chuck or sphere; there is nothing to relabel")
+        found = survey(session.batches, ident_of(session))
+        good, said, of_part = _of_survey(rig, found)
+        parts.append(Part(path, found, good, said))
+        readings.append(of_part)
+    assert rig is not None
+    if not any(part.good for part in parts):
+        raise SessionError(f"{paths[0]}: the robot never stood still for long enough; see truearm inspect {paths[0]}")
+    some = [one for one in readings if len(one.q)]
+    if len({one.q.shape[1] for one in some}) > 1:
+        raise SessionError(f"{paths[0]}: its parts are of robots with different numbers of joints")
+    return parts, rig, Readings(*map(np.concatenate, zip(*((r.q, r.extension, r.beyond) for r in some), strict=True)))
+
+
+def _refuse_unfinished(path: Path) -> None:
+    if time.time() - path.stat().st_mtime < STILL_WRITTEN_S:
+        raise SessionError(f"{path}: is still being written; end the recording first")
+    raise SessionError(f"{path}: ends in the middle; make a complete session of it with truearm recover {path}")
+
+
+def _of_survey(rig: Rig, found: Survey) -> tuple[tuple[int, ...], tuple[Said, ...], Readings]:
+    """The stops that may be dwells of the plan, what is said of each, and what the sensor showed.
+
+    Every one is measured as if one bar had been mounted all the time: what the sensor shows does not depend on it.
+    """
+    from truearm.session.dwells import DwellRules
+    from truearm.session.observations import observations
+
+    tolerance = DwellRules().pose_tolerance
+    good = may_be_dwells(found.dwells, found.marks, tolerance)
+    said = said_of_dwells([found.dwells[i] for i in good], found.marks, tolerance)
+    longest = max(rig.bars.values(), key=lambda bar: bar.travel).name
+    mounted = dict(zip(BAR_MOUNTED, (longest, next(iter(rig.chucks)), next(iter(rig.spheres))), strict=True))
+    labels = [DwellLabel(found.dwells[i].start_host_ns, found.dwells[i].end_host_ns, mounted) for i in good]
+    measured = observations(lambda: iter(()), rig, found=found, labels=labels)
+    return good, tuple(said), readings_of(rig, [measured.dwells[i] for i in good])
+
+
+def readings_of(rig: Rig, dwells: Sequence[Dwell]) -> Readings:
+    """What the sensor showed at measured dwells, in their bars' own extension."""
+    extension = np.full(len(dwells), np.nan)
+    for i, dwell in enumerate(dwells):
+        if not dwell.reason:
+            bar = rig.bars[dwell.mounted["bar"]]
+            extension[i] = (dwell.value - bar.zero) / bar.gain
+    beyond = np.array([d.reason == "out of travel" or (d.reason == "rail" and "fault" not in d.detail) for d in dwells])
+    return Readings(np.array([dwell.q for dwell in dwells]), extension, beyond.astype(bool))
+
+
+def _evidence(robot: Robot, rig: Rig, readings: Readings, said: Sequence[Said]) -> Mountings:
+    from truearm.workflows.identify import default_free
+
+    words = Words([one.planned for one in said], [one.typed for one in said])
+    _check_joints(robot, readings)
+    return mountings(robot.chain, rig, readings, words, default_free(robot))
+
+
+def _check_joints(robot: Robot, readings: Readings) -> None:
+    have, wanted = readings.q.shape[1], len(robot.chain.joints)
+    if have != wanted:
+        raise InputError(
+            f"the session's robot has {have} joints, {robot.chain.name} has {wanted}; give the robot that was recorded"
+        )
+
+
+def _chosen(
+    parts: Sequence[Part], said: Sequence[Said], found: Mountings | None, options: RelabelOptions
+) -> list[Pairing | None]:
+    """The pairing of each dwell, None to leave it out."""
+    sure: list[Pairing | None] = [None] * len(said) if found is None else found.sure()
+    match options.trust:
+        case Trust.PLAN:
+            return [one.planned[0] if len(one.planned) == 1 else None for one in said]
+        case Trust.TYPED:
+            return [one.confirmed for one in said]
+        case Trust.EVIDENCE:
+            return sure
+        case None:
+            return _asked(parts, said, sure, found, options.ask)
+        case _:
+            assert_never(options.trust)
+
+
+def _asked(
+    parts: Sequence[Part],
+    said: Sequence[Said],
+    sure: Sequence[Pairing | None],
+    found: Mountings | None,
+    ask: Answer | None,
+) -> list[Pairing | None]:
+    if ask is None:
+        raise InputError("nobody can be asked here; give ", Argument("trust"))
+    chosen: list[Pairing | None] = []
+    numbers = [(part, k) for part in parts for k in range(len(part.good))]
+    runs: dict[int, Run] = {}
+    for i, ((part, k), one) in enumerate(zip(numbers, said, strict=True)):
+        agreed = one.planned[0] if len(one.planned) == 1 and one.confirmed in (None, one.planned[0]) else None
+        chosen.append(agreed if sure[i] is None or sure[i] == agreed else None)
+        if chosen[i] is not None:
+            continue
+        number = part.good[k] + 1
+        p = float("nan") if found is None else float(found.probability[i, :-1].max())
+        run = Run(part.path, number, number, one.planned, one.confirmed, sure[i], p)
+        last = runs.get(i - 1)
+        if last is not None and replace(last, first=number, last=number, probability=p) == run:
+            runs[i] = replace(last, last=number, probability=min(p, last.probability))
+            runs = {j: runs[i] if other is last else other for j, other in runs.items()}
+        else:
+            runs[i] = run
+    answers = {run: ask(run) for run in dict.fromkeys(runs.values())}
+    for i, run in runs.items():
+        chosen[i] = answers[run]
+    return chosen
+
+
+def _label(part: Part, k: int, pairing: Pairing | None, found: Mountings | None, at: int) -> DwellLabel:
+    detail = "left out"
+    p = float("nan")
+    if found is not None:
+        best = int(found.probability[at].argmax())
+        if pairing is None:
+            what = " ".join(found.pairings[best]) if best < len(found.pairings) else "nothing that the rig has"
+            detail = f"{what} with {found.probability[at, best]:.2%}, {SURE:.2%} are needed"
+        elif pairing in found.pairings:
+            p = float(found.probability[at, found.pairings.index(pairing)])
+    label = label_of(part.dwell(k), part.said[k], part.found.marks, pairing, "" if pairing else detail)
+    return label._replace(probability=p)
+
+
+def _row(part: Part, k: int, label: DwellLabel, readings: Readings, at: int) -> dict[str, Any]:
+    said = part.said[k]
+    pairing = pairing_of(label.mounted)
+    return {
+        "session": part.path.name,
+        "dwell": part.good[k] + 1,
+        "pose": label.pose,
+        **{key: label.mounted.get(key) for key in BAR_MOUNTED},
+        "probability": None if np.isnan(label.probability) else label.probability,
+        "reading": bool(readings.read[at]),
+        "planned": [" ".join(one) for one in said.planned],
+        "confirmed": None if said.confirmed is None else " ".join(said.confirmed),
+        "otherwise": pairing is not None and pairing not in said.planned,
+        "detail": label.detail,
+    }
+
+
+def borne_out_rows(robot: Robot, rig: Rig, result: SyncResult) -> NDArray[np.bool_]:
+    """(n,) the rows of a session's table whose label the readings bear out, by the nominal robot; rows that are no dwells among them.
+
+    Where all dwells fit what they are said to be of, no more is asked; else all evidence must be for a label, as ``relabel`` weighs it.
+    """
+    from truearm.workflows.identify import default_free
+
+    out = np.ones(len(result.table), dtype=bool)
+    used = [i for i, dwell in enumerate(result.dwells) if not dwell.reason]
+    if len(used) < LEAST_DWELLS or result.dwells[used[0]].q.size != len(robot.chain.joints):
+        return out
+    dwells = [result.dwells[i] for i in used]
+    labels = [(d.mounted["bar"], d.mounted["chuck"], d.mounted["sphere"]) for d in dwells]
+    readings, free = readings_of(rig, dwells), default_free(robot)
+    parts = [slice(first, first + AT_ONCE) for first in range(0, len(used), AT_ONCE)]
+    support = [label_support(robot.chain, rig, readings.take(part), labels[part], free) for part in parts]
+    if (np.concatenate(support) >= DOUBTED).all():
+        return out
+    good, said, every = _of_survey(rig, result.survey)
+    found = _evidence(robot, rig, every, said)
+    number = {pairing: k for k, pairing in enumerate(found.pairings)}
+    for row, (i, label) in enumerate(zip(used, labels, strict=True)):
+        out[row] = label in number and found.probability[good.index(i), number[label]] >= BORNE_OUT
+    return out

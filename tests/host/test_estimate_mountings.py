@@ -1,0 +1,122 @@
+"""What was mounted, by all evidence: the hidden Markov model against sums over all its paths, and what single sentences of it must mean."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from operator_scripts import Visit, lengths, pairing_at, script
+
+from truearm.estimate.mountings import SURE, Readings, Words, label_support, mountings, posterior, runs, transition
+from truearm.model.robot import builtin_robot
+from truearm_sim.world import standard_plan, standard_rig
+
+ROBOT, RIG = builtin_robot("puma560"), standard_rig()
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return standard_plan(20, 1, RIG)  # 18 pairings of two or three poses: runs cannot be shorter
+
+
+def test_probabilities_are_those_of_all_paths():
+    """Summed path by path, 3 states at 5 dwells."""
+    rng = np.random.default_rng(5)
+    n, states = 5, 3
+    steps = [rng.dirichlet(np.ones(states), states) for _ in range(n)]
+    told, came, stayed = (rng.normal(0.0, 2.0, (n, states)) for _ in range(3))
+    weight = np.zeros((n, states))
+    for path in product(range(states), repeat=n):
+        log = np.log(steps[0].mean(axis=0)[path[0]]) + told[0, path[0]] + came[0, path[0]]
+        for i in range(1, n):
+            seen = stayed if path[i] == path[i - 1] else came
+            log += np.log(steps[i][path[i - 1], path[i]]) + told[i, path[i]] + seen[i, path[i]]
+        for i in range(n):
+            weight[i, path[i]] += np.exp(log)
+    np.testing.assert_allclose(
+        posterior(steps, told, came, stayed), weight / weight.sum(axis=1, keepdims=True), rtol=1e-9
+    )
+
+
+@pytest.mark.parametrize(("wanted", "asked"), [([], False), ([1], True), ([1], False), ([0, 2], True)])
+def test_transitions_are_probabilities(wanted, asked):
+    step = transition(4, wanted, asked)
+    np.testing.assert_allclose(step.sum(axis=1), 1.0)
+    assert (step > 0.0).all()  # nothing is impossible for an operator
+    if asked:
+        assert (step[3, wanted].sum() > 0.85).all()
+
+
+def test_runs():
+    assert runs(np.array([4, 4, 1, 4])) == [slice(0, 2), slice(2, 3), slice(3, 4)]
+
+
+def readings(extension, q):
+    return Readings(q, extension, np.isnan(extension))
+
+
+def planned(plan, visits):
+    return [(pairing_at(plan, visit.planned),) for visit in visits]
+
+
+def test_an_operator_who_errs(plan):
+    """Every label that is sure is right, and nearly all are: 200 operators are in test_relabel (soak)."""
+    wrong = usable = read = 0
+    for seed in range(6):
+        visits = script(seed, plan, RIG)
+        extension = lengths(visits, plan, RIG, ROBOT.chain, ROBOT.parameter_sets["optimised"], seed)
+        words = Words(planned(plan, visits), [visit.typed for visit in visits])
+        found = mountings(
+            ROBOT.chain, RIG, readings(extension, plan.q[[v.planned for v in visits]]), words, ROBOT.free
+        ).sure()
+        of_reading = [(label, v.mounted) for label, v, e in zip(found, visits, extension, strict=True) if e == e]
+        read += len(of_reading)
+        usable += sum(label is not None for label, _ in of_reading)
+        wrong += sum(label is not None and label != mounted for label, mounted in of_reading)
+    assert wrong == 0
+    assert usable >= 0.95 * read
+
+
+def test_without_readings_words_alone_count(plan):
+    """No reading can make anything sure; what the plan says is the likeliest."""
+    q = plan.q[:6]
+    words = Words([(pairing_at(plan, i),) for i in range(6)], [()] * 6)
+    found = mountings(ROBOT.chain, RIG, Readings(q, np.full(6, np.nan), np.zeros(6, dtype=bool)), words, ROBOT.free)
+    assert [found.pairings[k] for k in found.probability.argmax(axis=1)] == [pairing_at(plan, i) for i in range(6)]
+    assert found.probability.max() < SURE
+    assert found.sure() == [None] * 6
+
+
+def test_a_session_without_a_plan_follows_what_was_typed(plan):
+    visits = script(1, plan, RIG)
+    right = [type(visit)(visit.planned, pairing_at(plan, visit.planned)) for visit in visits]
+    extension = lengths(right, plan, RIG, ROBOT.chain, ROBOT.parameter_sets["optimised"], 1)
+    typed, last = [], None
+    for visit in right:
+        typed.append((visit.mounted,) if visit.mounted != last else ())
+        last = visit.mounted
+    words = Words([()] * len(right), typed)
+    found = mountings(ROBOT.chain, RIG, readings(extension, plan.q[[v.planned for v in right]]), words, ROBOT.free)
+    sure = [(label, v.mounted) for label, v, e in zip(found.sure(), right, extension, strict=True) if e == e]
+    assert all(label in (None, mounted) for label, mounted in sure)
+    assert sum(label is not None for label, _ in sure) > 0.9 * len(sure)
+
+
+def test_right_labels_are_borne_out_and_a_wrong_run_is_not(plan):
+    visits = [Visit(row, pairing_at(plan, row)) for row in range(len(plan))]
+    extension = lengths(visits, plan, RIG, ROBOT.chain, ROBOT.parameter_sets["optimised"], 4)
+    labels = [visit.mounted for visit in visits]
+    support = label_support(ROBOT.chain, RIG, readings(extension, plan.q), labels, ROBOT.free)
+    assert support.min() > 0.99
+    wrong = slice(8, 11)  # bar46 c2 s2
+    labels[wrong] = [("bar46", "c2", "s3")] * 3
+    support = label_support(ROBOT.chain, RIG, readings(extension, plan.q), labels, ROBOT.free)
+    assert support[wrong].max() < 0.01
+    assert np.delete(support, np.arange(8, 11)).min() > 0.9
+
+
+def test_readings_that_no_robot_gives_doubt_nothing(plan):
+    """Predictions that miss everywhere are no witness: their uncertainty is as large as they miss."""
+    labels = [pairing_at(plan, row) for row in range(len(plan))]
+    extension = np.random.default_rng(2).uniform(-0.03, 0.03, len(plan))
+    support = label_support(ROBOT.chain, RIG, readings(extension, plan.q), labels, ROBOT.free)
+    assert np.median(support) > 0.5
