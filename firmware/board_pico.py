@@ -29,6 +29,7 @@ from machine import mem16, mem32
 from chips import rp2040 as chip
 from drivers import measure
 from drivers.ads131m04_dma import Adc
+from drivers.lvdt import Excitation
 from drivers.magnetostrictive import Magnetostrictive
 from drivers.triggers import Triggers
 
@@ -36,6 +37,7 @@ BOOT_WINDOW_MS = 2000
 CONVERTER_PINS = (16, 17, 18, 19, 20, 21, 22)  # DOUT, CS, SCLK, DIN, DRDY, SYNC/RESET, CLKIN
 HEAD_PINS = (2, 3)  # interrogation, stop
 TRIGGER_PINS = 6  # and 7, inputs; 8, output
+LVDT_PINS = (10, 12, 14)  # excitation, clocks of the secondary's and the primary's demodulator
 LED_PIN = 25
 CONVERTER_MACHINE = 0  # state machine of PIO 0; the triggers' is there too
 TRIGGER_MACHINE = 2
@@ -88,6 +90,7 @@ class Board:
         self._triggers = Triggers(machine, rp2, chip, TRIGGER_PINS, TRIGGER_MACHINE)
         self.adc = Adc(machine, rp2, chip, CONVERTER_PINS, CONVERTER_MACHINE)
         self.mag = Magnetostrictive(machine, rp2, chip, HEAD_PINS, HEAD_BLOCK)
+        Excitation(machine, chip, LVDT_PINS)
         self.edge = self._triggers.edge
         self.output = self._triggers.output
         self._temperature = machine.ADC(TEMPERATURE_ADC)

@@ -114,6 +114,9 @@ export function mendPwm(chip) {
     interrupt(index);
     chip.dma.clearDREQ(PWM_WRAP_DREQ + index);
   };
+  const kind = Object.getPrototypeOf(pwm.channels[0]);
+  const enabled = Object.getOwnPropertyDescriptor(kind, "en"); // it can be written, but reads as undefined
+  Object.defineProperty(kind, "en", { ...enabled, get() { return this.csr & 1; }, configurable: true });
   for (const slice of pwm.channels) {
     const silent = () => pwmPeriodNs(chip, slice) < FAST_PWM_NS;
     for (const alarm of [slice.alarmA, slice.alarmB, slice.alarmBottom]) {
