@@ -192,8 +192,8 @@ def lvdt() -> Sheet:
     s.add("D13", TVS_BOTH, "SMAJ33CA", (82, 32), ("LVDT_P1", "GND"), down=True)
     s.via("LVDT_P1", (82, 30))
 
-    s.note((6, 42), "Primary current: 100 Ω between the return and half of AVDD")
-    s.add("R28", R, "100R 0.1%", (46, 50), ("MIDDLE", "CURRENT"))
+    s.note((6, 42), "Primary current: 220 Ω between the return and half of AVDD")
+    s.add("R28", R, "220R 0.1%", (46, 50), ("MIDDLE", "CURRENT"))
     s.add("D14", BAT54S, "BAT54S", (53, 42), {"1": "GND", "2": "AVDD", "3": "CURRENT"})
     s.via("CURRENT", (52, 50))
     s.add("R29", R, "220R", (58, 50), ("CURRENT", "RET_1"))

@@ -18,6 +18,10 @@ ADC_OHM = 330e3  # ADS131M04, gains 1, 2 and 4, typical
 ADC_OHM_TOLERANCE = 0.2  # assumed: the data sheet gives a typical value only
 ADC_NOISE_V = 3.38e-6  # rms at gain 1, OSR 4096
 ADC_REFERENCE_V = 1.2
+# Of the simulated LVDT at full travel; hardware/spice_check.py compares them with the simulation.
+SECONDARY_V, PRIMARY_V = 0.151, 0.140
+RATIO_PER_50_OHM = 0.0003  # change of the ratio by 50 Ω in the primary, at most
+RATIO_PER_EXCITATION = 0.00005  # by 20 % of excitation, at most
 
 
 def value(netlist: Netlist, ref: str) -> float:

@@ -17,6 +17,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from hardware.datasheets import data_sheet
 from hardware.netlist import Netlist, Pin, quantity
@@ -298,6 +299,10 @@ def pico(netlist: Netlist, board: str) -> list[str]:
             found.append(
                 f"GP{gpio} of firmware/board_pico.py goes to {wanted}, here to {', '.join(sorted(others)) or 'nothing'}"
             )
+    nodes = read_expectations().nodes
+    for name, node in board_nodes(board):
+        if ("U1", name) not in nodes[node]:
+            found.append(f"{name} of firmware/board_pico.py is {node}, which is {_words(nodes[node])} here")
     return found
 
 
@@ -311,8 +316,13 @@ def _behind(netlist: Netlist, net: str | None) -> set[str]:
     return found
 
 
-def board_pins(text: str) -> dict[int, str]:
-    """GPIO → function of the chip's pin that it must reach, from the board file's constants."""
+def board_nodes(text: str) -> list[tuple[str, str]]:
+    """Pins of the board file that end at no chip's digital pin, and their nodes of the expectations."""
+    pins = _constants(text)["LVDT_PINS"]
+    return [(f"GP{pin}", node) for pin, node in zip(pins, ("EXCITATION", "DEMODULATE_S", "DEMODULATE_P"), strict=True)]
+
+
+def _constants(text: str) -> dict[str, Any]:
     constants = {}
     for node in ast.parse(text).body:
         if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
@@ -320,6 +330,12 @@ def board_pins(text: str) -> dict[int, str]:
                 constants[node.targets[0].id] = ast.literal_eval(node.value)
             except ValueError:
                 continue
+    return constants
+
+
+def board_pins(text: str) -> dict[int, str]:
+    """GPIO → function of the chip's pin that it must reach, from the board file's constants."""
+    constants = _constants(text)
     converter = ("DOUT", "CS", "SCLK", "DIN", "DRDY", "SYNC/RESET", "CLKIN")
     found = dict(zip(constants["CONVERTER_PINS"], converter, strict=True))
     found |= dict(zip(constants["HEAD_PINS"], ("DI", "RO"), strict=True))

@@ -166,7 +166,7 @@ CATALOGUE: dict[tuple[str, str], tuple[str, str]] = {
     ("R", "22R"): ("Panasonic", "ERJ-6ENF22R0V"),
     ("R", "33R"): ("Panasonic", "ERJ-6ENF33R0V"),
     ("R", "100R"): ("Panasonic", "ERJ-6ENF1000V"),
-    ("R", "100R 0.1%"): ("Panasonic", "ERA-6AEB101V"),
+    ("R", "220R 0.1%"): ("Panasonic", "ERA-6AEB221V"),
     ("R", "120R"): ("Panasonic", "ERJ-6ENF1200V"),
     ("R", "220R"): ("Panasonic", "ERJ-6ENF2200V"),
     ("R", "499R 0.1%"): ("Panasonic", "ERA-6AEB4990V"),

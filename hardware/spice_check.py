@@ -147,19 +147,20 @@ def lvdt(tools: Tools, circuit: Circuit) -> list[Row]:
     signal = abs(signals[-1][0] / signals[-2][0] - 1)
     s, p = signals[len(POSITIONS) - 1]
     return [
-        Row(
-            "LVDT: secondary and primary at full travel, V",
-            f"{s:.4f}, {p:.4f}",
-            "0.05 to 1.2 each",
-            all(0.05 < abs(v) < 1.2 for v in (s, p)),
-        ),
+        _near("LVDT: secondary at full travel, V", s, budget.SECONDARY_V, 0.02),
+        _near("LVDT: primary, V", p, budget.PRIMARY_V, 0.02),
         Row("LVDT: ratio, largest deviation from a line", f"{off:.4%}", "0.05 %", off <= 5e-4),
-        Row("LVDT: ratio, excitation ±20 %", f"{excitation:.4%}", "0.05 %", excitation <= 5e-4),
+        Row(
+            "LVDT: ratio, excitation ±20 %",
+            f"{excitation:.4%}",
+            f"{budget.RATIO_PER_EXCITATION:.3%}",
+            excitation <= budget.RATIO_PER_EXCITATION,
+        ),
         Row(
             f"LVDT: ratio, primary 10 → 60 Ω (its signal: {signal:.1%})",
             f"{resistance:.4%}",
-            "0.05 %",
-            resistance <= 5e-4,
+            f"{budget.RATIO_PER_50_OHM:.3%}",
+            resistance <= budget.RATIO_PER_50_OHM,
         ),
     ]
 
@@ -169,6 +170,7 @@ def lvdt(tools: Tools, circuit: Circuit) -> list[Row]:
 
 FAULT_TERMINALS = {
     "J1": "12",
+    "J2": "1",
     "J3": "124",
     "J4": "124",
     "J5": "12345",
@@ -208,7 +210,7 @@ def triggers_in(tools: Tools, circuit: Circuit) -> list[Row]:
     rows = []
     for ref, chip in (("J7", "U9"), ("J8", "U10")):
         for name in ("PNP", "NPN"):
-            for volt in (0, 5, 11, 15, 30):
+            for volt in (-30, 0, 5, 11, 15, 30) if name == "PNP" else (0, 5, 11, 15, 30):
                 supply = max(24, volt)
                 plus, minus = (volt, 0) if name == "PNP" else (supply, supply - volt)
                 bench = [f"Vp {circuit.node(ref, '1')} 0 {plus}", f"Vn {circuit.node(ref, '2')} 0 {minus}"]
@@ -221,7 +223,7 @@ def triggers_in(tools: Tools, circuit: Circuit) -> list[Row]:
                 )
                 on = got["sense"] > 8.55
                 off = got["sense"] < 6.5
-                good = (on if volt >= 11 else off) and got["amps"] < 5e-3
+                good = (on if volt >= 11 else off) and abs(got["amps"]) < 5e-3 and abs(got["sense"]) < 60
                 rows.append(
                     Row(
                         f"trigger in {ref}, {name}, {volt} V",

@@ -127,11 +127,11 @@ def _us(value: float) -> str:
 # ---- error budgets. Sensors' figures that no data sheet was found for are marked "assumed".
 
 TRAVEL_M = 0.0375  # half the stroke of the LVDT
-SECONDARY_V, PRIMARY_V = 0.177, 0.0746  # at full travel, of the simulated LVDT (hardware/spice_check.py)
 LVDT_PER_K = 100e-6  # assumed
 STEEL_PER_K = 11.5e-6
 BAR_M = 0.5  # assumed
 RESISTOR_PER_K = 25e-6
+COPPER_PER_K = 0.0039
 SOUND_M_S = 0.0254 / 9.05e-6
 TICK_S = 8e-9
 
@@ -141,15 +141,15 @@ def _rows(rows: Iterable[tuple[str, float, str]]) -> str:
 
 
 def lvdt_budget(circuit: Netlist) -> str:
-    noise = TRAVEL_M * math.hypot(budget.ADC_NOISE_V / SECONDARY_V, budget.ADC_NOISE_V / PRIMARY_V)
+    noise = TRAVEL_M * math.hypot(budget.ADC_NOISE_V / budget.SECONDARY_V, budget.ADC_NOISE_V / budget.PRIMARY_V)
     rows = [
-        ("converter noise, one sample at OSR 4096", noise, f"{budget.ADC_NOISE_V * 1e6:.2f} µV in {SECONDARY_V:g} V and in {PRIMARY_V:g} V, at the travel's end"),
+        ("converter noise, one sample at OSR 4096", noise, f"{budget.ADC_NOISE_V * 1e6:.2f} µV in {budget.SECONDARY_V:g} V and in {budget.PRIMARY_V:g} V, at the travel's end"),
         ("R28, per K", RESISTOR_PER_K * TRAVEL_M, "25 ppm/K at the travel's end"),
         ("LVDT's coefficient, per K", LVDT_PER_K * TRAVEL_M, "assumed 100 ppm/K; measure it"),
         ("steel bar, per K", STEEL_PER_K * BAR_M, f"11.5 ppm/K of {BAR_M:g} m"),
         ("LVDT's linearity ●", 0.0025 * 2 * TRAVEL_M, "0.25 % of the stroke, assumed"),
-        ("primary's copper, 10 K", 0.0002 * TRAVEL_M * 2.4 / 50, "40 Ω · 0.39 %/K · 6 K = 2.4 Ω, of 0.02 % for 50 Ω (simulated)"),
-        ("excitation ±20 %", 35e-6 * TRAVEL_M, "0.0035 % of the ratio (simulated)"),
+        ("primary's copper, per K", budget.RATIO_PER_50_OHM * TRAVEL_M * 40 * COPPER_PER_K / 50, f"40 Ω · 0.39 %/K; {budget.RATIO_PER_50_OHM:.2%} for 50 Ω (simulated)"),
+        ("excitation ±20 %", budget.RATIO_PER_EXCITATION * TRAVEL_M, f"{budget.RATIO_PER_EXCITATION:.3%} of the ratio (simulated)"),
         ("ripple at OSR 4096", budget.ripple(4096, circuit) * TRAVEL_M, f"{2 * budget.EXCITATION_HZ:.2f} Hz is the fifth null of {budget.CONVERTER_HZ / 8192:.2f} Hz"),
         ("ripple at OSR 1024", budget.ripple(1024, circuit) * TRAVEL_M, "peak; no null there: use OSR 4096 for an LVDT"),
         ("filter's delay at 100 mm/s", 0.1 * budget.demodulator(circuit).delay_s, "constant, part of the delay τ; nothing in a dwell"),
