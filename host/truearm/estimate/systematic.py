@@ -261,7 +261,7 @@ def _search(family: _Family, errors: Errors, rows: _Whitened, how: Measured, sta
     else:
         by = _columns(family.cause, errors, rows)
         if family.drifts:
-            by = by * _profile(family, 0, how)[rows.row, None]
+            by = _with_offset(by, _profile(family, 0, how)[rows.row])
         drop, freedom, known = _drops(by, family, rows)
     if not freedom.any():
         return None
@@ -363,7 +363,13 @@ def _effect_columns(best: _Best, errors: Errors, rows: _Whitened, how: Measured)
         a, b = np.searchsorted(rows.row, [best.family.first[best.at], best.family.last[best.at]])
         return np.eye(rows.row.size, b - a, -a)
     by = _columns(best.family.cause, errors, rows)
-    return np.asarray(by * _profile(best.family, best.at, how)[rows.row, None])
+    profile_of_rows = _profile(best.family, best.at, how)[rows.row]
+    return _with_offset(by, profile_of_rows) if best.family.drifts else np.asarray(by * profile_of_rows[:, None])
+
+
+def _with_offset(by: Floats, profile_of_rows: Floats) -> Floats:
+    """(m, 2d) columns (m, d) times a drift's profile (m,), and as they are: nobody knows when what drifts was right."""
+    return np.concatenate([by * profile_of_rows[:, None], by], axis=1)
 
 
 def _directions(by: Floats, basis: Floats) -> Floats:
@@ -438,9 +444,9 @@ def _described(
     unseen = np.abs(vectors[:, ~seen]).max(axis=1, initial=0.0) > 1e-6 * np.abs(vectors).max(axis=1)
     out, at = [], 0
     for best, part, near in zip(found, parts, rivals, strict=True):
-        mine = slice(at, at + part.shape[1])
-        at += part.shape[1]
         numbers = () if best.family.cause is None else best.family.cause.numbers
+        mine = slice(at, at + (len(numbers) or part.shape[1]))  # of a drift without its offset
+        at += part.shape[1]
         off_by = _off_by(numbers, errors, value[mine], covariance[mine, mine], unseen[mine])
         chance = math.exp(min(best.log_p + math.log(families), 0.0))
         span, effect = _span(best.family, best.at, how), _effect(best, how)
