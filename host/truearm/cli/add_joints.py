@@ -35,6 +35,14 @@ def add_joints(
     robot: OptionalRobotOption = None,
     base: BaseOption = None,
     tip: TipOption = None,
+    columns: Annotated[
+        str | None,
+        typer.Option(
+            metavar="OURS=THEIRS,…",
+            help="What a table's columns are in our words, {} for a joint's number: t_s=timestamp,q{}_rad=actual_q_{}. "
+            "Others are passed over.",
+        ),
+    ] = None,
     zero: Annotated[
         float | None,
         typer.Option(
@@ -52,8 +60,10 @@ def add_joints(
     \b
     Example:
       truearm add-joints session.mcap joints.csv --zero 3.2 --out with_joints.mcap
+      truearm add-joints session.mcap rtde.csv --columns t_s=timestamp,q{}_rad=actual_q_{} --zero 3.2 --out with_joints.mcap
     """
     from truearm.files.robot_file import RobotChoice
+    from truearm.record.robots.joint_columns import parse_renames
     from truearm.workflows.add_joints import AddJoints, add_joints_file, joint_names
 
     count = add_joints_file(
@@ -61,7 +71,12 @@ def add_joints(
             session=session,
             source=source,
             out=out,
-            options=FileOptions(topic, joint_names(joints, RobotChoice(robot, base, tip)), allow_damaged),
+            options=FileOptions(
+                topic,
+                joint_names(joints, RobotChoice(robot, base, tip)),
+                allow_damaged,
+                () if columns is None else parse_renames(columns),
+            ),
             zero=zero,
             replace=replace,
         ),

@@ -16,24 +16,34 @@ def export_session(
     session: SessionArgument,
     out: Annotated[Path, out_folder("the tables; it must be new or empty")],
     format: Annotated[
-        str, typer.Option("--format", metavar="KIND", help="csv, npz or parquet (needs truearm[parquet]).")
+        str,
+        typer.Option(
+            "--format",
+            metavar="KIND",
+            help="csv, npz, parquet (needs truearm[parquet]), or mcap: JSON for Foxglove and PlotJuggler.",
+        ),
     ] = "csv",
+    rate: Annotated[
+        float,
+        typer.Option(min=0.0, metavar="HZ", help="With --format mcap: samples of a stream a second, at most; 0: all."),
+    ] = 100.0,
     rig: SessionRigOption = None,
     robot: OptionalRobotOption = None,
     allow_damaged: AllowDamagedOption = False,
 ) -> None:
     """Write a session as tables: all samples, joint readings, clock exchanges, events, plan, dwells, passes and observations.
 
-    A file a stream. Samples have the box's own time and the host's, synchronised, with its bound of error; counts, and what they
+    A file a stream; with --format mcap one file with a channel a stream, on one axis of time. Samples have the box's own time and the host's, synchronised, with its bound of error; counts, and what they
     mean in SI units, which stand in the headers. A gap is marked, not filled. session.json says what was lost and
     explains the rest (docs/session-format.md). --robot says which joints turn and which slide; without it all turn.
 
     \b
     Example:
       truearm export-session session.mcap --out tables --format parquet
+      truearm export-session session.mcap --out viewers --format mcap
     """
     from truearm.workflows.export_session import ExportSession, export_session_files
 
-    tables = export_session_files(ExportSession(session, out, format, rig, robot, allow_damaged))
+    tables = export_session_files(ExportSession(session, out, format, rig, robot, allow_damaged, rate))
     print_lines(f"{one_line(str(out))}/{name}: {rows} rows" for name, rows in tables.items())
     warn_of_further_parts(session, "export each by itself, its clocks are its own")

@@ -1,4 +1,4 @@
-"""Tables of columns on disk, written batch by batch: CSV, NumPy's .npz, Parquet. Every number comes back bit for bit.
+"""Tables of columns on disk, written batch by batch: CSV, NumPy's .npz, Parquet, messages of MCAP. Every number comes back bit for bit.
 
 Memory holds one batch. An .npz has all columns one after the other, so each waits in a temporary file until the table ends; its columns of
 text are held in memory, which is why only small tables should have such.
@@ -12,9 +12,10 @@ import shutil
 import tempfile
 import zipfile
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple, Protocol
 
 import msgspec
 import numpy as np
@@ -27,45 +28,84 @@ _encoder = msgspec.json.Encoder()
 Columns = Mapping[str, NDArray[Any]]  # titles and columns of equal length
 
 
-class Table(ABC):
-    """A table under way; ``rows`` were written so far. ``close`` completes it. OSError where the disk refuses.
+class Placement(NamedTuple):
+    """For files of messages in time: UTC less the host's clock, where the session begins on it [ns], and how many samples of a stream
+    a second are wanted at most, 0 for all."""
 
-    Made with the file's path and the first batch, which says titles and types and is not yet written.
+    utc_offset_ns: int = 0
+    begin_ns: int = 0
+    rate_hz: float = 0.0
+
+
+class Table(ABC):
+    """A table under way; ``rows`` were written so far. OSError where the disk refuses.
+
+    Made with the first batch, which says titles and types and is not yet written.
     """
 
-    def __init__(self, path: Path, columns: Columns) -> None:
+    def __init__(self) -> None:
         self.rows = 0
 
     def write(self, columns: Columns) -> None:
         """Append a batch; titles and types are those of the first."""
-        self._write(columns)
-        self.rows += len(next(iter(columns.values())))
+        self.rows += self._write(columns)
 
     @abstractmethod
-    def _write(self, columns: Columns) -> None: ...
+    def _write(self, columns: Columns) -> int:
+        """Return how many rows were written."""
 
     @abstractmethod
     def close(self) -> None:
-        """Complete the file."""
+        """Complete the table."""
+
+
+class Tables(Protocol):
+    """All tables of a folder."""
+
+    def begin(self, name: str, columns: Columns) -> tuple[str, Table]:
+        """Return the name that a table goes by, and the table; ``columns`` is its first batch."""
+
+    def close(self) -> None:
+        """Complete what the tables share."""
+
+
+class TableFiles:
+    """A file a table."""
+
+    def __init__(self, kind: Callable[[Path, Columns], Table], suffix: str, folder: Path, placement: Placement) -> None:
+        self._kind, self._suffix, self._folder = kind, suffix, folder
+
+    def begin(self, name: str, columns: Columns) -> tuple[str, Table]:
+        """See ``Tables``."""
+        file = f"{name}.{self._suffix}"
+        return file, self._kind(self._folder / file, columns)
+
+    def close(self) -> None:
+        """See ``Tables``."""
 
 
 class CsvTable(Table):
     """UTF-8, a header; floats in the fewest digits that give the same number again, an empty cell for NaN."""
 
     def __init__(self, path: Path, columns: Columns) -> None:
-        super().__init__(path, columns)
+        super().__init__()
         self._file = path.open("w", encoding="utf-8", newline="")
         self._writer = csv.writer(self._file, lineterminator="\n")
         self._writer.writerow(columns)
 
-    def _write(self, columns: Columns) -> None:
+    def _write(self, columns: Columns) -> int:
         if all(_is_plain(column) for column in columns.values()):
             self._file.write(_rows(columns))
         else:
             self._writer.writerows(zip(*(_cells(column) for column in columns.values()), strict=True))
+        return _length(columns)
 
     def close(self) -> None:
         self._file.close()
+
+
+def _length(columns: Columns) -> int:
+    return len(next(iter(columns.values())))
 
 
 def _is_plain(column: NDArray[Any]) -> bool:
@@ -92,7 +132,7 @@ class NpzTable(Table):
     """An array a title, as ``numpy.load`` reads it without pickling."""
 
     def __init__(self, path: Path, columns: Columns) -> None:
-        super().__init__(path, columns)
+        super().__init__()
         self._path = path
         self._dtypes = {title: column.dtype for title, column in columns.items()}
         self._texts: dict[str, list[NDArray[Any]]] = {}
@@ -103,12 +143,13 @@ class NpzTable(Table):
             else:
                 self._files[title] = tempfile.TemporaryFile(dir=path.parent)
 
-    def _write(self, columns: Columns) -> None:
+    def _write(self, columns: Columns) -> int:
         for title, column in columns.items():
             if title in self._texts:
                 self._texts[title].append(column)
             else:
                 self._files[title].write(np.ascontiguousarray(column, self._dtypes[title]).data)
+        return _length(columns)
 
     def close(self) -> None:
         with zipfile.ZipFile(self._path, "w") as archive:
@@ -134,13 +175,14 @@ class ParquetTable(Table):
         import pyarrow
         from pyarrow import parquet
 
-        super().__init__(path, columns)
+        super().__init__()
         self._pyarrow = pyarrow
         self._schema = self._batch(columns).schema
         self._writer = parquet.ParquetWriter(path, self._schema, compression="zstd")
 
-    def _write(self, columns: Columns) -> None:
+    def _write(self, columns: Columns) -> int:
         self._writer.write_table(self._batch(columns).cast(self._schema))
+        return _length(columns)
 
     def close(self) -> None:
         self._writer.close()
@@ -156,7 +198,18 @@ class ParquetTable(Table):
         )
 
 
-FORMATS: dict[str, type[Table]] = {"csv": CsvTable, "npz": NpzTable, "parquet": ParquetTable}
+def _mcap(folder: Path, placement: Placement) -> Tables:
+    from truearm.files.mcap_tables import McapTables
+
+    return McapTables(folder, placement)
+
+
+FORMATS: dict[str, Callable[[Path, Placement], Tables]] = {
+    "csv": partial(TableFiles, CsvTable, "csv"),
+    "npz": partial(TableFiles, NpzTable, "npz"),
+    "parquet": partial(TableFiles, ParquetTable, "parquet"),
+    "mcap": _mcap,
+}
 
 
 def check_format(name: str) -> None:

@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from truearm.errors import InputError, WriteError
-from truearm.files.column_writers import Columns, Table, check_format
+from truearm.files.column_writers import FORMATS, Columns, Placement, Table, check_format
 from truearm.files.disk import sha256, working_folder
 from truearm.files.observation_table import table_columns
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import load_robot
 from truearm.files.strict_json import strict_json
+from truearm.record.session_writer import read_anchor
 from truearm.session.observations import Survey, observations, survey
 from truearm.session.session_file import Session, open_session
 from truearm.session.session_tables import dwell_columns, pass_columns, plan_columns, tabulate
@@ -28,7 +29,10 @@ SAID = "session.json"
 
 @dataclass(frozen=True)
 class ExportSession:
-    """What to export: ``out`` is a new or empty folder, ``rig`` stands in for the recorded one, ``robot`` says which joints slide."""
+    """What to export: ``out`` is a new or empty folder, ``rig`` stands in for the recorded one, ``robot`` says which joints slide.
+
+    ``rate_hz``: of a format of messages in time, how many samples of a stream a second at most; 0 for all.
+    """
 
     session: Path
     out: Path
@@ -36,6 +40,7 @@ class ExportSession:
     rig: Path | None = None
     robot: str | None = None
     allow_damaged: bool = False
+    rate_hz: float = 100.0
 
 
 def export_session_files(wanted: ExportSession) -> dict[str, int]:
@@ -50,7 +55,7 @@ def export_session_files(wanted: ExportSession) -> dict[str, int]:
         with working_folder(out.parent) as folder:
             whole = folder / "tables"
             whole.mkdir()
-            document = _export(opened, whole, wanted.format, given, units)
+            document = _export(opened, whole, wanted, given, units)
             document["sha256"] = sha256(wanted.session)
             (whole / SAID).write_text(strict_json(document, indent=2) + "\n", encoding="utf-8")
             if out.exists():
@@ -71,11 +76,14 @@ def _check_folder(out: Path) -> None:
         raise InputError(f"{out}: cannot be used as a folder: {exc.strerror}") from exc
 
 
-def _export(session: Session, folder: Path, format: str, rig: Rig | None, units: Sequence[str]) -> dict[str, Any]:
+def _export(
+    session: Session, folder: Path, wanted: ExportSession, rig: Rig | None, units: Sequence[str]
+) -> dict[str, Any]:
     """Write all tables; returns what session.json says."""
     ident = ident_of(session)
     found = survey(session.batches, ident)
-    tables = _Tables(folder, format)
+    utc_ns, host_ns = read_anchor(session.metadata.get("session", {})) or (0, 0)
+    tables = _Tables(folder, wanted.format, Placement(utc_ns - host_ns, host_ns, wanted.rate_hz))
     for name, batch in tabulate(found, units):
         tables.write(name, batch)
     plan = plan_columns(found, units)
@@ -120,20 +128,18 @@ def _observations(
 class _Tables:
     """The tables of an export by name."""
 
-    def __init__(self, folder: Path, format: str) -> None:
-        self._folder, self._format = folder, format
-        self._tables: dict[str, tuple[Table, list[str]]] = {}
+    def __init__(self, folder: Path, format: str, placement: Placement) -> None:
+        self._all = FORMATS[format](folder, placement)
+        self._tables: dict[str, tuple[str, Table, list[str]]] = {}
 
     def write(self, name: str, columns: Columns) -> None:
-        from truearm.files.column_writers import FORMATS
-
-        name = f"{name}.{self._format}"
         if name not in self._tables:
-            self._tables[name] = FORMATS[self._format](self._folder / name, columns), list(columns)
-        self._tables[name][0].write(columns)
+            self._tables[name] = *self._all.begin(name, columns), list(columns)
+        self._tables[name][1].write(columns)
 
     def close(self) -> dict[str, Any]:
         """Complete all; rows and titles of each."""
-        for table, _ in self._tables.values():
+        for _, table, _ in self._tables.values():
             table.close()
-        return {name: {"rows": table.rows, "columns": titles} for name, (table, titles) in self._tables.items()}
+        self._all.close()
+        return {name: {"rows": table.rows, "columns": titles} for name, table, titles in self._tables.values()}

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from truearm.errors import InputError, SessionError
+from truearm.errors import Argument, InputError, SessionError
 from truearm.record.robots.joint_table import NO_ARRIVAL, Reading
 from truearm.record.robots.sources import FileOptions
 from truearm.schema import quoted
@@ -40,6 +40,8 @@ def readings(path: Path, options: FileOptions) -> Iterator[Reading]:
 
     Raises InputError where there is no such bag, topic or joint, or rosbags is not installed; SessionError where a file is damaged.
     """
+    if options.columns:
+        raise InputError(Argument("columns"), ": names the columns of a table; a bag has none")
     found = 0
     decoder = _decoder()
     for file in bag_files(path):

@@ -53,6 +53,53 @@ class Columns:
         return format_reading(t, seq, q or [], q_cmd=q_cmd, qd=qd, inputs=inputs, **more)
 
 
+NUMBERED = "{}"  # stands for the number of a joint
+SEPARATORS = ",;\t"
+
+
+def separator_of(header: str) -> str:
+    """Return what separates the cells of a table with this header: a comma, a semicolon or a tab, whichever there is most of."""
+    return max(SEPARATORS, key=header.count)
+
+
+def with_point(cell: str) -> str:
+    """Return a number's decimal comma as a point; of other cells nothing changes. For tables that no comma separates."""
+    return cell.replace(",", ".") if cell.count(",") == 1 and "." not in cell else cell
+
+
+def parse_renames(text: str) -> tuple[tuple[str, str], ...]:
+    """The pairs (ours, theirs) of OURS=THEIRS,…; in both {} stands for a joint's number. Raises InputError."""
+    pairs = tuple(
+        (ours.strip(), theirs.strip()) for ours, _, theirs in (part.partition("=") for part in text.split(","))
+    )
+    for ours, theirs in pairs:
+        if not theirs or not ours or (NUMBERED in ours) != (NUMBERED in theirs) or theirs.count(NUMBERED) > 1:
+            raise InputError(
+                f"{quoted(f'{ours}={theirs}')}: write OURS=THEIRS, as t_s=timestamp or q{NUMBERED}_rad=actual_q_{NUMBERED}, "
+                f"with {NUMBERED} for a joint's number on both sides or none"
+            )
+    return pairs
+
+
+def renamed(titles: Sequence[str], renames: Sequence[tuple[str, str]]) -> list[str]:
+    """A table's titles in our words; what is not among the renames is passed over. Joints count from the lowest number that is there.
+
+    Raises InputError for a column that is not there.
+    """
+    out = [f"x_{k}" for k in range(len(titles))]
+    for ours, theirs in renames:
+        pattern = re.compile(r"(\d{1,2})".join(map(re.escape, theirs.split(NUMBERED))))
+        places = [(k, found) for k, title in enumerate(titles) if (found := pattern.fullmatch(title))]
+        if not places:
+            known = ", ".join(map(quoted, titles[:8]))
+            raise InputError(f"no column {quoted(theirs)}; the table begins with {known}")
+        first = min(int(found[1]) for _, found in places) if NUMBERED in theirs else 0
+        for k, found in places:
+            number = int(found[1]) - first + 1 if NUMBERED in theirs else ""
+            out[k] = ours.replace(NUMBERED, str(number))
+    return out
+
+
 def read_columns(titles: Sequence[str]) -> Columns:
     """The columns that a header names. Raises InputError."""
     if len(titles) > MAX_COLUMNS:

@@ -6,13 +6,14 @@ Its header is what ``columns`` reads. Read row by row: a day at 500 Hz is 43 mil
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import IO, NamedTuple
 
 from truearm.errors import InputError, TableError
 from truearm.record.joint_lines import MAX_LINE
-from truearm.record.robots.joint_columns import read_columns
+from truearm.record.robots.joint_columns import read_columns, renamed, separator_of, with_point
 from truearm.record.robots.sources import FileOptions
 from truearm.session.joint_readings import parse_reading
 
@@ -31,30 +32,34 @@ def readings(path: Path, options: FileOptions) -> Iterator[Reading]:
     """The readings of a table, in order of time. Raises TableError with file and row, InputError where joints are named."""
     if options.joints:
         raise InputError("--joints and --robot order the joints of a bag; a table's columns are in order")
-    return _readings(path)
+    return _readings(path, options.columns)
 
 
-def _readings(path: Path) -> Iterator[Reading]:
+def _readings(path: Path, renames: Sequence[tuple[str, str]]) -> Iterator[Reading]:
     if path.exists() and not path.is_file():
         raise TableError(f"{path}: is not a regular file; save the data to a file first")
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            yield from _rows(path, file)
+            yield from _rows(path, file, renames)
     except OSError as exc:
         raise TableError(f"{path}: cannot be read: {exc.strerror}") from exc
     except UnicodeDecodeError as exc:
         raise TableError(f"{path}: is not UTF-8 text; save it as UTF-8") from exc
 
 
-def _rows(path: Path, file: IO[str]) -> Iterator[Reading]:
-    rows = csv.reader(_lines(path, file), strict=True)
+def _rows(path: Path, file: IO[str], renames: Sequence[tuple[str, str]]) -> Iterator[Reading]:
+    lines = _lines(path, file)
+    header = next(lines, "")
+    separator = separator_of(header)
+    rows = csv.reader(chain([header], lines), delimiter=separator, strict=True)
     try:
-        columns = read_columns([cell.strip() for cell in next(rows, [])])
+        titles = [cell.strip() for cell in next(rows, [])]
+        columns = read_columns(renamed(titles, renames) if renames else titles)
         last = -1.0
         for cells in rows:
             if not cells:
                 continue
-            line = columns.line(cells, **NO_ARRIVAL)
+            line = columns.line(cells if separator == "," else [with_point(cell) for cell in cells], **NO_ARRIVAL)
             reading = None if line is None else parse_reading(line)
             if line is None or reading is None:
                 raise TableError(

@@ -40,11 +40,13 @@ class FileEntry(NamedTuple):
 
 
 class FileOptions(NamedTuple):
-    """What the user says of a file: the topic and the names of the joints in their order, for files that hold several."""
+    """What the user says of a file: the topic and the names of the joints in their order, for files that hold several, and which columns
+    of a table are which of ours, ``("q{}_rad", "actual_q_{}")``."""
 
     topic: str
     joints: Sequence[str] = ()
     allow_damaged: bool = False
+    columns: Sequence[tuple[str, str]] = ()
 
 
 SOURCES: Mapping[str, SourceEntry] = {

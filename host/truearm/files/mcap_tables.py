@@ -1,0 +1,94 @@
+"""A session's tables as JSON messages with schemas in one MCAP file, so that Foxglove and PlotJuggler plot all of them on one axis.
+
+A channel a table, a message a row; its log time is the row's place on the host's clock as UTC. A JSON schema has one type a property, and a number
+that is not known is left out of its message.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import IO, Any
+
+import msgspec
+import numpy as np
+from mcap.writer import CompressionType, Writer
+from numpy.typing import NDArray
+
+from truearm.files.column_writers import Columns, Placement, Table
+
+FILE = "session.mcap"
+TIMES = ("host_time_ns", "host_start_ns", "arrival_ns")  # the first that a table has
+TYPES = {"i": "integer", "u": "integer", "f": "number", "U": "string"}
+CHUNK_BYTES = 1 << 20
+
+_encoder = msgspec.json.Encoder()
+
+
+class McapTables:
+    """One file of all tables. Samples and joint readings are thinned out to the wanted rate, all else is whole."""
+
+    def __init__(self, folder: Path, placement: Placement) -> None:
+        self.placement = placement
+        self._file: IO[bytes] = (folder / FILE).open("wb")
+        self.writer = Writer(
+            self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True
+        )
+        self.writer.start(profile="", library="truearm export-session")
+
+    def begin(self, name: str, columns: Columns) -> tuple[str, Table]:
+        """Return the name that a table goes by, and the table."""
+        return f"{FILE} /{name}", McapTable(self, name, columns)
+
+    def close(self) -> None:
+        """Complete the file."""
+        self.writer.finish()
+        self._file.close()
+
+
+class McapTable(Table):
+    """A table as a channel of the file."""
+
+    def __init__(self, tables: McapTables, name: str, columns: Columns) -> None:
+        super().__init__()
+        self._writer, self._placement = tables.writer, tables.placement
+        schema = {
+            "type": "object",
+            "properties": {title: {"type": TYPES[column.dtype.kind]} for title, column in columns.items()},
+        }
+        registered = self._writer.register_schema(f"truearm/{name}", "jsonschema", json.dumps(schema).encode())
+        self._channel = self._writer.register_channel(f"/{name}", "json", registered)
+        self._time = next((title for title in TIMES if title in columns), "")
+        self._dense = self._time == "host_time_ns" and bool({"gap", "controller_time_s"} & columns.keys())
+        self._latest_bin = -1
+
+    def _write(self, columns: Columns) -> int:
+        n = len(next(iter(columns.values())))
+        times = columns[self._time].astype(np.int64) if self._time else np.full(n, self._placement.begin_ns)
+        rows = np.arange(n)
+        if self._dense and self._placement.rate_hz:
+            rows = self._thinned(columns, times)
+        cells = [(title, column[rows].tolist()) for title, column in columns.items()]
+        missing = [
+            title for title, column in columns.items() if column.dtype.kind == "f" and np.isnan(column[rows]).any()
+        ]
+        for k, at in enumerate(times[rows].tolist()):
+            row: dict[str, Any] = {title: values[k] for title, values in cells}
+            for title in missing:
+                if row[title] != row[title]:
+                    del row[title]
+            log_ns = max(0, (self._placement.begin_ns if at < 0 else at) + self._placement.utc_offset_ns)
+            self._writer.add_message(self._channel, log_ns, _encoder.encode(row), log_ns)
+        return len(rows)
+
+    def _thinned(self, columns: Columns, times: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The first row of each interval of the wanted rate, and every row behind a gap."""
+        bins = (times * (1e-9 * self._placement.rate_hz)).astype(np.int64)
+        kept = np.diff(bins, prepend=self._latest_bin) != 0
+        self._latest_bin = int(bins[-1])
+        if "gap" in columns:
+            kept |= columns["gap"] == 1
+        return np.flatnonzero(kept)
+
+    def close(self) -> None:
+        """See ``Table``: what its tables share completes the file."""

@@ -1,0 +1,59 @@
+"""Tables of joints as other programs write them: names, separators and decimal commas of their own."""
+
+import json
+
+import numpy as np
+import pytest
+
+from truearm.errors import InputError, TableError
+from truearm.record.robots.joint_columns import parse_renames, renamed, separator_of
+from truearm.record.robots.joint_table import readings
+from truearm.record.robots.sources import FileOptions
+
+UR = "t_s=timestamp,q{}_rad=actual_q_{},qd{}_rad_s=actual_qd_{}"
+HEADER = ["timestamp", "robot_mode", *(f"actual_q_{i}" for i in range(6)), *(f"actual_qd_{i}" for i in range(6))]
+
+
+def table(path, separator, comma, n=5):
+    """As Universal Robots' own recorder writes it, in one country or another."""
+    rng = np.random.default_rng(1)
+    rows = np.column_stack([12.5 + 0.002 * np.arange(n), np.full(n, 7), rng.uniform(-3, 3, (n, 12))])
+    lines = [[f"{cell:.9f}".replace(".", ",") if comma else f"{cell:.9f}" for cell in row] for row in rows]
+    path.write_text("\n".join(separator.join(line) for line in [HEADER, *lines]) + "\n")
+    return np.round(rows, 9)
+
+
+@pytest.mark.parametrize(("separator", "comma"), [(",", False), (";", False), (";", True), ("\t", True)])
+def test_a_table_of_another_program(tmp_path, separator, comma):
+    rows = table(tmp_path / "r.csv", separator, comma)
+    found = list(readings(tmp_path / "r.csv", FileOptions("", columns=parse_renames(UR))))
+    assert [one.t for one in found] == pytest.approx(rows[:, 0].tolist(), abs=1e-12)
+    lines = [json.loads(one.line) for one in found]
+    assert np.array([line["q"] for line in lines]) == pytest.approx(rows[:, 2:8], abs=1e-12)
+    assert np.array([line["qd"] for line in lines]) == pytest.approx(rows[:, 8:], abs=1e-12)
+
+
+def test_our_own_columns_may_be_separated_by_semicolons_too(tmp_path):
+    (tmp_path / "r.csv").write_text("t_s;q1_deg;q2_deg\n1,5;90;-45,5\n")
+    (one,) = readings(tmp_path / "r.csv", FileOptions(""))
+    assert json.loads(one.line)["q"] == pytest.approx(np.deg2rad([90.0, -45.5]))
+
+
+def test_joints_are_counted_from_the_lowest_number_there_is():
+    assert renamed(["q2", "t", "q1"], parse_renames("t_s=t,q{}_deg=q{}")) == ["q2_deg", "t_s", "q1_deg"]
+    assert renamed(["q1", "t", "q0", "z"], parse_renames("t_s=t,q{}_deg=q{}")) == ["q2_deg", "t_s", "q1_deg", "x_3"]
+    assert [separator_of(text) for text in ("a,b;c,d", "a;b", "a\tb\tc", "a")] == [",", ";", "\t", ","]
+
+
+@pytest.mark.parametrize("text", ["", "t_s", "=x", "t_s=", "q{}_rad=q", "q1_rad=q{}", "q{}_rad=q{}{}", "t_s=t,,"])
+def test_renames_that_are_none(text):
+    with pytest.raises(InputError, match="write OURS=THEIRS"):
+        parse_renames(text)
+
+
+def test_a_column_that_is_not_there_is_named(tmp_path):
+    table(tmp_path / "r.csv", ",", False)
+    with pytest.raises(TableError, match=r"r\.csv: no column 'stamp'; the table begins with 'timestamp', 'robot_mode'"):
+        list(readings(tmp_path / "r.csv", FileOptions("", columns=parse_renames("t_s=stamp,q{}_rad=actual_q_{}"))))
+    with pytest.raises(TableError, match="is not known"):
+        list(readings(tmp_path / "r.csv", FileOptions("", columns=parse_renames("t_s=timestamp,q{}=actual_q_{}"))))
