@@ -33,7 +33,8 @@ import session_stream
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.session.box_reader import BoxReader
-from truearm.session.joint_readings import JointReader
+from truearm.session.joint_readings import CHUNK, JointReader
+from truearm.session.message_columns import columns_of
 from truearm.session.observations import observations
 from truearm.session.plan_matching import Marks
 from truearm.session.session_file import Session, open_session
@@ -157,14 +158,18 @@ def oracle_samples(session: Session) -> int:
 
 def oracle_readings(session: Session) -> None:
     """What was done with single messages: everything once, and the box's messages a second time for the samples."""
-    box, robot, marks = oracle.BoxReader(), JointReader(), Marks()
+    box, robot, marks, lines = oracle.BoxReader(), JointReader(), Marks(), list[Message]()
     for message in session.messages():
         if message.topic == "/robot/joints":
-            robot.feed(message)
+            lines.append(message)
+            if len(lines) == CHUNK:
+                robot.take(columns_of(lines))
+                lines = []
         elif message.topic.startswith("/box/") or message.topic == "/sync":
             box.feed(message)
         else:
             marks.feed(message.topic, message.t_host_ns, message.data)
+    robot.take(columns_of(lines))
     again = oracle.BoxReader(keep_exchanges=False)
     for message in session.messages({"/box/adc", "/box/ident", "/box/heartbeat", "/box/sync"}):
         again.feed(message)

@@ -58,8 +58,8 @@ class TestFaults:
         robot = Robot(lab, 3.0, LinkClosed("done"), counts=False)
         summary = run(lab, Box(lab), path, None, robot=robot.link)
         reader = JointReader()
-        for message in open_session(path).messages():
-            reader.feed(message)
+        for messages in open_session(path).batches():
+            reader.take(messages)
         joints = reader.finish()
         assert summary.counters.robot_lines == joints.readings == len(robot.sent) == 375
         assert (joints.lost, joints.malformed, joints.duplicated) == (None, 0, 0)

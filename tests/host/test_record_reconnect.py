@@ -22,8 +22,8 @@ from truearm.session.session_file import open_session
 
 def joints_of(path):
     reader = JointReader()
-    for message in open_session(path).messages():
-        reader.feed(message)
+    for messages in open_session(path).batches():
+        reader.take(messages)
     return reader.finish()
 
 

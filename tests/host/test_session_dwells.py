@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 
 from truearm.session.dwells import DwellRules, find_dwells
 from truearm.session.joint_readings import JointReader
+from truearm.session.message_columns import columns_of
 from truearm.session.plan_matching import BACK, REPEAT, Marks, Plan, match_plan, nearest_pose
 from truearm.session.samples import mean_of
 from truearm.types import Message
@@ -24,11 +25,12 @@ def dwells_of(path, noise=0.0, step=0.0, rules=None, drop=(), seed=0):
     t = np.arange(0.0, path[-1][0], 1.0 / HZ)
     q = np.stack([np.interp(t, *np.array(path).T), 0.3 + 0.0 * t], axis=1) + noise * rng.standard_normal((t.size, 2))
     q = step * np.rint(q / step) if step else q
-    reader = JointReader()
+    reader, messages = JointReader(), []
     for k, (at, row) in enumerate(zip(t.tolist(), q.tolist(), strict=True)):
         if not any(a < at < b for a, b in drop):
             line = json.dumps({"t": at, "seq": k, "q": row}).encode()
-            reader.feed(Message("/robot/joints", round(1e9 * at), line))
+            messages.append(Message("/robot/joints", round(1e9 * at), line))
+    reader.take(columns_of(messages))
     return find_dwells(reader.finish(), rules or DwellRules())
 
 

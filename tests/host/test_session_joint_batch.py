@@ -13,6 +13,7 @@ from test_session_joint_readings import assert_same
 from truearm.record.recover import recover
 from truearm.record.session_writer import SessionWriter
 from truearm.session.joint_readings import COLUMNS, JOINTS, JointReader, concatenate, pack, parse_lines, unpack
+from truearm.session.message_columns import columns_of
 from truearm.session.session_file import open_session
 from truearm.types import Message
 
@@ -123,8 +124,7 @@ def recorded(path, n=3000, hz=500.0, odd_line=b""):
 
 def stream_of(messages):
     reader = JointReader()
-    for message in messages:
-        reader.feed(message)
+    reader.take(columns_of(messages))
     return reader.finish()
 
 

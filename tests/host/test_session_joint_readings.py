@@ -11,6 +11,7 @@ from truearm.session import joint_readings as joints_module
 from truearm.session.dwells import DwellRules, find_dwells
 from truearm.session.joint_readings import JointReader, parse_lines
 from truearm.session.losses import MissingNumbers
+from truearm.session.message_columns import columns_of
 from truearm.types import Message
 
 
@@ -21,9 +22,14 @@ def message(t, seq, q, arrival_ns=None):
 
 def read(messages):
     reader = JointReader()
-    for m in messages:
-        reader.feed(m)
+    reader.take(columns_of(messages))
     return reader.finish()
+
+
+def arrived(messages):
+    """Messages that arrived in this order: the host's clock never steps back."""
+    latest = np.maximum.accumulate([m.t_host_ns for m in messages]).tolist()
+    return [m._replace(t_host_ns=at) for m, at in zip(messages, latest, strict=True)]
 
 
 def still(n=500, t0=10.0, hz=125.0, q=(0.1, -0.2)):
@@ -52,6 +58,7 @@ def test_readings_without_numbers_are_as_good(stranger):
     lines.insert(300, lines[299])  # doubled
     late = lines.pop(200)
     lines.insert(202, late)
+    lines = arrived(lines)
     numbered, plain = read(lines), read(unnumbered(lines) + stranger)
     assert (numbered.lost, plain.lost) == (0, None)
     for name in ("readings", "duplicated", "late", "gaps", "rate_hz"):
@@ -108,7 +115,7 @@ def test_losses_of_the_robot_are_counted_apart():
     lines.insert(300, lines[299])  # doubled
     del lines[400:403]  # lost
     lines += [Message("/robot/joints", 0, b"{}"), Message("/robot/joints", 0, b"nonsense")]
-    stream = read(lines)
+    stream = read(arrived(lines))
     assert (stream.late, stream.duplicated, stream.lost, stream.malformed) == (1, 1, 3, 2)
     assert stream.readings == 496
 
@@ -117,9 +124,10 @@ def test_a_late_reading_that_was_never_missed_is_no_gain():
     """Time steps back by half a second; seq stands still, or runs on: the number is not missing, it came."""
     lines = still()
     lines[100] = message(10.0 + 100 / 125.0 - 0.5, 100, (0.1, -0.2))
-    stream = read(lines)
+    stream = read(arrived(lines))
     assert (stream.late, stream.lost) == (1, 0)
-    stream = read([message(10.0 + k / 125.0 - 0.5 * (k == 100), 0, (0.1, -0.2)) for k in range(200)])
+    lines = [message(10.0 + k / 125.0 - 0.5 * (k == 100), 0, (0.1, -0.2)) for k in range(200)]
+    stream = read(arrived(lines))
     assert (stream.late, stream.lost) == (1, 0)
 
 
@@ -128,7 +136,7 @@ def test_a_late_reading_fills_its_hole_once():
     late = lines[200]
     del lines[199:203]
     lines[210:210] = [late, late]
-    stream = read(lines)
+    stream = read(arrived(lines))
     assert (stream.late, stream.lost) == (2, 3)
 
 
@@ -137,7 +145,7 @@ def test_holes_of_another_life_are_not_filled():
     del lines[490]
     after = [m._replace(t_host_ns=m.t_host_ns + 510 * 10**9) for m in still(t0=1.0)]
     after.insert(495, message(1.0 + 480 / 125.0, 490, (0.1, -0.2)))
-    stream = read(lines + after)
+    stream = read(arrived(lines + after))
     assert (stream.restarts, stream.late, stream.lost) == (1, 1, 1)
 
 

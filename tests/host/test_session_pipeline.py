@@ -1,5 +1,6 @@
 """Whole sessions from a known truth: one observation a dwell, and no sample across a gap."""
 
+import itertools
 import json
 from dataclasses import replace
 from itertools import count
@@ -322,3 +323,25 @@ def test_samples_are_those_of_the_interval_by_signal_time():
         assert np.min(np.abs(signal - start)) > 2000 or start == 3_000_000_001
         expected = np.flatnonzero((signal >= start) & (signal <= end))
         assert np.array_equal(taken.longest, expected)
+
+
+def test_exchanged_chunks_and_doubled_frames_cost_no_dwell():
+    """31 pairs of chunks in the wrong order, of box and robot alike, and 46 frames twice: what is measured is the same."""
+    rng = np.random.default_rng(4)
+    messages, _ = session(rng, dwells=25)
+    second = [m.t_host_ns // 800_000_000 for m in messages]  # as long as a recorder's chunk
+    starts = [0, *(np.flatnonzero(np.diff(second)) + 1).tolist(), len(messages)]
+    chunks = [messages[a:b] for a, b in itertools.pairwise(starts)]
+    for k in 1 + 2 * rng.choice((len(chunks) - 2) // 2, 31, replace=False):  # the first holds plan and ident
+        chunks[k], chunks[k + 1] = chunks[k + 1], chunks[k]
+    received = [message for chunk in chunks for message in chunk]
+    frames = [k for k, message in enumerate(received) if message.topic.startswith("/box/")]
+    for k in sorted(rng.choice(frames, 46, replace=False), reverse=True):
+        received.insert(k, received[k])
+    result, clean = synced(received), synced(messages)
+    losses, stream = result.losses, result.survey.joints
+    assert (losses.frames_lost, losses.samples_lost, losses.restarts, losses.frames_duplicated) == (0, 0, 0, 46)
+    assert (stream.lost, stream.late, stream.restarts) == (0, 0, 0)
+    assert result.reasons == {}
+    assert np.array_equal(result.table.q, clean.table.q)
+    assert np.array_equal(result.table.value, clean.table.value)

@@ -8,6 +8,7 @@ import pytest
 from truearm.session.box_frames import Exchange
 from truearm.session.device_clock import fit_clock
 from truearm.session.joint_readings import NO_INPUTS, InputTrack, JointReader, parse_lines
+from truearm.session.message_columns import columns_of
 from truearm.session.trigger_edges import Output, fit_edges, match, with_edges
 from truearm.types import Message
 
@@ -31,6 +32,11 @@ class Controller:
         for _ in range(6):
             t = t - (self.reading(t) - c)
         return t
+
+
+def finished(reader, messages):
+    reader.take(columns_of(messages))
+    return reader.finish()
 
 
 def device_us(t):
@@ -176,7 +182,7 @@ def session(seed, n=100, number=3, noisy=None, controller=None, wrong=None):
     controller = controller or Controller()
     edges = edges_at(rng, n)
     end = edges[-1] + 2.0
-    reader = JointReader()
+    reader, messages = JointReader(), []
     ticks = np.arange(int(100.0 / CYCLE_S) + 1, int(controller.reading(end) / CYCLE_S)) * CYCLE_S
     t = controller.true(ticks)
     bits = level_at(t, edges) << number
@@ -184,7 +190,7 @@ def session(seed, n=100, number=3, noisy=None, controller=None, wrong=None):
         bits = bits | (level_at(t, edges_at(rng, 2 * n, 0.1, 0.5)) << noisy)
     arrival = np.maximum.accumulate(t + LATENCY_S + rng.exponential(200e-6, t.size))
     for c, bit, a in zip(ticks.tolist(), bits.tolist(), arrival.tolist(), strict=True):
-        reader.feed(Message("/robot/joints", int(1e9 * a), b'{"t":%.6f,"q":[0.0],"inputs":%d}' % (c, bit)))
+        messages.append(Message("/robot/joints", int(1e9 * a), b'{"t":%.6f,"q":[0.0],"inputs":%d}' % (c, bit)))
     exchanges = []
     for t0 in np.arange(0.0, end, 0.25):
         t1 = t0 + 125e-6 + rng.exponential(80e-6)
@@ -194,7 +200,7 @@ def session(seed, n=100, number=3, noisy=None, controller=None, wrong=None):
     for k, off in (wrong or {}).items():
         stamps[k] += off
     output = Output(stamps, np.arange(n) % 2 == 0)
-    joints = with_edges(reader.finish(), {0: output}, {0: fit_clock(0, exchanges)[0]})
+    joints = with_edges(finished(reader, messages), {0: output}, {0: fit_clock(0, exchanges)[0]})
     return joints, controller, t
 
 
@@ -227,9 +233,9 @@ def test_no_input_that_follows_is_said():
         joints, {0: Output(np.array([6_000_000, 7_000_000, 8_000_000]), np.array([True, False, True]))}, {}
     )
     assert silent is joints  # of a box whose clock is not known
-    reader = JointReader()
+    reader, messages = JointReader(), []
     for k in range(5000):
-        reader.feed(
+        messages.append(
             Message(
                 "/robot/joints", int(1e9 * (k * 0.01)), b'{"t":%.3f,"q":[0.0],"inputs":%d}' % (k * 0.01, k // 37 % 2)
             )
@@ -240,7 +246,7 @@ def test_no_input_that_follows_is_said():
     ]
     times = (1e6 * edges_at(np.random.default_rng(8), 40)).astype(np.int64)
     output = Output(times, np.arange(40) % 2 == 0)
-    alone = with_edges(reader.finish(), {0: output}, {0: fit_clock(0, exchanges)[0]})
+    alone = with_edges(finished(reader, messages), {0: output}, {0: fit_clock(0, exchanges)[0]})
     report = alone.reports[0].edges
     assert report.input is None
     assert report.unseen == report.edges > 30
@@ -249,10 +255,10 @@ def test_no_input_that_follows_is_said():
 
 def test_slow_readings_leave_the_clock_to_arrivals():
     """Ten readings a second and few edges bound nothing better than some milliseconds."""
-    reader = JointReader()
+    reader, messages = JointReader(), []
     edges = edges_at(np.random.default_rng(9), 12)
     for k in range(150):
-        reader.feed(
+        messages.append(
             Message(
                 "/robot/joints",
                 int(1e8 * k) + 300_000,
@@ -264,6 +270,6 @@ def test_slow_readings_leave_the_clock_to_arrivals():
         for x in np.arange(0, 15, 0.25)
     ]
     output = Output((1e6 * edges).astype(np.int64), np.arange(12) % 2 == 0)
-    joints = with_edges(reader.finish(), {0: output}, {0: fit_clock(0, exchanges)[0]})
+    joints = with_edges(finished(reader, messages), {0: output}, {0: fit_clock(0, exchanges)[0]})
     assert not joints.reports[0].edges.in_use
     assert joints.clocks[0].source == "arrivals"

@@ -17,7 +17,7 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
+from itertools import chain, pairwise
 from typing import Annotated, Any, NamedTuple, TypeGuard
 
 import cbor2
@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from truearm.session.losses import MissingNumbers
 from truearm.session.message_columns import Messages
 from truearm.session.robot_clock import Arrivals, RobotClock, RobotClockReport, fit_robot_clock
-from truearm.types import Floats, Message
+from truearm.types import Floats
 
 MAX_T_S = 4e9  # ns of such times still fit 63 bits
 MAX_SEQ = 2**62
@@ -385,88 +385,149 @@ class JointStream:
 
 
 _BACK = b'"kind":"robot-back"'
+OVERTAKEN_NS = (
+    5_000_000_000  # readings that stand so far behind later ones in the file are put in order: chunks that were swapped
+)
 
 
-class JointReader:
-    """Takes the robot's messages one by one in log order."""
+class ReadingOrder:
+    """The robot's readings in the order in which they arrived, whatever the order of the file's chunks.
 
-    def __init__(self) -> None:
+    Each answer is the batches that are due, each with whether it begins a segment: the robot came back, or its controller restarted.
+    """
+
+    def __init__(self, joints: int | None = None) -> None:
+        """``joints``: how many a reading has, None: as the first."""
+        self.malformed = 0
+        self.period_s: float | None = None  # between the first readings, in the middle; None before there are any
+        self._joints = joints
         self._lines: list[bytes] = []  # behind the last batch
         self._arrival_ns: list[int] = []
         self._batches: list[JointBatch] = []
-        self._waiting = 0  # readings in them
-        self._arrivals: list[Arrivals] = []
-        self._inputs: list[InputTrack] = []
-        self._bins: list[tuple[Any, ...]] = []
-        self._carried: tuple[NDArray[Any], ...] | None = None  # readings of the bin that is still open
-        self._last: tuple[float, int] | None = None
-        self._latest_s = -np.inf
-        self._joints: int | None = None
-        self._previous_bin_s = -np.inf
-        self._bin_s, self._gap_s = BIN_S, READING_GAP_S
-        self._step: Floats = np.empty(0)  # smallest change between readings
-        self._fast_step: Floats = np.empty(0)  # smallest change of a change
-        self._numbered = True
-        self._returned = False  # the link was lost and is back: the next reading begins a segment
-        self._holes = MissingNumbers()
-        self.malformed = self.duplicated = self.late = self.gaps = 0
+        self._waiting = self._held = 0  # readings in them; those that were held back for earlier ones
+        self._returns_ns: list[int] = []  # when the link was back: the next reading begins a segment
+        self._latest_s = -np.inf  # of the segment
 
-    def feed(self, message: Message) -> None:
-        """Take one message; those of other topics are ignored."""
-        if message.topic == "/events" and _BACK in message.data:
-            self._flush()
-            self._returned = True
-        if message.topic == JOINTS:
-            self._lines.append(message.data)
-            self._arrival_ns.append(message.t_host_ns)
-            if len(self._lines) >= CHUNK:
-                self._flush()
-        elif message.topic == COLUMNS:
-            batch = unpack(message.data)
-            if batch is not None and len(batch) == len(self._lines):
-                self._lines, self._arrival_ns = [], []
-                self._wait(batch)
-
-    def take(self, messages: Messages) -> None:
+    def take(self, messages: Messages) -> list[tuple[bool, JointBatch]]:
         """Take a batch of messages; those of other topics are ignored."""
         lines = messages.rows(lambda topic: topic == JOINTS)
         begin = 0
+        due: list[tuple[bool, JointBatch]] = []
         for row in messages.rows(lambda topic: topic in (COLUMNS, "/events")).tolist():
             end = int(np.searchsorted(lines, row))
             if len(self._lines) + end - begin >= CHUNK:
-                self._add(messages, lines[begin:end])
+                due += self._add(messages, lines[begin:end])
                 begin = end
             if messages.topics[messages.topic[row]] == COLUMNS:
                 said = unpack(messages.payload(row))
                 if said is not None and len(said) == len(self._lines) + end - begin:
                     self._lines, self._arrival_ns, begin = [], [], end
-                    self._wait(said)
+                    due += self._wait(said)
             elif _BACK in messages.payload(row):
-                self._add(messages, lines[begin:end])
-                self._flush()
-                self._returned, begin = True, end
-        self._add(messages, lines[begin:])
+                self._returns_ns.append(int(messages.t_host_ns[row]))
+        return due + self._add(messages, lines[begin:])
 
-    def _add(self, messages: Messages, rows: NDArray[np.intp]) -> None:
+    def finish(self) -> list[tuple[bool, JointBatch]]:
+        """What is left, when the session is at its end."""
+        return self._parsed() + self._due(0)
+
+    def _add(self, messages: Messages, rows: NDArray[np.intp]) -> list[tuple[bool, JointBatch]]:
         at = 0
+        due: list[tuple[bool, JointBatch]] = []
         while at < len(rows):
             some = rows[at : at + CHUNK - len(self._lines)]
             self._lines += messages.payloads(some)
             self._arrival_ns += messages.t_host_ns[some].tolist()
             at += len(some)
             if len(self._lines) >= CHUNK:
-                self._flush()
+                due += self._parsed()
+        return due
+
+    def _parsed(self) -> list[tuple[bool, JointBatch]]:
+        """Make columns of lines that have none."""
+        batch = parse_lines(self._lines, self._arrival_ns, self._joints)
+        self.malformed += len(self._lines) - len(batch)
+        self._lines, self._arrival_ns = [], []
+        return self._wait(batch)
+
+    def _wait(self, batch: JointBatch) -> list[tuple[bool, JointBatch]]:
+        """Take a batch with the next ones: the first must be long enough to show the readings' period."""
+        if not len(batch):
+            return []
+        self._joints = self._joints or batch.q.shape[1]
+        if batch.q.shape[1] != self._joints:
+            self.malformed += len(batch)
+            return []
+        self._batches.append(batch)
+        self._waiting += len(batch)
+        # What is held back is copied each time: never more than what is new.
+        return self._due(OVERTAKEN_NS) if self._waiting >= CHUNK + 2 * self._held else []
+
+    def _due(self, hold_ns: int) -> list[tuple[bool, JointBatch]]:
+        """The readings that wait, in order, but for the latest ``hold_ns`` of them."""
+        if not self._batches:
+            return []
+        batch = concatenate(self._batches)
+        if self.period_s is None:
+            self.period_s = float(np.median(np.abs(np.diff(batch.t)))) if len(batch) > 1 else 0.0
+        latest = np.maximum.accumulate(batch.arrival_ns)
+        place = np.where(latest - batch.arrival_ns > OVERTAKEN_NS, latest, batch.arrival_ns)
+        if np.any(np.diff(place) < 0):
+            order = np.argsort(place, kind="stable")
+            batch, place = batch[order], place[order]
+        end = int(np.searchsorted(place, place[-1] - hold_ns)) if hold_ns else len(batch)
+        self._batches, self._held = ([batch[end:]] if end < len(batch) else []), len(batch) - end
+        self._waiting = self._held
+        return self._segments(batch[:end], place[:end]) if end else []
+
+    def _segments(self, batch: JointBatch, place: Ints) -> list[tuple[bool, JointBatch]]:
+        """The batch in pieces, each of one segment."""
+        back = [t_ns for t_ns in self._returns_ns if t_ns <= place[-1]]
+        self._returns_ns = [t_ns for t_ns in self._returns_ns if t_ns > place[-1]]
+        first = [0] if self._latest_s == -np.inf else []
+        starts = {*first, *np.searchsorted(place, back).tolist(), *restarts(batch.t, self._latest_s).tolist()}
+        pieces = [(begin in starts, batch[begin:end]) for begin, end in pairwise(sorted({0, *starts, len(batch)}))]
+        begins, last = pieces[-1]
+        goes_on = -np.inf if begins or len(pieces) > 1 else self._latest_s
+        self._latest_s = max(float(last.t.max()), goes_on)
+        return pieces
+
+
+class JointReader:
+    """Takes the robot's messages batch by batch in log order."""
+
+    def __init__(self) -> None:
+        self._order = ReadingOrder()
+        self._arrivals: list[Arrivals] = []
+        self._inputs: list[InputTrack] = []
+        self._bins: list[tuple[Any, ...]] = []
+        self._carried: tuple[NDArray[Any], ...] | None = None  # readings of the bin that is still open
+        self._last: tuple[float, int] | None = None
+        self._latest_s = -np.inf
+        self._previous_bin_s = -np.inf
+        self._bin_s, self._gap_s = BIN_S, READING_GAP_S
+        self._step: Floats = np.empty(0)  # smallest change between readings
+        self._fast_step: Floats = np.empty(0)  # smallest change of a change
+        self._numbered = True
+        self._holes = MissingNumbers()
+        self.duplicated = self.late = self.gaps = 0
+
+    def take(self, messages: Messages) -> None:
+        """Take a batch of messages; those of other topics are ignored."""
+        for begins, batch in self._order.take(messages):
+            self._part(batch, begins)
 
     def finish(self) -> JointStream:
         """What all messages say; the reader is of no use afterwards."""
-        self._flush()
+        for begins, batch in self._order.finish():
+            self._part(batch, begins)
         self._close_bin()
         fits = [fit_robot_clock(k, arrivals) for k, arrivals in enumerate(self._arrivals)]
         readings = sum(arrivals.readings for arrivals in self._arrivals)
         spans = sum(arrivals.last_s - arrivals.first_s for arrivals in self._arrivals)
         return JointStream(
             readings=readings,
-            malformed=self.malformed,
+            malformed=self._order.malformed,
             duplicated=self.duplicated,
             late=self.late,
             lost=self._holes.lost if self._numbered else None,
@@ -490,52 +551,23 @@ class JointReader:
             column.clear()
         return Bins(*joined) if joined else None
 
-    def _wait(self, batch: JointBatch) -> None:
-        """Take a batch with the next ones: the first must be long enough to show the readings' period."""
-        self._joints = self._joints or batch.q.shape[1]
-        if batch.q.shape[1] != self._joints:
-            self.malformed += len(batch)
-            return
-        self._batches.append(batch)
-        self._waiting += len(batch)
-        if self._waiting >= CHUNK:
-            self._flush()
-
-    def _flush(self) -> None:
-        if self._lines:
-            batch = parse_lines(self._lines, self._arrival_ns, self._joints)
-            self.malformed += len(self._lines) - len(batch)
-            self._lines, self._arrival_ns = [], []
-            if len(batch):
-                self._batches.append(batch)
-        if not self._batches:
-            return
-        batch = concatenate(self._batches)
-        self._batches, self._waiting = [], 0
-        self._joints = batch.q.shape[1]
-        self._numbered &= bool(np.all(batch.seq != UNNUMBERED))
-        if not self._step.size:
-            self._begin(batch.t, batch.q)
-        for part in np.split(np.arange(len(batch)), restarts(batch.t, self._latest_s)):
-            self._part(batch[part])
-
-    def _begin(self, t: Floats, q: Floats) -> None:
-        self._step = np.full(q.shape[1], np.inf)
-        self._fast_step = np.full(q.shape[1], np.inf)
-        period = float(np.median(np.abs(np.diff(t)))) if t.size > 1 else 0.0
+    def _begin(self, joints: int) -> None:
+        self._step = np.full(joints, np.inf)
+        self._fast_step = np.full(joints, np.inf)
+        period = self._order.period_s or 0.0
         if period >= NOTED_S:  # noted one by one: each is a bin of its own, and nothing is known between them
             period = 0.0
         self._bin_s, self._gap_s = max(BIN_S, 4.0 * period), max(READING_GAP_S, 5.0 * period)
 
-    def _part(self, batch: JointBatch) -> None:
-        """Readings of one segment."""
-        if not len(batch):
-            return
+    def _part(self, batch: JointBatch, begins: bool) -> None:
+        """Readings of one segment, which may begin with them."""
+        if not self._step.size:
+            self._begin(batch.q.shape[1])
+        self._numbered &= bool(np.all(batch.seq != UNNUMBERED))
         t, seq = batch.t, batch.seq
-        if self._last is None or self._returned or t[0] < self._latest_s - LATE_S:
-            if self._last is not None and self._returned and t[0] > self._latest_s and seq[0] > self._last[1]:
+        if begins:
+            if self._last is not None and t[0] > self._latest_s and seq[0] > self._last[1]:
                 self._holes.skip(self._last[1], int(seq[0]))  # the robot counted on while nobody listened
-            self._returned = False
             self._close_bin()
             self._arrivals.append(Arrivals(float(t[0]), int(batch.arrival_ns[0])))
             self._inputs.append(InputTrack())

@@ -22,12 +22,11 @@ from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
 
 from truearm.errors import SessionError
-from truearm.session.box_frames import decode, parse_exchange
+from truearm.session.box_frames import decode, parse_exchanges
 from truearm.session.box_ident import Channel
 from truearm.session.box_reader import Blocks, BoxReader
 from truearm.session.dwells import Dwell
-from truearm.session.joint_readings import ARRAYS, NO_INPUTS, UNNUMBERED, JointBatch, parse_lines, restarts
-from truearm.session.joint_readings import CHUNK as LINES
+from truearm.session.joint_readings import ARRAYS, NO_INPUTS, UNNUMBERED, JointBatch, ReadingOrder, concatenate
 from truearm.session.line_passes import Pass
 from truearm.session.message_columns import Messages
 from truearm.session.observations import Survey
@@ -110,12 +109,16 @@ class _Small:
         table = self._tables.setdefault(name, _Rows())
         table.rows.append(row)
         if len(table.rows) >= ROWS:
-            yield at, name, table.columns()
+            yield at, name, self.completed(table.columns())
 
     def flush(self) -> Iterator[Batch]:
         for name, table in self._tables.items():
             if table.rows:
-                yield name, table.columns()
+                yield name, self.completed(table.columns())
+
+    def completed(self, columns: Columns) -> Columns:
+        """The columns with what is worked out of all rows together."""
+        return columns
 
 
 class _Box(_Small):
@@ -132,14 +135,25 @@ class _Box(_Small):
             yield from self._stream(one)
         rows = messages.rows(lambda topic: topic in ("/box/heartbeat", "/box/event", "/sync"))
         segments = self._reader.segment_at(rows).tolist()
-        for at, segment, message in zip(rows.tolist(), segments, messages.of(rows), strict=True):
-            said = {"arrival_ns": message.t_host_ns, "segment": segment}
+        said = list(messages.of(rows))
+        exchanges = iter(parse_exchanges([message.data for message in said if message.topic == "/sync"]))
+        for at, segment, message in zip(rows.tolist(), segments, said, strict=True):
+            row = {"arrival_ns": message.t_host_ns, "segment": segment}
             if message.topic == "/sync":
-                times = parse_exchange(message.data)
-                t0, t1, t2, t3 = (UNKNOWN,) * 4 if times is None else times
-                yield from self.add(at, "sync", {**said, "t0_ns": t0, "t1_us": t1, "t2_us": t2, "t3_ns": t3})
+                t0, t1, t2, t3 = next(exchanges) or (UNKNOWN,) * 4
+                yield from self.add(at, "sync", {**row, "t0_ns": t0, "t1_us": t1, "t2_us": t2, "t3_ns": t3})
             else:
-                yield from self._frame(at, message, said)
+                yield from self._frame(at, message, row)
+
+    def completed(self, columns: Columns) -> Columns:
+        """With the host's times of what the box stamped."""
+        if "host_time_ns" in columns:
+            for segment in np.unique(columns["segment"]).tolist():
+                if segment in self._found.clocks:
+                    mine = columns["segment"] == segment
+                    placed = self._found.clocks[segment].to_host_ns(columns["t_us"][mine])
+                    columns["host_time_ns"][mine], columns["host_bound_ns"][mine] = placed
+        return columns
 
     def flush(self) -> Iterator[Batch]:
         for stream_id in list(self._blocks):
@@ -177,9 +191,7 @@ class _Box(_Small):
         row = dict(zip(names, frame[1:], strict=False))
         if "t_us" not in row:
             return
-        clock = self._found.clocks.get(said["segment"])
-        host, bound = (UNKNOWN, np.nan) if clock is None else (x[0] for x in clock.to_host_ns(np.array([row["t_us"]])))
-        times = {"host_time_ns": int(host), "host_bound_ns": float(bound)}
+        times = {"host_time_ns": UNKNOWN, "host_bound_ns": np.nan}
         yield from self.add(at, f"box_{kind}", {**said, **times, **{name: row.get(name, UNKNOWN) for name in names}})
 
 
@@ -243,45 +255,31 @@ class _Robot:
         self._units = tuple(units) or ("rad",) * n
         if n and len(self._units) != n:
             raise SessionError(f"the session has readings of {n} joints, the robot has {len(self._units)}")
-        self._lines: list[bytes] = []
-        self._arrival_ns: list[int] = []
+        self._order = ReadingOrder(len(self._units) or None)
         self._segment = -1
-        self._latest_s = -np.inf
         self._keys: set[str] = set()  # optional ones that came so far
 
     def take(self, messages: Messages) -> Iterator[Ready]:
-        rows = messages.rows(lambda topic: topic == "/robot/joints")
-        while len(rows):
-            some, rows = np.split(rows, [LINES - len(self._lines)])
-            self._lines += messages.payloads(some)
-            self._arrival_ns += messages.t_host_ns[some].tolist()
-            if len(self._lines) >= LINES:
-                for name, columns in self.flush():
-                    yield int(some[-1]), name, columns
+        for batch in self._joined(self._order.take(messages)):
+            yield len(messages), *batch
 
     def flush(self) -> Iterator[Batch]:
-        batch = parse_lines(self._lines, self._arrival_ns, len(self._units) or None)
-        self._lines, self._arrival_ns = [], []
-        if not len(batch):
+        yield from self._joined(self._order.finish())
+
+    def _joined(self, pieces: Sequence[tuple[bool, JointBatch]]) -> Iterator[Batch]:
+        """One table of pieces of one segment each."""
+        if not pieces:
             return
-        t, seq = batch.t, batch.seq
-        starts = restarts(t, self._latest_s)
-        if self._segment < 0:
-            starts = np.union1d([0], starts)
-        segment = np.zeros(t.size, np.int64)
-        segment[starts] = 1
-        segment = self._segment + np.cumsum(segment)
-        current = t[int(starts[-1]) :] if starts.size else t
-        self._latest_s = max(float(current.max()), -np.inf if starts.size else self._latest_s)
-        self._segment = int(segment[-1])
-        host = np.empty(t.size, np.int64)
-        for k in np.unique(segment):
-            host[segment == k] = self._clocks[k].to_host_ns(t[segment == k])
+        segments = self._segment + np.cumsum([begins for begins, _ in pieces])
+        self._segment = int(segments[-1])
+        host = [self._clocks[k].to_host_ns(piece.t) for k, (_, piece) in zip(segments.tolist(), pieces, strict=True)]
+        batch = concatenate([piece for _, piece in pieces])
+        seq = batch.seq
         columns: Columns = {
             "arrival_ns": batch.arrival_ns,
-            "host_time_ns": host,
-            "segment": segment,
-            "controller_time_s": t,
+            "host_time_ns": np.concatenate(host),
+            "segment": np.repeat(segments, [len(piece) for _, piece in pieces]),
+            "controller_time_s": batch.t,
             "seq": np.where(seq == UNNUMBERED, UNKNOWN, seq),
             **{f"q{j}_{unit}": batch.q[:, j - 1] for j, unit in enumerate(self._units, start=1)},
         }
