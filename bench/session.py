@@ -2,6 +2,7 @@
 
     .venv/bin/python bench/session.py             # 73 and 292 minutes, two seeds, and one with faults
     .venv/bin/python bench/session.py --quick     # 10 minutes
+    .venv/bin/python bench/session.py --long      # peak memory of six hours at 4069 samples a second; a third of an hour
 
 The sessions are made here: a box at 1017 samples a second with four channels, a robot that says its joints 50 times a second, a dwell every 2.7 s.
 Faulty ones have 1 % of the box's frames lost, doubled, flipped or swapped, and restarts. Seconds are of the processor, on one
@@ -33,12 +34,14 @@ import session_stream
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.session.box_reader import BoxReader
-from truearm.session.joint_readings import CHUNK, JointReader
+from truearm.session.joint_readings import CHUNK, JointReader, format_reading
 from truearm.session.message_columns import columns_of
 from truearm.session.observations import observations
 from truearm.session.plan_matching import Marks
 from truearm.session.session_file import Session, open_session
 from truearm.types import Message
+from truearm_wire import messages as wire
+from truearm_wire.cbor import Tag
 
 DWELL_S = 2.7
 RUNS = 3
@@ -71,6 +74,47 @@ def write(path: Path, minutes: float, seed: int, faulty: bool) -> None:
     with SessionWriter(path, HostClock()) as writer:
         for message in with_faults(rng, messages) if faulty else messages:
             writer.add(*message)
+
+
+def write_long(path: Path, hours: float, faster: int = 4) -> None:
+    """A session of a box that samples ``faster`` times as often as otherwise, made second by second: it does not fit into memory."""
+    rng = np.random.default_rng(1)
+    q = rng.uniform(-1.5, 1.5, (round(3600 * hours / DWELL_S), 6))
+    length = 0.46 + rng.uniform(-0.03, 0.03, len(q))
+    corners = 5.0 + DWELL_S * np.repeat(np.arange(len(q)), 2) + np.tile([0.0, 2.0], len(q))
+    period_ns = session_stream.PERIOD_NS // faster
+    place_s = 1e-9 * period_ns * np.arange(session_stream.BLOCK)
+    box = session_stream.Box(ppm=31.0, boot_host_ns=-3_000_000_000)
+    box.ident(1_000_000)
+    seq, at_s = 0, 2.0
+    with SessionWriter(path, HostClock()) as writer:
+        for pose, row in enumerate(q):
+            fittings = {"bar": "b46", "chuck": "c1", "sphere": "s1", "shell": "s46"}
+            writer.add_json("/plan", 0, {"pose": pose, "q": row.tolist(), **fittings})
+        for second in range(2, int(corners[-1]) + 1):
+            for t_ns in range(10**9 * second, 10**9 * (second + 1), 250_000_000):
+                box.sync(t_ns, 90e3 + rng.exponential(1e5), 90e3 + rng.exponential(1e5))
+            box.heartbeat(10**9 * second)
+            while at_s < second + 1:
+                metres = np.interp(at_s + place_s, corners, np.repeat(length - 0.46, 2))
+                counts = np.zeros((session_stream.BLOCK, session_stream.CHANNELS), "<i4")
+                counts[:, 0] = session_stream.counts_of(metres + 3e-6 * rng.standard_normal(metres.size))
+                t_ns = round(1e9 * at_s)
+                samples = Tag(78, counts.tobytes())
+                block = box.n0, box.device_us(t_ns), period_ns, samples, 0
+                box.frame("adc", t_ns + session_stream.BLOCK * period_ns + 300_000, wire.DATA, 0, *block)
+                box.n0 += session_stream.BLOCK
+                at_s += 1e-9 * session_stream.BLOCK * period_ns
+            times = second + np.arange(50) / 50
+            readings = np.stack([np.interp(times, corners, np.repeat(column, 2)) for column in q.T], axis=1)
+            for k, (t, row) in enumerate(zip(times.tolist(), (np.rint(readings / 1e-4) * 1e-4).tolist(), strict=True)):
+                line = format_reading(1000.0 + t, 50 * second + k, row)
+                box.messages.append(Message("/robot/joints", round(1e9 * t) + 500_000, line))
+            for message in sorted(box.messages, key=lambda message: message.t_host_ns):
+                counts_in = message.topic.startswith("/box/")
+                writer.add(*(renumbered(message, seq) if counts_in else message))
+                seq += counts_in
+            box.messages = []
 
 
 def with_faults(rng: np.random.Generator, messages: list[Message]) -> list[Message]:
@@ -202,5 +246,9 @@ if __name__ == "__main__":
         observations(open_session(Path(sys.argv[-1])).batches, session_stream.RIG)
         status = Path("/proc/self/status").read_text()  # getrusage's is no less than the parent's
         print(int(status.split("VmHWM:")[1].split()[0]) / 1024)
+    elif "--long" in sys.argv:
+        with tempfile.TemporaryDirectory() as folder:
+            write_long(Path(folder) / "long.mcap", hours=6.0)
+            print(f"6 h at 4 kHz: peak memory {peak_mb(Path(folder) / 'long.mcap'):.0f} MB")
     else:
         main("--quick" in sys.argv)
