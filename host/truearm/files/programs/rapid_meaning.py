@@ -24,6 +24,7 @@ from truearm.files.programs.values import (
     Value,
     Values,
     combined,
+    first_unknown,
     fixed_mm,
     joined,
     numbers_of,
@@ -64,6 +65,7 @@ MOVES: Mapping[str, Move] = {
         words("spotl spotj spotml spotmj paintl displ dispj capl nutl nutj arcmovel arcmovej"), Move((0,), -1)
     ),
     **dict.fromkeys(words("paintc dispc capc"), Move(_TWO, -1)),
+    **dict.fromkeys(words("paintldo paintlsig"), Move((0,), -1)),
 }
 _LINEAR = ("movel", "triggl", "searchl", "arcl", "arcmovel", "spotl", "spotml", "paintl", "displ", "capl", "nutl")
 STRAIGHT = frozenset(name for name in MOVES if name.startswith(_LINEAR))
@@ -76,49 +78,64 @@ AIMLESS = words(
 )
 QUIET = words(
     """
-    accset acteventbuffer actunit add aliasio aliasioreset bitclear bitset bookerrno break cancelload
-    checkprogref cirpathmode clear cleariobuff clearpath clearrawbytes clkreset clkstart clkstop close closedir comment
-    confj confl copyfile copyrawbytes corrclear corrcon corrdiscon corrwrite cssact cssdeact deacteventbuffer deactunit
-    decr ditheract ditherdeact dropsensor dropwobj egmactjoint egmactmove egmactpose egmgetid egmreset egmsetupai
-    egmsetupao egmsetupgi egmsetupuc egmstop egmstreamstart egmstreamstop erasemodule errlog errraise errwrite exitcycle
-    fccalib fcdeact fcloadid getdataval getsysdata gettrapdata gripload hollowwristreset idelete idisable ienable ierror
-    incr indreset invertdo iobusstart iobusstate iodisable ioenable ipers irmqmessage isignalai isignalao isignaldi
-    isignaldo isignalgi isignalgo isleep itimer ivarvalue iwatch load loadid makedir manloadidproc mechunitload
+    accset acteventbuffer actunit add aliascamera aliasio aliasioreset arcrefresh bitclear bitset bookerrno break
+    camflush camgetparameter camgetresult camloadjob camreqimage camsetexposure camsetparameter camsetprogrammode
+    camsetrunmode camstartloadjob camwaitloadjob cancelload capaptrsetup capaptrsetupai capaptrsetupao
+    capaptrsetuppers capcondsetdo capequidist capnoprocess caprefresh capsetstopmode capweavesync checkprogref
+    cirpathmode clear cleariobuff clearpath clearrawbytes clkreset clkstart clkstop close closedir comment confj
+    confl consolewrite copyfile copyrawbytes cornerpathwarning corrclear corrcon corrdiscon corrwrite cssact
+    cssdeact deacteventbuffer deactunit decr ditheract ditherdeact dropsensor dropwobj egmactjoint egmactmove
+    egmactpose egmgetid egmreset egmsetupai egmsetupao egmsetupgi egmsetupltapp egmsetupuc egmstop egmstreamstart
+    egmstreamstop erasemodule errlog errraise errwrite exitcycle fccalib fcdeact fcloadid fitcircle getdataval
+    getgroupsignalinfo getjointdata getsysdata gettorquemargin gettrapdata gripload hollowwristreset icap idelete
+    idisable ienable ierror incr indreset initsuperv invertdo iobusstart iobusstate iodisable ioenable ipathpos
+    ipers ipssetparam irmqmessage isignalai isignalao isignaldi isignaldo isignalgi isignalgo isleep itimer
+    ivarvalue iwatch load loadid makedir manloadidproc matrixsolve matrixsolveqr matrixsvd mechunitload
     motionprocessmodeset motionsup moveextj open opendir packdnheader packrawbytes pathacclim pathlengthreset
-    pathlengthstart pathlengthstop pathrecmovebwd pathrecmovefwd pathrecstart pathrecstop pathresol procerrrecovery
-    pulsedo raisetouser readanybin readblock readcfgdata readerrdata readrawbytes removedir removefile renamefile reset
-    resetppmoved resetretrycount restopath rewind rmqemptyqueue rmqfindslot rmqgetmessage rmqgetmsgdata rmqgetmsgheader
-    rmqreadwait rmqsendmessage rmqsendwait save savecfgdata scwrite sendevice set setao setdatasearch
-    setdo setgo setleadthrough setsysdata singarea skipwarn socketaccept socketbind socketclose socketconnect
-    socketcreate socketlisten socketreceive socketreceivefrom socketsend socketsendto softact softdeact speedlimaxis
-    speedlimcheckpoint speedrefresh spystart spystop startload startmove startmoveretry stcalib stclose stepbwdpath
-    stindgun stindgunreset stop stopen stopmove stopmovereset storepath sttune sttunereset supsyncsensoroff
-    supsyncsensoron syncmoveoff syncmoveon syncmoveresume syncmovesuspend syncmoveundo synctosensor systemstopaction
-    testsigndefine testsignreset texttabinstall tperase tpreaddnum tpreadfk tpreadnum tpshow tpwrite triggcheckio
-    triggdatacopy triggdatareset triggequip triggint triggio triggrampao triggspeed triggstopproc tryint tunereset
-    tuneservo uimsgbox uimsgwrite uimsgwriteabort uishow unload unpackrawbytes velset waitai waitao waitdi waitdo waitgi
-    waitgo waitload waitrob waitsensor waitsynctask waittestandset waittime waituntil waitwobj warmstart worldacclim write
-    writeanybin writebin writeblock writecfgdata writerawbytes writestrbin writevar wzboxdef wzcyldef wzdisable wzdoset
-    wzenable wzfree wzhomejointdef wzlimjointdef wzlimsup wzsphdef
+    pathlengthstart pathlengthstop pathrecmovebwd pathrecmovefwd pathrecstart pathrecstop pathresol pntproduserlog
+    procerrrecovery pulsedo raisetouser readanybin readblock readcfgdata readerrdata readrawbytes readvararr
+    recoverymenu recoverymenuwr recoveryposreset recoveryposset removeallcyclicbool removecyclicbool removedir
+    removefile removesuperv renamefile reset resetaxisdistance resetaxismovetime resetppmoved resetretrycount
+    resettorquemargin restopath rewind rmqemptyqueue rmqfindslot rmqgetmessage rmqgetmsgdata rmqgetmsgheader
+    rmqreadwait rmqsendmessage rmqsendwait safetycontrollersyncrequest save savecfgdata scwrite sendevice set setao
+    setbrush setbrushfac setdatasearch setdo setgo setleadthrough setsysdata settmsignal setupcyclicbool setupsuperv
+    setwrprocname siclose siconnect sigetcyclic singarea sisetcyclic skipwarn socketaccept socketbind socketclose
+    socketconnect socketcreate socketlisten socketreceive socketreceivefrom socketsend socketsendto softact
+    softdeact speedlimaxis speedlimcheckpoint speedrefresh spystart spystop startload startmove startmoveretry
+    stcalib stclose stepbwdpath stindgun stindgunreset stop stopen stopmove stopmovereset storepath sttune
+    sttunereset supsyncsensoroff supsyncsensoron swgetcalibdata swgetfixtipdata swsetintforcedata swsetintgundata
+    swsetintsimdata swsetintspotdata syncmoveoff syncmoveon syncmoveresume syncmovesuspend syncmoveundo synctosensor
+    systemstopaction testsigndefine testsignreset texttabinstall tperase tpreaddnum tpreadfk tpreadnum tpshow
+    tpwrite triggcheckio triggdatacopy triggdatareset triggequip triggint triggio triggrampao triggspeed
+    triggstopproc tryint tunereset tuneservo uimsgbox uimsgwrite uimsgwriteabort uishow unload unpackrawbytes velset
+    waitai waitao waitdi waitdo waitgi waitgo waitload waitrob waitsensor waitsynctask waittestandset waittime
+    waituntil waitwobj warmstart worldacclim write writeanybin writebin writeblock writecfgdata writerawbytes
+    writestrbin writevar writevararr wzboxdef wzcyldef wzdisable wzdoset wzenable wzfree wzhomejointdef
+    wzlimjointdef wzlimsup wzsphdef
     """
 )
 FUNCTIONS = words(
     """
-    abs absdnum acos ainput aoutput argname asin atan atan2 bitand bitanddnum bitcheck bitcheckdnum bitlsh bitlshdnum
-    bitneg bitnegdnum bitor bitordnum bitrsh bitrshdnum bitxor bitxordnum bytetostr calcjointt calcrobt calcrotaxframez
-    calcrotaxisframe cdate cjointt clkread corrread cos cpos crobt cspeedoverride ctime ctool cwobj dectohex defaccframe
-    defdframe defframe dim dinput distance dnumtonum dnumtostr dotprod doutput egmgetstate eulerzyx eventtype exechandler
-    execlevel exp filesize filetime fssize getmecunitname getmodalpayloadmode getmotortorque getnextmechunit getnextsym
-    getserviceinfo getsignalorigin getsysinfo gettaskname gettime ginput ginputdnum goutput goutputdnum hextodec indinpos
-    indspeed iounitstate isfile ismechunitactive ispers isstopmoveact isstopstateevent issyncmoveon issysid isvar max
-    maxrobspeed min mirpos modexist modtime motionplannerno nonmotionmode norient numtodnum numtostr opmode orientzyx
-    orobt paridposvalid paridrobvalid pathlengthget pathlevel pathrecvalidbwd pathrecvalidfwd pfrestart poseinv posemult
+    abs absdnum acos acosdnum ainput aoutput argname asin asindnum atan atan2 atan2dnum atandnum bitand bitanddnum
+    bitcheck bitcheckdnum bitlsh bitlshdnum bitneg bitnegdnum bitor bitordnum bitrsh bitrshdnum bitxor bitxordnum
+    bytetostr calcjointt calcrobt calcrotaxframez calcrotaxisframe camgetexposure camgetloadedjob camgetname
+    camnumberofresults capgetfailsigs cdate cjointt clkread corrread cos cosdnum cpos crobt crossprod cspeedoverride
+    ctime ctool cwobj dectohex defaccframe defdframe defframe dim dinput distance dnumtonum dnumtostr dotprod
+    doutput egmgetstate eulerzyx eventtype exechandler execlevel exp filesize filetime filetimednum fssize
+    getaxisdistance getaxismovetime getmaxnumberofcyclicbool getmecunitname getmodalpayloadmode getmotortorque
+    getnextcyclicbool getnextmechunit getnextsym getnumberofcyclicbool getserviceinfo getsignal getsignaldnum
+    getsignalorigin getsysinfo gettaskname gettime gettspstatus getuasusername ginput ginputdnum goutput goutputdnum
+    hextodec indinpos indspeed iounitstate isbrakecheckactive iscyclicbool isfile isleadthrough ismechunitactive
+    ispers isstopmoveact isstopstateevent issyncmoveon issysid isvar max maxextlinearspeed maxextreorientspeed
+    maxrobspeed min mirpos modexist modtime motionplannerno nonmotionmode norient numtodnum numtostr opmode orobt
+    paridposvalid paridrobvalid pathlengthget pathlevel pathrecvalidbwd pathrecvalidfwd pfrestart poseinv posemult
     posevect pow powdnum ppmovedinmanmode present progmemfree rawbyteslen readbin readdir readmotor readnum readstr
-    readstrbin readvar remainingretries rmqgetslotname robname robos round rounddnum runmode sin socketgetstatus
-    socketpeek sqrt sqrtdnum stcalcforce stcalctorque stiscalib stisclosed stisindgun stisopen strdigcalc strdigcmp
-    strfind strformat strlen strmap strmatch strmemb strorder strpart strtobyte strtoval tan taskrunmec taskrunrob
-    tasksinsync testandset testdi testsignread textget texttabfreetouse texttabget trunc truncdnum type uialphaentry
-    uiclientexist uidnumentry uidnumtune uilistview uimessagebox uinumentry uinumtune validio valtostr vectmagn
+    readstrbin readvar remainingretries rmqgetslotname robname robos round rounddnum runmode sin sindnum
+    socketgetstatus socketpeek sqrt sqrtdnum stcalcforce stcalctorque stiscalib stisclosed stisindgun stisopen
+    strdigcalc strdigcmp strfind strformat strlen strmap strmatch strmemb strorder strpart strtobyte strtoval tan
+    tandnum taskisactive taskisexecuting taskrunmec taskrunrob tasksinsync testandset testdi testsignread textget
+    texttabfreetouse texttabget trunc truncdnum type uialphaentry uiclientexist uidnumentry uidnumtune uilistview
+    uimessagebox uinumentry uinumtune validio valtostr vectmagn
     """
 )
 BY_NAME = words("callbyvar setalldataval setdataval")
@@ -191,6 +208,8 @@ class Rapid:
             return arguments[0]
         if name == "offs" and len(arguments) == 4:
             return combined(at, lambda *given: _offs(given, at), arguments)
+        if name == "orientzyx" and len(arguments) == 3:
+            return combined(at, lambda *given: _orient(given, at), arguments)
         if name == "reltool" and len(arguments) == 4:
             turns = [named.get(key, (Number(0.0),)) for key in ("rx", "ry", "rz")]
             return combined(at, lambda *given: _reltool(given, at), [*arguments, *turns])
@@ -412,6 +431,15 @@ def _reltool(given: Sequence[Value], at: int) -> Value:
         )
     turn = Rotation.from_euler("XYZ", numbers[3:], degrees=True)
     return times(target, shifted([float(MM.to_si(value)) for value in numbers[:3]]), turned(turn))
+
+
+def _orient(given: Sequence[Value], at: int) -> Value:
+    """A quaternion, scalar first, of turns about z, the new y, the new x [deg]."""
+    numbers = _numbers(given)
+    if numbers is None:
+        return first_unknown(given) or Unknown("the angles of OrientZYX are not known", at)
+    x, y, z, w = Rotation.from_euler("ZYX", numbers, degrees=True).as_quat().tolist()
+    return Listed(tuple((Number(value),) for value in (w, x, y, z)))
 
 
 def _items(of: Value) -> tuple[Values, ...] | None:

@@ -53,7 +53,7 @@ _NO_NAMES = _CLOSING | {"def", "thread", "sec", "if", "while", "return", "break"
 
 def read_urscript(source: Source) -> Block:
     """The statements of a program. Raises ProgramError with file and line."""
-    reader = _Reader(source, _TOKENS)
+    reader = _Reader(source)
     block = reader.block()
     if reader.kind != END:
         raise reader.wrong(f"{reader.text} closes nothing")
@@ -61,7 +61,13 @@ def read_urscript(source: Source) -> Block:
 
 
 class _Reader(Reader):
-    """The grammar by recursive descent."""
+    """The grammar by recursive descent. ``open``: brackets that are open."""
+
+    __slots__ = ("open",)
+
+    def __init__(self, source: Source) -> None:
+        super().__init__(source, _TOKENS)
+        self.open = 0
 
     def block(self) -> Block:
         """Statements up to the word that closes them, which is left."""
@@ -172,7 +178,7 @@ class _Reader(Reader):
         return self.once(self.step())
 
     def expression(self, least: int = 0) -> Expression:
-        """An expression whose operators bind at least so strongly."""
+        """An expression whose operators bind at least so strongly; within brackets it goes on in the next line."""
         start, text = self.start, self.text
         if text == "not":
             self.step()
@@ -182,8 +188,12 @@ class _Reader(Reader):
             left = self.operation(text, (self.expression(_MINUS),), start)
         else:
             left = self.postfix()
+        if self.open:
+            self.spaces()
         while (binds := _BINDS.get(self.text, -1)) > least and self.kind in ("sign", "word"):
             sign = self.step()
+            if self.open:
+                self.spaces()
             left = self.operation(sign, (left, self.expression(binds)), start)
         return left
 
@@ -258,6 +268,7 @@ class _Reader(Reader):
     def arguments(self) -> tuple[tuple[Expression, ...], tuple[tuple[str, Expression], ...]]:
         """What stands in the brackets of a call."""
         self.deeper()
+        self.open += 1
         self.step()
         values: list[Expression] = []
         named: list[tuple[str, Expression]] = []
@@ -276,6 +287,7 @@ class _Reader(Reader):
                 self.spaces()
             elif self.text != ")":
                 raise self.unexpected("a comma or )")
+        self.open -= 1
         self.step()
         self.depth -= 1
         return tuple(values), tuple(named)
@@ -283,6 +295,7 @@ class _Reader(Reader):
     def bracketed(self, closing: str) -> tuple[Expression, ...]:
         """Expressions between commas up to a closing bracket, which is taken."""
         self.deeper()
+        self.open += 1
         items: list[Expression] = []
         self.spaces()
         while self.text != closing:
@@ -293,6 +306,7 @@ class _Reader(Reader):
                 self.spaces()
             elif self.text != closing:
                 raise self.unexpected(f"a comma or {closing}")
+        self.open -= 1
         self.step()
         self.depth -= 1
         return tuple(items)
