@@ -638,6 +638,13 @@ class Machine:
         """Along the axes of the work object; what was taught keeps its configuration."""
         return type(target)([[a + b for a, b in zip(target[0], (x, y, z), strict=True)], *target[1:]])
 
+    def OrientZYX(self, z, y, x):
+        """Turns about z, then the new y, then the new x."""
+        about = zip(np.deg2rad([z, y, x]), np.eye(3)[::-1], strict=True)
+        turns = [Rotation.from_rotvec(angle * axis) for angle, axis in about]
+        i, j, k, w = (turns[0] * turns[1] * turns[2]).as_quat().tolist()
+        return [w, i, j, k]
+
     def RelTool(self, target, x, y, z, rx=0.0, ry=0.0, rz=0.0):
         """Along the axes of the tool; turns about x, then the new y, then the new z."""
         turn = Rotation.from_rotvec([np.deg2rad(rx), 0, 0]) * Rotation.from_rotvec([0, np.deg2rad(ry), 0])
@@ -665,5 +672,8 @@ INSTRUCTIONS = {
     for name in ("MoveAbsJ", "MoveJ", "MoveL", "MoveC", "TriggL", "TriggJ", "SearchL", "ArcL", "ArcC", "SpotL", "SpotJ", "ConfJ", "ConfL", "SetDO", "WaitTime",
                  "WaitDI", "TPWrite", "Stop", "Add", "Incr", "Decr", "Clear")
 }  # fmt: skip
-FUNCTIONS = {name.lower(): getattr(Machine, name) for name in ("CalcRobT", "CRobT", "Offs", "RelTool", "DInput", "Dim")}
+FUNCTIONS = {
+    name.lower(): getattr(Machine, name)
+    for name in ("CalcRobT", "CRobT", "Offs", "OrientZYX", "RelTool", "DInput", "Dim")
+}
 WRITES = ("searchl", "add", "incr", "decr", "clear")  # arguments that they change

@@ -126,6 +126,7 @@ SCRIPT_FORMS = {
     "routine that gives a pose": (["def at():", f"return {P}", "end", "movel(at())"], [3]),
     "global": ([f"global W={P}", "def go():", "movel(W)", "end", "go()"], [2]),
     "step marker after a definition": ([f"W = {P}", '$ 3 "MoveJ" "noBreak"', "movel(W)"], [2]),
+    "operators over lines": (["while (not a and", "  b", "  < 3):", f"movel({P})", "end", "x = [1 +", " 2]"], [5]),
     "several lines": (["movel(pose_trans(", f"{Q},", f"{P}", "),", "a=1.2)"], [4]),
 }  # fmt: skip
 

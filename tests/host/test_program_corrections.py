@@ -120,6 +120,25 @@ def test_the_true_arm_goes_where_a_perfect_one_would(tmp_path, form):
     assert misses(text, corrected(tmp_path, text)).max() < 1e-6
 
 
+def test_a_pose_whose_elements_are_set_is_split(tmp_path):
+    """As PolyScope writes it: the orientation from roll, pitch and yaw, the height from a sum."""
+    turn = Rotation.from_matrix(POSES[1][:3, :3])
+    rpy = turn.as_euler("xyz")
+    text = program(
+        f"W_p = {six(POSES[1])}",
+        f"rot = rpy2rotvec({written(rpy)})",
+        "W_p[3] = rot[0]",
+        "W_p[4] = rot[1]",
+        "W_p[5] = rot[2]",
+        f"W_p[2] = {POSES[1][2, 3] - 0.01:.9f} +",
+        "movej(W_p)",
+    ).replace("+\n", "+ 0.01\n")
+    with pytest.raises(ProgramRefused) as caught:
+        corrected(tmp_path, text)
+    assert {(one.line, one.remedy) for one in caught.value.refused} == {(8, "split")}
+    assert misses(text, corrected(tmp_path, text, split=True)).max() < 1e-6
+
+
 def test_one_point_under_two_tools_is_split(tmp_path):
     text = program(f"W = {six(POSES[1])}", "movej(W)", f"set_tcp(p{written(TOOLS[1])})", "movej(W)")
     with pytest.raises(ProgramRefused) as caught:
@@ -268,6 +287,16 @@ def test_the_true_arm_goes_where_a_perfect_one_would_in_rapid(tmp_path, form):
     text = module([*(f"VAR num {name}:=0;" for name in EXTRA), *data], main, *routines)
     assert misses(text, text)[:, 0].max() > 5e-3
     assert misses(text, corrected(tmp_path, text)).max() < 1e-6
+
+
+def test_an_orientation_from_angles_is_split(tmp_path):
+    z, y, x = Rotation.from_matrix(POSES[1][:3, :3]).as_euler("ZYX", degrees=True)
+    data = [f"VAR robtarget now:={robtarget(1)};"]
+    text = module(data, [f"now.rot:=OrientZYX({z:.9f},{y:.9f},{x:.9f});", "MoveJ now,v100,fine,t0;"])
+    with pytest.raises(ProgramRefused) as caught:
+        corrected(tmp_path, text)
+    assert {one.remedy for one in caught.value.refused} == {"split"}
+    assert misses(text, corrected(tmp_path, text, split=True)).max() < 1e-6
 
 
 @st.composite

@@ -407,6 +407,11 @@ class Machine:
     def pose_inv(self, p_from):
         return self._pose(np.linalg.inv(p_from.matrix()))
 
+    def rpy2rotvec(self, rpy):
+        """Roll, pitch, yaw: about the fixed x, y, z."""
+        roll, pitch, yaw = (Rotation.from_rotvec(angle * axis) for angle, axis in zip(rpy, np.eye(3), strict=True))
+        return (yaw * pitch * roll).as_rotvec().tolist()
+
     def pose_add(self, p_1, p_2):
         turn = Rotation.from_rotvec(p_1.six[3:]) * Rotation.from_rotvec(p_2.six[3:])
         return Pose((*(a + b for a, b in zip(p_1.six[:3], p_2.six[:3], strict=True)), *turn.as_rotvec()))
@@ -454,7 +459,7 @@ class Machine:
 
 BUILTINS = {
     name: getattr(Machine, name)
-    for name in ("movej", "movel", "movep", "movec", "servoj", "servoc", "optimovej", "optimovel", "get_inverse_kin", "pose_trans", "pose_inv", "pose_add",
+    for name in ("movej", "movel", "movep", "movec", "servoj", "servoc", "optimovej", "optimovel", "get_inverse_kin", "pose_trans", "pose_inv", "pose_add", "rpy2rotvec",
                  "pose_sub", "get_actual_tcp_pose", "get_tcp_offset", "random", "set_payload", "set_tcp", "sleep", "popup", "textmsg", "set_standard_digital_out",
                  "get_standard_digital_in")
 }  # fmt: skip

@@ -207,8 +207,7 @@ class UrScript(NamedTuple):
         if items is None or not isinstance(at, Number) or not 0 <= int(at.value) < len(items):
             return first_unknown((of,)) or Unknown("an element is assigned that is not followed", place)
         k = int(at.value)
-        changed = Listed((*items[:k], new, *items[k + 1 :]), isinstance(of, Pose))
-        return _as_pose(changed, place) if isinstance(of, Pose) else changed
+        return Listed((*items[:k], new, *items[k + 1 :]), isinstance(of, Pose) or (isinstance(of, Listed) and of.pose))
 
 
 def analyse(source: Source, block: Block, tool: Values, harmless: frozenset[str]) -> Flow:
