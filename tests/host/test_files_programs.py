@@ -1,12 +1,15 @@
 """Robot programs: what each move goes to is found, only the numbers of targets change, and nothing hostile does harm."""
 
 import contextlib
+import random
+import time
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from tests.host.mutations import is_clear
 
 from truearm.errors import ProgramError
 from truearm.files.programs.new_text import changed_text, changes_of, joint_changes, marks_of, solved
@@ -372,6 +375,12 @@ BAD = [
     ("MODULE m\nPROC main()\n", "rapid", "line 3: the file ends where ENDPROC"),
     ("MODULE m\n]", "rapid", "line 2: ']' stands where a declaration or a routine should"),
     (f"movel({'(' * (MAX_DEPTH + 1)}", "urscript", "nested more than"),
+    (f"x = {'not ' * 5000}a", "urscript", "line 1: is nested more than"),
+    (f"x = {'1+' * 5000}1\nmovel({P})", "urscript", "nested too deeply"),
+    (f"movel(a{'.a' * 5000})", "urscript", "nested too deeply"),
+    (f"MODULE m\nPROC main()\nx:={'-' * 5000}1;\nENDPROC ENDMODULE", "rapid", "line 3: is nested more than"),
+    (f"MODULE m\nPROC main()\nx:=1{'+1' * 5000};\nENDPROC ENDMODULE", "rapid", "nested too deeply"),
+    (f"MODULE m\nPROC main()\nx:={'(' * 5000}1;\nENDPROC ENDMODULE", "rapid", "line 3: is nested more than"),
     ("movel(p[1,2,3000,4,5,6])", "urscript", "line 1: 3000 is not a place that a robot reaches"),
     (f"MODULE m\nPROC main()\nMoveL [[1,2,3],[1,1,0,0],[0,0,0,0],{FREE}],v1,fine,tool0;\nENDPROC\nENDMODULE", "rapid", "line 3: the orientation is no unit quaternion"),
     (f"MODULE m\nPROC main()\nMoveL [[1e9999,2,3],[1,0,0,0],[0,0,0,0],{FREE}],v1,fine,tool0;\nENDPROC\nENDMODULE", "rapid", "not a place that a robot reaches"),
@@ -416,6 +425,124 @@ def test_routines_that_call_each_other_are_followed_within_a_bound():
     lines = [f"def f{k}():\nf{k + 1}()\nf{k + 1}()\nend" for k in range(19)] + [f"def f19():\nmovel({P})\nend"]
     with pytest.raises(ProgramError, match="too involved"):
         parsed("def prog():\n" + "\n".join(reversed(lines)) + "\nf0()\nend", "urscript")
+
+
+def mutated(rng, text):
+    """A few changes of a program: parts cut, doubled, moved, replaced by words of the language, brackets and bytes."""
+    data = bytearray(text.encode("latin-1"))
+    for _ in range(rng.choice([1, 1, 2, 4])):
+        at, size = rng.randrange(len(data) + 1), rng.choice([0, 1, 1, 3, 8, 40])
+        part = bytes(data[rng.randrange(len(data) + 1) :][: rng.choice([1, 6, 30])])
+        words = [
+            b"(",
+            b")",
+            b"[",
+            b"]",
+            b"p[",
+            b",",
+            b";",
+            b"end",
+            b"ENDPROC",
+            b"def f():",
+            b"%",
+            b'"',
+            b"'",
+            b"\\",
+            b":=",
+            b"\n",
+            b"9e999",
+            b"-",
+            b"\x00",
+            b"\xff",
+            part,
+        ]
+        data[at : at + size] = rng.choice(words)
+    return bytes(data)
+
+
+def check_mutations(text, language, seed, n):
+    """Each is refused in one line, or read; then every byte that is no number of a target stays, and what is written is read again."""
+    rng, read = random.Random(seed), 0
+    for _ in range(n):
+        data = mutated(rng, text)
+        try:
+            program = parsed(data, language)
+            targets = targets_of(program, True, False)
+        except ProgramError as exc:
+            is_clear(exc)
+            continue
+        read += 1
+        poses = targets.poses
+        told = poses_of(poses)[0]
+        new = solved(poses, told)
+        after = changed_text(program, changes_of(program, poses, told, new))
+        spans = sorted({(c.start, c.end) for c in changes_of(program, poses, told, new)})
+        outside, at, rest = [], 0, after
+        for start, end in [*spans, (len(data), len(data))]:
+            piece = data[at:start]
+            where = rest.find(piece)
+            assert where >= 0
+            outside.append(piece)
+            rest, at = rest[where + len(piece) :], end
+        assert rest == b""
+        again = targets_of(parsed(after, language), True, False)
+        assert len(again.poses) == len(poses)
+        np.testing.assert_allclose(poses_of(again.poses)[0], told, atol=1e-6)
+    return read
+
+
+@pytest.mark.parametrize(("text", "language"), BOTH)
+def test_mutated_programs_are_read_or_refused(text, language):
+    assert 5 < check_mutations(text, language, 1, 100) < 100
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize(("text", "language"), BOTH)
+def test_three_thousand_mutations(text, language):
+    assert check_mutations(text, language, 2, 3000) > 300
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("language", ["rapid", "urscript"])
+def test_a_megabyte_takes_no_second_whatever_is_in_it(language):
+    """Programs of 1 MB with a few changes, and with 1 MB of one thing."""
+    if language == "rapid":
+        lines = [f"MoveL Offs({T1},{k},0,0),v10,fine,tool0;" for k in range(10_000)]
+        whole = "\n".join(["MODULE m", "PROC main()", *lines, "ENDPROC", "ENDMODULE"])
+    else:
+        whole = "\n".join(["def p():", *[f"movel(pose_trans({P}, p[0,0,{k}e-4,0,0,0]))" for k in range(16_000)], "end"])
+    rng = random.Random(3)
+    texts = [mutated(rng, whole) for _ in range(15)]
+    texts += [
+        part * (2**20 // len(part))
+        for part in (
+            b"(",
+            b"[",
+            b"p[",
+            b" ",
+            b"\n",
+            b"a",
+            b"1",
+            b"%",
+            b'"',
+            b"!",
+            b"#",
+            b"def f():\n",
+            b"if a:\n",
+            b"[1,",
+            b"a.",
+            b"a{",
+            b"not ",
+        )
+    ]
+    for text in texts:
+        took = []
+        for _ in range(2):  # the machine's other work is no fault of ours: the faster of two counts
+            start = time.process_time()
+            with contextlib.suppress(ProgramError):
+                targets_of(parsed(text, language), True, False)
+            took.append(time.process_time() - start)
+        assert min(took) < 1.0, text[:40]
 
 
 # one thing in a program that cannot be known: that move is refused by its line, and the others are corrected

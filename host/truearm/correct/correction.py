@@ -84,9 +84,10 @@ def correct(
     nominal = _nominal(pair, targets, oriented, configuration)
     q_nominal = nominal.q
     before = _error(pair, targets, q_nominal, oriented)
-    q, grew = _corrected(pair, targets, q_nominal, Method(method), steps, oriented)
+    q, grew, known = _corrected(pair, targets, q_nominal, Method(method), steps, oriented)
     after = _error(pair, targets, q, oriented)
-    singular: Floats = np.minimum(nominal.singular_value, singular_value(pair.chain, pair.identified, q, oriented))
+    identified = singular_value(pair.chain, pair.identified, q, oriented) if known is None else known
+    singular: Floats = np.minimum(nominal.singular_value, identified)
     problem = [""] * len(q)
 
     def refuse(where: Any, words: str) -> None:
@@ -112,20 +113,20 @@ def _nominal(pair: ModelPair, targets: Floats, oriented: bool, configuration: Co
 
 def _corrected(
     pair: ModelPair, targets: Floats, q_nominal: Floats, method: Method, steps: int, oriented: bool
-) -> tuple[Floats, NDArray[np.bool_]]:
-    """q (n, j), and where no correction was found that makes the error smaller."""
+) -> tuple[Floats, NDArray[np.bool_], Floats | None]:
+    """q (n, j), where no correction was found that makes the error smaller, and the smallest singular values (n,) where they are known already."""
     match method:
         case Method.OFFSETS:
             q = offsets(pair, q_nominal)
             lost: NDArray[np.bool_] = np.asarray(~np.isfinite(q).all(axis=-1))
-            return np.where(lost[:, None], q_nominal, q), lost
+            return np.where(lost[:, None], q_nominal, q), lost, None
         case Method.NEWTON:
             found = inverse(pair.chain, pair.identified, in_rig(pair, targets), q_nominal, oriented)
-            return found.q, ~found.reached
+            return found.q, ~found.reached, found.singular_value
         case Method.FALSE_TARGET:
-            return _repeated(false_target, pair, targets, q_nominal, steps, oriented)
+            return *_repeated(false_target, pair, targets, q_nominal, steps, oriented), None
         case Method.JOINTS:
-            return _repeated(joint_space, pair, targets, q_nominal, steps, oriented)
+            return *_repeated(joint_space, pair, targets, q_nominal, steps, oriented), None
         case _:
             assert_never(method)
 

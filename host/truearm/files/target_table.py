@@ -26,8 +26,8 @@ from truearm.schema import IDENTIFIER, Key, Number, hint, quoted
 from truearm.types import Floats, Strings
 from truearm.units import DEG, MM, SUFFIXES, UNITS, key, number
 
-MAX_BYTES = 16 * 2**20
-MAX_TARGETS = 20_000
+MAX_BYTES = 64 * 2**20
+MAX_TARGETS = 100_000
 NAME = Key("name", IDENTIFIER)
 XYZ = tuple(Key(name, Number("m")) for name in "xyz")
 TURN = tuple(Key(name, Number("rad")) for name in ("rx", "ry", "rz"))

@@ -109,12 +109,16 @@ def findings(calibration: Calibration, pair: ModelPair, targets: CorrectedTarget
 def unexplained_error(document: Mapping[str, Any]) -> tuple[float, float]:
     """The standard deviation [m, rad] of the part of the error that the calibration's declared noise does not explain, 0 where it explains all.
 
-    result.json has the mean of the error's norm; the RMS of a normal error along one axis is √(π/2) of it, of one along three only 1.09.
+    result.json has the mean of the error's norm; the RMS of a normal error along one axis is √(π/2) of it, of one along three only 1.09. Where it has an
+    error of each pose (``pose_error``), whose three axes have one standard deviation, the larger of the two counts.
     """
     left = document.get("unexplained")
     means = [left.get(name) if isinstance(left, dict) else None for name in ("mean_mm", "mean_deg")]
     mm, deg = (float(mean) if isinstance(mean, int | float) else 0.0 for mean in means)
-    return RMS_OF_MEAN * MM.to_si(mm), RMS_OF_MEAN * DEG.to_si(deg)
+    of_poses = document.get("pose_error")
+    sigma = of_poses.get("sigma_mm") if isinstance(of_poses, dict) else None
+    norm = math.sqrt(3.0) * float(sigma) if isinstance(sigma, int | float) else 0.0
+    return MM.to_si(max(RMS_OF_MEAN * mm, norm)), RMS_OF_MEAN * DEG.to_si(deg)
 
 
 def _outside(calibration: Calibration, q: Floats) -> NDArray[np.bool_] | None:

@@ -85,19 +85,25 @@ def parse_program(data: bytes, language: ProgramLanguage, surroundings: Surround
     """Follow the moves of a program. Raises ProgramError."""
     source = Source(data.decode("latin-1"), name)
     _check_text(source, data)
-    flow: Flow
-    match language:
-        case "urscript":
-            tool = surroundings.tool or Unknown("no set_tcp comes before it, so its tool is not known", 0, "tool")
-            flow = urscript_meaning.analyse(source, read_urscript(source), (tool,), surroundings.harmless)
-        case "rapid":
-            flow = rapid_meaning.analyse(source, read_rapid(source), surroundings.frames, surroundings.harmless)
-        case _:
-            assert_never(language)
+    try:
+        flow = _followed(source, language, surroundings)
+    except RecursionError as exc:  # thousands of operators in one expression
+        raise ProgramError(f"{name}: an expression is nested too deeply to be followed") from exc
     motions = tuple(flow.motions[start] for start in sorted(flow.motions))
     if not motions:
         raise ProgramError(f"{name}: moves the robot nowhere; there is nothing to correct")
     return Program(language, source, motions)
+
+
+def _followed(source: Source, language: ProgramLanguage, surroundings: Surroundings) -> Flow:
+    match language:
+        case "urscript":
+            tool = surroundings.tool or Unknown("no set_tcp comes before it, so its tool is not known", 0, "tool")
+            return urscript_meaning.analyse(source, read_urscript(source), (tool,), surroundings.harmless)
+        case "rapid":
+            return rapid_meaning.analyse(source, read_rapid(source), surroundings.frames, surroundings.harmless)
+        case _:
+            assert_never(language)
 
 
 def _check_text(source: Source, data: bytes) -> None:

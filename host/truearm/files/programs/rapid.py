@@ -397,8 +397,10 @@ class _Reader(Reader):
         """An expression whose operators bind at least so strongly."""
         start, text = self.start, self.text.lower()
         if text == "not" or text in ("-", "+"):
+            self.deeper()
             self.step()
             inner = self.expression(_NOT if text == "not" else _MINUS)
+            self.depth -= 1
             if isinstance(inner, Number):
                 left: Expression = Number(-inner.value if text == "-" else inner.value)
             else:
@@ -453,9 +455,11 @@ class _Reader(Reader):
             self.step()
             return Items(self.bracketed("]"), False, start, self.end)
         elif text == "(":
+            self.deeper()
             self.step()
             found = self.expression()
             self.take(")")
+            self.depth -= 1
             return found
         raise self.unexpected("an expression")
 

@@ -237,13 +237,12 @@ def tokens_of(source: Source, pattern: re.Pattern[str]) -> Iterator[Token]:
     """
     at, text = 0, source.text
     for match in pattern.finditer(text):
-        start, end = match.span()
-        if start != at:
+        kind = match.lastgroup
+        if kind is None:
+            at = match.end()
             break
-        at = end
-        if kind := match.lastgroup:
-            found = match[kind]
-            yield kind, found, end - len(found)
+        found = match[kind]
+        yield kind, found, match.end() - len(found)
     if at != len(text):
         raise source.wrong(at, f"{quoted(text[at : at + 12])} is not known in this language")
     while True:

@@ -181,14 +181,12 @@ class _Reader(Reader):
         """An expression whose operators bind at least so strongly; within brackets it goes on in the next line."""
         start, text = self.start, self.text
         if text == "not":
-            self.step()
-            left = self.operation(text, (self.expression(_NOT),), start)
+            left = self.operation(text, (self.operand(_NOT),), start)
         elif text in ("-", "+"):
-            self.step()
-            left = self.operation(text, (self.expression(_MINUS),), start)
+            left = self.operation(text, (self.operand(_MINUS),), start)
         else:
             left = self.postfix()
-        if self.open:
+        if self.open and self.kind == "newline":
             self.spaces()
         while (binds := _BINDS.get(self.text, -1)) > least and self.kind in ("sign", "word"):
             sign = self.step()
@@ -196,6 +194,14 @@ class _Reader(Reader):
                 self.spaces()
             left = self.operation(sign, (left, self.expression(binds)), start)
         return left
+
+    def operand(self, least: int) -> Expression:
+        """What stands behind a sign, which is taken."""
+        self.deeper()
+        self.step()
+        found = self.expression(least)
+        self.depth -= 1
+        return found
 
     def operation(self, sign: str, operands: tuple[Expression, ...], start: int) -> Expression:
         if len(operands) == 1 and sign in "+-" and isinstance(operands[0], Number):

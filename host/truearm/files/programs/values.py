@@ -148,7 +148,8 @@ def fixed_mm(xyz: Sequence[float], quaternion: Sequence[float]) -> Pose | None:
 
 def shifted(xyz: Sequence[float]) -> Pose:
     """A translation [m]."""
-    return fixed(_matrix(xyz, Rotation.identity()))
+    x, y, z = map(float, xyz)
+    return Pose((Factor(Fixed((1.0, 0.0, 0.0, x, 0.0, 1.0, 0.0, y, 0.0, 0.0, 1.0, z, 0.0, 0.0, 0.0, 1.0))),))
 
 
 def turned(turn: Rotation) -> Pose:
