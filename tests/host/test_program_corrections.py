@@ -139,6 +139,20 @@ def test_a_pose_whose_elements_are_set_is_split(tmp_path):
     assert misses(text, corrected(tmp_path, text, split=True)).max() < 1e-6
 
 
+def test_a_move_with_two_reasons_counts_once(tmp_path):
+    """A target and a tool that are both known at run time only."""
+    text = program(
+        f"movej({six(POSES[1])})",
+        "if random() > 0.5:",
+        "set_tcp(get_actual_tcp_pose())",
+        "end",
+        "movel(get_target_tcp_pose())",
+    )
+    with pytest.raises(ProgramRefused, match="1 move of 2 cannot be corrected") as caught:
+        corrected(tmp_path, text)
+    assert {one.line for one in caught.value.refused} == {6}
+
+
 def test_one_point_under_two_tools_is_split(tmp_path):
     text = program(f"W = {six(POSES[1])}", "movej(W)", f"set_tcp(p{written(TOOLS[1])})", "movej(W)")
     with pytest.raises(ProgramRefused) as caught:

@@ -57,8 +57,9 @@ def refused_lines(refused: Sequence[Refused]) -> list[str]:
         f"  line {one.line}: {one_line(one.statement)}: {one_line(one.why)}{_REMEDIES[one.remedy]}"
         for one in refused[:MOST_REFUSED]
     ]
-    more = [f"  and {len(refused) - MOST_REFUSED} more"] * (len(refused) > MOST_REFUSED)
-    return [f"{counted(len(refused), 'move')} not corrected:", *rows, *more]
+    more = [f"  and {counted(len(refused) - MOST_REFUSED, 'more reason')}"] * (len(refused) > MOST_REFUSED)
+    moves = len({(one.line, one.statement) for one in refused})
+    return [f"{counted(moves, 'move')} not corrected:", *rows, *more]
 
 
 def _cells(before: Floats, after: Floats) -> str:

@@ -150,7 +150,8 @@ def correct_program(
     if refused and not options.partial:
         total = len(program.motions)
         raise ProgramRefused(
-            f"{path}: {counted(len(refused), 'move')} of {total} cannot be corrected, so nothing was written", refused
+            f"{path}: {counted(len({(one.line, one.statement) for one in refused}), 'move')} of {total} cannot be corrected, so nothing was written",
+            refused,
         )
     kept = [i for i, one in enumerate(poses) if one not in new.circular]
     moved = [i for i, problem in enumerate(joints.problem) if not problem]
