@@ -9,12 +9,15 @@ from scipy import stats
 from ur10_bench import RIG, ROBOT
 
 from truearm.estimate.evidence import Marginal, PriorBlock, block_nats, learned, weigh
+from truearm.estimate.law_curves import sampled_curves
 from truearm.estimate.problem import build_problem
+from truearm.files.curve_table import curve_table
 from truearm.files.result_file import format_document, parse_result
 from truearm.model.chain import joint_frames, point_forward, point_jacobians
 from truearm.model.law_chain import distal_frames, with_laws
 from truearm.types import CurveKnots, ObservationTable, SagMasses
 from truearm.workflows.calibration import calibration_of
+from truearm.workflows.calibration_report import write_page
 from truearm.workflows.identify import IdentifyOptions, Selection, identified
 
 H = 1e-30  # of a complex step
@@ -207,3 +210,33 @@ def test_too_few_rows_and_still_joints_are_said():
     found = identified_with(table, np.zeros(12, dtype=bool), "auto")
     assert found.estimate.joint_laws.kept == ()
     assert "too few" in found.estimate.joint_laws.reasons[0]
+
+
+def test_a_curve_is_stored_as_it_is_with_a_band_that_opens_outside(learned_arm):
+    """The curve of joint 1 is 0.4 mrad·sin(17 q + 0.4), about its mean over the poses; 0.05 mrad is a sixth of it."""
+    found, _ = learned_arm
+    q = found.table.q[found.estimate.fitted]
+    laws = found.estimate.joint_laws.kept
+    curves = sampled_curves(found.chain, laws, found.identified, found.covariance, q.min(axis=0), q.max(axis=0))
+    first = next(curve for curve in curves if curve.joint == "joint1")
+    truth = 4e-4 * np.sin(17.0 * first.readings + 0.4)
+    inside = first.covered
+    off = first.error[inside] - truth[inside]
+    assert np.sqrt(np.mean((off - off.mean()) ** 2)) < 5e-5
+    assert first.sigma[~inside].max() > 3.0 * np.median(first.sigma[inside])
+    rows = curve_table(curves).splitlines()
+    assert rows[0] == "joint,reading_deg,error_mrad,sigma_mrad,covered"
+    assert len(rows) == 1 + sum(curve.readings.size for curve in curves)
+    name, reading, error, _, covered = rows[1 + int(np.argmax(inside))].split(",")
+    assert (name, covered) == ("joint1", "1")
+    assert float(error) == pytest.approx(1e3 * first.error[np.argmax(inside)], abs=1e-6)
+    assert float(reading) == pytest.approx(np.degrees(first.readings[np.argmax(inside)]), abs=1e-4)
+
+
+def test_the_report_shows_the_laws(learned_arm, tmp_path):
+    found, _ = learned_arm
+    write_page(tmp_path / "page.html", found)
+    page = (tmp_path / "page.html").read_text()
+    for text in ("Joint laws", "Error curve of joint1", "Spectrum of joint3", "with curves", "joint2 sag"):
+        assert text in page
+    assert "joint1.curve.3" not in page

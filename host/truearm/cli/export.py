@@ -45,6 +45,12 @@ def export(
             help="Where a refit shall be good: the poses of a table or a plan (.csv). Default: anywhere within the limits.",
         ),
     ] = None,
+    curves: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Write the joints' error curves too (.csv): reading, error, sigma, covered or not."
+        ),
+    ] = None,
 ) -> None:
     """Write a calibrated robot for other programs.
 
@@ -59,4 +65,4 @@ def export(
     from truearm.workflows.export import ExportOptions, export_file
 
     options = ExportOptions(form, own_frames, tuple(adjust or ()))
-    print_lines(lines(export_file(result, RobotChoice(robot, base, tip), out, options, over), out, over))
+    print_lines(lines(export_file(result, RobotChoice(robot, base, tip), out, options, over, curves), out, over))

@@ -9,7 +9,7 @@ stays against the declared noise.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -18,6 +18,7 @@ import numpy as np
 from truearm.estimate.identify import judged, merged, modelled_of, rms_of
 from truearm.estimate.information import observe
 from truearm.estimate.law_candidates import candidates
+from truearm.estimate.law_curves import strongest_periods
 from truearm.estimate.law_fit import LawProblem, Learned, Posterior, gated, law_problem, learn, posterior
 from truearm.estimate.law_rows import law_rows
 from truearm.estimate.mean_error import mean_errors
@@ -41,7 +42,6 @@ from truearm.types import (
     LawStep,
     MeanError,
     ObservationTable,
-    Period,
     PoseError,
     TriedLaw,
 )
@@ -49,8 +49,6 @@ from truearm.units import UNITS
 
 DOWN = (0.0, 0.0, -1.0)  # in the base frame, where nobody said otherwise
 LEAST_FREEDOM = 20  # residuals beyond the geometry's parameters
-LARGEST_CYCLES = 60  # a turn
-PERIODS = 3
 JOINT_NOISE = 1e-4  # rad, to begin with
 GEOMETRY, SAG, CURVES = "geometry", "sag", "curves"
 
@@ -285,41 +283,5 @@ def _tried(chain: Chain, law: Law, nats: float, best: _Fitted | None, q: Floats)
     kind = Curve if isinstance(law, CurveKnots) else Sag
     added = kind.of_chain(whole).value(params, q.T)[law.joint]
     covered = float(q[:, law.joint].min()), float(q[:, law.joint].max())
-    periods = strongest_periods(law, curve_of(whole, law, params), covered) if isinstance(law, CurveKnots) else ()
+    periods = strongest_periods(whole, law, params, covered) if isinstance(law, CurveKnots) else ()
     return TriedLaw(joint, term, nats, True, float(added.std()), covered, periods)
-
-
-def curve_of(chain: Chain, law: CurveKnots, params: Floats) -> Callable[[Floats], Floats]:
-    """A joint's error curve as a function of its readings (n,)."""
-    curve = Curve.of_chain(chain)
-
-    def at(readings: Floats) -> Floats:
-        q = np.zeros((len(chain.joints), readings.size))
-        q[law.joint] = readings
-        return np.asarray(curve.value(params, q)[law.joint])
-
-    return at
-
-
-def strongest_periods(
-    law: CurveKnots, curve: Callable[[Floats], Floats], covered: tuple[float, float]
-) -> tuple[Period, ...]:
-    """The strongest sines of a curve over the covered range, the largest first: peaks of its least-squares spectrum."""
-    lower, upper = (law.first, law.first + 2.0 * math.pi) if law.periodic else covered
-    readings = np.linspace(lower, upper, 720, endpoint=not law.periodic)
-    left = curve(readings)
-    left = left - left.mean()
-    out: list[Period] = []
-    least = max(1.0, math.pi / (upper - lower) * 2.0)
-    cycles = np.arange(math.ceil(least), LARGEST_CYCLES + 1.0)
-    for _ in range(PERIODS):
-        waves = np.exp(-1j * cycles[:, None] * readings)
-        amplitude = 2.0 * np.abs((waves * left).mean(axis=1))
-        best = int(np.argmax(amplitude))
-        if not amplitude[best] > 0.0:
-            break
-        wave = np.column_stack([np.cos(cycles[best] * readings), np.sin(cycles[best] * readings), np.ones(left.size)])
-        fitted = np.linalg.lstsq(wave, left, rcond=None)[0]
-        left = left - wave @ fitted
-        out.append(Period(float(cycles[best]), float(np.hypot(*fitted[:2]))))
-    return tuple(out)

@@ -15,6 +15,7 @@ from typing import assert_never
 
 import numpy as np
 
+from truearm.estimate.law_curves import SampledCurve
 from truearm.estimate.solvers import Loss, Prior, loss_summary
 from truearm.report.correlation import correlation
 from truearm.report.figures import Figure, convergences, figures_of
@@ -27,6 +28,7 @@ from truearm.report.findings import (
     residual_table,
     suspect_table,
 )
+from truearm.report.law_figures import law_figures
 from truearm.report.page_tables import fact_list, parameter_table, step_table, visibility
 from truearm.report.page_text import escape, figures, size
 from truearm.report.residual_rows import rows_by_kind, summaries
@@ -66,6 +68,9 @@ class CalibrationPage:
     prior: str = "none"
     predicted: PredictedError | None = None
     systematic: tuple[str, ...] = ()  # sentences
+    laws: tuple[str, ...] = ()  # sentences
+    law_steps: tuple[tuple[str, str, str, str], ...] = ()  # unit, fit, fitted RMS, held-out mean
+    curves: tuple[SampledCurve, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.table)
@@ -86,6 +91,7 @@ def render(page: CalibrationPage) -> str:
         _verdict(page),
         _pictures(page),
         _parameters(page.estimate),
+        _laws(page),
         _section("What the data can and cannot see", _sight(page.estimate)),
         _section("The recording", fact_list(page.facts)) if page.facts else "",
         _making(page),
@@ -257,6 +263,20 @@ def _parameters(e: Estimate) -> str:
         parts.append(f"<details><summary>{summary}</summary>{parameter_table(e, rig)}</details>")
     picture = correlation(e)
     return _section("Parameters", "".join(parts) + (_figure(picture) if picture else ""))
+
+
+def _laws(page: CalibrationPage) -> str:
+    """Error curves and sag; "" where they were not asked for."""
+    if not page.laws:
+        return ""
+    head = "".join(f'<th scope="col">{title}</th>' for title in ("fit", "fitted, RMS", "held out, mean", "unit"))
+    rows = "".join(
+        f'<tr><th scope="row">{escape(name)}</th><td>{fitted}</td><td>{held}</td><td class="unit">{escape(unit)}</td></tr>'
+        for unit, name, fitted, held in page.law_steps
+    )
+    table = f'<table class="numbers"><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>' if rows else ""
+    pictures = "".join(_figure(figure) for figure in law_figures(page.curves))
+    return _section("Joint laws", _list(page.laws, "remarks") + table + f'<div class="pictures">{pictures}</div>')
 
 
 def _prior(name: str) -> str:

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from truearm.estimate.law_curves import SampledCurve, sampled_curves
 from truearm.estimate.problem import Rigs
 from truearm.files.disk import write_atomic
 from truearm.kinds.registry import kinds
 from truearm.model.chain import Chain
 from truearm.types import Estimate, Floats, ObservationTable, Rig
+from truearm.units import SUFFIXES
 
 if TYPE_CHECKING:
     from truearm.workflows.identify import Identification
@@ -26,6 +28,7 @@ UNPREDICTED = (
 def write_page(path: Path, found: Identification, command: str = "") -> None:
     """Write the page whole or not at all. Raises InputError when the place cannot be written."""
     from truearm.report.calibration_page import CalibrationPage, render
+    from truearm.report.law_words import law_sentences, law_steps
     from truearm.report.residual_rows import row_name
     from truearm.report.systematic_words import systematic_sentences
 
@@ -41,10 +44,23 @@ def write_page(path: Path, found: Identification, command: str = "") -> None:
         prior=found.prior,
         predicted=None if estimate.unexplained else found.predicted,
         facts=_facts(table),
+        laws=tuple(law_sentences(found.document)),
+        law_steps=tuple(
+            (SUFFIXES[suffix].symbol, *step)
+            for suffix in found.document["residual_units"]
+            for step in law_steps(found.document, suffix)
+        ),
+        curves=_curves(found),
         systematic=tuple(systematic_sentences(found.document)),
         notes=(*_timing(estimate), *_error_elsewhere(found)),
     )
     write_atomic(path, render(page))
+
+
+def _curves(found: Identification) -> tuple[SampledCurve, ...]:
+    q = found.table.q[found.estimate.fitted]
+    laws = found.estimate.joint_laws.kept if found.estimate.joint_laws else ()
+    return sampled_curves(found.chain, laws, found.identified, found.covariance, q.min(axis=0), q.max(axis=0))
 
 
 def _facts(table: ObservationTable) -> tuple[tuple[str, str], ...]:

@@ -9,15 +9,17 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.errors import Argument, InputError
+from truearm.estimate.law_curves import SampledCurve, sampled_curves
 from truearm.export.formats import FORMATS
 from truearm.export.writing import Fitted, RobotToWrite, fit_to, held, named, written
+from truearm.files.curve_table import curve_table, looks_like_curves
 from truearm.files.disk import check_writable, read_text, write_atomic
 from truearm.files.observation_table import read_table
 from truearm.files.plan_file import read_plan
 from truearm.files.robot_file import MAX_BYTES, RobotChoice
 from truearm.model.chain import Chain
 from truearm.text import one_line
-from truearm.types import Floats
+from truearm.types import CurveKnots, Floats
 from truearm.units import MM
 from truearm.workflows.calibration import Calibration, check_names, mounting_lines, read_calibration
 from truearm.workflows.selection import matching
@@ -104,15 +106,38 @@ def _of(error: Floats) -> str:
 
 
 def export_file(
-    result: Path, robot: RobotChoice, out: Path, options: ExportOptions, over: Path | None = None
+    result: Path,
+    robot: RobotChoice,
+    out: Path,
+    options: ExportOptions,
+    over: Path | None = None,
+    curves: Path | None = None,
 ) -> ExportedRobot:
-    """Write the calibrated robot; ``over``: a table or a plan of poses to refit over. Raises InputError, and writes nothing."""
-    check_names(result, out, over)
-    check_writable(out, inputs=[result, *robot.files, *filter(None, [over])], ours=looks_like_ours)
+    """Write the calibrated robot; ``over``: a table or a plan of poses to refit over, ``curves``: where to write the joints' error curves.
+
+    Raises InputError, and writes nothing.
+    """
+    check_names(result, out, over, curves)
+    inputs = [result, *robot.files, *filter(None, [over])]
+    check_writable(out, inputs=inputs, ours=looks_like_ours)
+    if curves is not None:
+        check_writable(curves, inputs=[*inputs, out], ours=looks_like_curves)
     calibration = read_calibration(result, robot)
     found = exported(calibration, options, None if over is None else _poses_of(over, calibration.chain))
+    table = None if curves is None else curve_table(_curves(calibration, curves))
     write_atomic(out, found.text)
+    if curves is not None and table is not None:
+        write_atomic(curves, table)
     return found
+
+
+def _curves(calibration: Calibration, curves: Path) -> tuple[SampledCurve, ...]:
+    """The error curves of the joints. Raises InputError where the result has none."""
+    stored, seen = calibration.stored, calibration.stored.joint_range
+    if seen is None or not any(isinstance(law, CurveKnots) for law in stored.laws):
+        raise InputError(f"{curves}: the result has no error curves; identify with ", Argument("joint_laws"), " auto")
+    lower, upper = np.array(seen.lower), np.array(seen.upper)
+    return sampled_curves(calibration.chain, stored.laws, calibration.identified, calibration.covariance, lower, upper)
 
 
 def exported(calibration: Calibration, options: ExportOptions, over: Floats | None = None) -> ExportedRobot:

@@ -1,0 +1,66 @@
+"""Pictures of joint laws: each error curve with its band and the covered range, and its spectrum."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from truearm.estimate.law_curves import SampledCurve, spectrum
+from truearm.report import svg
+from truearm.report.figures import Figure
+from truearm.report.page_text import figures
+from truearm.units import DEG, MRAD
+
+
+def law_figures(curves: tuple[SampledCurve, ...]) -> list[Figure]:
+    """Two pictures a curve: over the joint's readings, and over cycles a turn."""
+    return [figure for curve in curves for figure in (_over_readings(curve), _over_cycles(curve))]
+
+
+def _over_readings(curve: SampledCurve) -> Figure:
+    x, y, band = DEG.of(curve.readings), MRAD.of(curve.error), 2.0 * MRAD.of(curve.sigma)
+    top = 1.05 * float((np.abs(y) + band)[curve.covered].max(initial=1e-3))
+    plot = svg.Plot(
+        svg.linear_axis("reading [deg]", float(x[0]), float(x[-1])), svg.linear_axis("error [mrad]", -top, top)
+    )
+    parts = [svg.axes(plot)]
+    for edge in (y - band, y + band):
+        parts.append(svg.line(plot, x, edge, "old line"))
+    parts.append(svg.line(plot, x, y, "law line"))
+    inside = np.where(curve.covered, y, np.nan)
+    for run in _runs(curve.covered):
+        parts.append(svg.line(plot, x[run], inside[run], "fit line"))
+    parts.append(svg.legend(plot, [("fit line", "covered"), ("law line", "outside"), ("old line", "±2σ")]))
+    rms = float(np.sqrt((y[curve.covered] ** 2).mean())) if curve.covered.any() else float("nan")
+    caption = (
+        f"What the joint turns beyond offset and gain. RMS over the covered readings {figures(rms, 2)} mrad; "
+        "outside of them the curve returns to zero and its band opens."
+    )
+    return _figure(plot, f"Error curve of {curve.joint}", caption, parts)
+
+
+def _over_cycles(curve: SampledCurve) -> Figure:
+    covered = curve.covered
+    cycles, amplitude = spectrum(curve.readings[covered], curve.error[covered])
+    amplitude = MRAD.of(amplitude)
+    edges = np.append(cycles - 0.5, cycles[-1] + 0.5)
+    plot = svg.Plot(
+        svg.linear_axis("cycles a turn", 0.0, float(edges[-1])),
+        svg.linear_axis("amplitude [mrad]", 0.0, 1.05 * float(amplitude.max(initial=1e-3))),
+    )
+    tips = [f"{c:.0f} cycles: {figures(a, 2)} mrad" for c, a in zip(cycles, amplitude, strict=True)]
+    parts = [svg.axes(plot), svg.bars(plot, edges, amplitude, "fit bar", tips)]
+    strongest = cycles[int(np.argmax(amplitude))]
+    caption = (
+        f"Amplitude of each sine by itself over the covered readings; the strongest has {strongest:.0f} cycles a turn."
+    )
+    return _figure(plot, f"Spectrum of {curve.joint}", caption, parts)
+
+
+def _runs(flags: np.ndarray) -> list[slice]:
+    """Runs of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
+    return [slice(start, stop) for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)]
+
+
+def _figure(plot: svg.Plot, title: str, caption: str, parts: list[str]) -> Figure:
+    return Figure(title, caption, svg.drawing(plot.width, plot.height, parts, f"{title}. {caption}"))
