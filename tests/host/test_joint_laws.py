@@ -11,13 +11,15 @@ from ur10_bench import RIG, ROBOT
 from truearm.estimate.evidence import Marginal, PriorBlock, block_nats, learned, weigh
 from truearm.estimate.law_curves import sampled_curves
 from truearm.estimate.problem import build_problem
-from truearm.files.curve_table import curve_table
 from truearm.files.result_file import format_document, parse_result
 from truearm.model.chain import joint_frames, point_forward, point_jacobians
 from truearm.model.law_chain import distal_frames, with_laws
+from truearm.plan.forecast import Known
+from truearm.plan.law_forecast import curve_forecasts
 from truearm.types import CurveKnots, ObservationTable, SagMasses
 from truearm.workflows.calibration import calibration_of
 from truearm.workflows.calibration_report import write_page
+from truearm.workflows.curve_table import curve_table
 from truearm.workflows.identify import IdentifyOptions, Selection, identified
 
 H = 1e-30  # of a complex step
@@ -240,3 +242,15 @@ def test_the_report_shows_the_laws(learned_arm, tmp_path):
     for text in ("Joint laws", "Error curve of joint1", "Spectrum of joint3", "with curves", "joint2 sag"):
         assert text in page
     assert "joint1.curve.3" not in page
+
+
+def test_a_plan_says_how_well_curves_will_be_known_and_where_they_are_not_seen():
+    """Twice the poses tell more; where joint 1 never goes, within its covered range, nothing will be known."""
+    table, _ = world(np.random.default_rng(9), 500)
+    known = Known(ROBOT.chain, RIG, ROBOT.chain.params_nominal, ROBOT.free)
+    away = table.select(np.abs(table.q[:, 0]) > 0.3)
+    few, many = (curve_forecasts(known, rows) for rows in (away.select(np.arange(len(away)) < 100), away))
+    by_joint = [{curve.joint: curve for curve in curves} for curves in (few, many)]
+    assert all(by_joint[1][name].sigma < by_joint[0][name].sigma for name in ("joint1", "joint2", "joint3"))
+    assert any(low < -0.15 and high > 0.15 for low, high in by_joint[1]["joint1"].unseen)
+    assert not by_joint[1]["joint2"].unseen

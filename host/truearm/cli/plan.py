@@ -145,6 +145,9 @@ def ballbar(
             help="Poses of the first mount that are visited again in the middle and at the end; not with --visits 2.",
         ),
     ] = 10,
+    joint_laws: Annotated[
+        bool, typer.Option("--joint-laws", help="Tell what the poses will show of the joints' error curves too.")
+    ] = False,
     seed: SeedOption = 0,
     out: OutOption = None,
     program: ProgramOption = None,
@@ -187,6 +190,7 @@ def ballbar(
         seed=seed,
         visits=visits,
         check_poses=check_poses,
+        joint_laws=joint_laws,
     )
     _print(plan_ball_bar_files(files, Budget(poses, minutes), options, _progress(as_json)), forecast_lines, as_json)
 

@@ -11,7 +11,24 @@ from truearm.units import UNITS
 
 def forecast_lines(document: Mapping[str, Any]) -> list[str]:
     """What ``plan ballbar`` and ``plan line`` planned, what will be known after it, and the error to be expected."""
-    return [*_visits(document), *_known_after(document), *_region(document), *_written(document)]
+    return [*_visits(document), *_known_after(document), *_region(document), *_curves(document), *_written(document)]
+
+
+def _curves(document: Mapping[str, Any]) -> list[str]:
+    """What will be known of error curves, and which part of them the poses cannot see."""
+    lines = []
+    for curve in document.get("curves", ()):
+        low, high = curve["covered_deg"]
+        line = (
+            f"error curve of {curve['joint']}: covered {low:.0f} to {high:.0f} deg, to {curve['sigma_mrad']:.2g} mrad"
+        )
+        gaps = ", ".join(f"{a:.0f} to {b:.0f}" for a, b in curve["unseen_deg"])
+        lines.append(line + (f"; not seen: {gaps} deg" if gaps else ""))
+    if lines:
+        lines.append(
+            "Outside of these ranges corrections are those of the geometry: measure where the robot will work."
+        )
+    return lines
 
 
 def approach_lines(document: Mapping[str, Any]) -> list[str]:

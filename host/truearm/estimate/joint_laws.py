@@ -31,7 +31,7 @@ from truearm.estimate.whitened_rows import only
 from truearm.model.chain import Chain
 from truearm.model.joint_terms.curve import Curve
 from truearm.model.joint_terms.sag import Sag
-from truearm.model.law_chain import with_laws
+from truearm.model.law_chain import DOWN, with_laws
 from truearm.types import (
     CurveKnots,
     Effect,
@@ -47,7 +47,6 @@ from truearm.types import (
 )
 from truearm.units import UNITS
 
-DOWN = (0.0, 0.0, -1.0)  # in the base frame, where nobody said otherwise
 LEAST_FREEDOM = 20  # residuals beyond the geometry's parameters
 JOINT_NOISE = 1e-4  # rad, to begin with
 GEOMETRY, SAG, CURVES = "geometry", "sag", "curves"

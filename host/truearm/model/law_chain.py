@@ -18,6 +18,8 @@ from truearm.model.joint_terms.sag import Sag
 from truearm.model.robot import Robot
 from truearm.types import CurveKnots, Law, SagMasses
 
+DOWN = (0.0, 0.0, -1.0)  # gravity in the base frame, where nobody said otherwise
+
 
 def with_laws(chain: Chain, laws: Sequence[Law]) -> Chain:
     """Return the chain with the parameters of these laws behind its own."""
@@ -26,13 +28,13 @@ def with_laws(chain: Chain, laws: Sequence[Law]) -> Chain:
 
 
 def robot_with_laws(robot: Robot, laws: Sequence[Law]) -> Robot:
-    """Return the robot with the parameters of these laws, neutral in all its sets and free."""
+    """Return the robot with the parameters of these laws, neutral in all its sets and held: only evidence may fit them."""
     if not laws:
         return robot
     chain = with_laws(robot.chain, laws)
     added = len(chain.parameters) - len(robot.chain.parameters)
     sets = {name: np.append(values, np.zeros(added)) for name, values in robot.parameter_sets.items()}
-    return replace(robot, chain=chain, parameter_sets=sets, free=np.append(robot.free, np.ones(added, dtype=bool)))
+    return replace(robot, chain=chain, parameter_sets=sets, free=np.append(robot.free, np.zeros(added, dtype=bool)))
 
 
 def _parameters(chain: Chain, law: Law) -> list[Parameter]:

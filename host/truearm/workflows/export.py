@@ -12,7 +12,6 @@ from truearm.errors import Argument, InputError
 from truearm.estimate.law_curves import SampledCurve, sampled_curves
 from truearm.export.formats import FORMATS
 from truearm.export.writing import Fitted, RobotToWrite, fit_to, held, named, written
-from truearm.files.curve_table import curve_table, looks_like_curves
 from truearm.files.disk import check_writable, read_text, write_atomic
 from truearm.files.observation_table import read_table
 from truearm.files.plan_file import read_plan
@@ -22,6 +21,7 @@ from truearm.text import one_line
 from truearm.types import CurveKnots, Floats
 from truearm.units import MM
 from truearm.workflows.calibration import Calibration, check_names, mounting_lines, read_calibration
+from truearm.workflows.curve_table import curve_table, looks_like_curves
 from truearm.workflows.selection import matching
 
 N_POSES = 600  # of a refit that names none; 2400 marks for some 60 unknowns

@@ -25,15 +25,16 @@ from truearm.plan.branches import branch_of
 from truearm.plan.cartesian_lines import Shape
 from truearm.plan.collision_shapes import Sizes
 from truearm.plan.criteria import Criterion
-from truearm.plan.forecast import Forecast, Known, with_rig_values
+from truearm.plan.forecast import Forecast, Known, bar_table, with_rig_values
+from truearm.plan.law_forecast import curve_forecasts
 from truearm.plan.line_plan import LinePlan, LinesWanted, plan_lines
 from truearm.plan.measurement_limits import Limits, Pairing
 from truearm.plan.region import Region
 from truearm.plan.route import Visits
 from truearm.plan.route_program import DIALECTS, check_suffix, program
 from truearm.plan.route_stops import Signals, Stop, Task
-from truearm.types import Floats, Rig
-from truearm.units import MM
+from truearm.types import Floats, Plan, Rig
+from truearm.units import DEG, MM, MRAD
 from truearm.workflows.calibration import Calibration, read_calibration
 from truearm.workflows.identify import DEFAULTS, default_free, default_prior
 from truearm.workflows.inputs import Sources, observed
@@ -110,6 +111,8 @@ class BallBarOptions:
     check_poses : int
         Poses of the first mount that are visited again in the middle and at the end, 0 to 100; none with several visits, and of
         few poses one in 36 at most, and none of less than 108.
+    joint_laws : bool
+        Tell what the poses will show of the joints' error curves too.
 
     Raises
     ------
@@ -133,6 +136,7 @@ class BallBarOptions:
     seed: Annotated[int, Within(0)] = 0
     visits: Annotated[int, Within(1, 10)] = 1
     check_poses: Annotated[int, Within(0, 100)] = 10
+    joint_laws: bool = False
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -188,8 +192,22 @@ def plan_ball_bar_files(files: PlanFiles, budget: Budget, options: BallBarOption
         "visits": options.visits,
         "check_poses": _visits(budget, options).check_poses,
         "minutes": route.minutes,
+        **({"curves": _curves(known, route.plan)} if options.joint_laws else {}),
         "written": _written(files),
     }
+
+
+def _curves(known: Known, plan: Plan) -> list[dict[str, Any]]:
+    """What planned poses will tell of error curves."""
+    return [
+        {
+            "joint": one.joint,
+            "covered_deg": [DEG.of(end) for end in one.covered],
+            "sigma_mrad": MRAD.of(one.sigma),
+            "unseen_deg": [[DEG.of(end) for end in span] for span in one.unseen],
+        }
+        for one in curve_forecasts(known, bar_table(known, plan))
+    ]
 
 
 def _visits(budget: Budget, options: BallBarOptions) -> Visits:

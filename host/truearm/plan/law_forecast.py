@@ -1,0 +1,90 @@
+"""What an identification with error curves would know of them, before anything is measured.
+
+Curves are linear in their coefficients, so their covariance depends on where is measured and not on what is read. Their prior here is a
+fixed one of the size that real arms have (docs/real-arms.md): TYPICAL at lengths of 0.1 to 0.2 rad. The noise is the declared one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from truearm.estimate.law_candidates import LENGTHS, candidates
+from truearm.estimate.law_curves import sampled_curves
+from truearm.estimate.law_fit import Learned, law_problem, posterior
+from truearm.estimate.measured_order import poses
+from truearm.estimate.pose_noise import PoseNoise
+from truearm.estimate.problem import build_problem
+from truearm.estimate.solvers import LawMode
+from truearm.model.chain import Chain
+from truearm.model.joint_law import TERMS
+from truearm.model.law_chain import DOWN, with_laws
+from truearm.plan.forecast import Known
+from truearm.types import Floats, ObservationTable
+
+TYPICAL = 2e-4  # rad, at each of the lengths
+TYPICAL_LENGTHS = (0.1, 0.2)  # rad
+UNSEEN = 0.7  # of the prior's standard deviation: beyond it the poses tell next to nothing
+LEAST_GAP = math.radians(3.0)
+
+
+@dataclass(frozen=True)
+class CurveForecast:
+    """What planned rows will tell of a joint's error curve.
+
+    ``covered`` [rad]: the least and the largest reading; ``sigma`` [rad]: RMS standard deviation of the curve there; ``unseen`` [rad]:
+    spans of readings within it that the poses do not show.
+    """
+
+    joint: str
+    covered: tuple[float, float]
+    sigma: float
+    unseen: tuple[tuple[float, float], ...]
+
+
+def curve_forecasts(known: Known, planned: ObservationTable) -> tuple[CurveForecast, ...]:
+    """Return a forecast for every joint that would have an error curve."""
+    table = planned if known.measured is None else ObservationTable.joined([known.measured, planned])
+    chain, n = _geometry(known)
+    laws, _ = candidates(chain, table.q, LawMode.CURVE, DOWN)
+    if not laws:
+        return ()
+    whole = with_laws(chain, laws)
+    problem = build_problem(whole, known.rig, table)
+    added = len(whole.parameters) - n
+    columns = np.ones(problem.start.size, dtype=bool)
+    columns[:n] = known.free[:n]
+    start = problem.start.copy()
+    start[:n] = known.params[:n]
+    of = law_problem(problem, columns, start, laws, poses(table))
+    prior = np.where(np.isin(LENGTHS, TYPICAL_LENGTHS), TYPICAL**2, 0.0)
+    found = posterior(of, Learned(dict.fromkeys(laws, prior), PoseNoise(), {}, math.nan), rounds=1)
+    covariance = np.zeros((n + added, n + added))
+    free = np.flatnonzero(columns[: n + added])
+    covariance[np.ix_(free, free)] = found.covariance[: free.size, : free.size]
+    lower, upper = table.q.min(axis=0), table.q.max(axis=0)
+    whole_size = math.sqrt(prior.sum())
+    out = []
+    curves = sampled_curves(whole, laws, np.zeros(n + added), covariance, lower, upper)
+    for law, curve in zip(laws, curves, strict=True):
+        unseen = curve.sigma > UNSEEN * whole_size
+        sigma = float(np.sqrt((curve.sigma[curve.covered] ** 2).mean()))
+        ends = float(lower[law.joint]), float(upper[law.joint])
+        out.append(CurveForecast(curve.joint, ends, sigma, _spans(curve.readings, unseen & curve.covered)))
+    return tuple(out)
+
+
+def _geometry(known: Known) -> tuple[Chain, int]:
+    """The chain without laws that an earlier result brought, and how many parameters it has."""
+    learned = {term.name for term in TERMS if term.learned}
+    own = tuple(p for p in known.chain.parameters if p.term not in learned)
+    return replace(known.chain, parameters=own), len(own)
+
+
+def _spans(readings: Floats, flags: np.ndarray) -> tuple[tuple[float, float], ...]:
+    """Runs of flagged readings of at least LEAST_GAP."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
+    spans = [(float(readings[a]), float(readings[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return tuple(span for span in spans if span[1] - span[0] >= LEAST_GAP)
