@@ -41,6 +41,7 @@ SIGMA = 5e-5  # m, declared of a laser tracker
 BAR_NOISE = 3e-5  # m
 TRAVEL = 0.0375  # m to either side of a bar's middle
 PEERS = ("ur10-c-0", "ur5")  # cases that pybotics fits too; minutes each
+PATIENCE = 150  # s, for a peer
 BARS = {"b46": 0.46, "b61": 0.61}
 PLACED = 0.01  # m: how well the places of the chucks are known beforehand
 TRACKER = Rig(
@@ -270,13 +271,17 @@ def by_pybotics(case: Case) -> str:
     values = dict(zip(case.robot.chain.parameter_names, case.robot.chain.params_nominal, strict=True))
     rows = [[values.get(f"joint{i}.{key}", 0.0) for key in ("offset", "d", "a", "alpha")] for i in range(1, 7)]
     points = base_points(case.robot, case.table)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "rows.npz"
+    with tempfile.TemporaryDirectory() as own:
+        path = Path(own) / "rows.npz"
         at = {"q": case.table.q[~case.held], "y": points[~case.held]}
         judge = {"q_held": case.table.q[case.held], "y_held": points[case.held]}
         np.savez(path, dh=np.array(rows), target=np.array([0.0, 0.0, 0.093]), **at, **judge)
         command = [str(python), str(ROOT / "bench/workers/run_pybotics.py"), "fit", "position", str(path), "1"]
-        done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT / "bench/workers", check=False)
+        workers = ROOT / "bench/workers"
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, cwd=workers, check=False, timeout=PATIENCE)
+        except subprocess.TimeoutExpired:
+            return f"not ended in {PATIENCE} s"
     lines = [line for line in done.stdout.splitlines() if line.startswith("RESULT ")]
     return f"{json.loads(lines[0][7:])['mean_mm']:.3f}" if lines else "failed"
 
