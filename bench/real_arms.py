@@ -313,7 +313,7 @@ How far truearm's model is from real arms, on public data that it was not fitted
 `make benchmark` writes this page and its picture (`bench/real_arms.py`).
 
 Figures are mean / largest errors of the rows held out, in mm: 3-D errors of a tracked point, for MUKCa the distance of the ball from its
-socket. "Before" is the robot as described, once everything that is not the robot is fitted. One setting for all: `truearm identify` with its
+socket. "Before" is the robot as described with the rig as the identification found it. One setting for all: `truearm identify` with its
 defaults, then with `--joint-laws auto`. Seconds are of the processor, of both fits. pybotics fits 25 geometric parameters, as its example does; figaroh is not run:
 its calibration wants a URDF and a configuration file for each arm, and its geometry was compared on simulated data (benchmarks.md).
 
@@ -331,8 +331,8 @@ its calibration wants a URDF and a configuration file for each arm, and its geom
   seed 0 places them (`chuck_places()`), the identification knows them to 10 mm and places them itself. Judged by the tracked points of a fifth of the poses, the base placed on them.
 - **UR5** (Tsinghua, laser tracker): the author's 20 random poses.
 - **MUKCa** (ball in sockets): whole places are held out, named in the table.
-- **Constants.** The knots' spacing, the octaves and the hyperpriors were chosen on UR10 series C and on an IRB 120 that is not here; the gate on simulated arms. Nothing was chosen on
-  the other sets. In no case does `auto` use what judges.
+- **Constants.** The knots' spacing, the octaves and the hyperpriors were chosen on UR10 series C and on an IRB 120 that is not here; how a variance that fell to nothing is begun again, on
+  simulated arms. Nothing was chosen on the other sets. In no case does `auto` use what judges.
 """
 
 
