@@ -128,6 +128,7 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
         "export": result,
         "inspect": {"session": newest_session},
         "characterize": {"session": newest_session, **robot},
+        "relabel": {"session": newest_session, **robot},
         "export-session": {"session": newest_session},
         "plan": {"ballbar": planning, "line": planning, "characterize": planning},
         "box": {name: {"device": text(project.box)} for name in ("test", "monitor", "gauge", "info", "flash")},

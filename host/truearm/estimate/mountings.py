@@ -7,7 +7,7 @@ sensor beyond its stroke speaks against every pairing that should be within it. 
 fits as well. Runs of dwells can, which is what the forward-backward algorithm of a hidden Markov model weighs (Rabiner 1989, Proc. IEEE 77, III-B).
 
 The nominal robot predicts to some millimetres or centimetres, with errors that neighbouring poses share. So the robot is fitted meanwhile: its
-parameters, with a Gaussian prior about the nominal ones, linearised, from the dwells by the probability of their pairing. A dwell is judged by the
+parameters, with a Gaussian prior about the nominal ones (the weak one, or the wide one where the dwells do not fit it), linearised, from the dwells by the probability of their pairing. A dwell is judged by the
 fit without the run that it belongs to, else a wrong run would confirm itself; within a run each dwell is judged given the one before, since a
 prediction that is off by a common amount still predicts the difference. The covariance of that fit is the uncertainty of its prediction, widened where
 the usual misfit is larger. Fit and judgement alternate, with a noise that falls from NOISE's first to its last value, so that what is still labelled
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy import special
 from scipy.linalg import cho_factor, cho_solve
 
-from truearm.estimate.prior import wide_prior
+from truearm.estimate.prior import weak_prior, wide_prior
 from truearm.estimate.problem import build_problem
 from truearm.model.chain import Chain
 from truearm.types import BAR_MOUNTED, Floats, ObservationTable, Rig
@@ -62,11 +62,13 @@ SOFT = 2.5  # σ, beyond which a reading counts for less in the fit (Cauchy's lo
 LOST = 0.02  # a sensor whose bar is within its stroke is beyond it all the same
 DIFFUSE = 10.0  # σ of an unknown of the rig without prior
 MOST_PAIRINGS = 150
+CONSISTENT = 1.2  # a fit that misses by no more than so much of what it claims needs no wider prior
 MOST_SUSPECT, WIDENED = 8, 2.0  # runs left out where the fit misses by so much more than it claims
 
 SURE = 0.998  # the least probability of a label that is used by the evidence alone
-DOUBTED = 0.9  # where a label that plan and operator agree on has less, all evidence is asked
-BORNE_OUT = 0.99  # the least probability of such a label, by all evidence
+SETTLED = 0.9  # where all labels have so much, the fit to them is not tried again
+FITS = 0.999  # where a label that plan and operator agree on has less, all evidence is asked
+BORNE_OUT = 0.97  # the least probability of such a label, by all evidence
 
 
 @dataclass(frozen=True)
@@ -118,8 +120,15 @@ def mountings(chain: Chain, rig: Rig, readings: Readings, words: Words, free: Ma
     """
     pairings = candidates(rig, words)
     transitions, told = _course(words, pairings)
-    fit = _Fit(chain, rig, readings, [pairings] * len(readings.q), free)
-    return Mountings(pairings, _annealed(fit, transitions, told))
+    least, probability = np.inf, told
+    for prior in (weak_prior(chain), wide_prior(chain)):
+        fit = _Fit(chain, rig, readings, [pairings] * len(readings.q), free, prior)
+        found = _annealed(fit, transitions, told)
+        if fit.widened < least:
+            least, probability = fit.widened, found
+        if fit.widened < CONSISTENT:
+            break
+    return Mountings(pairings, probability)
 
 
 def label_support(chain: Chain, rig: Rig, readings: Readings, labels: Sequence[Pairing], free: Mask) -> Floats:
@@ -130,10 +139,12 @@ def label_support(chain: Chain, rig: Rig, readings: Readings, labels: Sequence[P
     changed = [True, *(a != b for a, b in pairwise(labels))]
     steps = [np.array([[DONE, 1.0 - DONE]] * 2), np.array([[1.0 - UNASKED, UNASKED], [PUT_RIGHT, 1.0 - PUT_RIGHT]])]
     transitions, told = [steps[0] if new else steps[1] for new in changed], np.zeros((len(labels), 2))
-    for noise in (NOISE[-3:], NOISE):  # where nothing is wrong nothing bends the first fit
-        fit = _Fit(chain, rig, readings, [[label] for label in labels], free)
+    weak, wide = weak_prior(chain), wide_prior(chain)
+    # where nothing is wrong nothing bends the first fit
+    for prior, noise in ((weak, NOISE[-3:]), (wide, NOISE[-3:]), (weak, NOISE), (wide, NOISE)):
+        fit = _Fit(chain, rig, readings, [[label] for label in labels], free, prior)
         support = _annealed(fit, transitions, told, noise)[:, 0]
-        if fit.widened < WIDENED and (support[readings.read] >= DOUBTED).all():
+        if fit.widened < WIDENED and (support[readings.read] >= SETTLED).all():
             break
     return support
 
@@ -243,11 +254,17 @@ class _Seen(NamedTuple):
 class _Fit:
     """The robot that the dwells show, linearised about its parameters so far.
 
-    ``candidates``: the k pairings that each dwell may be of.
+    ``candidates``: the k pairings that each dwell may be of; ``prior`` (p,): σ of the robot's parameters.
     """
 
     def __init__(
-        self, chain: Chain, rig: Rig, readings: Readings, candidates: Sequence[Sequence[Pairing]], free: Mask
+        self,
+        chain: Chain,
+        rig: Rig,
+        readings: Readings,
+        candidates: Sequence[Sequence[Pairing]],
+        free: Mask,
+        prior: Floats,
     ) -> None:
         self.readings, self.noise = readings, NOISE[0]
         self.n, self.k = len(candidates), len(candidates[0])
@@ -263,7 +280,7 @@ class _Fit:
             value=(zero + self.gain * extension[:, None]).ravel(),
             **dict(zip(BAR_MOUNTED, np.array(flat).T, strict=True)),
         )
-        self.problem = build_problem(chain, rig, table, wide_prior(chain))
+        self.problem = build_problem(chain, rig, table, prior)
         self.columns = np.concatenate([free, np.ones(len(self.problem.names) - free.size, dtype=bool)])
         self.prior = 1.0 / np.minimum(self.problem.prior_sigma[self.columns], DIFFUSE) ** 2
         self.x = self.problem.start.copy()

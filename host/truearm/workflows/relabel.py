@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import Argument, InputError, RigError, SessionError
-from truearm.estimate.mountings import BORNE_OUT, DOUBTED, SURE, Mountings, Readings, Words, label_support, mountings
+from truearm.estimate.mountings import BORNE_OUT, FITS, SURE, Mountings, Readings, Words, label_support, mountings
 from truearm.files.labels_file import Decision, no_labels, read_labels, with_decision, write_labels
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import RobotChoice, load_robot
@@ -312,7 +312,7 @@ def borne_out_rows(robot: Robot, rig: Rig, result: SyncResult) -> NDArray[np.boo
     readings, free = readings_of(rig, dwells), default_free(robot)
     parts = [slice(first, first + AT_ONCE) for first in range(0, len(used), AT_ONCE)]
     support = [label_support(robot.chain, rig, readings.take(part), labels[part], free) for part in parts]
-    if (np.concatenate(support) >= DOUBTED).all():
+    if (np.concatenate(support) >= FITS).all():
         return out
     good, said, every = _of_survey(rig, result.survey)
     found = _evidence(robot, rig, every, said)
