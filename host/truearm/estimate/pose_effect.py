@@ -17,7 +17,8 @@ Their covariance where p is 0 is 2m² times the same matrix, which says whether 
 squares has them, as unmodelled errors that are not alike for the points of a pose would bend weights that were learnt from them; what
 changes is the covariance of such an estimate, P + S((m − 1) QᵀQ + p (ZᵀQ)ᵀZᵀQ) Sᵀ. A prior, which rests on no row, counts in it as declared.
 
-Where each pose has one row nothing tells m from p, and nothing is estimated.
+Where each pose has one row nothing tells m from p but the model, and nothing is estimated; nor where fewer than half of the rows share
+their pose with others, as check poses do, since single rows would decide.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from truearm.types import Floats, PoseError
 
 LEVEL = 0.05  # of fits without such errors that show some by chance
 TRANSLATIONS = slice(0, 6, 2)  # of ``Linearised.wrenches``: the forces
+LEAST_SHARE = 0.5  # of the rows that share their pose with others
 TOLD = 1e-6  # share of p's information that m must leave
 
 
@@ -63,7 +65,7 @@ def pose_effect(
 ) -> PoseEffect | None:
     """The errors that rows of one ``pose`` (n_rows,) share at the estimate x (P,); ``root`` (k, r) is S there.
 
-    None where no pose has several rows, or where they err no more alike than by chance.
+    None where fewer than half of the rows share their pose with others, or where these err no more alike than by chance.
     """
     sums = _sums(problem, x, columns, root, pose)
     if sums is None:
@@ -89,10 +91,10 @@ def pose_effect(
 
 
 def _sums(problem: Problem, x: Floats, columns: NDArray[np.bool_], root: Floats, pose: Indices) -> _Sums | None:
-    """The sums over the poses; None where none has several rows."""
+    """The sums over the poses; None where too few have several rows."""
     rows = np.concatenate([group.row for group in problem.groups if group.row is not None] or [np.zeros(0, np.intp)])
     _, number, count = np.unique(pose[rows], return_inverse=True, return_counts=True)
-    if not (count > 1).any():
+    if count[count > 1].sum() < max(LEAST_SHARE * rows.size, 1.0):
         return None
     k, r = count.size, root.shape[1]
     at = np.zeros(pose.size, dtype=np.intp)
