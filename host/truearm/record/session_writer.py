@@ -30,7 +30,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, NamedTuple, assert_never
+from typing import Any, BinaryIO, assert_never
 
 from mcap.writer import CompressionType, Writer
 
@@ -54,18 +54,13 @@ _as_json = json.JSONEncoder(separators=(",", ":")).encode  # one for all rows, d
 Anchor = tuple[int, int]  # the same instant in UTC and on the host's clock [ns]
 
 
-class _Message(NamedTuple):
-    """A message, by its number within its topic, and when it arrived [ns]."""
-
-    topic: str
-    number: int
-    t_host_ns: int
-    data: bytes
+_Message = tuple[str, int, int, bytes]  # topic, number within it, when it arrived [ns], data
 
 
 def _belongs_to_head(message: _Message) -> bool:
     """Whether a message says what is planned or mounted, which a file that begins anew must hold too."""
-    return message.topic == "/plan" or (message.topic == "/events" and b'"mounted"' in message.data)
+    topic, _, _, data = message
+    return topic == "/plan" or (topic == "/events" and b'"mounted"' in data)
 
 
 class SessionWriter:
@@ -170,10 +165,10 @@ class SessionWriter:
             self.metadata(CHANNELS, {str(number): name for name, (number, _) in self._channels.items()})
         if sequence is not None:
             channel[1] = sequence
-        message = _Message(topic, channel[1], t_host_ns, data)
-        self._waiting.append(message)
-        self._write(message)
-        channel[1] = channel[1] + 1 & 0xFFFFFFFF
+        number = channel[1]
+        self._waiting.append((topic, number, t_host_ns, data))
+        self._writer.add_message(channel[0], t_host_ns + self._utc_offset_ns, data, t_host_ns, number)
+        channel[1] = number + 1 & 0xFFFFFFFF
         self._chunk_bytes += len(data)
 
     def _add_columns(self) -> None:
@@ -276,11 +271,6 @@ class SessionWriter:
         schema = self._writer.register_schema(encodings.name, encodings.schema, encodings.data.encode())
         return self._writer.register_channel(topic, encodings.message, schema)
 
-    def _write(self, message: _Message) -> None:
-        topic, number, t_host_ns, data = message
-        log_ns = t_host_ns + self._utc_offset_ns
-        self._writer.add_message(self._channels[topic][0], log_ns, data, t_host_ns, number)
-
     def _flushed(self) -> None:
         self._out.flush()
         self._size = self._out.tell()
@@ -329,8 +319,9 @@ class SessionWriter:
         self._writer = self._begun()
         for topic, encodings in self._encodings.items():
             self._register(topic, encodings)  # the numbers are the same: they count
-        for message in (*self._head, *self._waiting):
-            self._write(message)
+        for topic, number, t_host_ns, data in (*self._head, *self._waiting):
+            log_ns = t_host_ns + self._utc_offset_ns
+            self._writer.add_message(self._channels[topic][0], log_ns, data, t_host_ns, number)
         for name, entries in self._metadata.items():
             self._writer.add_metadata(name, entries)
         for name, (media_type, data) in self._attachments.items():
