@@ -131,6 +131,8 @@ class FrameOrder:
         default_factory=deque
     )  # as they were taken, each with its seq and length
     _n_remembered: int = 0
+    _by_seq: dict[int, tuple[int, Run]] = field(default_factory=dict)  # of them: length and frames, by the first seq
+    _long: set[int] = field(default_factory=set)  # the first seq of those that are more than one frame
     _times: dict[int, int] = field(default_factory=dict)  # newest device time of each kind
     _placed_times: dict[int, int] = field(default_factory=dict)  # of the frames that were given back
     _boot_id: int | None = None
@@ -258,19 +260,29 @@ class FrameOrder:
 
     def _remember(self, run: Run) -> None:
         self._remembered.append((run.seq, len(run), run))
+        self._index(run.seq, len(run), run)
         self._n_remembered += len(run)
         while self._n_remembered > 2 * REACH:
             seq, n, oldest = self._remembered.popleft()
+            self._by_seq.pop(seq, None)
+            self._long.discard(seq)
             forgotten = oldest.first(min(n, self._n_remembered - 2 * REACH))
             self._n_remembered -= len(forgotten)
             if len(forgotten) < n:
                 rest = oldest.after(forgotten)
                 self._remembered.appendleft(((seq + len(forgotten)) % CIRCLE, len(rest), rest))
+                self._index(*self._remembered[0])
+
+    def _index(self, seq: int, n: int, run: Run) -> None:
+        self._by_seq[seq] = n, run
+        if n > 1:
+            self._long.add(seq)
 
     def _is_doubled(self, run: Run) -> bool:
         """Whether the bytes of a frame are remembered under its seq."""
         asked = run.seq
-        for seq, n, known in self._remembered:
+        for seq in (asked, *self._long):
+            n, known = self._by_seq.get(seq, (0, run))
             if (asked - seq) % CIRCLE < n:
                 return run.payload == known.after(known.first((asked - seq) % CIRCLE)).payload
         return False
@@ -294,6 +306,7 @@ class FrameOrder:
         yield from self._all_waiting(at)
         first, far = runs[0], self._far
         self._remembered, self._n_remembered, self._times, self._placed_times = deque(), 0, {}, {}
+        self._by_seq, self._long = {}, set()
         self._boot_id, self._restarting, self._far = None, True, False
         # The count of a box begins at 0; one that lies too far ahead says nothing of what was lost.
         from_ = first.seq if far else 0
