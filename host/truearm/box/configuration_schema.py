@@ -177,6 +177,7 @@ CHANNEL = Table[dict[str, Any]](
         _key("unit", Words()),
         _key("scale", Exact(), "of a count, at gain 1"),
         _key("gain", Steps(options=GAINS), needed=False),
+        _key("over", Words(), "name of the channel that this one is divided by", needed=False, judged=False),
         Key("calibration", CALIBRATION, optional=True),
     ),
     dict,

@@ -218,6 +218,7 @@ def sample(box: BoxControl, stream: Stream, seconds: float) -> NDArray[np.int32]
 
     Raises LinkError if too few samples come.
     """
+    from truearm.session.samples import with_ratios
     from truearm_wire.messages import START, STOP
 
     skip, wanted = (max(1, round(NS.of(s) / stream.period_ns)) for s in (SETTLE_S, seconds))
@@ -228,7 +229,7 @@ def sample(box: BoxControl, stream: Stream, seconds: float) -> NDArray[np.int32]
         box.command(STOP)
         for _ in box.sent(0.0):  # what was under way
             continue
-    return np.concatenate(blocks)
+    return with_ratios(np.concatenate(blocks), stream.channels)
 
 
 def _collect(box: BoxControl, stream: Stream, skip: int, wanted: int, patience_s: float) -> list[NDArray[np.int32]]:

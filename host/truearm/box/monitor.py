@@ -80,12 +80,14 @@ class Watch:
 
     def take(self, sent: Sent) -> None:
         """A frame that came."""
+        from truearm.session.samples import with_ratios
         from truearm_wire.messages import EVENT, HEARTBEAT, SYNC_REPLY
 
         if sent.data is not None:
             stream = self.ident.streams.get(sent.data.stream)
             if stream is not None and len(sent.data.samples) % (4 * len(stream.channels)) == 0:
                 counts = np.frombuffer(sent.data.samples, "<i4").reshape(-1, len(stream.channels))
+                counts = with_ratios(counts, stream.channels)
                 self.windows.setdefault(stream.id, Window()).take(sent.data.n0, counts, sent.data.period_ns)
         elif sent.kind == HEARTBEAT:
             self.heartbeat = sent.fields

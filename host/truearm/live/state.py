@@ -15,7 +15,7 @@ from truearm.live.progress import SessionProgress, words_of
 from truearm.record.operator import OperatorEvent
 from truearm.session.box_ident import find_channel
 from truearm.session.joint_readings import JointLine
-from truearm.session.samples import extension, railed
+from truearm.session.samples import extension, railed, with_ratios
 from truearm.text import one_line
 from truearm.types import BAR_MOUNTED
 from truearm.units import MM, MM_S, NS, UM, US
@@ -81,7 +81,7 @@ class LiveState:
         if stream is None or len(data.samples) % (4 * len(stream.channels)):
             return
         t_ns = self._box_time.host_ns(1000 * data.t0_us, t_ns)
-        counts = np.frombuffer(data.samples, "<i4").reshape(-1, len(stream.channels))
+        counts = with_ratios(np.frombuffer(data.samples, "<i4").reshape(-1, len(stream.channels)), stream.channels)
         self._windows.setdefault(stream.id, Window()).take(data.n0, counts, data.period_ns)
         for k, channel in enumerate(stream.channels):
             if channel.length_unit is None:

@@ -10,10 +10,11 @@ does a count that jumps by more frames than any link could have carried meanwhil
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
 
 from truearm.errors import ProtocolError
 from truearm.record.fields import fields_of
@@ -25,7 +26,7 @@ from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
 from truearm.session.box_frames import Data, Pages, data_of, decode, too_many, usual_data
 from truearm.session.box_ident import Ident, decode_ident
-from truearm.session.samples import shown
+from truearm.session.samples import shown, with_ratios
 from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, IDENT, REPLY, SYNC_REPLY
 
 _TOPICS = {
@@ -142,7 +143,8 @@ class Intake:
         """A block's last sample for viewers that cannot read frames."""
         stream = None if self.ident is None else self.ident.streams.get(data.stream)
         if stream is not None and data.samples and len(data.samples) % (_SAMPLE_BYTES * len(stream.channels)) == 0:
-            counts = struct.unpack(f"<{len(data.samples) // _SAMPLE_BYTES}i", data.samples)[-len(stream.channels) :]
+            last = np.frombuffer(data.samples, "<i4")[-len(stream.channels) :].reshape(1, -1)
+            counts = with_ratios(last, stream.channels)[0].tolist()
             row = dict(shown(*pair) for pair in zip(stream.channels, counts, strict=True) if not pair[0].fault)
             self.writer.add_json(PREVIEW + stream.name, t_host_ns, row)
 

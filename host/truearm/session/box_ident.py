@@ -14,7 +14,7 @@ import json
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NoReturn
 
 import cbor2
@@ -36,12 +36,16 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}")
 RESERVED_NAMES = frozenset({"event", "heartbeat", "ident", "sync", "reply", "other", "console"})
 
 
+RATIO_STEP = 2.0**-20  # of a channel that is divided by another: ±8 in 24 bits
+
+
 @dataclass(frozen=True)
 class Channel:
     """A channel of a stream: volts (or whatever ``unit`` says) = counts · scale.
 
-    ``poly``: value in ``calibrated_unit`` = Σ poly[k] · (counts · scale)^k; empty without a calibration. With a
-    ``fault`` the box's description cannot be used (the text says why), the scale is NaN and the rest empty.
+    ``poly``: value in ``calibrated_unit`` = Σ poly[k] · (counts · scale)^k; empty without a calibration. ``over``: the channel that
+    this one is divided by, as the box's channel of that index (``samples.with_ratios``); then ``scale`` is ``RATIO_STEP``, and
+    ``per_count`` what a count over a count is, a ratio. With a ``fault`` the box's description cannot be used (the text says why), the scale is NaN and the rest empty.
     """
 
     name: str
@@ -49,6 +53,8 @@ class Channel:
     scale: float
     calibrated_unit: str = ""
     poly: tuple[float, ...] = ()
+    over: int | None = None
+    per_count: float = 1.0
     fault: str = ""
 
     @property
@@ -185,13 +191,14 @@ def _stream(entry: dict[str, Any]) -> Stream:
     channels = _typed(entry.get("channels"), list, "channels")
     if not 1 <= len(channels) <= MAX_CHANNELS:
         raise _Wrong(f"stream {name} has {len(channels)} channels, 1 to {MAX_CHANNELS} are possible")
+    found = [_channel(channel) for channel in channels]
     return Stream(
         id=_unsigned(entry.get("id"), "id", 2**31),
         name=name,
         period_ns=_unsigned(entry.get("period_ns"), "period_ns", 2**32),
         osr=_unsigned(entry.get("osr"), "osr", 2**32),
         group_delay_ns=_unsigned(entry.get("group_delay_ns"), "group_delay_ns", 2**40),
-        channels=tuple(_channel(channel) for channel in channels),
+        channels=tuple(_divided(channel, entry, found) for channel, entry in zip(found, channels, strict=True)),
     )
 
 
@@ -201,6 +208,22 @@ def _channel(entry: object) -> Channel:
     except _Wrong as exc:
         name = entry.get("name") if isinstance(entry, dict) else None
         return Channel(name if isinstance(name, str) else "", "", math.nan, fault=str(exc))
+
+
+def _divided(channel: Channel, entry: object, channels: list[Channel]) -> Channel:
+    """The channel as a ratio, if the box says that it is to be divided by another of its stream."""
+    over = entry.get("over") if isinstance(entry, dict) and not channel.fault else None
+    if over is None:
+        return channel
+    index = next((k for k, other in enumerate(channels) if other.name == over and other is not channel), None)
+    if index is None or channels[index].fault or not channels[index].scale:
+        return replace(
+            channel,
+            scale=math.nan,
+            poly=(),
+            fault=f"over is {_shown(over)}, which names no other channel that can be used",
+        )
+    return replace(channel, unit="V/V", scale=RATIO_STEP, over=index, per_count=channel.scale / channels[index].scale)
 
 
 def _whole_channel(entry: dict[str, Any]) -> Channel:

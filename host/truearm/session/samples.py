@@ -39,7 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import SessionError
-from truearm.session.box_ident import Channel, Ident, Stream, find_channel
+from truearm.session.box_ident import RATIO_STEP, Channel, Ident, Stream, find_channel
 from truearm.session.box_reader import Blocks
 from truearm.session.device_clock import DeviceClock
 from truearm.session.message_columns import Ints
@@ -49,11 +49,30 @@ from truearm_wire import messages as wire
 # Two's complement ends of a 24-bit converter: at either the input was at least that large, and the reading says no more.
 RAIL_HIGH = 2**23 - 1
 RAIL_LOW = -(2**23)
+LEAST_DIVISOR = 2**23 // 100  # 12 mV at gain 1
 
 
 def railed(counts: NDArray[Any]) -> NDArray[np.bool_]:
     """Mask of the counts that stand at a rail of the 24-bit converter."""
     return np.asarray((counts >= RAIL_HIGH) | (counts <= RAIL_LOW))
+
+
+def with_ratios(counts: NDArray[np.int32], channels: Sequence[Channel]) -> NDArray[np.int32]:
+    """Counts (n, c) with the columns of channels that are divided by another as counts of ``RATIO_STEP``.
+
+    An LVDT's secondary over its primary: what drives it cancels. Where either stands at a rail, or the divisor is below
+    ``LEAST_DIVISOR`` counts because nothing drives the sensor, the result stands at a rail.
+    """
+    divided = [k for k, channel in enumerate(channels) if channel.over is not None and not channel.fault]
+    if not divided:
+        return counts
+    found = counts.copy()
+    for k in divided:
+        over = counts[:, channels[k].over]
+        usable = ~railed(counts[:, k]) & ~railed(over) & (np.abs(over) >= LEAST_DIVISOR)
+        ratio = counts[:, k] / np.where(usable, over, 1) * (channels[k].per_count / RATIO_STEP)
+        found[:, k] = np.where(usable, np.clip(np.rint(ratio), RAIL_LOW, RAIL_HIGH), RAIL_HIGH)
+    return found
 
 
 def volts(counts: NDArray[Any], channel: Channel) -> Floats:
@@ -178,7 +197,7 @@ def of_channels(blocks: Blocks, columns: tuple[int, ...]) -> ChannelBlocks:
         t0_us=blocks.t0_us,
         gap=blocks.gap,
         fault=(blocks.flags & wire.FLAG_CONVERTER) != 0,
-        counts=blocks.counts()[:, columns],
+        counts=with_ratios(blocks.counts(), blocks.stream.channels)[:, columns],
         within_ns=blocks.within_ns() if blocks.offsets_us else None,
     )
 

@@ -30,7 +30,7 @@ from truearm.session.joint_readings import ARRAYS, NO_INPUTS, UNNUMBERED, JointB
 from truearm.session.line_passes import Pass
 from truearm.session.message_columns import Messages
 from truearm.session.observations import Survey
-from truearm.session.samples import extension, volts
+from truearm.session.samples import extension, volts, with_ratios
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Message
 from truearm_wire import messages as wire
 
@@ -202,7 +202,7 @@ def samples(blocks: Blocks, found: Survey) -> Columns:
     is when the signal had that value, with the bound of its error. ``gap`` 1: samples are missing before this one.
     """
     stream, n, within_ns = blocks.stream, blocks.n, blocks.within_ns()
-    counts = blocks.counts()
+    counts = with_ratios(blocks.counts(), stream.channels)
     total = len(counts)
     clock = found.clocks.get(blocks.segment)
     if clock is None:
