@@ -12,6 +12,7 @@ from scipy import stats
 
 from truearm.kinds.registry import NAMES, kinds
 from truearm.report.calibration_page import CalibrationPage
+from truearm.report.certificate import Certificate, Recording, Sensor
 from truearm.types import (
     Addition,
     Estimate,
@@ -206,6 +207,37 @@ def cells_of(text, label):
     return [[html.unescape(cell) for cell in re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row)] for row in rows]
 
 
+CERTIFICATE = Certificate(
+    name="cell 3, " + "a long name " * 8,
+    robot="puma560",
+    serial="2019-7",
+    operator="A. B.",
+    software="truearm 0.4.0",
+    recordings=tuple(
+        Recording(
+            f"monday{i}.mcap",
+            "2026-01-01 12:00 UTC",
+            "e6614103e7452b2f",
+            "0.4.0",
+            (Sensor("lvdt", f"serial{i}", "2026-01-01", "at 23.4 °C"),),
+            400,
+            (("no plan match", 13), ("moved", 2)),
+            4,
+            1_234_567,
+            12,
+            3,
+            304e-6,
+        )
+        for i in range(9)
+    ),
+    files=tuple(("observations", f"monday{i}.mcap", f"{i}" * 64) for i in range(12)),
+    method=(
+        ("solver", "lm, linear loss, prior default, joint laws none"),
+        ("observations", "800 fitted; held out: bar=bar61"),
+    ),
+)
+
+
 def full_page():
     """A page with everything that a page may have: all kinds, two rigs, suspects, wrong labels, proposals."""
     page = make_page(300)
@@ -238,4 +270,5 @@ def full_page():
         table=replace(page.table, rig=np.where(index % 2 == 0, "monday", "tuesday")),
         predicted=PredictedError(6.4e-5, 1.12e-4, "y.csv row 7", 20, True),
         prior="weak",
+        certificate=CERTIFICATE,
     )

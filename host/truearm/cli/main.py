@@ -31,6 +31,7 @@ from truearm.cli.project import ProjectCommand, defaults
 from truearm.cli.record import record
 from truearm.cli.recover import recover
 from truearm.cli.relabel import relabel
+from truearm.cli.report import report
 from truearm.cli.reproduce import reproduce
 from truearm.cli.simulate import simulate
 from truearm.cli.status import status
@@ -52,6 +53,7 @@ COMMANDS = (
     characterize,
     export_session,
     identify,
+    report,
     validate,
     map_,
     correct,

@@ -122,6 +122,7 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
             "out": new(project.sessions, ".mcap"),
         },
         "identify": {"inputs": sessions, **robot, "out": new(project.results, ".json")},
+        "report": {**result, "inputs": sessions, "out": new(project.results, ".html")},
         "validate": robot,  # its arguments are a result and what judges it: which of them is missing cannot be told
         "correct": robot,
         "map": result,

@@ -17,6 +17,7 @@ import numpy as np
 
 from truearm.estimate.law_curves import SampledCurve
 from truearm.estimate.solvers import Loss, Prior, loss_summary
+from truearm.report.certificate import Certificate, certificate_section
 from truearm.report.correlation import correlation
 from truearm.report.figures import Figure, convergences, figures_of
 from truearm.report.findings import (
@@ -71,6 +72,7 @@ class CalibrationPage:
     laws: tuple[str, ...] = ()  # sentences
     law_steps: tuple[tuple[str, str, str, str], ...] = ()  # unit, fit, fitted RMS, held-out mean
     curves: tuple[SampledCurve, ...] = ()
+    certificate: Certificate | None = None  # stands on page one
 
     def __post_init__(self) -> None:
         n = len(self.table)
@@ -88,6 +90,7 @@ class CalibrationPage:
 def render(page: CalibrationPage) -> str:
     """The page as HTML text, to be written as UTF-8."""
     sections = (
+        certificate_section(page.certificate, page.estimate, page.judged, page.predicted) if page.certificate else "",
         _verdict(page),
         _pictures(page),
         _parameters(page.estimate),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +17,7 @@ from truearm.types import Estimate, Floats, ObservationTable, Rig
 from truearm.units import SUFFIXES
 
 if TYPE_CHECKING:
+    from truearm.report.certificate import Certificate, Recording
     from truearm.workflows.identify import Identification
 
 UNPREDICTED = (
@@ -25,9 +26,16 @@ UNPREDICTED = (
 )
 
 
-def write_page(path: Path, found: Identification, command: str = "") -> None:
-    """Write the page whole or not at all. Raises InputError when the place cannot be written."""
+def write_page(
+    path: Path,
+    found: Identification,
+    command: str = "",
+    recordings: Sequence[Recording] = (),
+    certificate: Certificate | None = None,
+) -> None:
+    """Write the page whole or not at all; ``recordings`` are the sessions that were read. Raises InputError when the place cannot be written."""
     from truearm.report.calibration_page import CalibrationPage, render
+    from truearm.report.certificate import facts_of
     from truearm.report.law_words import law_sentences, law_steps
     from truearm.report.residual_rows import row_name
     from truearm.report.systematic_words import systematic_sentences
@@ -43,7 +51,6 @@ def write_page(path: Path, found: Identification, command: str = "") -> None:
         command=command,
         prior=found.prior,
         predicted=None if estimate.unexplained else found.predicted,
-        facts=_facts(table),
         laws=tuple(law_sentences(found.document)),
         law_steps=tuple(
             (SUFFIXES[suffix].symbol, *step)
@@ -51,6 +58,8 @@ def write_page(path: Path, found: Identification, command: str = "") -> None:
             for step in law_steps(found.document, suffix)
         ),
         curves=_curves(found),
+        facts=(*facts_of(recordings), *_facts(table)),
+        certificate=certificate,
         systematic=tuple(systematic_sentences(found.document)),
         notes=(*_timing(estimate), *_error_elsewhere(found)),
     )

@@ -24,10 +24,12 @@ from truearm.files.observation_table import looks_like_table, write_table
 from truearm.files.result_file import Input, RobotFrames, document_of, looks_like_result, stored_result, write_result
 from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.model.robot import Robot
+from truearm.report.certificate import Recording
 from truearm.types import Estimate, ObservationTable, PredictedError
 from truearm.workflows.calibration import Calibration, calibration_of
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.inputs import DwellCount, Sources, check_files, hashed_inputs, read_sources
+from truearm.workflows.recordings import counted_dwells, recording_of
 from truearm.workflows.selection import free_parameters, held_out_rows, matching, parse_effect, parse_rows
 from truearm.workflows.session_parts import with_parts
 
@@ -145,6 +147,7 @@ class Selection:
     held_out: Mask | None = None
     held_out_by: tuple[str, ...] = ()
     named: Mask | None = None
+    hold_out: tuple[str, ...] = ()  # as it was asked for
 
 
 @dataclass(frozen=True)
@@ -166,7 +169,12 @@ def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: Ident
     """
     from truearm.report.calibration_page import looks_like_page
 
-    sources = replace(files.sources, inputs=tuple(with_parts(list(files.sources.inputs))))
+    recordings: list[Recording] = []
+    sources = replace(
+        files.sources,
+        inputs=tuple(with_parts(list(files.sources.inputs))),
+        heard=lambda session, result: recordings.append(recording_of(session, result)),
+    )
     wanted = (files.out, looks_like_result), (files.save_table, looks_like_table), (files.report, looks_like_page)
     check_files(sources, files.robot, [(path, ours) for path, ours in wanted if path is not None])
     robot = load_robot(files.robot.robot or "", files.robot.base, files.robot.tip)
@@ -176,7 +184,7 @@ def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: Ident
         write_table(files.save_table, table, robot.chain.joint_units)
     found = identified(robot, rig, table, selection, options, inputs=hashed_inputs(sources, files.robot), counts=counts)
     if files.report is not None:
-        write_page(files.report, found, files.command)
+        write_page(files.report, found, files.command, counted_dwells(recordings, counts))
     if files.out is not None:
         write_result(files.out, found.document)
     return found
@@ -198,11 +206,11 @@ def default_prior(robot: Robot, solver: str) -> Prior:
 def selected(robot: Robot, table: ObservationTable, hold_out: Sequence[str], options: IdentifyOptions) -> Selection:
     """What to estimate and what to judge by. Raises InputError for a pattern or group that matches nothing."""
     rows = held_out_rows(table, hold_out, options.seed, options.fit_only)
-    hold_out = (*hold_out, *(f"all but {group}" for group in options.fit_only))
+    held_out_by = (*hold_out, *(f"all but {group}" for group in options.fit_only))
     names = robot.chain.parameter_names
     free = free_parameters(names, default_free(robot), options.free, options.freeze, options.also_free)
     named = matching(names, "free", options.free) | matching(names, "also_free", options.also_free)
-    return Selection(free, rows, tuple(hold_out), named)
+    return Selection(free, rows, held_out_by, named, tuple(hold_out))
 
 
 def identified(
@@ -256,5 +264,6 @@ def identified(
     frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, chain.joint_units)
     document = document_of(estimate, table, frames, inputs, selection.held_out_by, prior, predicted, chosen)
     document["sessions"] = [count._asdict() for count in counts]
+    document["made_with"] = {"hold_out": list(selection.hold_out), **vars(options)}
     of_robot = vars(calibration_of(stored_result(document), robot, chain.name, "the identification"))
     return Identification(**of_robot, rig=rig, table=table, estimate=estimate, predicted=predicted)

@@ -23,11 +23,13 @@ from truearm.session.dwells import DOUBTFUL, NEED_WORDS
 from truearm.types import ObservationTable, Rig
 from truearm.workflows.relabel import borne_out_rows
 from truearm.workflows.session_observations import (
+    Heard,
     Say,
     SessionOptions,
     labels_of,
     observations_of_session,
     silent,
+    unheard,
 )
 from truearm.workflows.session_parts import is_part
 from truearm.workflows.session_rigs import Assigned, session_rigs
@@ -41,7 +43,7 @@ class Sources:
 
     ``rigs``: by the name that rows have in their column rig, "" for the one rig of all rows; none: each session's own.
     ``noise`` is a noise file whose figures stand in for those of the rigs, ``line_points`` are of each pass along a line
-    at most. ``say`` is called with what is lost of a damaged session.
+    at most. ``say`` is called with what is lost of a damaged session, ``heard`` with every session.
     """
 
     inputs: tuple[Path, ...]
@@ -50,6 +52,7 @@ class Sources:
     allow_damaged: bool = False
     line_points: int | None = None
     say: Say = silent
+    heard: Heard = unheard
 
     @property
     def files(self) -> list[Path]:
@@ -161,7 +164,7 @@ def _read_input(
         return read_table(path, joint_units), None
     name, rig = assigned
     options = SessionOptions(
-        sources.allow_damaged, is_part(path, list(sources.inputs)), sources.line_points, sources.say
+        sources.allow_damaged, is_part(path, list(sources.inputs)), sources.line_points, sources.say, sources.heard
     )
     result = observations_of_session(path, rig, options)
     table = result.table

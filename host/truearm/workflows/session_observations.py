@@ -20,10 +20,15 @@ RIG = "rig.toml"
 SAID = 3  # places where a file is damaged; inspect says all
 
 Say = Callable[[str], None]  # is called with a line of progress or of warning
+Heard = Callable[["Session", "SyncResult"], None]  # is called with each session and what was made of it
 
 
 def silent(_: str) -> None:
     """A ``Say`` that says nothing."""
+
+
+def unheard(_: Session, __: SyncResult) -> None:
+    """A ``Heard`` that keeps nothing."""
 
 
 @dataclass(frozen=True)
@@ -31,13 +36,15 @@ class SessionOptions:
     """How to read a session.
 
     ``allow_damaged``: use what is whole of a damaged file, and call ``say`` with what is lost. ``may_be_empty``: a part of
-    a session need not give an observation. ``line_points``: of each pass along a line at most.
+    a session need not give an observation. ``line_points``: of each pass along a line at most. ``heard`` is called with the
+    session and its observations.
     """
 
     allow_damaged: bool = False
     may_be_empty: bool = False
     line_points: int | None = None
     say: Say = silent
+    heard: Heard = unheard
 
 
 def labels_of(path: Path) -> tuple[DwellLabel, ...] | None:
@@ -94,4 +101,5 @@ def observations_of_session(path: Path, rig: Rig | None = None, options: Session
         raise SessionError(
             f"{path}: no {what} gave an observation ({reasons or 'none was found'}); see truearm inspect {path}"
         )
+    options.heard(session, result)
     return result

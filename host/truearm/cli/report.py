@@ -1,0 +1,68 @@
+"""``truearm report``: the page about a result, with its certificate."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from truearm.cli.options import (
+    AllowDamagedOption,
+    BaseOption,
+    IdentifiedRobotOption,
+    InputsArgument,
+    NamedRigsOption,
+    ResultArgument,
+    TipOption,
+    out_file,
+    rigs_of,
+)
+from truearm.cli.output import warn
+from truearm.files.project_file import Project, find_project, read_project
+
+
+def report(
+    context: typer.Context,
+    result: ResultArgument,
+    inputs: InputsArgument,
+    out: Annotated[Path, out_file("the page (.html)")],
+    robot: IdentifiedRobotOption = None,
+    base: BaseOption = None,
+    tip: TipOption = None,
+    rig: NamedRigsOption = None,
+    noise: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The noise file that truearm identify was given.")
+    ] = None,
+    serial: Annotated[str | None, typer.Option(metavar="TEXT", help="Serial number of the robot.")] = None,
+    operator: Annotated[str | None, typer.Option(metavar="TEXT", help="Who measured.")] = None,
+    name: Annotated[str | None, typer.Option(metavar="TEXT", help="What was calibrated.")] = None,
+    line_points: Annotated[
+        int | None, typer.Option(min=5, metavar="N", help="Points of each pass, as truearm identify was told.")
+    ] = None,
+    allow_damaged: AllowDamagedOption = False,
+) -> None:
+    """Write the page about a result, with a certificate as its first sheet.
+
+    The fit is made again from the files that the result was made from, as it was made then; other files, or another outcome, are refused.
+
+    \b
+    Example:
+      truearm report result.json session.mcap --serial 2019-7 --operator "A. Smith" --out report.html
+    """
+    from truearm.files.robot_file import RobotChoice
+    from truearm.workflows.identify import IdentifyFiles
+    from truearm.workflows.inputs import Sources
+    from truearm.workflows.report import ReportFiles, report_files
+
+    file = find_project(Path.cwd())
+    known = Project("") if file is None else read_project(file)
+    said = {"serial": serial, "operator": operator, "name": name}
+    project = Project(**{**vars(known), **{key: text for key, text in said.items() if text is not None}})
+    sources = Sources(tuple(inputs), rigs_of(rig), noise, allow_damaged, line_points, warn)
+    command = shlex.join(["truearm", *(context.obj or [])])
+    report_files(
+        ReportFiles(result, IdentifyFiles(RobotChoice(robot, base, tip), sources, command=command), out, project)
+    )
+    typer.echo(f"report          {out}")

@@ -1,0 +1,182 @@
+"""Page one of a report: the certificate, which says what was calibrated, by whom, with what, how, and what came out.
+
+It fits a sheet of A4; what does not fit (many sessions, many sensors) is counted, and stands on the pages behind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from truearm.report.page_tables import fact_list
+from truearm.report.page_text import size
+from truearm.text import counted
+from truearm.types import Estimate, HeldOut, PredictedError
+from truearm.units import US
+
+K = 2.0  # coverage factor: 95 % of a normal error
+MOST = 6  # sessions, sensors and files that page one names
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A calibrated channel of a box, as the box says it."""
+
+    name: str
+    serial: str
+    date: str
+    temperature: str
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What a session says of how it was recorded: times are UTC texts, ``bound`` [s] is of the box's clock, None where unknown."""
+
+    name: str
+    begun: str
+    uid: str
+    firmware: str
+    sensors: tuple[Sensor, ...]
+    dwells: int
+    rejected: tuple[tuple[str, int], ...]  # how many by reason
+    passes: int
+    samples: int
+    samples_lost: int
+    frames_lost: int
+    bound: float | None
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What stands on page one. ``files``: role, name and SHA-256 of what was read; ``method``: label and value."""
+
+    name: str
+    robot: str
+    serial: str
+    operator: str
+    software: str
+    recordings: tuple[Recording, ...]
+    files: tuple[tuple[str, str, str], ...]
+    method: tuple[tuple[str, str], ...]
+
+
+def facts_of(recordings: Sequence[Recording]) -> tuple[tuple[str, str], ...]:
+    """Label and value of how each session was recorded; with several the session's name stands in front."""
+    facts = []
+    for one in recordings:
+        of = f"{one.name}: " if len(recordings) > 1 else ""
+        rejected = ", ".join(f"{n} {reason}" for reason, n in one.rejected) or "none"
+        facts += [
+            (f"{of}begun", one.begun or "not known"),
+            (f"{of}box", f"{one.uid or 'without a uid'}, firmware {one.firmware or 'not known'}"),
+            (f"{of}dwells", f"{one.dwells}, of these rejected: {rejected}"),
+            *([(f"{of}passes along lines", str(one.passes))] if one.passes else []),
+            (f"{of}samples", f"{one.samples:,} received, {one.samples_lost:,} lost; {one.frames_lost:,} frames lost"),
+            (f"{of}bound of the box's clock", "not known" if one.bound is None else US.text(one.bound, ".0f")),
+        ]
+    return tuple(facts)
+
+
+def certificate_section(
+    certificate: Certificate, e: Estimate, judged: HeldOut | None, predicted: PredictedError | None
+) -> str:
+    """Page one as HTML."""
+    robot = certificate.robot + (f", serial {certificate.serial}" if certificate.serial else "")
+    what = [
+        ("calibrated", certificate.name or robot),
+        *([("robot", robot)] if certificate.name else []),
+        ("operator", certificate.operator or "not said"),
+        ("recorded", _recorded(certificate.recordings)),
+        ("software", certificate.software),
+    ]
+    groups = [
+        ("What", what),
+        ("Result", _result(e, judged, predicted)),
+        ("Method", list(certificate.method)),
+        ("Conditions", _conditions(certificate.recordings)),
+        ("Sensors", _sensors(certificate.recordings)),
+        (
+            "Files read",
+            [(f"{role}: {name}", f"SHA-256 {digest}") for role, name, digest in certificate.files[:MOST]]
+            + _more(len(certificate.files)),
+        ),
+    ]
+    body = "".join(f"<h3>{title}</h3>{fact_list(pairs)}" for title, pairs in groups if pairs)
+    return f'<section class="certificate"><h2>Certificate of calibration</h2>{body}</section>\n'
+
+
+def _conditions(recordings: Sequence[Recording]) -> list[tuple[str, str]]:
+    if not recordings:
+        return [("recording", "tables, which do not say how they were recorded")]
+    if len(recordings) == 1:
+        return list(facts_of(recordings))
+    dwells, rejected = sum(one.dwells for one in recordings), sum(n for one in recordings for _, n in one.rejected)
+    bounds = [one.bound for one in recordings]
+    worst = None if None in bounds else max(filter(None, bounds), default=None)
+    return [
+        ("sessions", str(len(recordings))),
+        ("boxes", ", ".join(dict.fromkeys(f"{one.uid}, firmware {one.firmware}" for one in recordings))),
+        ("dwells", f"{dwells}, of these rejected: {rejected}"),
+        ("samples lost", f"{sum(one.samples_lost for one in recordings):,}"),
+        ("bound of the box's clock", "not known" if worst is None else US.text(worst, ".0f")),
+    ]
+
+
+def _recorded(recordings: Sequence[Recording]) -> str:
+    days = sorted({one.begun[:10] for one in recordings if one.begun})
+    if not days:
+        return "not known"
+    return days[0] if len(days) == 1 else f"{days[0]} to {days[-1]}"
+
+
+def _result(e: Estimate, judged: HeldOut | None, predicted: PredictedError | None) -> list[tuple[str, str]]:
+    pairs = []
+    for si, after in e.rms_after.items():
+        parts = e.parts.get(si)
+        pairs.append(("RMS before, with base and tool placed", size(e.rms_before[si], si)))
+        pairs.append(("RMS after", size(after, si)))
+        if parts is not None:
+            pairs.append(("of it unexplained by the declared noise", size(parts.unexplained, si)))
+        if judged and si in judged.figures:
+            error = judged.figures[si]
+            pairs.append(
+                ("RMS on observations that were not fitted", f"{size(error.rms, si)}, largest {size(error.max, si)}")
+            )
+    if predicted and not e.unexplained:
+        pairs.append(
+            (f"error of the tool by the parameters, k = {K:g}", f"{size(K * predicted.rms, 'm')} where measured")
+        )
+    else:
+        pairs.append(
+            (
+                f"error of the tool, k = {K:g}",
+                "does not follow from the parameters: see the error on rows that were not fitted",
+            )
+        )
+    pairs.append(("fit", e.status if e.status == "converged" else f"NOT USABLE: {e.status}"))
+    return pairs
+
+
+def _sensors(recordings: Sequence[Recording]) -> list[tuple[str, str]]:
+    distinct = dict.fromkeys(sensor for one in recordings for sensor in one.sensors)
+    pairs = [
+        (
+            sensor.name,
+            ", ".join(
+                filter(
+                    None,
+                    (
+                        f"serial {sensor.serial}" * bool(sensor.serial),
+                        f"calibrated {sensor.date or 'on an unknown date'}",
+                        sensor.temperature,
+                    ),
+                )
+            ),
+        )
+        for sensor in list(distinct)[:MOST]
+    ]
+    return pairs + _more(len(distinct))
+
+
+def _more(count: int) -> list[tuple[str, str]]:
+    return [("more", counted(count - MOST, "entry", "entries"))] if count > MOST else []

@@ -1,0 +1,66 @@
+"""What a session says of how it was recorded, for reports."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
+
+from truearm.report.certificate import Recording, Sensor
+from truearm.text import one_line
+from truearm.units import NS
+
+if TYPE_CHECKING:
+    from truearm.session.observations import SyncResult
+    from truearm.session.session_file import Session
+    from truearm.workflows.inputs import DwellCount
+
+
+def recording_of(session: Session, result: SyncResult) -> Recording:
+    """The facts of one session."""
+    idents = list(result.survey.idents.values())
+    reports = result.clock_reports
+    return Recording(
+        name=one_line(session.path.name),
+        begun=_utc(session.metadata.get("session", {}).get("utc_ns", "")),
+        uid=", ".join(dict.fromkeys(one_line(str(ident.document.get("uid", ""))[:32]) for ident in idents)),
+        firmware=", ".join(dict.fromkeys(one_line(ident.firmware[:32]) for ident in idents)),
+        sensors=tuple(dict.fromkeys(sensor for ident in idents for sensor in _sensors(ident.document))),
+        dwells=len(result.dwells),
+        rejected=tuple(sorted(result.reasons.items())),
+        passes=len(result.passes),
+        samples=result.samples_seen,
+        samples_lost=result.losses.samples_lost + result.losses.samples_overrun,
+        frames_lost=result.losses.frames_lost,
+        bound=max(NS.to_si(report.bound_ns) for report in reports) if reports else None,
+    )
+
+
+def _utc(nanoseconds: str) -> str:
+    """A time as text; "" for none."""
+    if not nanoseconds.isdecimal() or len(nanoseconds) > 19:
+        return ""
+    return datetime.fromtimestamp(NS.to_si(int(nanoseconds)), UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+
+def _sensors(document: Mapping[str, Any]) -> list[Sensor]:
+    """The calibrated channels that a box names."""
+    found = []
+    for stream in document.get("streams") or []:
+        for channel in stream.get("channels") or [] if isinstance(stream, dict) else []:
+            calibration = channel.get("calibration") if isinstance(channel, dict) else None
+            if isinstance(calibration, dict) and calibration:
+                serial, date = (one_line(str(calibration.get(key) or "")[:40]) for key in ("serial", "date"))
+                temperature = calibration.get("temperature_mdegc")
+                name = one_line(str(channel.get("name", ""))[:40])
+                found.append(
+                    Sensor(name, serial, date, f"at {1e-3 * temperature:.1f} °C" if type(temperature) is int else "")
+                )
+    return found
+
+
+def counted_dwells(recordings: Sequence[Recording], counts: Sequence[DwellCount]) -> list[Recording]:
+    """The recordings with the dwells that the identification left out, those whose pairing is in doubt too."""
+    rejected = {one_line(count.session): tuple(sorted(count.rejected.items())) for count in counts}
+    return [replace(one, rejected=rejected.get(one.name, one.rejected)) for one in recordings]

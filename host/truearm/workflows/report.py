@@ -1,0 +1,134 @@
+"""``truearm report``: a result's page with its certificate, made again from what was recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from truearm import __version__
+from truearm.errors import InputError
+from truearm.files.disk import sha256
+from truearm.files.project_file import Project
+from truearm.files.result_file import read_result
+from truearm.files.robot_file import load_robot
+from truearm.report.calibration_page import looks_like_page
+from truearm.report.certificate import Certificate, Recording
+from truearm.workflows.calibration_report import write_page
+from truearm.workflows.identify import Identification, IdentifyFiles, IdentifyOptions, identified, selected
+from truearm.workflows.inputs import check_files, hashed_inputs, read_sources
+from truearm.workflows.recordings import counted_dwells, recording_of
+from truearm.workflows.session_parts import with_parts
+
+SAME = 1e-3  # of a parameter's σ: arithmetic of another machine, not another fit
+
+
+@dataclass(frozen=True)
+class ReportFiles:
+    """A result, what it was made from and with, the page to write, and what the certificate says of robot and operator."""
+
+    result: Path
+    made_from: IdentifyFiles
+    out: Path
+    project: Project = field(default_factory=lambda: Project(""))
+
+
+def report_files(files: ReportFiles) -> Identification:
+    """Fit again as the result says that it was made, check that the same comes out, write the page.
+
+    Of the sessions and tables given those are read that the result was made from.
+    Raises InputError for a result that does not say how it was made, and for files that are not those it was made from or give
+    another result.
+    """
+    stored = read_result(files.result)
+    options, hold_out = _options(files.result, stored.document)
+    recordings: list[Recording] = []
+    given = files.made_from.sources
+    measured = {entry["sha256"] for entry in stored.document.get("inputs", ()) if entry["role"] == "observations"}
+    sources = replace(
+        given,
+        inputs=tuple(path for path in with_parts(list(given.inputs)) if sha256(path) in measured) or given.inputs,
+        heard=lambda session, result: recordings.append(recording_of(session, result)),
+    )
+    choice = files.made_from.robot
+    check_files(sources, choice, [(files.out, looks_like_page)])
+    inputs = hashed_inputs(sources, choice)
+    _check_inputs(files.result, stored.document, {one.sha256 for one in inputs})
+    robot = load_robot(choice.robot or stored.robot.name, choice.base, choice.tip)
+    rig, table, counts = read_sources(sources, robot.chain.joint_units, robot)
+    selection = selected(robot, table, hold_out, options)
+    found = identified(robot, rig, table, selection, options, inputs=inputs, counts=counts)
+    recordings = counted_dwells(recordings, counts)
+    _check_same(files.result, stored.value, found)
+    project = files.project
+    certificate = Certificate(
+        name=project.name,
+        robot=found.chain.name,
+        serial=project.serial,
+        operator=project.operator,
+        software=f"truearm {__version__}; the result was made by {stored.document.get('truearm_version', 'an unknown version')}",
+        recordings=tuple(recordings),
+        files=tuple((one.role, one.name, one.sha256) for one in inputs),
+        method=_method(found, options),
+    )
+    write_page(files.out, found, files.made_from.command, recordings, certificate)
+    return found
+
+
+def _method(found: Identification, options: IdentifyOptions) -> tuple[tuple[str, str], ...]:
+    e = found.estimate
+    held_out = ", ".join(found.document.get("held_out_by", ())) or "nothing"
+    return (
+        ("solver", f"{e.solver}, {e.loss} loss, prior {found.prior}, joint laws {options.joint_laws}"),
+        ("parameters", f"{int(e.free[: e.n_robot_parameters].sum())} of the robot identified, rank {e.rank}"),
+        ("observations", f"{e.n_observations} fitted; held out: {held_out}"),
+    )
+
+
+def _options(path: Path, document: Mapping[str, Any]) -> tuple[IdentifyOptions, tuple[str, ...]]:
+    """How the result says that it was made. Raises InputError."""
+    made = document.get("made_with")
+    if not isinstance(made, Mapping):
+        raise InputError(f"{path}: does not say how it was made (an earlier truearm wrote it); identify again")
+    names = {one.name for one in fields(IdentifyOptions)}
+    given: dict[str, Any] = {
+        key: tuple(value) if isinstance(value, list) else value for key, value in made.items() if key in names
+    }
+    hold_out = made.get("hold_out", [])
+    if (
+        set(made) - names - {"hold_out"}
+        or not isinstance(hold_out, list)
+        or not all(isinstance(one, str) for one in hold_out)
+    ):
+        raise InputError(f"{path}: made_with is damaged, or of a later truearm")
+    try:
+        return IdentifyOptions(**given), tuple(hold_out)
+    except (TypeError, InputError) as exc:
+        raise InputError(f"{path}: made_with: {exc}") from None
+
+
+def _check_inputs(path: Path, document: Mapping[str, Any], given: set[str]) -> None:
+    """Raise InputError where a file that the result was made from is not among those given."""
+    for entry in document.get("inputs", ()):
+        if entry["sha256"] not in given:
+            raise InputError(
+                f"{path}: was made from {entry['role']} {entry['name']}, which is not among the files given, or was changed since"
+            )
+
+
+def _check_same(path: Path, value: np.ndarray[Any, np.dtype[np.float64]], found: Identification) -> None:
+    """Raise InputError where the fit is another than the stored one."""
+    e = found.estimate
+    again = e.value[: len(value)]
+    apart = np.abs(again - value[: len(again)]) > SAME * np.where(
+        np.isfinite(e.sigma[: len(again)]), e.sigma[: len(again)], np.inf
+    )
+    seen = e.free[: len(again)] & e.identifiable[: len(again)]
+    if (apart & seen).any() or len(e.value) != len(value):
+        name = e.parameter_names[int(np.argmax(apart & seen))]
+        raise InputError(
+            f"{path}: the files given make another result (first at {name}); give the rig and noise files that it was made with"
+        )

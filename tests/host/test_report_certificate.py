@@ -1,0 +1,140 @@
+"""``truearm report``: the fit made again from its files, and the certificate on page one of it."""
+
+import html
+import json
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from identify_bench import exact_lengths
+from report_bench import full_page
+from session_stream import RIG, session
+
+from truearm.files.observation_table import write_table
+from truearm.files.rig_file import write_rig
+from truearm.record.links import HostClock
+from truearm.record.session_writer import SessionWriter
+from truearm.report.calibration_page import render
+from truearm.session.session_file import open_session
+from truearm.workflows.recordings import recording_of
+from truearm.workflows.session_observations import SessionOptions, observations_of_session
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
+@pytest.fixture
+def made(tmp_path, run, noisy):
+    """A result with held-out rows and options of its own, and the command that makes its page."""
+    table, rig = noisy
+    write_table(tmp_path / "poses.csv", table, ("rad",) * 6)
+    write_rig(tmp_path / "rig.toml", rig)
+    given = ["--robot", "puma560", "--rig", tmp_path / "rig.toml"]
+    options = ["--hold-out", 0.2, "--seed", 3, "--solver", "map", "--freeze", "link2.y"]
+    assert run("identify", tmp_path / "poses.csv", *given, *options, "--out", tmp_path / "r.json").code == 0
+    return ["report", tmp_path / "r.json", tmp_path / "poses.csv", *given, "--out", tmp_path / "page.html"]
+
+
+def words(page):
+    return " ".join(html.unescape(re.sub(r"<[^>]+>", " ", re.sub(r"<style.*?</style>", "", page, flags=re.S))).split())
+
+
+def test_a_page_says_what_who_how_and_what_came_out(made, tmp_path, run):
+    code, out, err = run(*made, "--serial", "2019-7", "--operator", "<b>A.</b>", "--name", "cell 3")
+    assert (code, err) == (0, "")
+    assert str(tmp_path / "page.html") in out
+    page = (tmp_path / "page.html").read_text("utf-8")
+    assert page.index("Certificate of calibration") < page.index('class="tiles"')
+    said, document = words(page), json.loads((tmp_path / "r.json").read_text())
+    digest = next(one["sha256"] for one in document["inputs"] if one["role"] == "observations")
+    for text in (
+        "cell 3",
+        "puma560, serial 2019-7",
+        "<b>A.</b>",
+        digest,
+        "map, linear loss",
+        "held out: 0.2",
+        "k = 2",
+        "converged",
+    ):
+        assert text in said
+    assert "<b>A." not in page
+    assert f"{document['held_out']['rms_mm']:.3g} mm" in said
+
+
+@pytest.mark.parametrize(
+    ("spoil", "complaint"),
+    [
+        (lambda d: d.pop("made_with"), "does not say how it was made"),
+        (lambda d: d["made_with"].update(solver="lm", freeze=["link3.*"]), "make another result"),
+        (lambda d: d["made_with"].update(solver="magic"), "made_with"),
+        (lambda d: d["made_with"].update(colour=1), "made_with is damaged"),
+        (lambda d: d["made_with"].update(hold_out=[3]), "made_with is damaged"),
+    ],
+)
+def test_a_result_that_was_changed_is_refused(made, tmp_path, run, spoil, complaint):
+    document = json.loads((tmp_path / "r.json").read_text())
+    spoil(document)
+    (tmp_path / "r.json").write_text(json.dumps(document))
+    code, out, err = run(*made)
+    assert (code, out) == (2, "")
+    assert complaint in err
+    assert not (tmp_path / "page.html").exists()
+
+
+def test_files_that_were_changed_since_are_refused(made, tmp_path, run):
+    text = (tmp_path / "rig.toml").read_text()
+    (tmp_path / "rig.toml").write_text(text + "# a word more\n")
+    code, _, err = run(*made)
+    assert code == 2
+    assert "was made from rig rig.toml, which is not among the files given, or was changed since" in err
+
+
+def test_of_many_files_those_are_read_that_the_result_was_made_from(made, tmp_path, run):
+    other, _ = exact_lengths(90)
+    write_table(tmp_path / "other.csv", other, ("rad",) * 6)
+    assert run(*made[:3], tmp_path / "other.csv", *made[3:]).code == 0
+
+
+def test_a_recording_says_how_it_was_made(tmp_path):
+    with SessionWriter(tmp_path / "s.mcap", HostClock()) as writer:
+        write_rig(tmp_path / "rig.toml", RIG)
+        writer.attach("rig.toml", "application/toml", (tmp_path / "rig.toml").read_bytes())
+        for message in session(np.random.default_rng(2), dwells=5)[0]:
+            writer.add(message.topic, message.t_host_ns, message.data)
+    heard = []
+    observations_of_session(
+        tmp_path / "s.mcap", options=SessionOptions(heard=lambda *both: heard.append(recording_of(*both)))
+    )
+    (one,) = heard
+    assert one.name == "s.mcap"
+    assert re.fullmatch(r"20\d\d-\d\d-\d\d \d\d:\d\d UTC", one.begun)
+    assert (one.dwells, one.rejected, one.samples_lost) == (5, (), 0)
+    assert one.bound is not None
+    assert open_session(tmp_path / "s.mcap").path.name == one.name
+
+
+@pytest.mark.skipif(
+    CHROMIUM is None, reason="no browser: install chromium (apt-get install chromium) to print the page"
+)
+def test_the_certificate_is_one_sheet_of_a4(tmp_path):
+    def printed(page):
+        (tmp_path / "page.html").write_text(page, encoding="utf-8")
+        flags = (
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--no-pdf-header-footer",
+            f"--user-data-dir={tmp_path / 'p'}",
+        )
+        command = [CHROMIUM, *flags, f"--print-to-pdf={tmp_path / 'page.pdf'}", (tmp_path / "page.html").as_uri()]
+        subprocess.run(command, check=True, capture_output=True, timeout=120)
+        pdf = (tmp_path / "page.pdf").read_bytes()
+        assert re.search(rb"/MediaBox \[0 0 59[45][.\d]* 84[12][.\d]*\]", pdf)
+        return max(map(int, re.findall(rb"/Count (\d+)", pdf)))
+
+    page = render(full_page())
+    without = page.replace('<section class="certificate">', '<section hidden class="certificate">')
+    assert without != page
+    assert printed(page) - printed(without) == 1
