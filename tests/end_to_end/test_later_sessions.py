@@ -46,14 +46,15 @@ def judged(said, folder, name):
 def test_another_day_of_the_same_robot_holds_in_every_region(said, folder):
     found = judged(said, folder, "friday.mcap")
     assert found["rows"] == 2 * POSES
-    assert found["rms_before_mm"] > 5.0
+    assert found["rms_raw_mm"] > 5.0
+    assert found["rms_before_mm"] > 10.0 * found["rms_after_mm"]  # base and tool placed: the arm's own error is left
     # 0.084 mm of repeatability; 90 poses for 36 parameters leave √(1 + 36/54) of it, 0.11 mm, its σ with 36 rows 12 %
     assert 0.07 < found["rms_after_mm"] < 0.16
     regions = {region["region"]: region for region in found["regions"]}
     assert {"bar=bar46", "bar=bar61", "shell=bar46-c1", "shell=bar61-c3"} <= set(regions)
     assert sum("mm out" in name for name in regions) == 4
     assert regions["bar=bar46"]["rows"] == regions["bar=bar61"]["rows"] == POSES
-    assert all(region["rms_after_mm"] < 0.1 * region["rms_before_mm"] for region in regions.values())
+    assert all(region["rms_after_mm"] < 0.25 * region["rms_before_mm"] for region in regions.values())
     assert found["identified_from"] == []
     lines = said("validate", folder / "result.json", folder / "friday.mcap").splitlines()
     assert lines[-1] == found["verdict"]

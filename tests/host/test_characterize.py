@@ -19,6 +19,7 @@ from truearm.files.plan_file import write_plan
 from truearm.files.rig_file import format_rig
 from truearm.model.chain import along, trace_point
 from truearm.model.robot import builtin_robot
+from truearm.plan.first_rig import REPEATABILITY
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.session.observations import came_from, observations, visits
@@ -27,7 +28,7 @@ from truearm.workflows.characterize import Part, characterized
 from truearm.workflows.session_parts import SETUP
 from truearm_sim import robot, sensors
 from truearm_sim.arm import Arm
-from truearm_sim.world import REPEATABILITY, World, standard_plan, standard_rig
+from truearm_sim.world import World, standard_plan, standard_rig
 
 BACKLASH = (4e-4, 2e-4, 3e-4, 5e-4, 2e-4, 8e-4)
 WORN = Arm(backlash=BACKLASH, reading_sigma=2e-5)
