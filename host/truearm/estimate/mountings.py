@@ -60,7 +60,9 @@ NOISE = (
 TAIL, TAIL_SIGMAS = 0.01, 10.0  # a reading may be off without being of another pairing
 SOFT = 2.5  # σ, beyond which a reading counts for less in the fit (Cauchy's loss)
 LOST = 0.02  # a sensor whose bar is within its stroke is beyond it all the same
-DIFFUSE = 10.0  # σ of an unknown of the rig without prior
+# m, rad and 1: σ of what the rig says is unknown. It is described all the same: were a chuck farther off than the travel that a plan keeps in
+# reserve (22 mm), the bar would leave its stroke.
+DIFFUSE = 0.02
 MOST_PAIRINGS = 150
 CONSISTENT = 1.2  # a fit that misses by no more than so much of what it claims needs no wider prior
 MOST_SUSPECT, WIDENED = 8, 2.0  # runs left out where the fit misses by so much more than it claims
