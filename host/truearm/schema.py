@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 
 from truearm.errors import InputError
-from truearm.units import SUFFIXES, UNITS, suffixes
+from truearm.units import SMALLEST, SUFFIXES, UNITS, suffixes
 
 if TYPE_CHECKING:
     from truearm.types import Matrix  # which needs numpy
@@ -91,7 +91,7 @@ class ReadOnly:
 class Number:
     """A finite number in an SI unit of ``UNITS``, between ``least`` and ``most`` [SI]; those default to ± the unit's largest.
 
-    ``positive``: 0 is too small. ``unknown``: the word "unknown" may stand for it and is read as None. ``spelled``: the
+    ``positive``: 0 is too small. No number that may not be negative is so small that it must be a slip (``units.SMALLEST``). ``unknown``: the word "unknown" may stand for it and is read as None. ``spelled``: the
     suffixes that its key may have, the SI unit's own first; by default those of ``units.suffixes``.
     """
 
@@ -119,6 +119,11 @@ class Number:
         least = 0.0 if self.positive else -most if self.least is None else self.least
         if self.positive and value <= 0.0:
             raise SchemaError(f"{raw:g} {unit.symbol}".rstrip() + " is not greater than 0")
+        if least == 0.0 and 0.0 < value < SMALLEST:
+            zero = "" if self.positive else ", or 0"
+            raise SchemaError(
+                f"{raw:g} {unit.symbol}".rstrip() + f" is too small; give {unit.text(SMALLEST)} or more{zero}"
+            )
         if not least <= value <= most:
             raise SchemaError(
                 f"{unit.text(value)} is not between {least / unit.scale:g} and {unit.text(most)}; is the unit right?"
@@ -203,6 +208,8 @@ class Covariance:
         rounding = 1e-12 * abs(most)
         if least < -rounding or (least <= rounding and not self.singular):
             raise SchemaError(f"is not a covariance: it has an eigenvalue of {least:g}")
+        if least < SMALLEST**2 and not self.singular:
+            raise SchemaError(f"has an eigenvalue of {least:g}, too small; give {SMALLEST**2:g} or more")
         return matrix
 
     def format(self, value: Matrix) -> str:

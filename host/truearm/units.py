@@ -43,6 +43,9 @@ class Scale:
 
 
 DEGREE = math.pi / 180.0
+SMALLEST = (
+    1e-12  # [SI] a length, an angle or a standard deviation below it is a slip; its square would count for nothing
+)
 
 M = Scale("m", "m", "m", 1.0, 1.0)
 CM = Scale("cm", "cm", "m", 1e-2, 1e2)

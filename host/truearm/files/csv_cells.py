@@ -17,7 +17,7 @@ from truearm.errors import InputError, TableError
 from truearm.files.observation_columns import Column
 from truearm.schema import NAME, quoted
 from truearm.types import Floats
-from truearm.units import SUFFIXES
+from truearm.units import SMALLEST, SUFFIXES
 
 MAX_ROWS = 200_000  # 250 times the paper's grid of 800 poses
 MAX_COLUMNS = 200
@@ -97,6 +97,8 @@ def numbers(
             raise TableError(f"{where}: {quoted(cell)} is too large for {column.unit}; is the column in another unit?")
         if positive and out[i] <= 0.0:
             raise TableError(f"{where}: {quoted(cell)} must be greater than 0")
+        if positive and out[i] < SMALLEST:
+            raise TableError(f"{where}: {quoted(cell)} is too small; is the column in another unit?")
     return out
 
 

@@ -28,6 +28,7 @@ from truearm.kinds.unknowns import Layout
 from truearm.model.chain import Chain, about, forward, trace_point
 from truearm.model.rotation import left_jacobian, rotation, rotation_vector
 from truearm.types import Floats
+from truearm.units import SMALLEST
 
 TURN_SIGMA = Quantity("rotation_sigma", ("rotation_sigma",), "rad", LARGEST_TURN_NOISE, positive=True)
 
@@ -78,8 +79,8 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
     own = scope.table.column(TURN_SIGMA.field, np.nan)[rows]
     of_tracker = np.array([known[str(label)].rotation_sigma or 0.0 for label in labels])[which]
     sigma = np.where(np.isnan(own), of_tracker, own)
-    wanted = "a pose row needs a rotation_sigma, its own or its tracker's"
-    refuse(scope, rows, ~((sigma > 0.0) & np.isfinite(sigma)), wanted)
+    wanted = f"a pose row needs a rotation_sigma, its own or its tracker's, of {SMALLEST:g} rad or more"
+    refuse(scope, rows, ~((sigma >= SMALLEST) & np.isfinite(sigma)), wanted)
 
     def make(layout: Layout) -> list[Group]:
         points = vars(make_points(layout))
@@ -107,6 +108,7 @@ KIND = Kind(
     may=("target", SPREAD, TURN_SIGMA),
     entries=(TARGET, TRACKER),
     point="target",
+    labels=("target",),
     grouped_by=("tracker", "target"),
     regions=("tracker",),
     name="tracked pose",

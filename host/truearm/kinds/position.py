@@ -36,6 +36,7 @@ from truearm.model.rotation import left_jacobian, rotation, rotation_vector
 from truearm.model.transforms import cross
 from truearm.schema import Entries
 from truearm.types import Device, Floats
+from truearm.units import SMALLEST
 
 STRAIGHT = 1e-9  # points that leave a line by 3e-5 of its length do not show the roll about it
 
@@ -207,8 +208,10 @@ def _device_cov(scope: Scope, rows: Indices, devices: Sequence[Device], which: I
         matrix = np.array(device.sensor_cov, dtype=float)
         if matrix.shape != (3, 3) or not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0):
             raise ProblemError(f"sensor_cov of {device.name!r} must be a symmetric 3×3 matrix")
-        if not (np.isfinite(matrix).all() and np.linalg.eigvalsh(matrix)[0] > 0.0):
-            raise ProblemError(f"sensor_cov of {device.name!r} must be positive definite, in m²")
+        if not (np.isfinite(matrix).all() and np.linalg.eigvalsh(matrix)[0] >= SMALLEST**2):
+            raise ProblemError(
+                f"sensor_cov of {device.name!r} must be positive definite, with no sigma below {SMALLEST:g} m"
+            )
         cov.append(matrix)
     full = np.array(cov)[which]
     own = ~np.isnan(scope.table.sigma[rows])
@@ -236,6 +239,7 @@ KIND = Kind(
     may=("target", SPREAD),
     entries=(TARGET, TRACKER),
     point="target",
+    labels=("target",),
     grouped_by=("tracker", "target"),
     regions=("tracker",),
     name="tracked point",

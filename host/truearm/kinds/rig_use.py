@@ -18,6 +18,7 @@ from truearm.kinds.unknowns import MOVED, Fault, Layout, Number, Used, enumerate
 from truearm.model.chain import Chain, point_forward
 from truearm.text import with_article
 from truearm.types import Floats, ObservationTable, Point, Rig
+from truearm.units import SMALLEST
 
 Entry = TypeVar("Entry")
 ORIGIN = {"": Point("", (0.0, 0.0, 0.0))}  # the target or ball of a rig that names none: the end frame's origin
@@ -88,14 +89,16 @@ def measured(scope: Scope, rows: Indices, quantity: Quantity) -> Floats:
 def sigmas(scope: Scope, rows: Indices, default: Floats, unit: str = "m") -> Floats:
     """The rows' own σ (n, w), alike for all w residuals; the rig's ``default`` (n, w) where they have none.
 
-    ``unit``: the SI unit of both. Raises ProblemError for the first row whose σ is not a positive number.
+    ``unit``: the SI unit of both. Raises ProblemError for the first row whose σ is no number or too small.
     """
     own = scope.table.sigma[rows, None]
     sigma = np.where(np.isnan(own), default, own)
-    bad = np.flatnonzero(~((sigma > 0.0) & np.isfinite(sigma)).all(axis=1))
+    bad = np.flatnonzero(~((sigma >= SMALLEST) & np.isfinite(sigma)).all(axis=1))
     if bad.size:
         worst = sigma[bad[0]].min()  # NaN if any is
-        raise ProblemError(f"{scope.table.source[rows[bad[0]]]}: sigma must be positive, is {worst:g} {unit}")
+        raise ProblemError(
+            f"{scope.table.source[rows[bad[0]]]}: sigma must be at least {SMALLEST:g} {unit}, is {worst:g}"
+        )
     return np.asarray(sigma)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from truearm.errors import ProblemError
 from truearm.kinds.linearised import Indices
 from truearm.types import Point
+from truearm.units import SMALLEST
 
 XYZ = ("x", "y", "z")
 
@@ -52,15 +53,15 @@ class Used(NamedTuple):
 class Layout:
     """Indices of numbers into x followed by constants; a thing used in two roles has its numbers once.
 
-    Raises ProblemError for a value that is not finite or a sigma that is negative or no number.
+    Raises ProblemError for a value that is not finite or a sigma that is negative, no number, or so small that it is a slip.
     """
 
     def __init__(self, n_robot: int, used: Sequence[Used]) -> None:
         every = {number.name: number for group in used for thing in group.numbers for number in thing}
         for number in every.values():
-            if not (np.isfinite(number.value) and number.sigma >= 0.0):
+            if not (np.isfinite(number.value) and (number.sigma == 0.0 or number.sigma >= SMALLEST)):
                 raise ProblemError(
-                    f"{number.name} is {number.value:g} ± {number.sigma:g}; it must be finite, sigma ≥ 0"
+                    f"{number.name} is {number.value:g} ± {number.sigma:g}; it must be finite, sigma 0 or at least {SMALLEST:g}"
                 )
         self.unknown = [number for number in every.values() if number.sigma > 0.0]
         self.known = [number for number in every.values() if number.sigma == 0.0]
