@@ -499,13 +499,48 @@ class Addition(NamedTuple):
 
 
 class Relabelling(NamedTuple):
-    """Rows that fit another chuck or sphere than they name."""
+    """Rows that fit other things of the rig than they name."""
 
     rows: tuple[int, ...]  # of the table
-    was: tuple[str, str]  # chuck, sphere
-    fits: tuple[str, str]
+    columns: tuple[str, ...]  # of a table, such as chuck and sphere
+    was: tuple[str, ...]  # names in these columns
+    fits: tuple[str, ...]
     rms_before: float  # m, of the whole fit with the labels as they are
     rms_after: float  # m, with this label and all others found beside it put right
+
+
+class WrongInput(StrEnum):
+    """What of the inputs may be read wrongly (``estimate.wrong_inputs``)."""
+
+    UNITS = "units"
+    ROBOT = "robot"
+    JOINTS = "joints"
+    LABELS = "labels"
+    SET_UP = "set-up"
+
+
+class Unusable(StrEnum):
+    """Why a fit is not usable."""
+
+    NOT_CONVERGED = "not converged"
+    WRONG_INPUTS = "wrong inputs"  # residuals that another reading of the inputs explains
+    RESIDUALS = "residuals"  # that nothing explains
+
+
+class Explanation(NamedTuple):
+    """Another reading of the inputs that explains the observations far better.
+
+    ``rms_given`` and ``rms`` are those of quick fits of some rows, by SI unit, as given and so read. ``apply`` are rows to leave out,
+    "" where that is no help. ``chance`` that a right reading seems so wrong.
+    """
+
+    what: WrongInput
+    text: str
+    apply: str
+    n: int  # rows that it explains
+    rms_given: Mapping[str, float]
+    rms: Mapping[str, float]
+    chance: float
 
 
 @dataclass(frozen=True)
@@ -818,6 +853,8 @@ class Estimate:
     additions: tuple[Addition, ...] = ()  # where something free is unseen, else where it is hardly seen
     relabellings: tuple[Relabelling, ...] = ()
     relabelling_search: str = "not needed"  # | "done" | "too many groups" (estimate.relabel)
+    explanations: tuple[Explanation, ...] = ()  # of a fit that is absurd, the most probable first
+    unusable: Unusable | None = None  # why, if it is (estimate.wrong_inputs)
     left_out: NDArray[np.bool_] = field(
         default_factory=lambda: np.zeros(0, dtype=bool)
     )  # (n,) neither fitted nor held out

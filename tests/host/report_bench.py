@@ -22,7 +22,6 @@ from truearm.types import (
     Observability,
     ObservationTable,
     PredictedError,
-    Relabelling,
 )
 
 SIGMA = 0.084e-3  # m, the paper's residual
@@ -260,7 +259,6 @@ def full_page():
             Addition("pairing", ("c3", "s2"), 35, LINK, "measure both"),
             Addition("line", (), 34, LINK, "measure a line"),
         ),
-        relabellings=(Relabelling((4, 5, 9), ("c1", "s1"), ("c2", "s1"), 8e-3, 9e-5),),
         null_space=(NullDirection(("link1.x", "link2.x"), (1.0, -1.0)),),
         hardly_seen=(NullDirection(("link2.z",), (1.0,)),),
     )
@@ -268,6 +266,7 @@ def full_page():
         page,
         estimate=estimate,
         table=replace(page.table, rig=np.where(index % 2 == 0, "monday", "tuesday")),
+        usability=("What explains the observations: the names of chuck c1 and c2 are exchanged.",),
         predicted=PredictedError(6.4e-5, 1.12e-4, "y.csv row 7", 20, True),
         prior="weak",
         certificate=CERTIFICATE,

@@ -12,6 +12,7 @@ HELD_OUT_FIGURES = ("rms", "mean", "max", "n")
 SCALARS: dict[str, type | tuple[type, ...]] = {
     "format": str,
     "format_version": int,
+    "checksum": str,
     "truearm_version": str,
     "status": str,
     "message": str,
@@ -26,6 +27,8 @@ SCALARS: dict[str, type | tuple[type, ...]] = {
     "chi2_reduced": (float, type(None)),
     "chi2_freedom": float,
     "relabelling_search": str,
+    "usable": bool,
+    "unusable_because": (str, type(None)),
 }
 PARAMETER = {
     "name": str,
@@ -40,6 +43,7 @@ PARAMETER = {
 LISTS = {
     *("inputs", "observations", "free", "null_space", "residual_units", "held_out_by", "parameters"),
     *("suggested_free", "additions", "relabellings", "chi2_band", "suspect", "hardly_seen", "systematic", "sessions"),
+    "explanations",
 }
 OBJECTS = {
     "robot",

@@ -12,6 +12,7 @@ from tests.host.puma_bench import table as rows_of
 from tests.host.target_bench import rapid, script, table
 
 from truearm.files.observation_table import write_table
+from truearm.files.result_file import checksum
 from truearm.files.rig_file import write_rig
 
 CORRECT = "correct result.json targets.csv --out new.csv"
@@ -57,6 +58,7 @@ def result(path, value):
         for step in way:
             at = at[step]
         at[last] = value
+        document["checksum"] = checksum(document)  # whoever wrote it meant it
         return json.dumps(document)
 
     return change
@@ -122,6 +124,8 @@ RESULTS = {
     "covariance gone": (result("covariance", None), "covariance: must be a table, is null"),
     "null space a text": (result("null_space", "none"), "null_space: needs a list of 0 to 20000 values"),
     "null space of lists": (result("null_space", [[1]]), "null_space: item 1: must be a table, is a list"),
+    "a digit of a value": (edited("result.json", '"value": 0.', '"value": 0.1'), "is not as it was written"),
+    "no checksum": (edited("result.json", '"checksum"', '"checksun"'), "is not as it was written"),
     "weights beyond": (
         edited("result.json", '"null_space": []', '"null_space": [{"names": ["link1.x"], "weights": [1e999]}]'),
         "null_space: item 1: weights: item 1: not a finite number",

@@ -59,9 +59,9 @@ def test_stopping_early_and_a_rank_that_is_not_full_are_results(run: Run, tmp_pa
     write_rig(tmp_path / "rig.toml", rig)
     arguments = ["identify", tmp_path / "t.csv", "--robot", "puma560", "--rig", tmp_path / "rig.toml"]
     outcome = run(*arguments, "--all-free", "--max-iterations", 1)
-    assert outcome.code == 0
+    assert outcome.code == 3
     assert "rank 33 of 54 free" in outcome.out  # the paper's Table I: one chuck, three spheres
-    assert outcome.out.startswith("The fit did not converge")
+    assert outcome.out.startswith("This fit is not usable. It did not converge")
     assert "tool errs" not in outcome.out
     # The paper's Table I: a second chuck makes 35, a third sphere is there already.
     assert "Next: measure with one more chuck, not in line with the others, to tell 2 more parameters" in outcome.out
@@ -129,8 +129,12 @@ def test_a_wrong_label_is_the_first_thing_said(run: Run, tmp_path: Path, noisy: 
     assert result["relabellings"][0]["rms_after_mm"] < 0.1 * result["relabellings"][0]["rms_before_mm"]
     named = {source for r in result["relabellings"] for source in r["rows"]}
     assert named == {f"t.csv row {i + 2}" for i in range(20)}
-    first = "Wrong label? 20 rows from t.csv row 2 to t.csv row 21: named chuck c0, sphere s1, fit chuck c0, sphere s0."
-    assert text.startswith(first)
+    assert (result["usable"], result["unusable_because"]) == (False, "wrong inputs")
+    (found,) = result["explanations"]
+    assert found["text"] == "20 rows from t.csv row 2 to t.csv row 21 name sphere s1, fit sphere s0"
+    lines = text.splitlines()
+    assert lines[0].startswith("This fit is not usable. Residuals of ")
+    assert lines[1].startswith(f"What explains the observations: {found['text']} (RMS 0.0")
 
 
 def test_chi2_is_shown_with_its_band(run: Run, tmp_path: Path, noisy: tuple[ObservationTable, Rig]) -> None:
@@ -254,7 +258,7 @@ def test_a_fit_without_spare_rows_says_so(run: Run, tmp_path: Path) -> None:
     few.write_text("\n".join(lines[:12]) + "\n")
     outcome = run("identify", str(few), "--robot", str(MUKCA / "panda.urdf"), "--tip", "ball_link")
     assert outcome.code == 0, outcome
-    assert "says little" in outcome.out
+    assert "the residual says nothing about accuracy" in outcome.out
 
 
 def test_an_error_of_the_tool_that_is_not_determined_is_no_number(run: Run, good: list[object]) -> None:

@@ -21,8 +21,15 @@ from puma_bench import (
 )
 
 from truearm.estimate import label_search as relabel
-from truearm.estimate.identify import SolverOptions, identify
+from truearm.estimate.identify import SolverOptions
+from truearm.estimate.identify import identify as estimated
+from truearm.estimate.wrong_inputs import diagnosed
 from truearm.types import ObservationTable, Rig
+
+
+def identify(chain, rig, table, **how):
+    """The estimate, and what is wrong with the inputs."""
+    return diagnosed(estimated(chain, rig, table, **how), chain, rig, table, FREE)
 
 
 @pytest.fixture(scope="module")

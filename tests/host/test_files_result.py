@@ -2,9 +2,12 @@
 
 import json
 import math
+import random
 from dataclasses import replace
 from pathlib import Path
 
+import correct_bench
+import mutations
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,7 +15,15 @@ from hypothesis import strategies as st
 
 from truearm.errors import InputError
 from truearm.files.observation_table import parse_table
-from truearm.files.result_file import RobotFrames, document_of, format_document, input_of, parse_result, write_result
+from truearm.files.result_file import (
+    RobotFrames,
+    document_of,
+    format_document,
+    input_of,
+    parse_result,
+    read_result,
+    write_result,
+)
 from truearm.types import Addition, Estimate, Figures, HeldOut, NullDirection, Observability, Relabelling
 
 ROBOT = RobotFrames("arm", "base", "tip", ("rad",))
@@ -70,7 +81,9 @@ def estimates(draw: st.DrawFn) -> Estimate:
         observability=draw(st.none() | st.builds(Observability, numbers, numbers, numbers, numbers)),
         suggested_free=np.zeros(0, dtype=bool),
         additions=(Addition("pairing", ("c0", "s1"), 2, ("link0.x",), "measure both"),),
-        relabellings=(Relabelling((0, 2), ("c0", "s0"), ("c1", "s0"), draw(numbers), draw(numbers)),),
+        relabellings=(
+            Relabelling((0, 2), ("chuck", "sphere"), ("c0", "s0"), ("c1", "s0"), draw(numbers), draw(numbers)),
+        ),
     )
 
 
@@ -161,3 +174,24 @@ def test_inputs_are_known_by_name_and_hash(tmp_path: Path) -> None:
     # FIPS 180-2, B.1
     digest = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
     assert input_of("observations", path) == ("observations", "t.csv", digest)
+
+
+@pytest.mark.parametrize("n", [150, pytest.param(1500, marks=pytest.mark.soak)])
+def test_a_damaged_result_is_refused_or_the_same(tmp_path: Path, n: int) -> None:
+    """Bits, bytes, lines, words and numbers changed: one clear line, or the very content that was written."""
+    path = correct_bench.write(tmp_path / "result.json", correct_bench.identified())
+    text = path.read_text()
+    whole = read_result(path)
+    rng, same = random.Random(n), 0
+    for _ in range(n):
+        path.write_bytes(mutations.text_changed(rng, text))
+        try:
+            found = read_result(path)
+        except InputError as error:
+            mutations.is_clear(error, str(path))
+        else:
+            assert json.loads(path.read_text()) == whole.document == found.document
+            np.testing.assert_array_equal(found.value, whole.value)
+            np.testing.assert_array_equal(found.covariance, whole.covariance)
+            same += 1
+    assert same < 0.1 * n

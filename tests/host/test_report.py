@@ -23,7 +23,7 @@ from truearm.types import (
     NullDirection,
     Observability,
     PredictedError,
-    Relabelling,
+    Unusable,
 )
 
 # --- the page
@@ -185,12 +185,21 @@ def test_suspects_are_named_the_farthest_first():
     assert "No fitted row disagrees" in render(replace(page, estimate=none))
 
 
-def test_wrong_labels_are_the_first_doubt():
+def test_a_fit_that_is_not_usable_is_the_headline_and_what_explains_it_the_first_doubt():
     page = make_page(20)
-    found = (Relabelling((4, 5, 9), ("c1", "s1"), ("c2", "s1"), 8e-3, 9e-5),)
-    words = doubts(replace(page, estimate=replace(page.estimate, relabellings=found)))[0]
-    assert words.startswith("Wrong label? 3 rows from session.mcap dwell 4 to session.mcap dwell 9 name chuck c1")
-    assert "fit chuck c2, sphere s1: RMS 8.00 mm as labelled, 0.0900 mm put right" in words
+    said = ("This fit is not usable. Residuals of 43.0 mm RMS remain.", "What explains the observations: labels.")
+    bad = replace(page, estimate=replace(page.estimate, unusable=Unusable.WRONG_INPUTS), usability=said)
+    assert (verdict(bad), doubts(bad)[0]) == said
+    assert "times smaller" not in render(bad)
+
+
+def test_a_fit_of_few_degrees_of_freedom_has_no_error_after_in_its_headline():
+    page = make_page(20)
+    few = replace(page, estimate=replace(page.estimate, chi2_freedom=4.0, rank=36, held_out=None))
+    text = render(few)
+    assert verdict(few) == "4 degrees of freedom beside 36 parameters: the residual says nothing about accuracy."
+    assert "RMS after</p>" not in text
+    assert "times smaller" not in text
 
 
 def test_observability_and_the_set_that_can_be_told_apart():

@@ -24,6 +24,7 @@ from truearm.cli.options import (
 )
 from truearm.cli.output import warn
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
+from truearm.exit_codes import ExitCode
 from truearm.units import tolerances
 
 
@@ -136,7 +137,7 @@ def identify(
     """Identify a robot's parameters from observations.
 
     Prints nominal, value and standard deviation of every parameter, what the observations cannot see, and the errors
-    before and after, on the rows held out too.
+    before and after, on the rows held out too. A fit that is not usable is written and marked, and ends with exit code 3.
 
     \b
     Example:
@@ -170,3 +171,5 @@ def identify(
         typer.echo(format_document(document))
     else:
         show_result(document, out)
+    if not document["usable"]:
+        raise typer.Exit(ExitCode.UNUSABLE)

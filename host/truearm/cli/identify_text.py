@@ -16,10 +16,10 @@ from rich.console import Console
 from rich.table import Table
 
 from truearm.estimate.solvers import SOLVERS, Loss, Prior
-from truearm.kinds.registry import kinds
 from truearm.report.law_words import law_sentences, law_steps
 from truearm.report.parameter_cells import parameter_cells
 from truearm.report.systematic_words import systematic_sentences
+from truearm.report.usability_words import few_freedom, usability_sentences
 from truearm.report.words import drawing, kind_name, parts_words, pose_error_words, time_offset, unexplained_words
 from truearm.session.dwells import NEED_WORDS
 from truearm.text import counted, one_line
@@ -42,10 +42,9 @@ def show_result(document: Document, out: Path | None) -> None:
     # Names come from strangers' files: no markup. Into a pipe rich would wrap at 80 columns.
     width = None if sys.stdout.isatty() else 120
     console = Console(markup=False, highlight=False, emoji=False, width=width)
-    for lines in (not_converged, relabelled):
-        for line in lines(document):
-            console.print(line)
-    for line in systematic_sentences(document, lambda name: f"--{name.replace('_', '-')}"):
+    for line in (*usability_sentences(document, _option), *not_converged(document), *little_freedom(document)):
+        console.print(line)
+    for line in systematic_sentences(document, _option):
         console.print(line)
     for line in dwell_lines(document):
         console.print(line)
@@ -69,9 +68,9 @@ def show_result(document: Document, out: Path | None) -> None:
 
 def not_converged(document: Document) -> list[str]:
     """That the fit did not converge, and what to do about it."""
-    if document["status"] == "converged" or SOLVERS[document["solver"]].ends_by_recipe:
+    if document["status"] == "converged" or SOLVERS[document["solver"]].ends_by_recipe or document["explanations"]:
         return []
-    line = f"The fit did not converge: {one_line(document['message'])}. Its parameters and errors mean nothing."
+    line = "Its parameters and errors mean nothing."
     if any(re.fullmatch(r"(.*\.)?line\.[^.]*\.rx", parameter["name"]) for parameter in document["parameters"]):
         line += " A straight line hardly shows its device's roll: give it in the rig, with turn_sigma_deg."
     if document["hardly_seen"] and document["prior"] == Prior.NONE:
@@ -80,35 +79,19 @@ def not_converged(document: Document) -> list[str]:
     return [f"{line} Check the units, the joints' order and signs, and the labels{raised}."]
 
 
-def relabelled(document: Document) -> list[str]:
-    """Warnings of rows that fit another chuck or sphere than they name, or that this was not looked for."""
-    entries = document["relabellings"]
-    if document["relabelling_search"] == "too many groups":
-        return [
-            "Wrong labels? The residuals are as large as wrong chucks or spheres would make them, but the rows have too "
-            "many pairings to search them all. Identify fewer pairings at a time."
-        ]
-    if not entries:
+def little_freedom(document: Document) -> list[str]:
+    """That the residuals say nothing, where they have fewer degrees of freedom than parameters were fitted."""
+    if not few_freedom(document["chi2_freedom"], document["rank"]):
         return []
-    rows: dict[str, list[str]] = {}
-    for entry in entries:
-        change = f"named {_pairing(entry['was'])}, fit {_pairing(entry['fits'])}"
-        rows.setdefault(change, []).extend(entry["rows"])
-    before, after = (_cell(entries[0][key]) for key in ("rms_before_mm", "rms_after_mm"))
+    freedom = counted(round(document["chi2_freedom"]), "degree of freedom", "degrees of freedom")
     return [
-        *(f"Wrong label? {_rows(sources)}: {change}." for change, sources in rows.items()),
-        f"As labelled the RMS error is {before} mm, put right {after} mm. What follows is as labelled.",
+        f"{freedom} beside {counted(document['rank'], 'parameter')}: the residual says nothing about accuracy. Measure more, and judge "
+        "by rows held out."
     ]
 
 
-def _rows(sources: list[str]) -> str:
-    if len(sources) == 1:
-        return one_line(sources[0])
-    return f"{len(sources)} rows from {one_line(sources[0])} to {one_line(sources[-1])}"
-
-
-def _pairing(names: list[str]) -> str:
-    return f"chuck {one_line(names[0])}, sphere {one_line(names[1])}"
+def _option(argument: str) -> str:
+    return f"--{argument.replace('_', '-')}"
 
 
 def dwell_lines(document: Document) -> list[str]:
@@ -250,11 +233,14 @@ def _error_table(document: Document, suffix: str) -> Table:
     for column in ("before", "after", "rows"):
         table.add_column(column, justify="right")
     entries = [entry for entry in document["observations"] if entry[after] is not None]
+    says_nothing = few_freedom(document["chi2_freedom"], document["rank"])
     if entries:
         rows = str(sum(entry["fitted"] for entry in entries))
-        table.add_row("fitted, RMS", _cell(document[before], decimals), _cell(document[after], decimals), rows)
+        fitted = _cell(None if says_nothing else document[after], decimals)
+        table.add_row("fitted, RMS", _cell(document[before], decimals), fitted, rows)
     for entry in entries if len(document["observations"]) > 1 else ():
-        cells = (_cell(entry[before], decimals), _cell(entry[after], decimals), str(entry["fitted"]))
+        fitted = _cell(None if says_nothing else entry[after], decimals)
+        cells = (_cell(entry[before], decimals), fitted, str(entry["fitted"]))
         table.add_row(f"  {_of(entry)}", *cells)
     held_out, held_out_before = (document[name] or {} for name in ("held_out", "held_out_before"))
     if held_out.get(f"n_{suffix}"):
@@ -272,7 +258,7 @@ def _of(entry: Mapping[str, Any]) -> str:
 def predicted(document: Document) -> list[str]:
     """How far the tool may be off."""
     error = document["predicted_error"]
-    if document["status"] != "converged":
+    if document["status"] != "converged" or not document["usable"]:
         return []
     if document["unexplained"] is not None:
         return [_unexplained(document["unexplained"])]
@@ -409,12 +395,6 @@ def advice(document: Document, out: Path | None) -> list[str]:
             f"do not model, or the sigmas are too small{prior}."
             + " The sigmas above rest on the declared noise alone."
             * (not read_off and document["pose_error"] is None)
-        )
-    spare = sum(len(kinds()[k["kind"]].components) * k["fitted"] for k in document["observations"]) - document["rank"]
-    if spare < document["rank"]:
-        lines.append(
-            f"Only {max(spare, 0)} residuals more than the {document['rank']} combinations that they determine: the error "
-            "after says little, so many can be fitted to anything. Measure more, and judge by rows held out."
         )
     lines += further_measurements(document)
     if document["held_out"] is None:

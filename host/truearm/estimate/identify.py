@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,7 +24,6 @@ from truearm.estimate.identifiability import (
     told_apart,
 )
 from truearm.estimate.information import Information, half, observe, spectrum, with_prior
-from truearm.estimate.label_search import relabellings
 from truearm.estimate.mean_error import left_out_errors, mean_errors
 from truearm.estimate.measured_order import measured_order, poses
 from truearm.estimate.outliers import without_outliers
@@ -154,7 +152,6 @@ def identify(
     wanting = (told_apart(data.root, suggested.size, unit), unit) if only_weak else (suggested, None)
     untimed = _untimed(data.root, names)
     known = dict(zip(problem.names, x, strict=True))
-    labels = relabellings(chain, rig, table, fitted, free, prior_sigma, rms_of(information.residual).get("m", math.nan))
     how = measured_order(table, fitted)
     chi2, freedom = fit_quality.reduced * fit_quality.freedom, fit_quality.freedom
     explained = not fit_quality.reduced > fit_quality.band[1]
@@ -218,8 +215,6 @@ def identify(
         suggested_free=_spread(suggested, free),
         hardly_seen=(*weak, *(NullDirection((name,), (1.0,)) for name in untimed)),
         additions=additions(chain, rig, table.select(fitted), names, data.root, known, *wanting),
-        relabellings=labels.found,
-        relabelling_search=labels.status,
         systematic=wrong,
         unexplained=unexplained,
         with_outliers=None if found is every else _with_all_rows(problem, columns, every, found),

@@ -1,11 +1,13 @@
 """result.json: what an identification found, for people, scripts and later commands (docs/result-format.md).
 
 Strict JSON (RFC 8259): a number that does not exist is ``null``, never NaN. Lengths of the summary are in mm,
-angles in deg, parameters in the unit they name. Written whole or not at all.
+angles in deg, parameters in the unit they name. Written whole or not at all. A checksum over its content tells damage: a digit of
+a parameter that a disk or a hand changed would else correct a robot wrongly.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import sys
@@ -25,6 +27,7 @@ from truearm.schema import Choice, Flag, Key, List, ReadOnly, SchemaError, Table
 from truearm.types import (
     Defaults,
     Estimate,
+    Explanation,
     Figures,
     Floats,
     HeldOut,
@@ -43,7 +46,9 @@ from truearm.types import (
 from truearm.units import UNITS, key, shown
 
 FORMAT = "truearm-result"
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
+SINCE_CHECKSUM = 3  # version
+CHECKSUM = "checksum"
 MAX_BYTES = 64 * 2**20
 MAX_PARAMETERS = 20_000
 MAX_TEXT = 500  # characters; a name of a parameter has at most 150
@@ -125,7 +130,7 @@ def document_of(
     """
     names = np.array(estimate.parameter_names)
     units = residual_units(estimate)
-    return {
+    document = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
         "truearm_version": __version__,
@@ -157,6 +162,9 @@ def document_of(
         "additions": [_lists(addition._asdict()) for addition in estimate.additions],
         "relabellings": [_relabelling(r, table) for r in estimate.relabellings],
         "relabelling_search": estimate.relabelling_search,
+        "usable": not estimate.unusable,
+        "unusable_because": None if estimate.unusable is None else estimate.unusable.value,
+        "explanations": [_explanation(one) for one in estimate.explanations],
         "residual_units": [UNITS[unit].scale.suffix for unit in units],
         **_by_unit("rms_before", estimate.rms_before, units),
         **_by_unit("rms_raw", estimate.rms_raw, units),
@@ -184,6 +192,14 @@ def document_of(
             "matrix": [_numbers(row) for row in estimate.covariance[np.ix_(estimate.free, estimate.free)]],
         },
     }
+    return {**document, CHECKSUM: checksum(document)}
+
+
+def checksum(document: Mapping[str, Any]) -> str:
+    """SHA-256 of a result's content, whatever its layout. Raises ValueError for numbers that are not finite."""
+    content = {name: value for name, value in document.items() if name != CHECKSUM}
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _joint_range(q: Floats) -> dict[str, list[float]]:
@@ -259,10 +275,23 @@ def _lists(record: Mapping[str, Any]) -> dict[str, Any]:
 def _relabelling(relabelling: Relabelling, table: ObservationTable) -> dict[str, Any]:
     return {
         "rows": [_source(table, row) for row in relabelling.rows],
+        "columns": list(relabelling.columns),
         "was": list(relabelling.was),
         "fits": list(relabelling.fits),
         "rms_before_mm": _shown(relabelling.rms_before, "m"),
         "rms_after_mm": _shown(relabelling.rms_after, "m"),
+    }
+
+
+def _explanation(one: Explanation) -> dict[str, Any]:
+    return {
+        "what": one.what.value,
+        "text": one.text,
+        "apply": {"leave_out": one.apply} if one.apply else None,
+        "n": one.n,
+        **{key("rms_given", si): _shown(rms, si) for si, rms in one.rms_given.items()},
+        **{key("rms", si): _shown(rms, si) for si, rms in one.rms.items()},
+        "chance": _number(one.chance),
     }
 
 
@@ -431,7 +460,22 @@ def parse_result(text: str, name: str) -> StoredResult:
     if not isinstance(version, int) or isinstance(version, bool) or not 1 <= version <= FORMAT_VERSION:
         raise InputError(f"{name}: has format version {str(version)[:20]}, this truearm reads up to {FORMAT_VERSION}")
     with raising(InputError, name):
-        return stored_result(document)
+        stored = stored_result(document)
+        if version >= SINCE_CHECKSUM or CHECKSUM in document:
+            _check_whole(document)
+        return stored
+
+
+def _check_whole(document: Mapping[str, Any]) -> None:
+    """Raise SchemaError for content that is not what was written."""
+    try:
+        whole = document.get(CHECKSUM) == checksum(document)
+    except (ValueError, RecursionError):
+        whole = False
+    if not whole:
+        raise SchemaError(
+            "is not as it was written: its checksum is of another content; copy it again or identify again"
+        )
 
 
 def _json_object(text: str, name: str) -> dict[str, Any]:

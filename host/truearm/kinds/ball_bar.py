@@ -188,6 +188,7 @@ KIND = Kind(
     needs=(*BAR_MOUNTED, LENGTH),
     entries=(CHUCK, SPHERE, BAR),
     point="sphere",
+    labels=("chuck", "sphere"),
     grouped_by=("chuck", "sphere"),
     regions=("bar",),
     name="ball-bar",

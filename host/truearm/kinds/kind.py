@@ -34,6 +34,7 @@ class Kind:
     entries: tuple[Entries[Any], ...] = ()  # its own and shared ones, of rig files
     free_names: tuple[str, ...] = ()  # identifiers that a rig need not list: one without such entries takes any name
     point: str = ""  # the column that names the point of the end which is measured; "" where none is
+    labels: tuple[str, ...] = ()  # columns whose names an operator can confuse (estimate.label_search)
     grouped_by: tuple[str, ...]
     regions: tuple[str, ...] = ()
     drawn_from: tuple[str, ...] = ()

@@ -147,6 +147,7 @@ KIND = Kind(
     may=("target", DISTANCE),
     entries=(TARGET, PLANE),
     point="target",
+    labels=("plane", "target"),
     grouped_by=("plane",),
     regions=("plane",),
     name="touched flat",

@@ -167,6 +167,7 @@ KIND = Kind(
     may=("sphere",),
     entries=(SPHERE, SOCKET, SOCKET_DISTANCE),
     point="sphere",
+    labels=("socket",),
     grouped_by=("place",),
     drawn_from=("socket",),
     name="ball-in-socket",

@@ -25,7 +25,6 @@ from truearm.report.findings import (
     chi2_words,
     observability_table,
     predicted_words,
-    relabelling_sentences,
     residual_table,
     suspect_table,
 )
@@ -33,6 +32,7 @@ from truearm.report.law_figures import law_figures
 from truearm.report.page_tables import fact_list, parameter_table, step_table, visibility
 from truearm.report.page_text import escape, figures, size
 from truearm.report.residual_rows import rows_by_kind, summaries
+from truearm.report.usability_words import few_freedom
 from truearm.report.words import kind_name, parts_words, pose_error_words
 from truearm.text import counted
 from truearm.types import Estimate, Floats, HeldOut, ObservationTable, PredictedError
@@ -73,6 +73,7 @@ class CalibrationPage:
     law_steps: tuple[tuple[str, str, str, str], ...] = ()  # unit, fit, fitted RMS, held-out mean
     curves: tuple[SampledCurve, ...] = ()
     certificate: Certificate | None = None  # stands on page one
+    usability: tuple[str, ...] = ()  # sentences: why the fit is not usable, what explains the observations
 
     def __post_init__(self) -> None:
         n = len(self.table)
@@ -130,8 +131,9 @@ def _verdict(page: CalibrationPage) -> str:
             f"{counted(e.n_observations, 'observation')}, the nominal robot with base and tool placed",
             "old",
         ),
-        _tile("after", e.rms_after, "the same observations, identified parameters", "fit"),
     ]
+    if not few_freedom(e.chi2_freedom, e.rank):
+        tiles.append(_tile("after", e.rms_after, "the same observations, identified parameters", "fit"))
     if judged:
         of_units = judged.figures.items()
         more = "; ".join(f"mean {size(error.mean, si, '')}, largest {size(error.max, si)}" for si, error in of_units)
@@ -153,7 +155,15 @@ def _list(sentences: Sequence[str], css: str) -> str:
 
 
 def verdict(page: CalibrationPage) -> str:
-    """The result in one line of plain text, a sentence for each unit of the residuals."""
+    """The result in one line of plain text, a sentence for each unit of the residuals; of a fit that is not usable, that it is not."""
+    e = page.estimate
+    if e.unusable:
+        return page.usability[0] if page.usability else "This fit is not usable."
+    if few_freedom(e.chi2_freedom, e.rank):
+        freedom = counted(round(e.chi2_freedom), "degree of freedom", "degrees of freedom")
+        judged = page.judged.figures.items() if page.judged else ()
+        held = "".join(f" The error is {size(of.rms, si)} on observations not used to fit." for si, of in judged)
+        return f"{freedom} beside {counted(e.rank, 'parameter')}: the residual says nothing about accuracy.{held}"
     return " ".join(
         f"The {_kinds(page, si)}error is {_change(page.estimate, page.judged, si)}." for si in page.estimate.rms_before
     )
@@ -182,13 +192,8 @@ def _change(e: Estimate, judged: HeldOut | None, si: str) -> str:
 def doubts(page: CalibrationPage) -> list[str]:
     """Reasons not to trust the figures, a sentence each."""
     e, judged = page.estimate, page.judged
-    found = [*page.systematic, *relabelling_sentences(e.relabellings, page.table)]
-    if e.relabelling_search == "too many groups":
-        found.append(
-            "Wrong labels? The residuals are as large as wrong chucks or spheres would make them, but there are too many "
-            "pairings to search them all; identify fewer at a time."
-        )
-    if e.status != "converged":
+    found = [*(page.usability[1:] if e.unusable else page.usability), *page.systematic]
+    if e.status != "converged" and not e.unusable:
         found.append(f"The solver stopped early ({e.status}): {e.message}.")
     if judged is None:
         found.append("Nothing was held out: the error after is not an independent judgement.")

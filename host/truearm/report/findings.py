@@ -1,5 +1,5 @@
 """What an identification found beside the parameters, as tables and sentences: residuals of each kind and rig, χ², rows to
-distrust, wrong labels, how well the parameters are seen, what to measure next, and how far the tool may be off.
+distrust, how well the parameters are seen, what to measure next, and how far the tool may be off.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from truearm.report.page_text import ABSENT, escape, figures, number, size
 from truearm.report.residual_rows import Summary, row_name
 from truearm.report.words import OBSERVABILITY, kind_name, residual_words
 from truearm.text import counted
-from truearm.types import Addition, Estimate, Figures, ObservationTable, PredictedError, Relabelling
+from truearm.types import Addition, Estimate, Figures, ObservationTable, PredictedError
 from truearm.units import shown, symbol, title, tolerances
 
-MAX_ROWS = 40  # suspects and relabelled rows that are named
+MAX_ROWS = 40  # suspects that are named
 MAX_NAMES = 12
 
 
@@ -99,22 +99,6 @@ def suspect_table(e: Estimate, table: ObservationTable) -> str:
     titles = ["row", "observation", "distance from the others [σ]", *sizes, "weight in the fit [1]"]
     more = f"<p>and {rows.size - MAX_ROWS} more (suspect in result.json)</p>" if rows.size > MAX_ROWS else ""
     return f"<p>{words}</p>" + table_of(titles, cells, "rows that disagree") + more
-
-
-def relabelling_sentences(found: Sequence[Relabelling], table: ObservationTable) -> list[str]:
-    """Rows whose chuck or sphere is probably another than they name, as plain text."""
-    sentences = []
-    for entry in found[:MAX_ROWS]:
-        first, last = (row_name(table.source[row]) for row in (entry.rows[0], entry.rows[-1]))
-        rows = first if len(entry.rows) == 1 else f"{len(entry.rows)} rows from {first} to {last}"
-        sentences.append(
-            f"Wrong label? {rows} name chuck {entry.was[0]}, sphere {entry.was[1]} and fit chuck {entry.fits[0]}, sphere "
-            f"{entry.fits[1]}: RMS {size(entry.rms_before, 'm')} as labelled, {size(entry.rms_after, 'm')} put "
-            "right. All figures here are as labelled."
-        )
-    if len(found) > MAX_ROWS:
-        sentences.append(f"Wrong label? {len(found) - MAX_ROWS} more (relabellings in result.json).")
-    return sentences
 
 
 def observability_table(e: Estimate) -> str:

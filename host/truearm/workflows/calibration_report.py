@@ -39,6 +39,7 @@ def write_page(
     from truearm.report.law_words import law_sentences, law_steps
     from truearm.report.residual_rows import row_name
     from truearm.report.systematic_words import systematic_sentences
+    from truearm.report.usability_words import usability_sentences
 
     table, estimate = found.table, found.estimate
     files = dict.fromkeys(row_name(source).rsplit(" ", 2)[0] for source in table.source)  # "poses.csv row 17"
@@ -61,6 +62,7 @@ def write_page(
         facts=(*facts_of(recordings), *_facts(table)),
         certificate=certificate,
         systematic=tuple(systematic_sentences(found.document)),
+        usability=tuple(usability_sentences(found.document)),
         notes=(*_timing(estimate), *_error_elsewhere(found)),
     )
     write_atomic(path, render(page))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.arguments import OneOf, Within, check_fields
-from truearm.errors import Argument, InputError
+from truearm.errors import Argument, InputError, ProblemError
 from truearm.estimate.defaults import choose_defaults, with_frames
 from truearm.estimate.identify import SolverOptions
 from truearm.estimate.identify import identify as estimate_parameters
@@ -20,11 +20,16 @@ from truearm.estimate.prediction import predicted_point_error
 from truearm.estimate.prior import free_without_gains, prior_named
 from truearm.estimate.problem import Rigs
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
+from truearm.estimate.wrong_inputs import Candidate, diagnosed, doubtful
 from truearm.files.observation_table import looks_like_table, write_table
 from truearm.files.result_file import Input, RobotFrames, document_of, looks_like_result, stored_result, write_result
 from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.model.robot import Robot
 from truearm.report.certificate import Recording
+from truearm.kinds.quantities import Quantity
+from truearm.kinds.registry import kinds
+from truearm.model.builtin import builtin_names
+from truearm.model.robot import Robot, builtin_robot
 from truearm.types import Estimate, ObservationTable, PredictedError
 from truearm.workflows.calibration import Calibration, calibration_of
 from truearm.workflows.calibration_report import write_page
@@ -34,6 +39,7 @@ from truearm.workflows.selection import free_parameters, held_out_rows, matching
 from truearm.workflows.session_parts import with_parts
 
 Mask = NDArray[np.bool_]
+LEAST_ROWS = 5  # of a kind, that must not all say the same
 Progress = Callable[[int, Mapping[str, float]], None]  # iteration, RMS of the residuals by SI unit
 
 
@@ -190,6 +196,28 @@ def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: Ident
     return found
 
 
+def _check_rows(table: ObservationTable, selection: Selection) -> None:
+    """Raise ProblemError for rows that can tell nothing: one alone, or readings that never change though the robot moves."""
+    rows = np.ones(len(table), dtype=bool) if selection.held_out is None else ~selection.held_out
+    if rows.sum() == 1:
+        raise ProblemError(f"{table.source[int(np.argmax(rows))]}: 1 row identifies nothing; measure more poses")
+    for name, kind in kinds().items():
+        mine = table.select(rows & (table.kind == name))
+        if len(mine) < LEAST_ROWS or not np.ptp(mine.q, axis=0).max() > 0.0:
+            continue
+        for quantity in (column for column in kind.needs if isinstance(column, Quantity)):
+            values = mine.column(quantity.field, np.nan).reshape(len(mine), -1)
+            if not np.ptp(values, axis=0).any():
+                text = f"{quantity.words} is the same in all {len(mine)} {name} rows though the joints move"
+                raise ProblemError(f"{mine.source[0]}: {text}; check that the sensor was read")
+
+
+def _other_robots() -> dict[str, Candidate]:
+    """The built-in robots by name, which observations may be of."""
+    robots = {name: builtin_robot(name) for name in builtin_names()}
+    return {name: Candidate(robot.chain, robot.free) for name, robot in robots.items()}
+
+
 def default_free(robot: Robot) -> Mask:
     """(p,) the parameters to identify unless something else is asked for: of a URDF, whose constants are redundant, all but the gains."""
     return free_without_gains(robot.chain) if robot.is_urdf else robot.free
@@ -230,6 +258,7 @@ def identified(
     Raises ProblemError where observations and robot make no problem that can be solved.
     """
     chain = robot.chain
+    _check_rows(table, selection)
     prior = Prior(options.prior or default_prior(robot, options.solver))
     named = np.zeros(selection.free.size, dtype=bool) if selection.named is None else selection.named
     fitted = table if selection.held_out is None else table.select(~selection.held_out)
@@ -258,8 +287,14 @@ def identified(
     request = LawRequest(LawMode(options.joint_laws), sigma, tuple(map(parse_effect, options.allow)), robot.gravity)
     chosen = with_frames(chosen, chain, rig, fitted, selection.free, estimate.value)
     chain, estimate = with_joint_laws(chain, rig, table, estimate, request)
-    predicted = None  # a fit that has not converged predicts nothing
-    if estimate.status == "converged":
+    others = _other_robots() if doubtful(estimate) else {}
+    estimate = diagnosed(estimate, robot.chain, rig, table, selection.free, others)
+    if estimate.rank == 0 and estimate.free[: estimate.n_robot_parameters].any():
+        raise ProblemError(
+            "these observations determine nothing of the robot: each fits unknowns of the rig whatever it says"
+        )
+    predicted = None  # a fit that is not usable predicts nothing
+    if estimate.status == "converged" and not estimate.unusable:
         predicted = predicted_point_error(chain, rig, table, estimate, any_base=bool(chosen.base))
     frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, chain.joint_units)
     document = document_of(estimate, table, frames, inputs, selection.held_out_by, prior, predicted, chosen)

@@ -1,0 +1,104 @@
+"""Which labels fit: one test of names that are exchanged, renamed in a circle, or wrong in some groups of rows.
+
+A group is rows that were measured with the same things mounted: a run of dwells while it is recorded, the rows of one mounting
+of a finished table. Let S_g(l) be the sum of squares of group g's residuals under the labels l, by a robot that the labels did
+not bend: the one as described, or one that was fitted to other groups. As named the groups have S = Σ S_g(named). Two sorts of
+other labellings are held against that:
+
+1. **Permutations.** The names of one column are exchanged everywhere: all permutations of up to MOST_PERMUTED names, of more
+   the exchanges of two and the circles.
+2. **Groups.** Each group has the labels that it fits best, if they fit it better by CLEARLY.
+
+**Chance.** If the names are right, another labelling can only seem to fit better because the robot errs. Residuals of a group err
+together, so a group counts as one degree of freedom of unknown variance, and the chance that S' is smaller than S by a factor r is
+P(F(G, G) < r) for G groups. It is multiplied by the number of labellings that were tried (Bonferroni).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Hashable, Iterator, Mapping, Sequence
+from itertools import combinations, permutations
+from typing import NamedTuple
+
+from scipy import special
+
+MOST_PERMUTED = 4
+CLEARLY = 9.0  # of the sum of squares: a third of the RMS
+
+Labels = tuple[str, ...]  # of a group, one of each column
+Squares = Sequence[Mapping[Labels, float]]  # of each group by the labels that it could have
+
+
+class Labelling(NamedTuple):
+    """Labels of all groups, the sum of squares under them, and the logarithm of the chance that right names seem so wrong."""
+
+    labels: tuple[Labels, ...]
+    square: float
+    log_chance: float
+
+
+def labellings(squares: Squares, named: Sequence[Labels], scope: Sequence[Hashable]) -> list[Labelling]:
+    """Return other labellings than the one that is ``named``, the one that fits best first; none that fit no better.
+
+    ``scope`` of each group: only groups of one scope share names (a rig's, of one kind of observation).
+    """
+    as_named = sum(of[labels] for of, labels in zip(squares, named, strict=True))
+    other = dict.fromkeys([*permuted(squares, named, scope), _each_best(squares, named)])
+    other.pop(tuple(named), None)
+    tried = len(other) + sum(len(of) for of in squares)
+    found = []
+    for labels in other:
+        square = sum(of[mine] for of, mine in zip(squares, labels, strict=True))
+        if square < as_named:
+            chance = min(log_chance(square / as_named, len(squares)) + math.log(tried), 0.0)
+            found.append(Labelling(labels, square, chance))
+    return sorted(found, key=lambda one: one.square)
+
+
+def log_chance(ratio: float, freedom: float) -> float:
+    """Logarithm of the chance that of two mean squares of as many degrees of freedom one is ``ratio`` of the other, or less."""
+    share, half = ratio / (1.0 + ratio), max(freedom, 1.0) / 2.0
+    chance = special.betainc(half, half, share)
+    if chance > 1e-280:
+        return math.log(chance)
+    # The incomplete beta function's first term; the next is smaller by the share.
+    return half * math.log(max(share, 1e-300)) - math.log(half) - float(special.betaln(half, half))
+
+
+def renamings(names: Sequence[str]) -> Iterator[dict[str, str]]:
+    """The permutations of some names that change any: all of few names, else exchanges of two and circles."""
+    if len(names) <= MOST_PERMUTED:
+        for order in permutations(names):
+            if list(order) != list(names):
+                yield dict(zip(names, order, strict=True))
+        return
+    for a, b in combinations(names, 2):
+        yield {name: {a: b, b: a}.get(name, name) for name in names}
+    for shift in range(1, len(names)):
+        yield dict(zip(names, [*names[shift:], *names[:shift]], strict=True))
+
+
+def permuted(
+    could: Sequence[Collection[Labels]], named: Sequence[Labels], scope: Sequence[Hashable]
+) -> Iterator[tuple[Labels, ...]]:
+    """The labels of all groups, which ``could`` have others, with the names of one column exchanged throughout a scope."""
+    for one in dict.fromkeys(scope):
+        mine = [g for g, other in enumerate(scope) if other == one]
+        for column in range(len(named[mine[0]])):
+            names = list(dict.fromkeys(labels[column] for g in mine for labels in could[g]))
+            for new in renamings(names):
+                changed = [list(labels) for labels in named]
+                for g in mine:
+                    changed[g][column] = new.get(changed[g][column], changed[g][column])
+                labels = tuple(map(tuple, changed))
+                if labels != tuple(named) and all(one in of for one, of in zip(labels, could, strict=True)):
+                    yield labels
+
+
+def _each_best(squares: Squares, named: Sequence[Labels]) -> tuple[Labels, ...]:
+    best = []
+    for of, labels in zip(squares, named, strict=True):
+        other = min(of, key=of.__getitem__)
+        best.append(other if CLEARLY * of[other] < of[labels] else labels)
+    return tuple(best)

@@ -1,0 +1,107 @@
+"""A quick fit of some rows, to compare readings of the inputs with each other: all under one wide prior.
+
+The robot's parameters are believed to a hand's tolerance (``prior.wide_prior``), base and tool to a metre and a radian: what they
+would have to be to bend a wrong reading of the inputs into place is not believed. All readings are judged alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.errors import ProblemError
+from truearm.estimate.fit import fit
+from truearm.estimate.frame_choice import mounting
+from truearm.estimate.information import half, observe, spectrum
+from truearm.estimate.prior import wide_prior
+from truearm.estimate.problem import Problem, Rigs, build_problem
+from truearm.estimate.solution import Options, of_data
+from truearm.estimate.uncertainty import goodness, prior_shares
+from truearm.model.chain import Chain
+from truearm.types import Figures, Floats, ObservationTable, Residuals
+from truearm.units import UNITS
+
+ITERATIONS = 20
+FEW_ITERATIONS = 8  # where only base, tool and rig are placed
+
+
+class Trial(NamedTuple):
+    """A fit of rows: χ²/ν, ν, RMS by SI unit, and every parameter by name.
+
+    ``moved`` is how far base or tool went from where they were described, in tolerances of a hand.
+    """
+
+    reduced: float
+    freedom: float
+    rms: Mapping[str, float]
+    known: Mapping[str, float]
+    moved: float
+
+
+def placed(chain: Chain, rig: Rigs, table: ObservationTable) -> Trial:
+    """The robot as described, with base, tool and rig fitted to the rows. Raises ProblemError."""
+    return _trial(chain, rig, table, np.zeros(len(chain.parameters), dtype=bool), None)
+
+
+def fitted(
+    chain: Chain, rig: Rigs, table: ObservationTable, free: NDArray[np.bool_], start: Trial | None = None
+) -> Trial:
+    """The robot's ``free`` (p,) parameters, base, tool and rig fitted to the rows. Raises ProblemError."""
+    return _trial(chain, rig, table, free, start or placed(chain, rig, table))
+
+
+def _trial(chain: Chain, rig: Rigs, table: ObservationTable, free: NDArray[np.bool_], start: Trial | None) -> Trial:
+    params = chain.params_nominal
+    mounted = mounting(chain, params).either
+    prior = np.where(mounted, [UNITS[p.unit].vague_sigma for p in chain.parameters], wide_prior(chain))
+    problem = build_problem(chain, rig, table, prior)
+    columns = np.concatenate([free | mounted, np.ones(len(problem.names) - free.size, dtype=bool)])
+    if start is None:
+        x = problem.start
+        only = columns & (np.arange(columns.size) >= free.size)
+        if only.any():
+            x = fit(problem, only, x, Options(FEW_ITERATIONS)).x
+        found = fit(problem, columns, x, Options(FEW_ITERATIONS))
+    else:
+        x = at(problem, start.known)
+        found = fit(problem, columns, x, Options(ITERATIONS))
+    shares = prior_shares(half(spectrum(found.information.root)), found.prior_sigma)
+    quality = goodness(*of_data(problem, columns, found), shares)
+    rms = {unit: figures.rms for unit, figures in Figures.by_unit(found.information.residual).items()}
+    moves = np.abs(found.x[: free.size] - params)[mounted] / wide_prior(chain)[mounted]
+    known = dict(zip(problem.names, found.x.tolist(), strict=True))
+    return Trial(quality.reduced, quality.freedom, rms, known, float(moves.max(initial=0.0)))
+
+
+def at(problem: Problem, known: Mapping[str, float]) -> Floats:
+    """x (P,) of a problem by the values of a trial, the start for what that did not have."""
+    return np.array([known.get(name, value) for name, value in zip(problem.names, problem.start, strict=True)])
+
+
+def misfit(chain: Chain, rig: Rigs, table: ObservationTable, known: Mapping[str, float]) -> Floats:
+    """(n,) squares of the rows' residuals by a trial's parameters, in units of a drawing's tolerances.
+
+    NaN of rows that use what the trial did not have. Raises ProblemError.
+    """
+    problem = build_problem(chain, rig, table)
+    nothing = np.zeros(len(problem.names), dtype=bool)
+    return square(observe(problem, at(problem, known), nothing).residual)
+
+
+def square(residual: Residuals) -> Floats:
+    """(n,) squares of rows' residuals in units of a drawing's tolerances, over all units."""
+    parts = [(of / UNITS[unit].weak_sigma) ** 2 for unit, of in residual.items()]
+    return np.asarray(np.nansum(parts, axis=0))
+
+
+def tried(chain: Chain, rig: Rigs, table: ObservationTable, free: NDArray[np.bool_]) -> Trial | None:
+    """As ``fitted``; None where the rows and the robot make no problem, or the fit is of nothing."""
+    try:
+        with np.errstate(all="ignore"):
+            found = fitted(chain, rig, table, free)
+    except (ProblemError, np.linalg.LinAlgError):
+        return None
+    return found if np.isfinite(found.reduced) else None

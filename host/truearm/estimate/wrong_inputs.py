@@ -1,0 +1,433 @@
+"""Why a fit is absurd: readings of the inputs that would explain the observations, tried and ranked.
+
+A robot whose residuals remain larger than a drawing's tolerances (1 mm, 5 mrad) after it was identified, or whose fit does not
+converge, was rarely made so. Tried are what goes wrong in a lab:
+
+- units: joints in degrees called radians or the reverse, a measured column or the rig's points in millimetres called metres or the reverse;
+- joints: two exchanged, their order turned round or shifted, the signs of any of them;
+- robot: the other built-in ones with as many joints;
+- labels: names exchanged, renamed in a circle, or wrong in some groups of rows (``label_search``);
+- set-up: the first or the last rows belong to another one.
+
+Each reading is fitted to the same few rows under the same wide prior (``trial_fit``). One explains the observations if it brings χ²
+down by HUNDREDFOLD (the RMS tenfold), leaves residuals within a drawing's tolerances, and this is beyond chance: if all readings were as wrong as the given one, their mean
+squares would differ as F(ν, ν) does, so a drop by r has the chance P(F < r), times the number of readings tried (Bonferroni). That
+is LEVEL at most for each sort of reading; at LEVEL/5 a sort, false alarms are LEVEL in all. Where the given reading is right, others
+would have to be a hundred times better than the truth.
+
+Of what explains the observations, the most probable is named first: with unknown variances the logarithm of the evidence is
+−½ Σ log σ² over the residuals, rows that a reading leaves out counting with the variance of the given one.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import combinations, product
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.errors import ProblemError
+from truearm.estimate.label_search import FAR, NEAR, Search, relabellings
+from truearm.estimate.label_test import log_chance
+from truearm.estimate.problem import Rigs
+from truearm.estimate.solvers import SOLVERS
+from truearm.estimate.trial_fit import Trial, misfit, placed, tried
+from truearm.kinds.quantities import LARGEST_NOISE, Quantity
+from truearm.kinds.registry import kinds, points
+from truearm.model.chain import Chain
+from truearm.text import counted
+from truearm.types import (
+    Estimate,
+    Explanation,
+    Figures,
+    Floats,
+    ObservationTable,
+    Relabelling,
+    Rig,
+    Unusable,
+    WrongInput,
+)
+from truearm.units import DEG, MM, UNITS
+
+HUNDREDFOLD = 0.01  # of χ²
+LEVEL = 1e-3 / len(WrongInput)
+MOST_ROWS = 200
+FEW_ROWS = 60  # enough to order arrangements of joints
+LEAST_ROWS = 5  # of another set-up
+MOST_NAMED = 3
+MOST_FITTED = 4  # of the orders and signs of joints, those with the least residuals before the robot is fitted
+AS_LIKELY = 4.0  # χ² of explanations that are named beside the best
+
+Mask = NDArray[np.bool_]
+
+
+class Candidate(NamedTuple):
+    """Another robot that the observations may be of: its chain and the parameters to free (p,)."""
+
+    chain: Chain
+    free: Mask
+
+
+class _Reading(NamedTuple):
+    """Another reading of the inputs, and what to say if it explains the observations."""
+
+    text: str
+    chain: Chain
+    rig: Rigs
+    table: ObservationTable
+    free: Mask
+
+
+class _Found(NamedTuple):
+    explanation: Explanation
+    fit: Trial
+    score: float  # twice the negative logarithm of the evidence
+
+
+def diagnosed(
+    estimate: Estimate,
+    chain: Chain,
+    rig: Rigs,
+    table: ObservationTable,
+    free: Mask,
+    robots: Mapping[str, Candidate] | None = None,
+) -> Estimate:
+    """The estimate with what explains it if it is doubtful, and why it is not usable if it is not.
+
+    ``free`` (p,) is what was asked to be identified, before anything was held by default; ``robots`` are others to try.
+    """
+    if not doubtful(estimate):
+        return estimate
+    explanations, labels = explanations_of(chain, rig, table, estimate.fitted, free, robots or {})
+    estimate = replace(estimate, relabellings=labels.found, relabelling_search=labels.status, explanations=explanations)
+    return replace(estimate, unusable=_unusable(estimate))
+
+
+def explanations_of(
+    chain: Chain, rig: Rigs, table: ObservationTable, rows: Mask, free: Mask, robots: Mapping[str, Candidate]
+) -> tuple[tuple[Explanation, ...], Search]:
+    """What explains the ``rows`` (n,) of a table better than the inputs as given, the most probable first; and the labels."""
+    n = int(rows.sum())
+    labels = Search((), "not needed")
+    given = table.select(np.flatnonzero(rows)[_thin(n)])
+    before = tried(chain, rig, given, free)
+    if before is None or before.freedom < 1.0:
+        return (), labels
+    found: list[_Found] = []
+    sorts: tuple[tuple[WrongInput, Callable[[], Iterator[_Reading]]], ...] = (
+        (WrongInput.UNITS, lambda: _units(chain, rig, given, free)),
+        (WrongInput.ROBOT, lambda: _robots(chain, rig, given, robots)),
+        (WrongInput.JOINTS, lambda: _joints(chain, rig, given, free)),
+    )
+    for what, readings in sorts:
+        if not found:
+            found += _explaining(what, list(readings()), before)
+    if not found:
+        found += _set_up(chain, rig, table, np.flatnonzero(rows), free, before)
+        labels = relabellings(chain, rig, table, rows, free, [of.fit for of in found])
+        found += _by_labels(labels, table, n)
+    return _ranked(found), labels
+
+
+def doubtful(estimate: Estimate) -> bool:
+    """Whether right inputs hardly leave such a fit.
+
+    It has not converged, its residuals are beyond a drawing's tolerances, or a parameter went far from where it was described.
+    """
+    return _unconverged(estimate) or _beyond(estimate, "weak_sigma") or _elsewhere(estimate)
+
+
+def _elsewhere(estimate: Estimate) -> bool:
+    """Whether a parameter went far from where it was described: labels may turn a fixture about."""
+    p = estimate.n_robot_parameters
+    wide = np.array([UNITS[unit].wide_sigma for unit in estimate.units[:p]])
+    return bool((np.abs(estimate.value - estimate.nominal)[:p] > FAR * wide).any())
+
+
+def _unusable(estimate: Estimate) -> Unusable | None:
+    if _unconverged(estimate):
+        return Unusable.NOT_CONVERGED
+    if estimate.explanations and _beyond(estimate, "weak_sigma"):
+        return Unusable.WRONG_INPUTS
+    return Unusable.RESIDUALS if _beyond(estimate, "wide_sigma") else None
+
+
+def _unconverged(estimate: Estimate) -> bool:
+    return estimate.status != "converged" and not SOLVERS[estimate.solver].ends_by_recipe
+
+
+def _beyond(estimate: Estimate, tolerance: str) -> bool:
+    """Whether the rows that were used have an RMS beyond a tolerance, and the declared noise does not explain it."""
+    if estimate.chi2_reduced <= estimate.chi2_band[1]:
+        return False
+    used = estimate.fitted & ~(estimate.weight == 0.0) if estimate.weight.size else estimate.fitted
+    return any(
+        of.rms > getattr(UNITS[unit], tolerance) for unit, of in Figures.by_unit(estimate.residual, used).items()
+    )
+
+
+def _thin(n: int, most: int = MOST_ROWS) -> NDArray[np.intp]:
+    """An even choice of n rows."""
+    return np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.intp))
+
+
+def _explaining(what: WrongInput, readings: Sequence[_Reading], before: Trial) -> Iterator[_Found]:
+    """Those readings that explain the observations."""
+    for one in readings:
+        after = tried(one.chain, one.rig, one.table, one.free)
+        if after is not None and _explains(before, after, len(readings)):
+            yield _found(what, one.text, len(one.table), before, after, len(readings))
+
+
+def _explains(before: Trial, after: Trial, count: int) -> bool:
+    """Better by far, beyond chance, and no longer absurd: a reading that makes everything small explains nothing."""
+    ratio = after.reduced / before.reduced
+    fits = all(rms <= UNITS[unit].weak_sigma for unit, rms in after.rms.items())
+    return fits and ratio < HUNDREDFOLD and log_chance(ratio, after.freedom) + math.log(count) < math.log(LEVEL)
+
+
+def _found(
+    what: WrongInput, text: str, n: int, before: Trial, after: Trial, count: int, apply: str = "", of: int = 0
+) -> _Found:
+    """``n`` of ``of`` rows are explained, all of them by default; ``count`` readings were tried."""
+    ratio = after.reduced / before.reduced
+    chance = math.exp(min(log_chance(ratio, after.freedom) + math.log(count), 0.0))
+    score = (n / of if of else 1.0) * math.log(max(ratio, 1e-300))
+    return _Found(Explanation(what, text, apply, n, before.rms, after.rms, chance), after, score)
+
+
+def _ranked(found: Sequence[_Found]) -> tuple[Explanation, ...]:
+    """The best, and those that explain as much nearly as well."""
+    if not found:
+        return ()
+    best = min(found, key=lambda of: of.score)
+    beside = [of for of in found if of.fit.reduced <= AS_LIKELY * best.fit.reduced]
+    if best.explanation.what is not WrongInput.SET_UP:
+        beside = [of for of in beside if of.explanation.what is not WrongInput.SET_UP]
+    ranked = sorted({id(of): of for of in (best, *beside)}.values(), key=lambda of: of.score)
+    return tuple(of.explanation for of in ranked[:MOST_NAMED])
+
+
+def _units(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask) -> Iterator[_Reading]:
+    """Columns and points in the other unit."""
+    used = [kinds()[str(kind)] for kind in np.unique(table.kind)]
+    # Where nothing is measured but that the end comes back, less motion leaves less residual, whatever the unit.
+    if all(any(isinstance(column, Quantity) for column in kind.needs) for kind in used):
+        for unit, scale, names in (
+            ("rad", DEG.scale, ("degrees", "radians")),
+            ("m", MM.scale, ("millimetres", "metres")),
+        ):
+            which = np.array([of == unit for of in chain.joint_units])
+            if which.any():
+                for factor, (are, called) in ((scale, names), (1.0 / scale, names[::-1])):
+                    q = np.where(which, factor * table.q, table.q)
+                    rate = np.where(which, factor * table.q_rate, table.q_rate)
+                    text = f"the joint readings are in {are}, not in {called}"
+                    yield _Reading(text, chain, rig, replace(table, q=q, q_rate=rate), free)
+    for quantity in dict.fromkeys(quantity for kind in used for quantity in kind.quantities):
+        if quantity.most <= LARGEST_NOISE or quantity.unit not in ("m", "rad"):
+            continue
+        scale = MM.scale if quantity.unit == "m" else DEG.scale
+        names = ("millimetres", "metres") if quantity.unit == "m" else ("degrees", "radians")
+        for factor, (are, called) in ((scale, names), (1.0 / scale, names[::-1])):
+            text = f"the readings of {quantity.words} are in {are}, not in {called}"
+            yield _Reading(text, chain, rig, _with_column(table, quantity.field, factor), free)
+    for column, entry in points().items():
+        for factor, (are, called) in (
+            (MM.scale, ("millimetres", "metres")),
+            (1.0 / MM.scale, ("metres", "millimetres")),
+        ):
+            scaled = _with_points(rig, entry, factor)
+            if scaled is not None:
+                text = f"the rig's coordinates of each {column} are in {are}, not in {called}"
+                yield _Reading(text, chain, scaled, table, free)
+
+
+def _with_column(table: ObservationTable, field: str, factor: float) -> ObservationTable:
+    column = factor * table.column(field, np.nan)
+    if field in table.fields():
+        own: dict[str, Any] = {field: column}
+        return replace(table, **own)
+    return replace(table, more={**table.more, field: column})
+
+
+def _with_points(rig: Rigs, entry: str, factor: float) -> Rigs | None:
+    """The rig, or rigs, with some points' coordinates multiplied; None where there are none."""
+    if not isinstance(rig, Rig):
+        scaled = {name: _with_points(one, entry, factor) for name, one in rig.items()}
+        every = {name: one for name, one in scaled.items() if isinstance(one, Rig)}
+        return {**rig, **every} if every else None
+    known = rig.named(entry)
+    if not any(any(point.xyz) for point in known.values()):
+        return None
+    moved: dict[str, Any] = {
+        entry: {name: replace(p, xyz=tuple(factor * v for v in p.xyz)) for name, p in known.items()}
+    }
+    return replace(rig, **moved)
+
+
+def _robots(chain: Chain, rig: Rigs, table: ObservationTable, robots: Mapping[str, Candidate]) -> Iterator[_Reading]:
+    for name, other in robots.items():
+        if name != chain.name and other.chain.joint_units == chain.joint_units:
+            text = f"the observations are of robot {name}, not of {chain.name}"
+            yield _Reading(text, other.chain, rig, table, other.free)
+
+
+def _joints(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask) -> Iterator[_Reading]:
+    """The orders and signs of joints that leave least before the robot is fitted."""
+    names = [joint.name for joint in chain.joints]
+    few = table.select(_thin(len(table), FEW_ROWS))
+    scored = []
+    for order, signs in _arrangements(len(names)):
+        if any(chain.joint_units[i] != unit for i, unit in zip(order, chain.joint_units, strict=True)):
+            continue
+        try:
+            with np.errstate(all="ignore"):
+                least = placed(chain, rig, _with_joints(few, order, signs)).reduced
+        except (ProblemError, np.linalg.LinAlgError):
+            continue
+        if np.isfinite(least):
+            scored.append((least, _arranged(names, order, signs), order, signs))
+    scored.sort(key=lambda one: one[0])
+    for _, text, order, signs in scored[:MOST_FITTED]:
+        yield _Reading(text, chain, rig, _with_joints(table, order, signs), free)
+
+
+def _with_joints(table: ObservationTable, order: Sequence[int], signs: Floats) -> ObservationTable:
+    return replace(table, q=table.q[:, order] * signs, q_rate=table.q_rate[:, order] * signs)
+
+
+def _arrangements(n: int) -> Iterator[tuple[list[int], Floats]]:
+    """Orders and signs of n joints: exchanges of two, circles, the reverse; all signs."""
+    same, plus = list(range(n)), np.ones(n)
+    for a, b in combinations(same, 2):
+        order = list(same)
+        order[a], order[b] = b, a
+        yield order, plus
+    for shift in range(1, n):
+        yield same[shift:] + same[:shift], plus
+    yield same[::-1], plus
+    for signs in product((1.0, -1.0), repeat=n):
+        if min(signs) < 0.0:
+            yield same, np.array(signs)
+
+
+def _arranged(names: Sequence[str], order: Sequence[int], signs: Floats) -> str:
+    turned = [name for name, sign in zip(names, signs, strict=True) if sign < 0.0]
+    if turned:
+        return f"the {'sign' if len(turned) == 1 else 'signs'} of {', '.join(turned)} {'is' if len(turned) == 1 else 'are'} reversed"
+    moved = [(names[i], names[k]) for k, i in enumerate(order) if i != k]
+    if len(moved) == 2:
+        return f"the columns of {moved[0][0]} and {moved[0][1]} are exchanged"
+    return f"the joints' columns are in another order: {', '.join(names[order.index(i)] for i in range(len(names)))}"
+
+
+def _set_up(
+    chain: Chain, rig: Rigs, table: ObservationTable, rows: NDArray[np.intp], free: Mask, before: Trial
+) -> Iterator[_Found]:
+    """First or last rows that do not fit the others, which fit."""
+    n = rows.size
+    if n < 4 * LEAST_ROWS:
+        return
+    for main in (np.arange(n // 2, n), np.arange(n // 2)):
+        after, cut = None, 0
+        for _ in range(2):  # of half of the rows, then of all on that side of the change
+            some = rows[main[_thin(main.size)]]
+            after = tried(chain, rig, table.select(some), free)
+            if after is None:
+                break
+            of_row = misfit(chain, rig, table.select(rows), after.known)
+            cut = _change(of_row)
+            main = np.arange(cut, n) if main[-1] == n - 1 else np.arange(cut)
+            if min(main.size, n - main.size) < LEAST_ROWS:
+                after = None
+                break
+        count = 2 * (n - 2 * LEAST_ROWS)
+        if after is None or main.size < n // 2 or not _explains(before, after, count):
+            continue
+        first, last = (1, cut) if main[0] else (cut + 1, n)
+        where = f"{_row(table, rows[first - 1])} to {_row(table, rows[last - 1])}"
+        text = f"{counted(last - first + 1, 'row')} from {where} belong to another set-up than the other {main.size}"
+        apply = f"{rows[first - 1] + 1}:{rows[last - 1] + 1}"
+        yield _found(WrongInput.SET_UP, text, int(main.size), before, after, count, apply, n)
+        return
+
+
+def _change(square: Floats) -> int:
+    """The row from which on the variance is another (maximum likelihood)."""
+    n = square.size
+    k = np.arange(LEAST_ROWS, n - LEAST_ROWS + 1)
+    total = np.concatenate([[0.0], np.cumsum(square)])
+    left, right = total[k] / k, (total[-1] - total[k]) / (n - k)
+    tiny = 1e-12 * max(float(square.max()), 1e-300)
+    cost = k * np.log(np.maximum(left, tiny)) + (n - k) * np.log(np.maximum(right, tiny))
+    return int(k[np.argmin(cost)])
+
+
+def _by_labels(labels: Search, table: ObservationTable, n: int) -> Iterator[_Found]:
+    before, after = labels.before, labels.after
+    if before is not None and after is not None:
+        text = "; ".join(label_sentences(labels.found, table))
+        if before.moved > FAR and after.moved < NEAR and after.reduced > HUNDREDFOLD * before.reduced:
+            text += "; or else base or tool stands turned about"
+        chance = math.exp(labels.log_chance)
+        explanation = Explanation(WrongInput.LABELS, text, "", n, before.rms, after.rms, chance)
+        yield _Found(explanation, after, math.log(after.reduced / before.reduced))
+
+
+def label_sentences(found: Sequence[Relabelling], table: ObservationTable) -> list[str]:
+    """What is wrong with the labels: names that are exchanged throughout, else the rows of each wrong label."""
+    exchanged = _exchanged(found, table)
+    if exchanged:
+        return exchanged
+    rows: dict[str, list[int]] = {}
+    for one in found:
+        pairs = [of for of in zip(one.columns, one.was, one.fits, strict=True) if of[1] != of[2]]
+        change = "name {}, fit {}".format(*(" and ".join(f"{of[0]} {of[k]}" for of in pairs) for k in (1, 2)))
+        rows.setdefault(change, []).extend(one.rows)
+    sentences = []
+    for change, mine in rows.items():
+        first, last = (_row(table, mine[i]) for i in (0, -1))
+        which = first if len(mine) == 1 else f"{len(mine)} rows from {first} to {last}"
+        sentences.append(f"{which} {change}")
+    return sentences
+
+
+def _row(table: ObservationTable, row: int) -> str:
+    """Where a row comes from, without the folder: that says where somebody works."""
+    return re.split(r"[\\/]", str(table.source[row]))[-1]
+
+
+def _exchanged(found: Sequence[Relabelling], table: ObservationTable) -> list[str]:
+    """Names of one column that are exchanged in all rows that have them; empty where that is not so."""
+    sentences = []
+    for column in dict.fromkeys(column for one in found for column in one.columns):
+        renamed: dict[str, set[str]] = {}
+        count: dict[str, int] = {}
+        for one in found:
+            for of, was, fits in zip(one.columns, one.was, one.fits, strict=True):
+                if of == column and was != fits:
+                    renamed.setdefault(was, set()).add(fits)
+                    count[was] = count.get(was, 0) + len(one.rows)
+                elif of == column:
+                    renamed.setdefault(was, set())
+        changed = {was: next(iter(fits)) for was, fits in renamed.items() if len(fits) == 1}
+        if any(len(fits) > 1 for fits in renamed.values()):
+            return []
+        if not changed:
+            continue
+        have = table.column(column)
+        if set(changed) != set(changed.values()) or any(count[was] != int((have == was).sum()) for was in changed):
+            return []
+        if len(changed) == 2:
+            a, b = changed
+            sentences.append(f"the names of {column} {a} and {b} are exchanged in all rows")
+        else:
+            pairs = ", ".join(f"{was} is {fits}" for was, fits in changed.items())
+            sentences.append(f"the names of the {column}s are exchanged in a circle in all rows: {pairs}")
+    return sentences

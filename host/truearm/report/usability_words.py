@@ -1,0 +1,67 @@
+"""Why a fit is not usable, and what would explain the observations, in sentences, from the content of result.json."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, assert_never
+
+from truearm.text import one_line
+from truearm.types import Unusable
+from truearm.units import SUFFIXES, UNITS
+
+Document = Mapping[str, Any]
+
+
+def few_freedom(freedom: float | None, rank: int) -> bool:
+    """Whether residuals have fewer degrees of freedom than parameters were fitted: their size then says nothing of the accuracy."""
+    return freedom is not None and freedom < rank
+
+
+def usability_sentences(document: Document, argument: Callable[[str], str] = str) -> list[str]:
+    """Why the fit is not usable, first, and each explanation; nothing for a usable fit that needs none.
+
+    ``argument`` is how the arguments of an identification are written.
+    """
+    explanations = document["explanations"]
+    lines = []
+    because = document["unusable_because"]
+    if because is not None:
+        lines.append(f"This fit is not usable. {_because(Unusable(because), document)}")
+    if document["relabelling_search"] == "too many groups":
+        lines.append(
+            "Labels were not checked: the rows have too many different labels to search them all. Identify fewer at a time."
+        )
+    for i, one in enumerate(explanations):
+        lead = "What explains the observations" if i == 0 else "What explains them too"
+        text = one_line(one["text"])
+        fits = f"RMS {_sizes(one, 'rms')} in a quick fit, {_sizes(one, 'rms_given')} as given"
+        apply = "".join(f"; {argument(name)} {value}" for name, value in (one["apply"] or {}).items())
+        lines.append(f"{lead}: {text} ({fits}){apply}.")
+    if explanations:
+        lines.append("What follows is as given.")
+    return lines
+
+
+def _because(unusable: Unusable, document: Document) -> str:
+    match unusable:
+        case Unusable.NOT_CONVERGED:
+            return f"It did not converge: {one_line(document['message'])}."
+        case Unusable.WRONG_INPUTS:
+            return f"Residuals of {_sizes(document, 'rms_after')} RMS remain."
+        case Unusable.RESIDUALS:
+            return (
+                f"Residuals of {_sizes(document, 'rms_after')} RMS remain, more than any arm leaves. Check the robot, the units, the "
+                "order and signs of the joints, the rig and the labels."
+            )
+        case never:
+            assert_never(never)
+
+
+def _sizes(of: Document, name: str) -> str:
+    """A figure in each unit that it has."""
+    found = []
+    for suffix, scale in SUFFIXES.items():
+        value = of.get(f"{name}_{suffix}") if suffix else None
+        if value is not None:
+            found.append(f"{value:.{UNITS[scale.si].decimals - 1}f} {scale.symbol}")
+    return " and ".join(found)

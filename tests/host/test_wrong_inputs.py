@@ -1,0 +1,189 @@
+"""What goes wrong in a lab with the inputs of an identification: each mistake is named, and nothing that is right is.
+
+The worlds are a planned session of the paper's PUMA (fault_worlds): what an operator's export, rig file or hand makes of it.
+"""
+
+from dataclasses import replace
+from functools import cache
+
+import fault_worlds as worlds
+import numpy as np
+import pytest
+from puma_bench import SIGMA
+from ur10_bench import RIG as UR10_RIG
+from ur10_bench import ROBOT as UR10
+from ur10_bench import tracked
+
+from truearm.estimate.identify import SolverOptions, identify
+from truearm.estimate.wrong_inputs import Candidate, diagnosed, doubtful, explanations_of
+from truearm.model.builtin import builtin_names
+from truearm.model.robot import builtin_robot
+from truearm.types import ObservationTable, WrongInput
+
+ROBOTS = {name: Candidate(robot.chain, robot.free) for name in builtin_names() for robot in [builtin_robot(name)]}
+PUMA = builtin_robot("puma560")
+
+
+@cache
+def session() -> ObservationTable:
+    return worlds.clean(worlds.plan(), np.random.default_rng(11))
+
+
+def found(table, robot=PUMA, rig=worlds.RIG):
+    """The fit of a table, diagnosed."""
+    estimate = identify(robot.chain, rig, table, free=robot.free, options=SolverOptions(reject=True))
+    return diagnosed(estimate, robot.chain, rig, table, robot.free, ROBOTS)
+
+
+def other_set_up(rows):
+    """The fixture was moved by some centimetres for some rows: the same names, other places."""
+    plan, off = worlds.plan(), np.zeros((len(worlds.plan()), 3))
+    off[rows] = (0.03, -0.02, 0.01)
+    return worlds.table(plan, worlds.lengths(plan, off) + SIGMA * np.random.default_rng(12).normal(size=len(plan)))
+
+
+def renamed(**names):
+    """Names of a column taken for others, in all rows."""
+    changed = {
+        column: np.array([new.get(name, name) for name in getattr(session(), column)]) for column, new in names.items()
+    }
+    return replace(session(), **changed)
+
+
+MISTAKES = {
+    "degrees that were exported as radians": (
+        lambda: replace(session(), q=np.degrees(session().q)),
+        WrongInput.UNITS,
+        "the joint readings are in degrees, not in radians",
+    ),
+    "radians that were named degrees": (
+        lambda: replace(session(), q=np.radians(session().q)),
+        WrongInput.UNITS,
+        "the joint readings are in radians, not in degrees",
+    ),
+    "lengths in metres under a title in millimetres": (
+        lambda: replace(session(), value=1e-3 * session().value),
+        WrongInput.UNITS,
+        "the readings of length are in metres, not in millimetres",
+    ),
+    "shoulder and elbow exchanged, as in an alphabetical list of joints": (
+        lambda: replace(session(), q=session().q[:, [0, 2, 1, 3, 4, 5]]),
+        WrongInput.JOINTS,
+        "the columns of joint3 and joint2 are exchanged",
+    ),
+    "the controller counts joint 3 the other way": (
+        lambda: replace(session(), q=session().q * [1, 1, -1, 1, 1, 1]),
+        WrongInput.JOINTS,
+        "the sign of joint3 is reversed",
+    ),
+    "the fixture stood elsewhere for the first 60 rows": (
+        lambda: other_set_up(slice(60)),
+        WrongInput.SET_UP,
+        "60 rows from poses.csv row 2 to poses.csv row 61 belong to another set-up than the other 300",
+    ),
+    "the fixture was moved before the last 100 rows": (
+        lambda: other_set_up(slice(260, None)),
+        WrongInput.SET_UP,
+        "100 rows from poses.csv row 262 to poses.csv row 361 belong to another set-up than the other 260",
+    ),
+    "the chucks were numbered in a circle from another one": (
+        lambda: renamed(chuck={"c1": "c2", "c2": "c3", "c3": "c1"}),
+        WrongInput.LABELS,
+        "the names of the chucks are exchanged in a circle in all rows: c2 is c1, c3 is c2, c1 is c3",
+    ),
+    "two chucks taken for each other": (
+        lambda: renamed(chuck={"c1": "c2", "c2": "c1"}),
+        WrongInput.LABELS,
+        "the names of chuck c2 and c1 are exchanged in all rows",
+    ),
+}
+
+
+ALWAYS = ("degrees that", "shoulder", "the fixture stood", "the chucks were")  # the others in make soak
+
+
+@pytest.mark.parametrize(
+    "mistake", [one if one.startswith(ALWAYS) else pytest.param(one, marks=pytest.mark.soak) for one in MISTAKES]
+)
+def test_a_mistake_is_named(mistake):
+    table, what, text = MISTAKES[mistake]
+    estimate = found(table())
+    first = estimate.explanations[0]
+    assert (first.what, first.text.partition(";")[0]) == (what, text)
+    assert estimate.unusable
+    assert first.rms["m"] < 1.5 * SIGMA
+    assert first.chance < 1e-3
+
+
+def test_a_session_of_another_robot_is_named_and_no_success():
+    estimate = found(session(), builtin_robot("ur5e"))
+    assert estimate.unusable
+    assert estimate.explanations[0].text == "the observations are of robot puma560, not of ur5e"
+
+
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.soak) for seed in range(1, 40))])
+def test_half_a_mount_with_a_wrong_name_is_named_row_by_row(seed):
+    table, (first, last) = worlds.mislabelled(worlds.plan(), np.random.default_rng(seed))
+    estimate = found(table)
+    rows = sorted(row for one in estimate.relabellings for row in one.rows)
+    assert rows == list(range(first, last))
+    assert {one.fits[1] for one in estimate.relabellings} == set(worlds.plan().sphere[first:last])
+    assert estimate.explanations[0].what is WrongInput.LABELS
+    assert estimate.unusable == "wrong inputs"
+
+
+def test_a_clean_session_is_not_doubted():
+    """So nothing is tried: the rate of false alarms on data that fit is that of a fit whose RMS is twelve times its noise."""
+    estimate = found(session())
+    assert not doubtful(estimate)
+    assert (estimate.explanations, estimate.unusable) == ((), None)
+
+
+@pytest.mark.parametrize("worlds_tried", [1, pytest.param(40, marks=pytest.mark.soak)])
+def test_right_inputs_of_a_bad_robot_are_not_explained_away(worlds_tried):
+    """Joints that sag and wave by millimetres, which no geometry holds: doubted, and all readings are tried, but none is named."""
+    alarms = 0
+    for seed in range(worlds_tried):
+        rng = np.random.default_rng(seed)
+        plan = worlds.plan()
+        wave = rng.normal(size=6) * 0.01 * np.sin(plan.q * rng.integers(2, 5, size=6) + rng.uniform(0, 6, 6))
+        length = worlds.lengths(plan, q_off=wave) + SIGMA * rng.normal(size=len(plan))
+        estimate = found(worlds.table(plan, length))
+        assert doubtful(estimate)
+        alarms += bool(estimate.explanations)
+    assert alarms == 0
+
+
+@pytest.mark.parametrize(
+    ("freedom", "worlds_tried"),
+    [(4, 1), pytest.param(4, 50, marks=pytest.mark.soak), pytest.param(12, 50, marks=pytest.mark.soak)],
+)
+def test_chance_alone_explains_nothing(freedom, worlds_tried):
+    """Lengths that no reading explains, with few degrees of freedom, where any fit may look good: LEVEL bounds the false alarms."""
+    for seed in range(worlds_tried):
+        rng = np.random.default_rng(seed)
+        some = session().select(np.sort(rng.choice(360, 36 + freedom, replace=False)))
+        wild = replace(some, value=rng.uniform(0.42, 0.50, len(some)))
+        assert explanations_of(PUMA.chain, worlds.RIG, wild, np.ones(len(wild), dtype=bool), PUMA.free, ROBOTS)[0] == ()
+
+
+@pytest.mark.parametrize("series", [pytest.param("A", marks=pytest.mark.soak), "C"])
+def test_real_tracker_data_are_not_explained_away(series):
+    """All readings are tried on right inputs of a real arm, whose residuals are eight times the tracker's noise."""
+    table = tracked(series, "position", 20)
+    every = np.ones(len(table), dtype=bool)
+    assert explanations_of(UR10.chain, UR10_RIG, table, every, UR10.free, ROBOTS)[0] == ()
+
+
+def test_real_tracker_data_with_a_mistake():
+    """Degrees as radians, a sign, another arm of the same maker: named on a real arm too, whose model is not exact."""
+    table = tracked("C", "position", 20)
+    every = np.ones(len(table), dtype=bool)
+    reversed_sign = replace(table, q=table.q * [1, 1, 1, -1, 1, 1])
+    for wrong, text in (
+        (replace(table, q=np.degrees(table.q)), "the joint readings are in degrees, not in radians"),
+        (reversed_sign, "the sign of"),
+    ):
+        explanations, _ = explanations_of(UR10.chain, UR10_RIG, wrong, every, UR10.free, ROBOTS)
+        assert explanations
+        assert explanations[0].text.startswith(text)
