@@ -15,6 +15,7 @@ from tests.host.target_bench import driven, miss, rapid, script, table
 
 from truearm.cli import main as cli
 from truearm.files.observation_table import read_table
+from truearm.files.result_file import checksum
 from truearm.files.robot_file import load_robot
 from truearm.files.target_table import parse_targets
 from truearm.model.chain import forward, joint_jacobian
@@ -193,7 +194,7 @@ def test_a_singular_target_is_refused_with_its_line(bench, tmp_path, capsys):
 def damage(bench, tmp_path, change):
     document = json.loads((bench.folder / "result.json").read_text())
     change(document)
-    (tmp_path / "r.json").write_text(json.dumps(document))
+    (tmp_path / "r.json").write_text(json.dumps({**document, "checksum": checksum(document)}))
     return tmp_path / "r.json"
 
 

@@ -19,7 +19,7 @@ from truearm.correct.model_pair import ModelPair
 from truearm.correct.straight_moves import limit_margins, straight_moves
 from truearm.estimate.identify import identify
 from truearm.estimate.prediction import ParametersKnown, end_sigmas
-from truearm.files.result_file import RobotFrames, document_of, write_result
+from truearm.files.result_file import RobotFrames, checksum, document_of, write_result
 from truearm.model.chain import forward
 from truearm.model.poses import apart
 from truearm.model.robot import builtin_robot
@@ -333,7 +333,7 @@ def test_targets_outside_what_was_calibrated_are_named(bench, tmp_path, capsys):
 
 def _written(folder, document):
     path = folder / "result.json"
-    path.write_text(json.dumps(document))
+    path.write_text(json.dumps({**document, "checksum": checksum(document)}))
     return path
 
 

@@ -50,6 +50,7 @@ MAX_RUNS_IN_PAIRS = 9
 MAX_CANDIDATES = 60  # labels of a group
 FITTED_PROPOSALS = 4  # of each witness
 MAX_EXCHANGES = 60
+ENOUGH = 6  # labellings that explain the rows as well
 PLACE = GROUPS[0]
 
 
@@ -145,20 +146,25 @@ def relabellings(
     before = search.fitted(search.was)
     if before is None:
         return Search((), "done")
-    best: tuple[Trial, Indices] = before, search.was
-    count = 0
+    found: list[tuple[Trial, Indices]] = []
+    least, count = before.reduced, 0
     for labels in _proposals(search, before, witnesses):
         after = search.fitted(labels)
         count += 1
-        if after is not None and (after.reduced < best[0].reduced or _counts(before, after, count)):
-            best = _row_by_row(search, after, labels)
-            if _counts(before, best[0], count):
+        if after is None or not (after.reduced < least or _counts(before, after, count)):
+            continue
+        after, labels = _row_by_row(search, after, labels)
+        least = min(least, after.reduced)
+        if _counts(before, after, count) and not np.array_equal(labels, search.was):
+            found.append((after, labels))
+            # Of labels that only turn a fixture about those count by which base and tool stand where they were described.
+            if after.moved < NEAR or len(found) == ENOUGH:
                 break
-    after, labels = best
-    if np.array_equal(labels, search.was) or not _counts(before, after, count):
+    if not found:
         return Search((), "done")
-    found = tuple(_changes(search, labels, chosen, before, after))
-    return Search(found, "done", before, after, _log_chance(before, after, count))
+    after, labels = min(found, key=lambda one: (one[0].reduced > AS_WELL * least, one[0].moved))
+    changes = tuple(_changes(search, labels, chosen, before, after))
+    return Search(changes, "done", before, after, _log_chance(before, after, count))
 
 
 def _changes(search: _Searched, labels: Indices, chosen: Indices, before: Trial, after: Trial) -> Iterator[Relabelling]:
