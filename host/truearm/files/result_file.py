@@ -192,7 +192,13 @@ def document_of(
             "matrix": [_numbers(row) for row in estimate.covariance[np.ix_(estimate.free, estimate.free)]],
         },
     }
-    return {**document, CHECKSUM: checksum(document)}
+    return with_checksum(document)
+
+
+def with_checksum(document: Mapping[str, Any]) -> dict[str, Any]:
+    """The content of a result with the checksum of it, last."""
+    content = {name: value for name, value in document.items() if name != CHECKSUM}
+    return {**content, CHECKSUM: checksum(content)}
 
 
 def checksum(document: Mapping[str, Any]) -> str:

@@ -22,7 +22,15 @@ from truearm.estimate.problem import Rigs
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
 from truearm.estimate.wrong_inputs import Candidate, diagnosed, doubtful
 from truearm.files.observation_table import looks_like_table, write_table
-from truearm.files.result_file import Input, RobotFrames, document_of, looks_like_result, stored_result, write_result
+from truearm.files.result_file import (
+    Input,
+    RobotFrames,
+    document_of,
+    looks_like_result,
+    stored_result,
+    with_checksum,
+    write_result,
+)
 from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.model.robot import Robot
 from truearm.report.certificate import Recording
@@ -300,5 +308,6 @@ def identified(
     document = document_of(estimate, table, frames, inputs, selection.held_out_by, prior, predicted, chosen)
     document["sessions"] = [count._asdict() for count in counts]
     document["made_with"] = {"hold_out": list(selection.hold_out), **vars(options)}
+    document = with_checksum({**document, "sessions": [count._asdict() for count in counts]})
     of_robot = vars(calibration_of(stored_result(document), robot, chain.name, "the identification"))
     return Identification(**of_robot, rig=rig, table=table, estimate=estimate, predicted=predicted)
