@@ -11,6 +11,7 @@ from tests.host.ur10_bench import RIG, ROBOT, tracked
 import truearm
 from truearm.cli import identify_text
 from truearm.files.observation_table import concatenate
+from truearm.report.usability_words import usability_sentences
 from truearm.workflows.selection import held_out_rows
 
 FRAMES = {"base.x", "base.y", "base.z", "base.alpha", "base.beta", "base.gamma"}
@@ -69,8 +70,9 @@ def test_a_fit_that_did_not_converge_leads_with_that():
     found = truearm.identify(ROBOT, tracked("c", "position", every=10), RIG, options=options)
     assert found.document["predicted_error"] is None
     assert identify_text.predicted(found.document) == []
-    (line,) = identify_text.not_converged(found.document)
-    assert line.startswith("The fit did not converge")
+    assert (found.document["usable"], found.document["unusable_because"]) == (False, "not converged")
+    first, *_ = usability_sentences(found.document)
+    assert first.startswith("This fit is not usable. It did not converge")
 
 
 AXIS = """[joint1]
