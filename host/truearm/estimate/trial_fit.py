@@ -31,7 +31,8 @@ FEW_ITERATIONS = 8  # where only base, tool and rig are placed
 class Trial(NamedTuple):
     """A fit of rows: χ²/ν, ν, RMS by SI unit, and every parameter by name.
 
-    ``moved`` is how far base or tool went from where they were described, in tolerances of a hand.
+    ``moved`` is how far base or tool went from where they were described, ``strayed`` how far any other parameter of the robot, in
+    tolerances of a hand.
     """
 
     reduced: float
@@ -39,6 +40,7 @@ class Trial(NamedTuple):
     rms: Mapping[str, float]
     known: Mapping[str, float]
     moved: float
+    strayed: float
 
 
 def placed(chain: Chain, rig: Rigs, table: ObservationTable) -> Trial:
@@ -71,9 +73,11 @@ def _trial(chain: Chain, rig: Rigs, table: ObservationTable, free: NDArray[np.bo
     shares = prior_shares(half(spectrum(found.information.root)), found.prior_sigma)
     quality = goodness(*of_data(problem, columns, found), shares)
     rms = {unit: figures.rms for unit, figures in Figures.by_unit(found.information.residual).items()}
-    moves = np.abs(found.x[: free.size] - params)[mounted] / wide_prior(chain)[mounted]
+    moves = np.abs(found.x[: free.size] - params) / wide_prior(chain)
     known = dict(zip(problem.names, found.x.tolist(), strict=True))
-    return Trial(quality.reduced, quality.freedom, rms, known, float(moves.max(initial=0.0)))
+    return Trial(
+        quality.reduced, quality.freedom, rms, known, *(float(moves[of].max(initial=0.0)) for of in (mounted, ~mounted))
+    )
 
 
 def at(problem: Problem, known: Mapping[str, float]) -> Floats:

@@ -10,7 +10,7 @@ converge, was rarely made so. Tried are what goes wrong in a lab:
 - set-up: the first or the last rows belong to another one.
 
 Each reading is fitted to the same few rows under the same wide prior (``trial_fit``). One explains the observations if it brings χ²
-down by HUNDREDFOLD (the RMS tenfold), leaves residuals within a drawing's tolerances, and this is beyond chance: if all readings were as wrong as the given one, their mean
+down by HUNDREDFOLD (the RMS tenfold), leaves residuals within a drawing's tolerances and the robot within STRAYED tolerances of a hand, and this is beyond chance: if all readings were as wrong as the given one, their mean
 squares would differ as F(ν, ν) does, so a drop by r has the chance P(F < r), times the number of readings tried (Bonferroni). That
 is LEVEL at most for each sort of reading; at LEVEL/5 a sort, false alarms are LEVEL in all. Where the given reading is right, others
 would have to be a hundred times better than the truth.
@@ -60,6 +60,7 @@ MOST_ROWS = 200
 FEW_ROWS = 60  # enough to order arrangements of joints
 LEAST_ROWS = 5  # of another set-up
 MOST_NAMED = 3
+STRAYED = 5.0  # tolerances of a hand: the paper's PUMA strays by 1.3
 MOST_FITTED = 4  # of the orders and signs of joints, those with the least residuals before the robot is fitted
 AS_LIKELY = 4.0  # χ² of explanations that are named beside the best
 
@@ -185,10 +186,18 @@ def _explaining(what: WrongInput, readings: Sequence[_Reading], before: Trial) -
 
 
 def _explains(before: Trial, after: Trial, count: int) -> bool:
-    """Better by far, beyond chance, and no longer absurd: a reading that makes everything small explains nothing."""
+    """Better by far, beyond chance, no longer absurd, and by about the robot that was described.
+
+    A reading that makes everything small explains nothing, nor does one to which the robot must shrink.
+    """
     ratio = after.reduced / before.reduced
     fits = all(rms <= UNITS[unit].weak_sigma for unit, rms in after.rms.items())
-    return fits and ratio < HUNDREDFOLD and log_chance(ratio, after.freedom) + math.log(count) < math.log(LEVEL)
+    return (
+        fits
+        and after.strayed < STRAYED
+        and ratio < HUNDREDFOLD
+        and log_chance(ratio, after.freedom) + math.log(count) < math.log(LEVEL)
+    )
 
 
 def _found(

@@ -97,7 +97,7 @@ def sigmas(scope: Scope, rows: Indices, default: Floats, unit: str = "m") -> Flo
     if bad.size:
         worst = sigma[bad[0]].min()  # NaN if any is
         raise ProblemError(
-            f"{scope.table.source[rows[bad[0]]]}: sigma must be at least {SMALLEST:g} {unit}, is {worst:g}"
+            f"{scope.table.source[rows[bad[0]]]}: sigma must be positive, at least {SMALLEST:g} {unit}, is {worst:g}"
         )
     return np.asarray(sigma)
 
