@@ -13,6 +13,7 @@ from report_bench import full_page
 from session_stream import RIG, session
 
 from truearm.files.observation_table import write_table
+from truearm.files.result_file import with_checksum
 from truearm.files.rig_file import write_rig
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
@@ -76,7 +77,7 @@ def test_a_page_says_what_who_how_and_what_came_out(made, tmp_path, run):
 def test_a_result_that_was_changed_is_refused(made, tmp_path, run, spoil, complaint):
     document = json.loads((tmp_path / "r.json").read_text())
     spoil(document)
-    (tmp_path / "r.json").write_text(json.dumps(document))
+    (tmp_path / "r.json").write_text(json.dumps(with_checksum(document)))
     code, out, err = run(*made)
     assert (code, out) == (2, "")
     assert complaint in err

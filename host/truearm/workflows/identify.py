@@ -32,12 +32,11 @@ from truearm.files.result_file import (
     write_result,
 )
 from truearm.files.robot_file import RobotChoice, load_robot
-from truearm.model.robot import Robot
-from truearm.report.certificate import Recording
 from truearm.kinds.quantities import Quantity
 from truearm.kinds.registry import kinds
 from truearm.model.builtin import builtin_names
 from truearm.model.robot import Robot, builtin_robot
+from truearm.report.certificate import Recording
 from truearm.types import Estimate, ObservationTable, PredictedError
 from truearm.workflows.calibration import Calibration, calibration_of
 from truearm.workflows.calibration_report import write_page
@@ -306,8 +305,7 @@ def identified(
         predicted = predicted_point_error(chain, rig, table, estimate, any_base=bool(chosen.base))
     frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, chain.joint_units)
     document = document_of(estimate, table, frames, inputs, selection.held_out_by, prior, predicted, chosen)
-    document["sessions"] = [count._asdict() for count in counts]
-    document["made_with"] = {"hold_out": list(selection.hold_out), **vars(options)}
-    document = with_checksum({**document, "sessions": [count._asdict() for count in counts]})
+    made_with = {"hold_out": list(selection.hold_out), **vars(options)}
+    document = with_checksum({**document, "sessions": [count._asdict() for count in counts], "made_with": made_with})
     of_robot = vars(calibration_of(stored_result(document), robot, chain.name, "the identification"))
     return Identification(**of_robot, rig=rig, table=table, estimate=estimate, predicted=predicted)
