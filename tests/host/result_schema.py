@@ -59,6 +59,7 @@ OBJECTS = {
     "predicted_error",
     "joint_range",
     "joint_laws",
+    "made_with",
 }
 RMS = ("rms_before", "rms_after")
 RAW = ("rms_raw", "rms_declared", "rms_unexplained")
