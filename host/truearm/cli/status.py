@@ -44,7 +44,7 @@ def _lines(state: ProjectState) -> Iterator[str]:
     yield f"sessions  {len(state.sessions) or 'none'}"
     for session in state.sessions:
         whole = "" if session.complete else ", not complete: it is being written, or truearm recover makes it whole"
-        yield f"          {os.path.relpath(session.path)}, {session.size / 1e6:.1f} MB{whole}"
+        yield f"          {os.path.relpath(session.path)}, {session.size / 2**20:.1f} MiB{whole}"
     yield f"results   {len(state.results) or 'none'}"
     for result in state.results:
         held = "" if result.held_out_mm is None else f", {result.held_out_mm:.4f} mm RMS held out"

@@ -20,6 +20,7 @@ from truearm.model.chain import Chain
 from truearm.model.joint_terms.sag import Sag
 from truearm.model.law_chain import distal_frames, with_laws
 from truearm.types import CurveKnots, Floats, Law, SagMasses
+from truearm.units import DEG
 
 SPACING = 0.05  # rad between knots, at most
 LENGTHS = 0.05 * 2.0 ** np.arange(7)  # rad
@@ -48,7 +49,7 @@ def candidates(
             if joint.kind != "revolute":
                 reasons.append(f"{joint.name} is prismatic: it has no error curve")
             elif span < STILL:
-                reasons.append(f"{joint.name} covers {math.degrees(span):.1f} deg: too little for an error curve")
+                reasons.append(f"{joint.name} covers {DEG.text(span, '.1f')}: too little for an error curve")
             else:
                 laws.append(knots(i, float(q[:, i].min()), float(q[:, i].max())))
     return laws, reasons

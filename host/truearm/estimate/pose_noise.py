@@ -23,6 +23,7 @@ from truearm.types import Floats
 
 CHUNK = 1_000_000  # numbers of a chunk's rows: 8 MB
 SMALLEST_SHARE = 0.01  # of the rows left to a part of the noise, however much the unknowns spend
+SETTLED = 1e-3  # relative change of the variances from step to step
 LEAST_FACTOR = 1e-6  # on the declared variances
 LARGEST_POSE = 24  # observations of one pose; of more each run of so many counts as one
 FORCE = (0, 2, 4)  # of a wrench's first six numbers, those that see a translation of the end
@@ -168,7 +169,7 @@ def learned_noise(samples: Sequence[PoseSample], noise: PoseNoise, shared: bool,
         old = np.array(noise)
         new = old * here.gain / np.maximum((1.0 - spent) * here.rows, SMALLEST_SHARE * here.rows)
         noise = PoseNoise(max(float(new[0]), LEAST_FACTOR), float(new[1]) * shared, float(new[2]))
-        if np.all(np.abs(np.array(noise) - old) <= 1e-3 * old):
+        if np.all(np.abs(np.array(noise) - old) <= SETTLED * old):
             break
     return noise
 

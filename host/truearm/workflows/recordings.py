@@ -55,7 +55,9 @@ def _sensors(document: Mapping[str, Any]) -> list[Sensor]:
                 temperature = calibration.get("temperature_mdegc")
                 name = one_line(str(channel.get("name", ""))[:40])
                 found.append(
-                    Sensor(name, serial, date, f"at {1e-3 * temperature:.1f} °C" if type(temperature) is int else "")
+                    Sensor(
+                        name, serial, date, f"at {temperature // 100 / 10:.1f} °C" if type(temperature) is int else ""
+                    )
                 )
     return found
 
