@@ -55,7 +55,8 @@ from truearm.types import (
 from truearm.units import DEG, MM, UNITS
 
 HUNDREDFOLD = 0.01  # of χ²
-LEVEL = 1e-3 / len(WrongInput)
+FAMILY = 1e-3  # false alarms of all kinds of wrong input together
+LEVEL = FAMILY / len(WrongInput)
 MOST_ROWS = 200
 FEW_ROWS = 60  # enough to order arrangements of joints
 LEAST_ROWS = 5  # of another set-up
