@@ -106,11 +106,13 @@ def decode_ident(data: bytes) -> Ident:
 def parse_ident(document: object) -> Ident:
     """An ident document, decoded from CBOR or JSON; unknown keys and a newer minor version are accepted.
 
+    It is judged as JSON holds it, so the recorder and every reader of the session's metadata find the same in it.
+
     Raises ProtocolError for another major version, and where samples could not even be told apart: without a boot id,
     or with streams that have no id, name, times or channels.
     """
     try:
-        return _ident(_typed(document, dict, "document"))
+        return _ident(_plain(_typed(document, dict, "document")))
     except _Wrong as exc:
         raise ProtocolError(f"the box's description of itself: {exc}; update its firmware") from exc
 
@@ -162,7 +164,7 @@ def _ident(table: dict[Any, Any]) -> Ident:
         boot_id=boot_id,
         streams={stream.id: stream for stream in streams},
         faults=tuple(faults),
-        document=_plain(table),
+        document=table,
     )
 
 
