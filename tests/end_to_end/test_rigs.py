@@ -33,10 +33,10 @@ def days(tmp_path_factory):
 
 
 @functools.cache
-def identified(folder, *more):
+def identified(folder, *more, code=0):
     command = ("identify", folder / "monday.mcap", folder / "tuesday.mcap", "--robot", "puma560", "--json", *more)
     done = truearm(*command)
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == code, done.stderr
     return json.loads(done.stdout)
 
 
@@ -53,9 +53,18 @@ def test_each_session_has_the_rig_that_it_was_recorded_with(days):
     freedom = result["n_observations"] - 36
     assert freedom > 100
     assert abs(result["chi2_reduced"] - 1.0) < 4.0 * np.sqrt(2.0 / freedom)  # 4 standard deviations of χ²
-    # One rig for both would be wrong by the 5.4 mm that the spheres were moved.
+
+
+def test_one_rig_for_both_sessions_is_not_usable(days):
+    """It is wrong by the 5.4 mm that the spheres were moved: the fit says so, and that either session alone fits."""
     write_rig(days / "monday.toml", standard_rig())
-    assert identified(days, "--rig", days / "monday.toml")["rms_after_mm"] > 10 * result["rms_after_mm"]
+    wrong = identified(days, "--rig", days / "monday.toml", code=3)
+    assert wrong["rms_after_mm"] > 10 * identified(days)["rms_after_mm"]
+    assert (wrong["usable"], wrong["unusable_because"]) == (False, "wrong inputs")
+    monday = sum(entry["used"] for entry in wrong["sessions"][:1])
+    (found,) = (entry for entry in wrong["explanations"] if entry["what"] == "set-up")
+    assert found["n"] in (monday, wrong["n_observations"] - monday)
+    assert found["apply"]["leave_out"] in (f"1:{monday}", f"{monday + 1}:{wrong['n_observations']}")
 
 
 def test_a_rig_of_its_own_stands_in_for_what_a_session_carries(days):

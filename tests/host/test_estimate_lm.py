@@ -88,6 +88,20 @@ def test_the_ways_to_end():
     assert minimise(hard, np.log([2.0]), 50).iterations == 0
 
 
+def test_what_is_lost_in_rounding_is_the_minimum():
+    """Residuals that are differences of large numbers: χ² cannot show the last steps; far from the minimum it must."""
+    y = 1e-6 * np.array([1.0, -2.0, 0.5])
+
+    def residual(x):
+        return ((1e8 + y) - 1e8) - ((1e8 + x) - 1e8)  # in steps of 1.5e-8
+
+    found = minimise(linearised(residual, lambda x: np.ones((3, 1))), np.array([0.1]), 100)
+    assert found.status == "converged"
+    assert abs(found.x[0] - y.mean()) < 1e-7  # some steps
+    wrong = minimise(linearised(residual, lambda x: -np.ones((3, 1))), np.array([0.1]), 100)  # uphill, 0.17 σ away
+    assert wrong.status == "stalled"
+
+
 def test_steps_are_reported_in_order_and_descend():
     heard = []
     hard = linearised(lambda x: -np.array([np.exp(x[0]) - 2.0]), lambda x: np.array([[np.exp(x[0])]]))

@@ -98,7 +98,7 @@ def test_it_is_proposed_where_it_would_show_more(copy):
     (copy.folder / "points.csv").write_text(
         "\n".join([lines[0], *(line for line in lines if line[:9] == "position,")]) + "\n"
     )
-    said = copy.run("identify", "points.csv", *COMMAND, "--also-free", "joint6.offset", "--free", "joint6.offset")
+    said = copy.run("identify", "points.csv", *COMMAND, "--also-free", "joint6.offset")
     assert "Next: measure with an inclinometer on the end to tell 1 more parameter: joint6.offset." in said
 
 

@@ -16,7 +16,8 @@ the part of the foretold gain that came, so that in a curved valley it settles a
 (docs/decisions/0019-damping.md compares). It grows by 4 after a step that did not reduce χ².
 
 The end: what the linearised problem still promises, ‖Uᵀz‖, is below 1e-6 of ‖f‖ (then x
-is within some 1e-5 σ of the minimum), or below 1e-10 a residual (data without noise), or the step is rounding.
+is within some 1e-5 σ of the minimum), or below 1e-10 a residual (data without noise), or the step is rounding. Where no step reduces χ²
+any more although x is within 1e-5 σ of the minimum, the gain is lost in χ²'s rounding: that is the minimum, too.
 
 Where weights depend on x (joint noise, information.py), x is compared with x + Δ under the weights of x: with each
 under its own, χ² has its minimum beside the point where the gradient Jᵀ C f vanishes, and no step would reach that.
@@ -41,6 +42,9 @@ STRAIGHT = 1e-3
 RELATIVE_END = 1e-6
 ABSOLUTE_END = 1e-10
 STEP_END = 1e-14
+ROUNDING_END = (
+    1e-5  # σ; far below what any estimate tells, far above χ²'s rounding for residuals of metres over micrometres
+)
 
 
 class Minimum(NamedTuple):
@@ -100,6 +104,8 @@ def minimise(
             refused = True
             damping = after_refusal(damping)
             if damping > DAMPING_MAX:
+                if promised @ promised <= ROUNDING_END**2:
+                    return Minimum(x, "converged", "what a step promises is lost in rounding", iteration, here)
                 return Minimum(x, "stalled", "no step reduces the residuals", iteration, here)
         gain = (here.chi2 - chi2) / foretold
         damping = after_step(damping, gain, refused)
