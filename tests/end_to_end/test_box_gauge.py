@@ -116,11 +116,14 @@ def test_places_that_make_no_reading(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", "needs one column"),
+        ("", "is empty"),
         ("reference_mm,reference_um\n1,2\n", "needs one column"),
         ("reference_mm\n", "has 0 references"),
-        ("reference_mm\none\n", "row 2: 'one' is no reading"),
-        ("a,reference_mm\n1\n", "row 2: '' is no reading"),
+        ("reference_mm\none\n", "row 2 column reference_mm: 'one' is not a number"),
+        ("a,reference_mm\n1\n", "row 2: has 1 cell, the header has 2"),
+        ("reference_mm\n1,5\n", "row 2: has 2 cells, the header has 1"),
+        ('reference_mm\n"1,5"\n', "row 2 column reference_mm: '1,5' is not a number"),
+        ("a,reference_mm\n1,\n", "row 2 column reference_mm: is empty"),
         ("reference_mm\nnan\n", "row 2"),
         ("reference_mm\n1e9\n", "row 2"),
         ("reference_mm\n" + "1\n" * 2000, "1 to 1000"),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -106,25 +104,19 @@ def gauge_channel(device: str, options: GaugeOptions, operator: Operator, stop: 
 
 def read_references(path: Path) -> list[float]:
     """The references [m] of a CSV file. Raises TableError."""
+    from truearm.files.csv_cells import numbers, read_cells
     from truearm.files.disk import read_text
+    from truearm.files.observation_columns import Column
 
-    rows = list(csv.reader(io.StringIO(read_text(path, MAX_BYTES, TableError))))
-    columns = [cell.strip() for cell in rows[0]] if rows else []
-    found = [(k, unit) for k, name in enumerate(columns) for unit in UNITS if name == f"reference_{unit}"]
-    if len(found) != 1:
+    header, rows = read_cells(read_text(path, MAX_BYTES, TableError), str(path))
+    columns = [
+        Column(name, at, unit) for at, name in enumerate(header) for unit in UNITS if name == f"reference_{unit}"
+    ]
+    if len(columns) != 1:
         raise TableError(f"{path}: needs one column named reference_mm, reference_um or reference_in")
-    at, unit = found[0]
-    values = []
-    for number, row in enumerate(rows[1:], 2):
-        if any(cell.strip() for cell in row):
-            cell = row[at] if at < len(row) else ""
-            try:
-                values.append(parse_reference(cell, UNITS[unit]))
-            except InputError as exc:
-                raise TableError(f"{path}: row {number}: {exc}") from exc
-    if not 1 <= len(values) <= MAX_REFERENCES:
-        raise TableError(f"{path}: has {len(values)} references; 1 to {MAX_REFERENCES} are possible")
-    return values
+    if not 1 <= len(rows) <= MAX_REFERENCES:
+        raise TableError(f"{path}: has {len(rows)} references; 1 to {MAX_REFERENCES} are possible")
+    return [float(value) for value in numbers(rows, columns[0], str(path), MAX_METRES, required=True)]
 
 
 def parse_reference(text: str, scale: float) -> float:

@@ -8,16 +8,20 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections.abc import Iterable, Iterator
 from itertools import islice
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from truearm.errors import InputError, TableError
-from truearm.files.observation_columns import Column
 from truearm.schema import NAME, quoted
-from truearm.types import Floats
+from truearm.text import counted
 from truearm.units import SMALLEST, SUFFIXES
+
+if TYPE_CHECKING:
+    from truearm.files.observation_columns import Column
+    from truearm.types import Floats
 
 MAX_ROWS = 200_000  # 250 times the paper's grid of 800 poses
 MAX_COLUMNS = 200
@@ -33,14 +37,28 @@ class Row(NamedTuple):
     cells: list[str]
 
 
-def read_rows(text: str, name: str, error: type[InputError] = TableError) -> list[Row]:
-    """Rows of stripped text, the header among them; blank lines are passed over. Raises ``error``."""
-    reader = csv.reader(io.StringIO(text, newline=None), strict=True)
-    filled = (Row(reader.line_num, [cell.strip() for cell in cells]) for cells in reader if cells)
+def rows_of(
+    lines: Iterable[str], name: str, error: type[InputError] = TableError, separator: str = ","
+) -> Iterator[Row]:
+    """Yield the rows of lines of CSV as they come, the header among them; blank lines are passed over. Raises ``error``."""
+    reader = csv.reader(lines, delimiter=separator, strict=True)
     try:
-        return list(islice(filled, MAX_ROWS + 2))
+        for cells in reader:
+            if cells:
+                yield Row(reader.line_num, [cell.strip() for cell in cells])
     except csv.Error as exc:
         raise error(f"{name} row {reader.line_num}: is not CSV: {exc}") from exc
+
+
+def read_rows(text: str, name: str, error: type[InputError] = TableError) -> list[Row]:
+    """Return the rows of a text, the header among them. Raises ``error``."""
+    return list(islice(rows_of(io.StringIO(text, newline=None), name, error), MAX_ROWS + 2))
+
+
+def check_width(row: Row, width: int, name: str, error: type[InputError] = TableError) -> None:
+    """Raise ``error`` for a row that has not as many cells as the header."""
+    if len(row.cells) != width:
+        raise error(f"{name} row {row.number}: has {counted(len(row.cells), 'cell')}, the header has {width}")
 
 
 def read_cells(text: str, name: str) -> tuple[list[str], list[Row]]:
@@ -56,8 +74,7 @@ def read_cells(text: str, name: str) -> tuple[list[str], list[Row]]:
     if len(rows) > MAX_ROWS + 1:
         raise TableError(f"{name}: has more than {MAX_ROWS} rows; split it or thin it out")
     for row in rows[1:]:
-        if len(row.cells) != len(header):
-            raise TableError(f"{name} row {row.number}: has {len(row.cells)} cells, the header has {len(header)}")
+        check_width(row, len(header), name)
     return header, rows[1:]
 
 

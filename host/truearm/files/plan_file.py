@@ -16,7 +16,7 @@ from typing import assert_never
 import numpy as np
 
 from truearm.errors import Argument, PlanError
-from truearm.files.csv_cells import NUMBER, read_rows
+from truearm.files.csv_cells import NUMBER, check_width, read_rows
 from truearm.files.disk import read_text, write_atomic
 from truearm.schema import NAME
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Move, Plan, Rig
@@ -48,7 +48,7 @@ def parse_plan(text: str, name: str) -> Plan:
     rows = read_rows(text, name, PlanError)
     if not rows:
         raise PlanError(f"{name}: is empty; a plan begins with the header pose,shell,bar,chuck,sphere,q1_rad,...")
-    header = rows[0][1]
+    header = rows[0].cells
     moving, named = MOTION[0] in header[:6], ROBOT in header[:10]
     names = _names(moving, named)
     expected = [*names, *_joints(len(header) - len(names))]
@@ -60,10 +60,9 @@ def parse_plan(text: str, name: str) -> Plan:
         )
     if len(rows) == 1:
         raise PlanError(f"{name}: has a header but no poses")
-    for pose, (number, cells) in enumerate(rows[1:]):
-        where = f"{name} row {number}"
-        _check_row(cells, pose, len(header), where)
-        _check_names(dict(zip(names, cells, strict=False)), pose, where)
+    for pose, row in enumerate(rows[1:]):
+        check_width(row, len(header), name, PlanError)
+        _check_names(dict(zip(names, row.cells, strict=False)), pose, f"{name} row {row.number}")
     q = np.array([[_angle(c, f"{name} row {number}") for c in cells[len(names) :]] for number, cells in rows[1:]])
     columns = dict(zip(names, np.array([cells[: len(names)] for _, cells in rows[1:]]).T, strict=True))
     ids = {name: columns[name] for name in (*IDS, *(ROBOT,) * named)}
@@ -85,15 +84,10 @@ def _joints(n_joints: int) -> list[str]:
     return [f"q{i + 1}_rad" for i in range(n_joints)]
 
 
-def _check_row(cells: list[str], pose: int, width: int, where: str) -> None:
-    if len(cells) != width:
-        raise PlanError(f"{where}: has {len(cells)} cells, the header has {width}")
-    if cells[0] != str(pose):
-        raise PlanError(f"{where}: pose is {cells[0][:40]!r}, expected {pose}; poses count from 0 without gaps")
-
-
 def _check_names(cells: dict[str, str], pose: int, where: str) -> None:
     """The names of one row and its kind of move against each other."""
+    if cells["pose"] != str(pose):
+        raise PlanError(f"{where}: pose is {cells['pose'][:40]!r}, expected {pose}; poses count from 0 without gaps")
     if len(cells.get(ROBOT, "")) > MAX_ROBOT:
         raise PlanError(f"{where} column {ROBOT}: has more than {MAX_ROBOT} characters")
     move = cells.get("move") or Move.DWELL

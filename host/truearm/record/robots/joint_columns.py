@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from truearm.errors import InputError
+from truearm.files.csv_cells import NUMBER
 from truearm.schema import quoted
 from truearm.session.joint_readings import MAX_JOINTS, format_reading
 from truearm.units import SUFFIXES
@@ -22,7 +23,6 @@ EXAMPLE = "t_s,seq,q1_rad,q2_rad,... (units: rad, deg, m, mm; commanded joints a
 
 _TIME = re.compile(r"t_(s|ms|us|ns)")
 _JOINT = re.compile(r"(q|qd)([1-9]\d?)(_cmd)?_(rad|deg|m|mm)(_s)?")
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
 _WHOLE = re.compile(r"[+-]?\d{1,18}", re.ASCII)
 
 Place = tuple[int, float]  # where a column stands, and the factor that makes its numbers SI
@@ -152,13 +152,12 @@ def _scaled(cells: Sequence[str], place: Place) -> float:
 
 def _number(cell: str) -> float:
     """A finite decimal number. float() would take "1_000", "nan" and digits of other scripts. Raises ValueError."""
-    cell = cell.strip()
-    if len(cell) > 40 or not _NUMBER.fullmatch(cell):
+    if len(cell) > 40 or not NUMBER.fullmatch(cell):
         raise ValueError(cell[:40])
     return float(cell)
 
 
 def _whole(cell: str) -> int:
-    if not _WHOLE.fullmatch(cell.strip()):
+    if not _WHOLE.fullmatch(cell):
         raise ValueError(cell[:40])
     return int(cell)

@@ -5,13 +5,13 @@ Its header is what ``columns`` reads. Read row by row: a day at 500 Hz is 43 mil
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import IO, NamedTuple
 
 from truearm.errors import InputError, TableError
+from truearm.files.csv_cells import Row, rows_of
 from truearm.record.joint_lines import MAX_LINE
 from truearm.record.robots.joint_columns import read_columns, renamed, separator_of, with_point
 from truearm.record.robots.sources import FileOptions
@@ -51,29 +51,25 @@ def _rows(path: Path, file: IO[str], renames: Sequence[tuple[str, str]]) -> Iter
     lines = _lines(path, file)
     header = next(lines, "")
     separator = separator_of(header)
-    rows = csv.reader(chain([header], lines), delimiter=separator, strict=True)
+    rows = rows_of(chain([header], lines), str(path), separator=separator)
     try:
-        titles = [cell.strip() for cell in next(rows, [])]
+        titles = next(rows, Row(1, [])).cells
         columns = read_columns(renamed(titles, renames) if renames else titles)
         last = -1.0
-        for cells in rows:
-            if not cells:
-                continue
+        for number, cells in rows:
             line = columns.line(cells if separator == "," else [with_point(cell) for cell in cells], **NO_ARRIVAL)
             reading = None if line is None else parse_reading(line)
             if line is None or reading is None:
                 raise TableError(
-                    f"{path} row {rows.line_num}: is no reading: {columns.width} cells are needed, numbers, t not negative"
+                    f"{path} row {number}: is no reading: {columns.width} cells are needed, numbers, t not negative"
                 )
             if reading.t < last:
                 raise TableError(
-                    f"{path} row {rows.line_num}: time goes back from {last:g} s to {reading.t:g} s; sort the rows, or "
+                    f"{path} row {number}: time goes back from {last:g} s to {reading.t:g} s; sort the rows, or "
                     "make two tables if the controller was restarted"
                 )
             last = reading.t
             yield Reading(reading.t, line)
-    except csv.Error as exc:
-        raise TableError(f"{path} row {rows.line_num}: is not CSV: {exc}") from exc
     except TableError:
         raise
     except InputError as exc:
