@@ -35,11 +35,32 @@ NO_POINT = Point("", (math.nan, math.nan, math.nan))
 MAG_PERIOD_NS = 983_040  # 1017 Hz
 MAG_STROKE = (0.05, 0.55)  # m, of the magnetostrictive sensor where no lines are driven
 MAG_MIDDLE = 0.30
-TRIGGER_MS = (300, 1300)  # between edges to the robot's input
 MAG_Y = 0.15  # m, of the sensor's middle in the base frame
 
 
 Level = Callable[[Floats], NDArray[np.bool_]]
+
+
+@dataclass(frozen=True)
+class RobotInput:
+    """The digital input of the controller that the box's trigger output is wired to, and what lies between.
+
+    The output toggles every ``trigger_ms``. The input is ``inverted`` (a pull-down at an NPN input), and each edge of the output shows with a
+    delay [s] of its own, which differ by less than the time between edges.
+    """
+
+    number: int
+    trigger_ms: tuple[int, int] = (50, 150)
+    inverted: bool = False
+    rising_delay_s: float = 0.0
+    falling_delay_s: float = 0.0
+
+    def level(self, output: Level, t: Floats) -> NDArray[np.bool_]:
+        """Whether it is on (m,) at true times (m,)."""
+        risen, not_fallen = output(t - self.rising_delay_s), output(t - self.falling_delay_s)
+        quick_to_fall = self.falling_delay_s < self.rising_delay_s
+        high = risen & not_fallen if quick_to_fall else risen | not_fallen
+        return high ^ self.inverted
 
 
 def standard_rig(robot: Robot | None = None) -> Rig:
@@ -100,8 +121,7 @@ class World:
         arm: Arm | None = None,
         robot_delay_s: float = 0.0,
         flaws: Flaws | None = None,
-        robot_input: int | None = None,
-        trigger_ms: tuple[int, int] = TRIGGER_MS,
+        robot_input: RobotInput | None = None,
         robot: Robot | None = None,
     ) -> None:
         """``robot``: the PUMA 560 by default. ``params`` (p,): as it truly is, default ``true_params``; ``clocks``: drawn from the seed.
@@ -109,8 +129,7 @@ class World:
         ``mag_period_ns``: how often the box is configured to read its magnetostrictive sensor, 0: never; default: MAG_PERIOD_NS
         where lines are driven. A share ``lost_stops`` of its shots has no stop pulse. ``arm``: a stiff one by default.
         ``robot_delay_s``: how late the robot's readings are. ``flaws``: what the line device does beside what it says.
-        ``robot_input``: the digital input of the controller that the box's trigger output is wired to, which then is configured to be
-        toggled every ``trigger_ms``; None: not at all.
+        ``robot_input``: what the box's trigger output is wired to, which then is configured to toggle; None: nothing.
         Raises PlanError when the plan names something that the rig does not have, and for a line that cannot be driven.
         """
         robot = robot or builtin_robot(PAPER)
@@ -140,7 +159,6 @@ class World:
         self._mag_period_ns = (MAG_PERIOD_NS if paths else 0) if mag_period_ns is None else mag_period_ns
         self._lost_stops = lost_stops
         self.robot_input = robot_input
-        self._trigger_ms = trigger_ms if robot_input is not None else (0, 0)
         self._kept: dict[str, tuple[tuple[int, ...], NDArray[Any]]] = {}
 
     @property
@@ -275,8 +293,8 @@ class World:
     def _inputs(self, level: Level | None) -> Inputs | None:
         if level is None or self.robot_input is None:
             return None
-        bit = 1 << self.robot_input
-        return lambda t: np.where(level(t), bit, 0).astype(np.int64)
+        wired, bit = self.robot_input, 1 << self.robot_input.number
+        return lambda t: np.where(wired.level(level, t), bit, 0).astype(np.int64)
 
     @property
     def robot_end_ns(self) -> int:
@@ -303,6 +321,6 @@ class World:
             "channels": channels,
             "magnetostrictive": sensors.magnetostrictive(self._mag_period_ns),
             "debounce_us": [0, 0],
-            "trigger_ms": list(self._trigger_ms),
+            "trigger_ms": list(self.robot_input.trigger_ms) if self.robot_input else [0, 0],
             "watchdog_ms": 2000,
         }

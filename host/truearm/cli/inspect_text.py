@@ -190,10 +190,14 @@ def _edges(edges: Mapping[str, Any] | None) -> Iterator[str]:
         yield f"  trigger: no input follows the box's output ({edges['edges']} edges); is it wired, and are the readings' inputs recorded?"
         return
     use = "in use" if edges["in_use"] else "not in use, arrivals tell more"
+    inverted = "inverted, " if edges["inverted"] else ""
     yield (
-        f"  trigger on input {edges['input']} ({use}): {counts}; error at most {_of_ns(edges['bound_ns'], '.0f')} µs, the delay of the input beside; "
-        f"the link's shortest latency is {_of_ns(edges['shortest_latency_ns'], '.0f')} µs"
+        f"  trigger on input {edges['input']} ({inverted}{use}): {counts}; error at most {_of_ns(edges['bound_ns'], '.0f')} µs, a filter of the input "
+        f"beside; the link's shortest latency is {_of_ns(edges['shortest_latency_ns'], '.0f')} µs"
     )
+    least, most = edges["falling_later_ns"]
+    if least is not None:
+        yield f"  the input shows falling edges of the box's output {_of_ns(least, '.0f')} to {_of_ns(most, '.0f')} µs later than rising ones"
 
 
 def _dwells(document: Mapping[str, Any]) -> Iterator[str]:

@@ -85,16 +85,20 @@ class EdgeReport:
     """What the edges of the box's trigger output say of one segment of controller time.
 
     ``shortest_latency_ns`` is what no arrival can show: how late the arrivals' clock is by the edges', in the middle; its error is at most
-    ``bound_ns`` and that of the arrivals' clock together.
+    ``bound_ns`` and that of the arrivals' clock together. What the input's shorter delay exceeds the range of ``trigger_edges`` by is in it too.
     """
 
     input: int | None  # of the controller that follows the output; None: none does
+    inverted: bool  # it goes off when the output goes high
     edges: int  # of the box's output while the controller's readings came
     used: int
     unseen: int  # edges that no reading shows
     unclear: int  # edges and changes of the input that cannot be told apart: bounces, missing readings
     stray: int  # changes of the input that no edge explains
     rejected: int  # edges that contradict the others
+    falling_later_ns: tuple[
+        float, float
+    ]  # falling edges of the output are seen later than rising ones by, at least and at most; NaN if unknown
     bound_ns: float  # largest at any edge; NaN where none is used
     shortest_latency_ns: float  # NaN where none is used
     in_use: bool  # the robot's readings are placed by them, not by their arrivals

@@ -1,26 +1,30 @@
 r"""Robot controller time ↔ device time by the edges of a trigger line (hop 4).
 
 The box toggles a digital input of the controller at random times (SPEC §6). Its hardware stamps each edge; the controller's readings show
-between which two of them the edge came. So controller time c(d) of device time d keeps to two hard bounds, a cycle apart where no
-reading is missing::
+between which two of them the input changed. An input is late, by a delay of its own for each direction: a coupler switches on sooner than
+off, a filter adds to both. So controller time c(d) of device time d keeps to two bounds, a cycle apart where no reading is missing::
 
-    last reading with the old level  <  c(edge)  ≤  first reading with the new level
+    last reading with the old level  <  c(edge) + delay of that direction  ≤  first reading with the new level
 
-That is what an exchange says of the host's clock, so all lines that keep to the bounds are found as there (``clock``), in overlapping windows. Edges
-fall anywhere in a cycle, thus n of them leave some nths of a cycle open; no latency comes in. The bound is the farthest that any of these lines lies from
-the estimate. It holds if the two clocks drift apart by no more than 1 ppm a minute (``clock``'s first assumption). Both are crystals that
-nothing slews, so there is no second. Windows are of 120 s: longer ones would leave more to that drift than they take from a cycle of 2 ms.
+**Unknown** are the two delays, and whether the input is inverted. Each direction therefore has a clock of its own, c + its delay. An exchange says as much of the
+host's clock, so all lines that keep to the bounds are found as there (``clock_windows``), in overlapping windows. Edges
+fall anywhere in a cycle, thus n of them leave some nths of a cycle open; no latency comes in.
 
-The **estimate** is, of these lines, the middle one of those with the rate that arrivals tell, or the rate nearest to it that is possible: edges a cycle wide
-tell offsets well and rates poorly, of arrivals it is the other way round. What arrivals say only chooses among what edges allow, the bound owes them nothing.
-With a cycle of 2 ms and 100 edges that halves the error (12 instead of 22 µs RMS, 32 instead of 96 µs at worst in 19 of 20 cases).
+**No edge shows a delay itself**, only how far the two are apart: a delay that both have looks like an earlier clock. No delay is negative, and the shorter one is taken to be at
+most SHORTEST_DELAY_NS, as it is of an input without a filter. With that, c lies between the earlier clock less SHORTEST_DELAY_NS and the earlier clock; where the bounds
+do not tell which is the earlier one, in the union of what both allow. That is the **bound**. It holds if the shorter delay is within that range, and
+the two clocks drift apart by no more than 1 ppm a minute (the first assumption of ``clock_windows``; both are crystals that nothing slews). What a filter's delay exceeds the range by is constant, and part of the delay τ;
+so is what lies between the instants of a reading's joints and of its inputs.
 
-What the bound does not contain is what lies between the box's pin and the instant that a reading is of: the delay of an opto-coupler, a filter
-in the controller's input, and whether joints and inputs of a reading are of one instant. It is constant, and part of the delay τ.
+The **estimate** is the middle of that range. Of the lines that edges allow, it takes the middle one of those with the rate that arrivals tell, or the rate nearest to it that is possible: edges
+a cycle wide tell offsets well and rates poorly, of arrivals it is the other way round. What arrivals say only chooses among what edges allow, the bound owes them nothing.
+
+**Windows** are of 60 s for edges that come every 0.1 s: longer ones would leave more to the drift than they take from a cycle of 2 ms. Each window is true at
+any time, so what windows of 120 s exclude, which hold more of edges that come less often, is excluded too.
 
 **Which edge is which**: by the clocks that are known already (arrivals and exchanges), to TOLERANCE_S. A change of the input and an edge belong to each
-other if neither could belong to another one and both go the same way. A bouncing contact or a gap in the readings makes several
-possible: these are left out and counted. What contradicts the rest is rejected as in ``clock``; but an edge alone against all others is one that
+other if neither could belong to another one and all go the same way, or all the opposite way. A bouncing contact or a gap in the readings makes several
+possible: these are left out and counted. What contradicts the rest is rejected as in ``clock_windows``; but an edge alone against all others is one that
 was paired wrongly or bounced between two readings, not a clock that jumped and came back, so the bound does not reach for it.
 """
 
@@ -42,7 +46,9 @@ from truearm.types import Floats
 
 Ints = NDArray[np.int64]
 
-WINDOW_US = 120_000_000
+SHORTEST_DELAY_NS = 15_000.0  # the most that the quicker direction of an input is late; of a coupler without a filter
+WINDOWS_US = (60_000_000, 120_000_000)
+RATE_US = 30_000_000  # to both sides of a window's centre: where arrivals are asked for the rate
 TOLERANCE_S = 0.1  # that arrivals may be late, and less than half the time between edges
 LEAST_USED = 3
 LEAST_SHARE = 0.5  # of the edges: an input of which fewer fit does something else
@@ -65,6 +71,15 @@ class Output:
         return cls(np.array(t_us, dtype=np.int64), np.array(level, dtype=np.bool_))
 
 
+class TimedEdges(NamedTuple):
+    """Edges (n,) of the output by ascending device time, each with the controller times [s] between which the input showed it."""
+
+    t_us: Ints
+    level: NDArray[np.bool_]
+    before_s: Floats
+    after_s: Floats
+
+
 class Matched(NamedTuple):
     """Which change of an input each edge (n,) of the output is, −1 where that is not known, and how many were not told apart."""
 
@@ -73,9 +88,17 @@ class Matched(NamedTuple):
     unclear: int
     stray: int
 
+    @property
+    def paired(self) -> int:
+        """How many edges are some change."""
+        return int(np.sum(self.change >= 0))
+
 
 def match(expected_s: Floats, level: NDArray[np.bool_], changes: Changes) -> Matched:
-    """Pair edges that are expected at controller times (n,) [s], ascending, with the changes of an input."""
+    """Pair edges that are expected at controller times (n,) [s], ascending, with the changes of an input.
+
+    ``level`` (n,): what the input becomes.
+    """
     n = expected_s.size
     if not n:
         return Matched(np.empty(0, np.intp), 0, 0, changes.level.size)
@@ -94,39 +117,93 @@ def match(expected_s: Floats, level: NDArray[np.bool_], changes: Changes) -> Mat
 
 
 @dataclass(frozen=True)
+class SeenClock:
+    """Device time → the controller time at which the input shows an edge of one direction; ns from a reference."""
+
+    windows: tuple[tuple[Window, ...], ...]  # of each length
+
+    @classmethod
+    def of(cls, rows: Ints, arrivals: Callable[[Ints], Floats]) -> SeenClock | None:
+        """By edges (n, 4) as rows of ``clock_windows``; None where none can be used."""
+        if len(rows) < LEAST_USED:
+            return None
+        each = [tuple(_chosen(window, arrivals) for window in windows_of(rows, length)) for length in WINDOWS_US]
+        return cls(tuple(each)) if all(each) else None
+
+    def rejected(self) -> int:
+        """How many edges contradict the others."""
+        return len({t for window in self.windows[0] for t in window.rejected_us})
+
+    def at(self, t_us: Ints) -> tuple[Ints, Floats, Floats]:
+        """Controller times (n,) of device times, and how far [ns] the truth is behind them, at least and at most."""
+        seen, bound = blended(self.windows[0], t_us)
+        low, high = -bound, bound
+        for window in (window for windows in self.windows for window in windows):
+            here, reach = window.to_host_ns(t_us)
+            behind = (here - seen).astype(np.float64)
+            low, high = np.maximum(low, behind - reach), np.minimum(high, behind + reach)
+        torn = low > high  # windows contradict each other: ``blended`` knows what to do
+        return seen, np.where(torn, -bound, low), np.where(torn, bound, high)
+
+
+@dataclass(frozen=True)
 class EdgeClock:
     """Device time → controller time of one segment each, as ``DeviceClock`` is of the host's; ns from ``t_ref_s``."""
 
     t_ref_s: float
-    windows: tuple[Window, ...]
+    earlier: tuple[SeenClock, ...]  # of the direction that is less late; of both where that is not known
     first_us: int
 
     def to_robot_s(self, t_us: Ints) -> tuple[Floats, Floats]:
         """Controller times (n,) [s] of device times (n,) and the bounds (n,) [ns] of their errors."""
         t_us = np.asarray(t_us, dtype=np.int64)
-        robot_ns, bound = blended(self.windows, t_us)
-        return np.asarray(self.t_ref_s + 1e-9 * robot_ns), bound
+        seen, low, high = (np.array(rows) for rows in zip(*(clock.at(t_us) for clock in self.earlier), strict=True))
+        behind = (seen - seen[0]).astype(np.float64)
+        estimate = np.mean(behind + np.clip(0.0, low, high), axis=0) - 0.5 * SHORTEST_DELAY_NS
+        earliest = np.min(behind + low, axis=0) - SHORTEST_DELAY_NS
+        latest = np.min(behind + high, axis=0)  # no delay is negative, whichever is the shorter
+        error = np.maximum(latest - estimate, estimate - earliest)
+        return np.asarray(self.t_ref_s + 1e-9 * (seen[0] + estimate)), error
 
 
-def fit_edges(
-    t_ref_s: float, t_us: Ints, before_s: Floats, after_s: Floats, arrivals: Callable[[Ints], Floats]
-) -> tuple[EdgeClock, int] | None:
-    """The clock by edges (n,) at device times, each between two controller times [s], and how many contradict the others.
+class EdgeFit(NamedTuple):
+    """A clock by edges, how many contradict the others, and how much later the output's falling edges are than its rising ones."""
+
+    clock: EdgeClock
+    rejected: int
+    falling_later_ns: tuple[float, float]  # at least and at most; NaN where only one direction can be used
+
+
+def fit_edges(t_ref_s: float, edges: TimedEdges, arrivals: Callable[[Ints], Floats]) -> EdgeFit | None:
+    """The clock by edges (n,) of one segment.
 
     ``arrivals``: controller times [s] of device times, late or early by whatever constant. None without an edge that can be used.
     """
-    low, high = (np.rint(1e9 * (t - t_ref_s)).astype(np.int64) for t in (before_s, after_s))
-    rows = np.stack([low - STAMP_NS, t_us, t_us, high + STAMP_NS], axis=1)
-    windows = windows_of(rows, WINDOW_US)
-    if not windows:
+    low, high = (np.rint(1e9 * (t - t_ref_s)).astype(np.int64) for t in (edges.before_s, edges.after_s))
+    rows = np.stack([low - STAMP_NS, edges.t_us, edges.t_us, high + STAMP_NS], axis=1)
+    each = [SeenClock.of(part, arrivals) for part in (rows[edges.level], rows[~edges.level])]
+    clocks = tuple(clock for clock in each if clock is not None)
+    if not clocks:
         return None
-    rejected = len({t for window in windows for t in window.rejected_us})
-    return EdgeClock(t_ref_s, tuple(_chosen(window, arrivals) for window in windows), int(t_us[0])), rejected
+    rejected = sum(clock.rejected() for clock in clocks)
+    later = _later_ns(*clocks, edges.t_us) if len(clocks) == 2 else (np.nan, np.nan)
+    if 0.0 < later[0] <= later[1]:
+        clocks = clocks[:1]
+    elif later[0] <= later[1] < 0.0:
+        clocks = clocks[1:]
+    return EdgeFit(EdgeClock(t_ref_s, clocks, int(edges.t_us[0])), rejected, later)
+
+
+def _later_ns(first: SeenClock, second: SeenClock, t_us: Ints) -> tuple[float, float]:
+    """How much later the second clock is than the first, at least and at most: it is constant, so all device times (n,) tell."""
+    (first_ns, first_low, first_high), (second_ns, second_low, second_high) = first.at(t_us), second.at(t_us)
+    apart = (second_ns - first_ns).astype(np.float64)
+    return float(np.max(apart + second_low - first_high)), float(np.min(apart + second_high - first_low))
 
 
 def _chosen(window: Window, arrivals: Callable[[Ints], Floats]) -> Window:
     """The window with the middle of its lines at the rate of ``arrivals``, or the nearest that it allows."""
-    ends = window.centre_us + np.array([-WINDOW_US // 4, WINDOW_US // 4])
+    ends = window.centre_us + np.array([-RATE_US, RATE_US])
     apart = np.diff(arrivals(ends))[0]
     offsets, rates = window.lines.T
     rate = float(np.clip(1e6 * apart / (ends[1] - ends[0]) - 1.0, rates.min(), rates.max()))
@@ -139,10 +216,9 @@ def _chosen(window: Window, arrivals: Callable[[Ints], Floats]) -> Window:
 class _Tie:
     """One segment of the box's time tied to one of the controller's."""
 
-    edges: EdgeClock
+    fit: EdgeFit
     device: DeviceClock
     used: int
-    rejected: int
 
 
 def with_edges(joints: JointStream, outputs: Mapping[int, Output], clocks: Mapping[int, DeviceClock]) -> JointStream:
@@ -171,9 +247,11 @@ def _of_segment(
     edges = _expected(arrivals, outputs, clocks, first_s, last_s)
     if not edges.expected_s.size or not track.readings:
         return arrivals, None
-    number, matched = _followed(track, edges)
+    number, inverted, matched = _followed(track, edges)
     ties = [] if number is None else _ties(arrivals, track.changes(number), edges, matched, clocks)
-    none = EdgeReport(number, edges.expected_s.size, 0, *matched[1:], 0, np.nan, np.nan, False)
+    none = EdgeReport(
+        number, inverted, edges.expected_s.size, 0, *matched[1:], 0, (np.nan, np.nan), np.nan, np.nan, False
+    )
     if not ties:
         return arrivals, none
     clock = _through_nodes(arrivals, ties, first_s, last_s)
@@ -182,12 +260,19 @@ def _of_segment(
     report = replace(
         none,
         used=sum(tie.used for tie in ties),
-        rejected=sum(tie.rejected for tie in ties),
+        rejected=sum(tie.fit.rejected for tie in ties),
+        falling_later_ns=_common([tie.fit.falling_later_ns for tie in ties]),
         bound_ns=float(np.max(clock.bound_ns)),
         shortest_latency_ns=float((arrivals.to_host_ns(middle) - clock.to_host_ns(middle))[0]),
         in_use=in_use,
     )
     return (clock if in_use else arrivals), report
+
+
+def _common(ranges: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """What all ranges that are known have in common; NaN if none is."""
+    known = np.array([one for one in ranges if np.isfinite(one).all()]).reshape(-1, 2)
+    return (float(np.max(known[:, 0])), float(np.min(known[:, 1]))) if len(known) else (np.nan, np.nan)
 
 
 class _Edges(NamedTuple):
@@ -225,18 +310,25 @@ def _expected(
     return together.rows(order)
 
 
-def _followed(track: InputTrack, edges: _Edges) -> tuple[int | None, Matched]:
-    """The input that follows the output, and how; None if none does."""
+class _Followed(NamedTuple):
+    """The input that follows the output, if one does, whether inverted, and how."""
+
+    input: int | None
+    inverted: bool
+    matched: Matched
+
+
+def _followed(track: InputTrack, edges: _Edges) -> _Followed:
+    """The input and the polarity with the most edges that can be told apart."""
     n = edges.expected_s.size
-    found: int | None = None
-    best = Matched(np.full(n, -1, dtype=np.intp), n, 0, 0)
+    best = none = _Followed(None, False, Matched(np.full(n, -1, dtype=np.intp), n, 0, 0))
     for number in track.inputs():
-        matched = match(edges.expected_s, edges.level, track.changes(number))
-        if np.sum(matched.change >= 0) > np.sum(best.change >= 0):
-            found, best = number, matched
-    if np.sum(best.change >= 0) >= max(LEAST_USED, LEAST_SHARE * n):
-        return found, best
-    return None, Matched(np.full(n, -1, dtype=np.intp), n, 0, 0)
+        changes = track.changes(number)
+        for inverted in (False, True):
+            matched = match(edges.expected_s, edges.level ^ inverted, changes)
+            if matched.paired > best.matched.paired:
+                best = _Followed(number, inverted, matched)
+    return best if best.matched.paired >= max(LEAST_USED, LEAST_SHARE * n) else none
 
 
 def _by_arrivals(arrivals: RobotClock, device: DeviceClock, t_us: Ints) -> Floats:
@@ -252,12 +344,10 @@ def _ties(
         if paired.size < LEAST_USED:
             continue
         change = matched.change[paired]
-        before_s, after_s = changes.before_s[change], changes.after_s[change]
-        fit = fit_edges(
-            arrivals.t_ref_s, edges.t_us[paired], before_s, after_s, partial(_by_arrivals, arrivals, clocks[segment])
-        )
+        timed = TimedEdges(edges.t_us[paired], edges.level[paired], changes.before_s[change], changes.after_s[change])
+        fit = fit_edges(arrivals.t_ref_s, timed, partial(_by_arrivals, arrivals, clocks[segment]))
         if fit is not None:
-            ties.append(_Tie(fit[0], clocks[segment], paired.size - fit[1], fit[1]))
+            ties.append(_Tie(fit, clocks[segment], paired.size - fit.rejected))
     return ties
 
 
@@ -271,7 +361,7 @@ def _through_nodes(arrivals: RobotClock, ties: Sequence[_Tie], first_s: float, l
     host = np.empty(nodes.size, np.int64)
     for tie in ties:
         d_us = _device_us(tie, nodes)
-        robot_s, of_robot = tie.edges.to_robot_s(d_us)
+        robot_s, of_robot = tie.fit.clock.to_robot_s(d_us)
         at, of_device = tie.device.to_host_ns(d_us)
         bound = of_robot + of_device
         here = bound < best
@@ -288,8 +378,8 @@ def _through_nodes(arrivals: RobotClock, ties: Sequence[_Tie], first_s: float, l
 
 def _device_us(tie: _Tie, nodes: Floats) -> Ints:
     """Device times [µs] of controller times [s], by steps of what is left: rates differ by less than 0.1 %."""
-    begin, _ = tie.edges.to_robot_s(np.array([tie.edges.first_us]))
-    d = tie.edges.first_us + np.rint(1e6 * (nodes - begin[0])).astype(np.int64)
+    begin, _ = tie.fit.clock.to_robot_s(np.array([tie.fit.clock.first_us]))
+    d = tie.fit.clock.first_us + np.rint(1e6 * (nodes - begin[0])).astype(np.int64)
     for _ in range(4):
-        d = d + np.rint(1e6 * (nodes - tie.edges.to_robot_s(d)[0])).astype(np.int64)
+        d = d + np.rint(1e6 * (nodes - tie.fit.clock.to_robot_s(d)[0])).astype(np.int64)
     return np.asarray(d)

@@ -229,7 +229,7 @@ def _lab(options: SimulateOptions, rate: float, say: Say) -> tuple[World, Hardwa
     from truearm.files.plan_file import write_plan
     from truearm.files.rig_file import write_rig
     from truearm_sim.simbox import SimulatedBox
-    from truearm_sim.world import World
+    from truearm_sim.world import RobotInput, World
 
     folder, seed, truth = options.folder, options.seed, options.truth
     faults = [parse_fault(text) for text in options.faults]
@@ -250,7 +250,7 @@ def _lab(options: SimulateOptions, rate: float, say: Say) -> tuple[World, Hardwa
         robot_rate=rate,
         arm=simulated.arm,
         robot_delay_s=options.robot_delay_s,
-        robot_input=options.trigger,
+        robot_input=None if options.trigger is None else RobotInput(options.trigger),
         robot=simulated.robot,
     )
     own_folder(folder, MARK)
