@@ -12,8 +12,9 @@ from scipy import stats
 
 from truearm.kinds.plane import PlaneRows
 from truearm.kinds.registry import NAMES, kinds
-from truearm.report.calibration_page import doubts, looks_like_page, render, verdict
+from truearm.report.calibration_page import doubts, render, verdict
 from truearm.report.findings import chi2_words
+from truearm.report.page_parts import looks_like_page
 from truearm.report.page_text import figures, number
 from truearm.report.residual_rows import law_of, rows_by_kind, summaries
 from truearm.types import (

@@ -1,16 +1,13 @@
 """One HTML page about one calibration: the verdict, the pictures, the parameters, what was not seen, how it was made.
 
-The page is a single file: style and pictures are inside, there is no script, and a Content-Security-Policy forbids the
-browser to load anything. It opens from a disk without a network, follows the reader's light or dark setting, prints,
-and fits a phone. Names and notes may come from strangers' files; all text passes ``truearm.report.page_text.escape``.
+Names and notes may come from strangers' files; all text passes ``truearm.report.page_text.escape``.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.resources import files
 from typing import assert_never
 
 import numpy as np
@@ -19,7 +16,7 @@ from truearm.estimate.law_curves import SampledCurve
 from truearm.estimate.solvers import Loss, Prior, loss_summary
 from truearm.report.certificate import Certificate, certificate_section
 from truearm.report.correlation import correlation
-from truearm.report.figures import Figure, convergences, figures_of
+from truearm.report.figures import convergences, figures_of
 from truearm.report.findings import (
     addition_list,
     chi2_words,
@@ -29,6 +26,7 @@ from truearm.report.findings import (
     suspect_table,
 )
 from truearm.report.law_figures import law_figures
+from truearm.report.page_parts import command_block, html_page, picture, pictures, section, sentences, table_of
 from truearm.report.page_tables import fact_list, parameter_table, step_table, visibility
 from truearm.report.page_text import escape, figures, size
 from truearm.report.residual_rows import rows_by_kind, summaries
@@ -40,7 +38,6 @@ from truearm.units import symbol, tolerances
 
 CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
 HELD_OUT_DOUBTFUL = 1.5  # held-out RMS over fitted RMS
-POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 
 
 @dataclass(frozen=True)
@@ -96,30 +93,11 @@ def render(page: CalibrationPage) -> str:
         _pictures(page),
         _parameters(page.estimate),
         _laws(page),
-        _section("What the data can and cannot see", _sight(page.estimate)),
-        _section("The recording", fact_list(page.facts)) if page.facts else "",
+        section("What the data can and cannot see", _sight(page.estimate)),
+        section("The recording", fact_list(page.facts)) if page.facts else "",
         _making(page),
     )
-    style = files("truearm.report").joinpath("page.css").read_text(encoding="utf-8")
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<meta name="generator" content="truearm">\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        '<meta name="color-scheme" content="light dark">\n'
-        f"<title>{escape(page.title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
-        f"{_header(page)}<main>\n{''.join(sections)}</main>\n</body>\n</html>\n"
-    )
-
-
-def _header(page: CalibrationPage) -> str:
-    return (
-        f'<header><p class="brand">truearm</p><h1>{escape(page.title)}</h1>'
-        f'<p class="subtitle">{escape(page.subtitle, 400)}</p></header>\n'
-    )
-
-
-def _section(title: str, content: str) -> str:
-    return f"<section><h2>{title}</h2>{content}</section>\n"
+    return html_page("truearm", page.title, page.subtitle, sections)
 
 
 def _verdict(page: CalibrationPage) -> str:
@@ -144,14 +122,9 @@ def _verdict(page: CalibrationPage) -> str:
             f"by the parameters' σ, over {counted(page.predicted.n, 'pose')}; most {size(page.predicted.largest, 'm')}"
         )
         tiles.append(_tile("of the tool, predicted", {"m": page.predicted.rms}, more, "old"))
-    remarks = _list(doubts(page), "remarks doubts") + _list(page.notes, "remarks")
+    remarks = sentences(doubts(page), "remarks doubts") + sentences(page.notes, "remarks")
     line = f'<h2 class="verdict">{escape(verdict(page), 400)}</h2>'
     return f'<section>{line}<div class="tiles">{"".join(tiles)}</div>{remarks}</section>\n'
-
-
-def _list(sentences: Sequence[str], css: str) -> str:
-    items = "".join(f"<li>{escape(text, 600)}</li>" for text in sentences)
-    return f'<ul class="{css}">{items}</ul>' if items else ""
 
 
 def verdict(page: CalibrationPage) -> str:
@@ -230,9 +203,9 @@ def _tile(name: str, rms: Mapping[str, float], note: str, css: str) -> str:
 def _pictures(page: CalibrationPage) -> str:
     e, table = page.estimate, page.table
     kinds = rows_by_kind(e, table, page.longitude)
-    shown = [_figure(figure, rows.title if len(kinds) > 1 else "") for rows in kinds for figure in figures_of(rows)]
+    shown = [picture(figure, rows.title if len(kinds) > 1 else "") for rows in kinds for figure in figures_of(rows)]
     several = len(e.rms_history) > 1
-    shown += [_figure(of, symbol(si) if several else "") for si, of in zip(e.rms_history, convergences(e), strict=True)]
+    shown += [picture(of, symbol(si) if several else "") for si, of in zip(e.rms_history, convergences(e), strict=True)]
     words = [
         chi2_words(e),
         parts_words(e.parts),
@@ -240,23 +213,11 @@ def _pictures(page: CalibrationPage) -> str:
         predicted_words(page.predicted) if page.predicted else "",
     ]
     content = residual_table(summaries(e, table)) + "".join(f"<p>{escape(w, 600)}</p>" for w in words if w)
-    pictures = f'<div class="pictures">{"".join(shown)}</div>'
-    return _section("Residuals", content + (suspect_table(e, table) if e.suspect.size else "") + pictures)
+    return section("Residuals", content + (suspect_table(e, table) if e.suspect.size else "") + pictures(shown))
 
 
 def _sight(e: Estimate) -> str:
     return visibility(e) + observability_table(e) + addition_list(e.additions)
-
-
-def _figure(figure: Figure, kind: str = "") -> str:
-    """A <figure>; ``kind`` is added to its title where there are several."""
-    title = escape(figure.title + (f" · {kind}" if kind else ""))
-    # A wide picture scrolls on a phone, so it must be reachable by keyboard.
-    scroll = f'<div class="scroll" tabindex="0" role="region" aria-label="{title}">'
-    picture = f"{scroll}{figure.drawing}</div>" if figure.wide else figure.drawing
-    caption = f"<figcaption>{escape(figure.caption, 800)}</figcaption>"
-    css = ' class="wide"' if figure.wide else ""
-    return f"<figure{css}><h3>{title}</h3>{picture}{caption}</figure>\n"
 
 
 def _parameters(e: Estimate) -> str:
@@ -269,22 +230,19 @@ def _parameters(e: Estimate) -> str:
     if rig:
         summary = f"{counted(len(rig), 'parameter')} of the rig"
         parts.append(f"<details><summary>{summary}</summary>{parameter_table(e, rig)}</details>")
-    picture = correlation(e)
-    return _section("Parameters", "".join(parts) + (_figure(picture) if picture else ""))
+    drawn = correlation(e)
+    return section("Parameters", "".join(parts) + (picture(drawn) if drawn else ""))
 
 
 def _laws(page: CalibrationPage) -> str:
     """Error curves and sag; "" where they were not asked for."""
     if not page.laws:
         return ""
-    head = "".join(f'<th scope="col">{title}</th>' for title in ("fit", "fitted, RMS", "held out, mean", "unit"))
-    rows = "".join(
-        f'<tr><th scope="row">{escape(name)}</th><td>{fitted}</td><td>{held}</td><td class="unit">{escape(unit)}</td></tr>'
-        for unit, name, fitted, held in page.law_steps
+    rows = [(escape(name), fitted, held, escape(unit)) for unit, name, fitted, held in page.law_steps]
+    steps = table_of(("fit", "fitted, RMS", "held out, mean", "unit"), rows, "fits", "numbers") if rows else ""
+    return section(
+        "Joint laws", sentences(page.laws, "remarks") + steps + pictures(map(picture, law_figures(page.curves)))
     )
-    table = f'<table class="numbers"><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>' if rows else ""
-    pictures = "".join(_figure(figure) for figure in law_figures(page.curves))
-    return _section("Joint laws", _list(page.laws, "remarks") + table + f'<div class="pictures">{pictures}</div>')
 
 
 def _prior(name: str) -> str:
@@ -310,11 +268,5 @@ def _making(page: CalibrationPage) -> str:
         ("χ² per degree of freedom", figures(e.chi2_reduced)),
         ("solver's time", f"{figures(e.seconds, 2)} s"),
     ]
-    command = f'<pre tabindex="0"><code>{escape(page.command, 2000)}</code></pre>' if page.command else ""
     steps = step_table(page.steps) if page.steps else ""
-    return _section("How it was made", command + fact_list(facts) + steps)
-
-
-def looks_like_page(head: bytes) -> bool:
-    """Whether a file that begins so is a page of ours, or empty."""
-    return not head.strip() or b'<meta name="generator" content="truearm">' in head
+    return section("How it was made", command_block(page.command) + fact_list(facts) + steps)

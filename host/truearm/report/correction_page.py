@@ -7,14 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 
 import numpy as np
 
 from truearm.report import svg
-from truearm.report.calibration_page import POLICY
-from truearm.report.figures import Figure
-from truearm.report.findings import table_of
+from truearm.report.figures import Figure, drawn
+from truearm.report.page_parts import html_page, picture, pictures, section, sentences, table_of
 from truearm.report.page_tables import fact_list
 from truearm.report.page_text import ABSENT, escape, figures, number
 from truearm.types import Floats
@@ -53,33 +51,20 @@ class CorrectionPage:
 
 def render(page: CorrectionPage) -> str:
     """The page as HTML text, to be written as UTF-8."""
-    style = files("truearm.report").joinpath("page.css").read_text(encoding="utf-8")
     sections = [
         _summary(page),
-        _section("Not corrected", _rows(("line", "statement", "reason"), page.refused, "moves not corrected"))
+        section("Not corrected", _rows(("line", "statement", "reason"), page.refused, "moves not corrected"))
         if page.refused
         else "",
-        _section("Shifts", f'<div class="pictures">{"".join(map(_figure, _pictures(page)))}</div>'),
-        _section("Targets", _targets(page)),
-        _section("Straight moves", _rows(_MOVES, page.moves, "straight moves")) if page.moves else "",
-        _section("How it was made", fact_list(page.facts)),
+        section("Shifts", pictures(map(picture, _pictures(page)))),
+        section("Targets", _targets(page)),
+        section("Straight moves", _rows(_MOVES, page.moves, "straight moves")) if page.moves else "",
+        section("How it was made", fact_list(page.facts)),
     ]
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<meta name="generator" content="truearm">\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        '<meta name="color-scheme" content="light dark">\n'
-        f"<title>{escape(page.title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
-        f'<header><p class="brand">truearm correct</p><h1>{escape(page.title)}</h1>'
-        f'<p class="subtitle">{escape(page.subtitle, 400)}</p></header>\n<main>\n{"".join(sections)}</main>\n</body>\n</html>\n'
-    )
+    return html_page("truearm correct", page.title, page.subtitle, sections)
 
 
 _MOVES = ("to", "from", "deviation [mm]", "nearest joint limit", "singular value", "")
-
-
-def _section(title: str, content: str) -> str:
-    return f"<section><h2>{title}</h2>{content}</section>\n"
 
 
 def _summary(page: CorrectionPage) -> str:
@@ -93,12 +78,7 @@ def _summary(page: CorrectionPage) -> str:
         f'<p class="small">{escape(note)}</p></div>'
         for name, value, unit, note, css in tiles
     )
-    lists = ((page.warnings, "remarks doubts"), (page.notes, "remarks"))
-    remarks = "".join(
-        f'<ul class="{css}">{"".join(f"<li>{escape(text, 800)}</li>" for text in texts)}</ul>'
-        for texts, css in lists
-        if texts
-    )
+    remarks = sentences(page.warnings, "remarks doubts", 800) + sentences(page.notes, "remarks", 800)
     return f'<section><div class="tiles">{shown}</div>{remarks}</section>\n'
 
 
@@ -157,7 +137,7 @@ def _arrows(page: CorrectionPage, chosen: Sequence[int] | np.ndarray, title: str
     parts = [svg.axes(plot), f'<path class="fit" fill="none" d="{path}"/>', svg.dots(plot, at[:, 0], at[:, 1], "old")]
     parts.append(svg.legend(plot, [("old", "target"), ("fit line", f"its shift, × {factor:g}")]))
     caption = f"Each line runs from a target to where the command moved it, drawn {factor:g} times as long."
-    return Figure(title, caption, svg.drawing(plot.width, plot.height, parts, title))
+    return drawn(plot, title, caption, parts)
 
 
 def _errors(page: CorrectionPage, chosen: Sequence[int] | np.ndarray) -> Figure:
@@ -176,9 +156,4 @@ def _errors(page: CorrectionPage, chosen: Sequence[int] | np.ndarray) -> Figure:
     )
     if not known.all():
         caption += f" Where it is not known ({ABSENT} in the table) there is no point."
-    return Figure("Errors", caption, svg.drawing(plot.width, plot.height, parts, "Errors by target"))
-
-
-def _figure(figure: Figure) -> str:
-    caption = f"<figcaption>{escape(figure.caption, 800)}</figcaption>"
-    return f"<figure><h3>{escape(figure.title)}</h3>{figure.drawing}{caption}</figure>\n"
+    return drawn(plot, "Errors", caption, parts)

@@ -80,7 +80,7 @@ def histogram(rows: Rows) -> Figure:
     caption = f"{counted(r.size, 'fitting row')} and the {what} fitted to them: {', '.join(note)}."
     if not rows.signed:
         caption += " Norms of 3-vectors have no sign; σ is that of one coordinate, in the mean of the three."
-    return _figure(plot, "Residuals after calibration", caption, parts)
+    return drawn(plot, "Residuals after calibration", caption, parts)
 
 
 def _bin_edges(r: Floats) -> Floats:
@@ -122,7 +122,7 @@ def by_order(rows: Rows) -> Figure:
         f"In the order of measurement: {counted(n_sessions, 'session')}, {counted(n_mounts, 'mount')}. A mean that steps at some row, "
         "or climbs, is what a slip or a drift leaves that the parameters could not follow."
     )
-    return _figure(plot, "Residual in the order of measurement", caption, parts)._replace(wide=True)
+    return drawn(plot, "Residual in the order of measurement", caption, parts)._replace(wide=True)
 
 
 def _stretch_means(x: Floats, y: Floats) -> list[tuple[float, float, float]]:
@@ -153,7 +153,7 @@ def by_longitude(rows: Rows) -> Figure | None:
         "Longitude of the sphere about its chuck. Errors of measurement do not depend on it: a mean that swings beyond "
         "its bars (two standard errors) tells of errors that the parameters do not model."
     )
-    return _figure(plot, "Residual against longitude", caption, parts)
+    return drawn(plot, "Residual against longitude", caption, parts)
 
 
 def _deg_range(longitude: Floats) -> tuple[float, float]:
@@ -220,7 +220,7 @@ def before_after(rows: Rows) -> Figure:
         parts.append(svg.line(plot, np.percentile(np.abs(values), share), share, css + " line"))
     parts.append(svg.legend(plot, [(css + " line", name.replace(" rows", "")) for css, name, _ in lines]))
     p95 = [f"{figures(float(np.percentile(np.abs(values), 95.0)))} {rows.unit} ({name})" for _, name, values in lines]
-    return _figure(plot, "Before and after", f"95 % of the rows lie below {', '.join(p95)}.", parts)
+    return drawn(plot, "Before and after", f"95 % of the rows lie below {', '.join(p95)}.", parts)
 
 
 def by_group(rows: Rows) -> Figure | None:
@@ -252,7 +252,7 @@ def by_group(rows: Rows) -> Figure | None:
     caption += f"By chance alone these vary by {figures(spread, 2)} % (one σ)."
     if len(shown) < names.size:
         caption += f" The {len(shown)} with the largest RMS of {names.size} are shown."
-    return _figure(plot, f"By {place}", caption, parts)
+    return drawn(plot, f"By {place}", caption, parts)
 
 
 def _box(plot: svg.Plot, row: float, values: Floats, css: str, name: str, unit: str) -> str:
@@ -292,7 +292,7 @@ def quantiles(rows: Rows) -> Figure | None:
     caption = "On the line, the errors follow the law; ends that bend away are rows too far out."
     if beyond is not None:
         caption += f" Beyond 3σ: {counted(beyond, 'row')}; a Gaussian would put {figures(0.0027 * r.size, 2)} there."
-    return _figure(plot, "Quantiles" if law.width > 1 else "Normal probability", caption, parts)
+    return drawn(plot, "Quantiles" if law.width > 1 else "Normal probability", caption, parts)
 
 
 def convergences(estimate: Estimate) -> list[Figure]:
@@ -316,8 +316,9 @@ def _convergence(estimate: Estimate, si: str) -> Figure:
         svg.scatter(plot, steps, history, "fit", tips, 4),
     ]
     caption = f"RMS of the fitting rows; {estimate.status} after {counted(estimate.iterations, 'iteration')}."
-    return _figure(plot, "Convergence", caption, parts)
+    return drawn(plot, "Convergence", caption, parts)
 
 
-def _figure(plot: svg.Plot, title: str, caption: str, parts: Sequence[str]) -> Figure:
+def drawn(plot: svg.Plot, title: str, caption: str, parts: Sequence[str]) -> Figure:
+    """The figure of a plot; a screen reader says title and caption in its place."""
     return Figure(title, caption, svg.drawing(plot.width, plot.height, parts, f"{title}. {caption}"))

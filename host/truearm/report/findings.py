@@ -5,11 +5,12 @@ distrust, how well the parameters are seen, what to measure next, and how far th
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from truearm.kinds.registry import NAMES
+from truearm.report.page_parts import table_of
 from truearm.report.page_text import ABSENT, escape, figures, number, size
 from truearm.report.residual_rows import Summary, row_name
 from truearm.report.words import OBSERVABILITY, kind_name, residual_words
@@ -19,16 +20,6 @@ from truearm.units import shown, symbol, title, tolerances
 
 MAX_ROWS = 40  # suspects that are named
 MAX_NAMES = 12
-
-
-def table_of(titles: Sequence[str], rows: Iterable[Sequence[str]], label: str, css: str = "plain") -> str:
-    """A table whose cells are HTML already; the first column names the row."""
-    head = "".join(f'<th scope="col">{title}</th>' for title in titles)
-    body = "".join(
-        f'<tr><th scope="row">{first}</th>{"".join(f"<td>{cell}</td>" for cell in rest)}</tr>' for first, *rest in rows
-    )
-    table = f'<table class="{css}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
-    return f'<div class="scroll" tabindex="0" role="region" aria-label="{label}">{table}</div>'
 
 
 def residual_table(found: Sequence[Summary]) -> str:

@@ -1,17 +1,17 @@
 """One small HTML page about the calibration of a sensor: what is left at each place, and why this order.
 
-Made like the other pages (page.py): a single file without a script. Lengths are in mm and µm here: this is the border.
+Lengths are in mm and µm here: this is the border.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib.resources import files
 
 import numpy as np
 
 from truearm.report import svg
-from truearm.report.calibration_page import POLICY
+from truearm.report.figures import Figure, drawn
+from truearm.report.page_parts import html_page, picture, pictures, section, table_of
 from truearm.report.page_tables import fact_list
 from truearm.report.page_text import escape, figures, number
 from truearm.types import Floats
@@ -42,22 +42,13 @@ class GaugePage:
 
 def render(page: GaugePage) -> str:
     """The page as HTML text, to be written as UTF-8."""
-    style = files("truearm.report").joinpath("page.css").read_text(encoding="utf-8")
-    pictures = _picture("What is left at each place", _residuals(page), _RESIDUAL_CAPTION)
-    if len(page.orders) > 1:
-        pictures += _picture("Error at a place that was not used", _orders(page), _ORDER_CAPTION)
-    return (
-        f'<!DOCTYPE html>\n{MARK}\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        '<meta name="color-scheme" content="light dark">\n'
-        f"<title>{escape(page.title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
-        f'<header><p class="brand">truearm</p><h1>{escape(page.title)}</h1>'
-        f'<p class="subtitle">{escape(page.subtitle, 400)}</p></header>\n<main>\n'
-        f'<section><h2>Residuals</h2><div class="pictures">{pictures}</div></section>\n'
-        f"<section><h2>The calibration</h2>{fact_list(page.facts)}</section>\n"
-        f"<section><h2>The places</h2>{_table(page)}</section>\n</main>\n</body>\n</html>\n"
+    shown = [_residuals(page), *([_orders(page)] if len(page.orders) > 1 else [])]
+    sections = (
+        section("Residuals", pictures(map(picture, shown))),
+        section("The calibration", fact_list(page.facts)),
+        section("The places", _table(page)),
     )
+    return html_page("truearm", page.title, page.subtitle, sections, f"{MARK}\n")
 
 
 _RESIDUAL_CAPTION = (
@@ -70,7 +61,7 @@ _ORDER_CAPTION = (
 )
 
 
-def _residuals(page: GaugePage) -> str:
+def _residuals(page: GaugePage) -> Figure:
     x, y, two_sigma = MM.of(page.reference), UM.of(page.residual), UM.of(2.0 * page.sigma)
     reach = 1.05 * max(float(np.abs(y).max()), two_sigma, 1e-3)
     plot = svg.Plot(
@@ -85,10 +76,10 @@ def _residuals(page: GaugePage) -> str:
         svg.scatter(plot, x, y, "fit", tips, 3.2),
     ]
     parts.append(svg.legend(plot, [("fit", "places"), ("old line", "± 2 σ")]))
-    return svg.drawing(plot.width, plot.height, parts, "Residuals over the reference")
+    return drawn(plot, "What is left at each place", _RESIDUAL_CAPTION, parts)
 
 
-def _orders(page: GaugePage) -> str:
+def _orders(page: GaugePage) -> Figure:
     error = UM.of(page.press)
     plot = svg.Plot(
         svg.linear_axis("order of the polynomial", page.orders[0], page.orders[-1], 1.0),
@@ -103,21 +94,15 @@ def _orders(page: GaugePage) -> str:
     ]
     parts.append(svg.scatter(plot, [page.order], [error[taken]], "val", [tips[taken]], 4.5))
     parts.append(svg.legend(plot, [("fit line", "left-out RMS"), ("val", "taken")]))
-    return svg.drawing(plot.width, plot.height, parts, "Left-out error over the order")
-
-
-def _picture(title: str, drawing: str, caption: str) -> str:
-    return f"<figure><h3>{title}</h3>{drawing}<figcaption>{caption}</figcaption></figure>"
+    return drawn(plot, "Error at a place that was not used", _ORDER_CAPTION, parts)
 
 
 def _table(page: GaugePage) -> str:
     titles = ("", "reference [mm]", f"reading [{page.unit}]", "its noise", "residual [µm]", "left out [µm]")
-    head = "".join(f'<th scope="col">{escape(title)}</th>' for title in titles)
     columns = (page.reference, page.reading, page.noise, page.residual, page.left_out)
     rows = []
     for place, (y, x, noise, residual, left_out) in enumerate(zip(*columns, strict=True), 1):
         cells = (number(MM.of(y), 4), figures(x, 8), figures(noise, 2))
         errors = (number(UM.of(residual), 2, sign=True), number(UM.of(left_out), 2, sign=True))
-        rows.append(f'<tr><th scope="row">{place}</th>{"".join(f"<td>{cell}</td>" for cell in (*cells, *errors))}</tr>')
-    table = f'<table class="plain"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
-    return f'<div class="scroll" tabindex="0" role="region" aria-label="places">{table}</div>'
+        rows.append((str(place), *cells, *errors))
+    return table_of([escape(title) for title in titles], rows, "places")

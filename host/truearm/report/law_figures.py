@@ -6,7 +6,7 @@ import numpy as np
 
 from truearm.estimate.law_curves import SampledCurve, spectrum
 from truearm.report import svg
-from truearm.report.figures import Figure
+from truearm.report.figures import Figure, drawn
 from truearm.report.page_text import figures
 from truearm.units import DEG, MRAD
 
@@ -35,7 +35,7 @@ def _over_readings(curve: SampledCurve) -> Figure:
         f"What the joint turns beyond offset and gain. RMS over the covered readings {figures(rms, 2)} mrad; "
         "outside of them the curve returns to zero and its band opens."
     )
-    return _figure(plot, f"Error curve of {curve.joint}", caption, parts)
+    return drawn(plot, f"Error curve of {curve.joint}", caption, parts)
 
 
 def _over_cycles(curve: SampledCurve) -> Figure:
@@ -53,14 +53,10 @@ def _over_cycles(curve: SampledCurve) -> Figure:
     caption = (
         f"Amplitude of each sine by itself over the covered readings; the strongest has {strongest:.0f} cycles a turn."
     )
-    return _figure(plot, f"Spectrum of {curve.joint}", caption, parts)
+    return drawn(plot, f"Spectrum of {curve.joint}", caption, parts)
 
 
 def _runs(flags: np.ndarray) -> list[slice]:
     """Runs of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
     return [slice(start, stop) for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)]
-
-
-def _figure(plot: svg.Plot, title: str, caption: str, parts: list[str]) -> Figure:
-    return Figure(title, caption, svg.drawing(plot.width, plot.height, parts, f"{title}. {caption}"))

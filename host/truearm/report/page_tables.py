@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from truearm.report.page_parts import table
 from truearm.report.page_text import ABSENT, escape, figures, number
 from truearm.report.words import drawing
 from truearm.text import counted
@@ -19,10 +20,7 @@ SMALLEST_WEIGHT = 0.005  # below it "0.00" would be shown
 def parameter_table(estimate: Estimate, which: range) -> str:
     """Nominal, identified, change and σ of the parameters ``which``, in mm, deg or 1."""
     titles = ("parameter", "nominal", "identified", "change", "σ", "unit", "")
-    head = "".join(f'<th scope="col">{title}</th>' for title in titles)
-    body = "".join(_parameter_row(estimate, i) for i in which)
-    table = f'<table class="numbers"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
-    return f'<div class="scroll" tabindex="0" role="region" aria-label="parameters">{table}</div>'
+    return table(titles, "".join(_parameter_row(estimate, i) for i in which), "parameters", "numbers")
 
 
 def _parameter_row(estimate: Estimate, i: int) -> str:

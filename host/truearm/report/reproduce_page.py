@@ -11,11 +11,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 from typing import Any
 
-from truearm.report.calibration_page import POLICY
 from truearm.report.figures import Figure
+from truearm.report.page_parts import command_block, html_page, picture, pictures, section, table, table_of
 from truearm.report.page_tables import step_table
 from truearm.report.page_text import ABSENT, escape, figures
 
@@ -110,17 +109,8 @@ def _claim_document(claim: Claim) -> dict[str, Any]:
 
 def render(page: ReproducePage) -> str:
     """The page as HTML text, to be written as UTF-8."""
-    style = files("truearm.report").joinpath("page.css").read_text(encoding="utf-8")
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        '<meta name="color-scheme" content="light dark">\n'
-        f"<title>{escape(page.title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
-        f'<header><p class="brand">truearm reproduce</p><h1>{escape(page.title)}</h1>'
-        f'<p class="subtitle">{escape(page.source, 400)}</p></header>\n<main>\n{_summary(page)}'
-        f"{''.join(map(_chapter, page.chapters))}{_making(page)}</main>\n</body>\n</html>\n"
-    )
+    sections = (_summary(page), *map(_chapter, page.chapters), _making(page))
+    return html_page("truearm reproduce", page.title, page.source, sections)
 
 
 def _summary(page: ReproducePage) -> str:
@@ -145,17 +135,15 @@ def _summary(page: ReproducePage) -> str:
 def _chapter(chapter: Chapter) -> str:
     parts = [f"<p>{escape(chapter.text, 2000)}</p>", _claims(chapter.claims), *map(_table, chapter.tables)]
     if chapter.figures:
-        parts.append(f'<div class="pictures">{"".join(map(_figure, chapter.figures))}</div>')
-    return f"<section><h2>{escape(chapter.title)}</h2>{''.join(parts)}</section>\n"
+        parts.append(pictures(map(picture, chapter.figures)))
+    return section(escape(chapter.title), "".join(parts))
 
 
 def _claims(claims: Sequence[Claim]) -> str:
     if not claims:
         return ""
-    head = "".join(f'<th scope="col">{name}</th>' for name in ("", "paper", "ours", "theory", "unit", "verdict"))
-    rows = "".join(_claim(claim) for claim in claims)
-    table = f'<table class="claims"><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>'
-    return f'<div class="scroll" tabindex="0" role="region" aria-label="numbers">{table}</div>'
+    titles = ("", "paper", "ours", "theory", "unit", "verdict")
+    return table(titles, "".join(map(_claim, claims)), "numbers", "claims")
 
 
 def _claim(claim: Claim) -> str:
@@ -177,23 +165,12 @@ def _number(value: float | None) -> str:
 
 
 def _table(table: Table) -> str:
-    head = "".join(f'<th scope="col">{escape(name)}</th>' for name in table.head)
-    rows = "".join(
-        f'<tr><th scope="row">{escape(row[0])}</th>{"".join(f"<td>{escape(cell)}</td>" for cell in row[1:])}</tr>'
-        for row in table.rows
-    )
     title = escape(table.title)
-    inner = f'<table class="plain"><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>'
-    return f'<h3>{title}</h3><div class="scroll" tabindex="0" role="region" aria-label="{title}">{inner}</div>'
-
-
-def _figure(figure: Figure) -> str:
-    css = ' class="wide"' if figure.wide else ""
-    caption = f"<figcaption>{escape(figure.caption, 800)}</figcaption>"
-    return f"<figure{css}><h3>{escape(figure.title)}</h3>{figure.drawing}{caption}</figure>\n"
+    return f"<h3>{title}</h3>" + table_of(
+        list(map(escape, table.head)), [list(map(escape, row)) for row in table.rows], title
+    )
 
 
 def _making(page: ReproducePage) -> str:
-    command = f'<pre tabindex="0"><code>{escape(page.command, 2000)}</code></pre>' if page.command else ""
-    steps = step_table(page.steps) if page.steps else ""
-    return f"<section><h2>How it was made</h2>{command}{steps}</section>\n" if command or steps else ""
+    content = command_block(page.command) + (step_table(page.steps) if page.steps else "")
+    return section("How it was made", content) if content else ""

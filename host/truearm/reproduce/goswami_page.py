@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from truearm.report import svg
-from truearm.report.figures import Figure, by_longitude, convergences, histogram
+from truearm.report.figures import by_longitude, convergences, drawn, histogram
 from truearm.report.page_text import figures, number
 from truearm.report.reproduce_page import Chapter, Claim, Table
 from truearm.report.residual_rows import rows_by_kind
@@ -273,7 +273,7 @@ def _validation(made: Bench, runs: list[Errors], gears: list[tuple[float, float,
         "Validation on the 61 cm shells",
         "The paper's second set of shells, and what its residual says about errors that the parameters do not describe.",
         claims,
-        figures=(_figure(plot, "What gear errors do", caption, parts),),
+        figures=(drawn(plot, "What gear errors do", caption, parts),),
     )
 
 
@@ -383,10 +383,6 @@ def _left_out() -> Chapter:
 
 def _circumradius(corners: Floats) -> float:
     return float(np.linalg.norm(corners - corners.mean(axis=0), axis=1).mean())
-
-
-def _figure(plot: svg.Plot, title: str, caption: str, parts: list[str]) -> Figure:
-    return Figure(title, caption, svg.drawing(plot.width, plot.height, parts, f"{title}. {caption}"))
 
 
 def _held(estimate: Estimate) -> float:

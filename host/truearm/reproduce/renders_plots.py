@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from truearm.report import svg
-from truearm.report.figures import Figure
+from truearm.report.figures import Figure, drawn
 from truearm.report.page_text import figures
 from truearm.reproduce.renders import Section
 from truearm.types import Floats
@@ -32,7 +30,7 @@ def runs_figure(histories: dict[str, Floats], paper: Floats, at: Floats) -> Figu
     entries = [("old line", "paper"), *((css + " line", name) for css, name in names.values())]
     parts.append(svg.legend(plot, entries))
     caption = "Mean error of the identification lines, placed by least squares; the paper's points are as printed."
-    return _drawn(plot, "Mean error, run by run", caption, parts)
+    return drawn(plot, "Mean error, run by run", caption, parts)
 
 
 def prediction_figure(title: str, caption: str, ml: Floats, plain: Floats, best: Floats) -> Figure:
@@ -43,7 +41,7 @@ def prediction_figure(title: str, caption: str, ml: Floats, plain: Floats, best:
     for css, values in (("old line", plain), ("val line", best), ("fit line", ml)):
         parts.append(svg.line(plot, steps, values, css))
     parts.append(svg.legend(plot, [("fit line", "ML"), ("val line", "LS, best P₀"), ("old line", "LS, large P₀")]))
-    return _drawn(plot, title, caption, parts)
+    return drawn(plot, title, caption, parts)
 
 
 def map_figure(title: str, where: Section, error: Floats, direction: Floats | None) -> Figure:
@@ -68,8 +66,4 @@ def map_figure(title: str, where: Section, error: Floats, direction: Floats | No
     caption += f"{figures(float(error.max()))} mm, the darker the larger."
     if direction is not None:
         caption += " Strokes: the direction of the smallest error, projected; a dot is one across the section."
-    return _drawn(plot, title, caption, parts)
-
-
-def _drawn(plot: svg.Plot, title: str, caption: str, parts: Sequence[str]) -> Figure:
-    return Figure(title, caption, svg.drawing(plot.width, plot.height, parts, f"{title}. {caption}"))
+    return drawn(plot, title, caption, parts)

@@ -20,8 +20,8 @@ from truearm.files.robot_file import RobotChoice, is_urdf
 from truearm.files.target_table import format_corrected, looks_like_targets, read_targets
 from truearm.model.chain import point_jacobians
 from truearm.model.poses import inverted, pose_of
-from truearm.report.calibration_page import looks_like_page
 from truearm.report.correction_page import render
+from truearm.report.page_parts import looks_like_page
 from truearm.text import one_line
 from truearm.types import Floats
 from truearm.units import DEG, MM

@@ -180,7 +180,7 @@ def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: Ident
 
     Raises InputError in one line, and ProblemError as ``identified`` does; then no result is written.
     """
-    from truearm.report.calibration_page import looks_like_page
+    from truearm.report.page_parts import looks_like_page
 
     recordings: list[Recording] = []
     sources = replace(

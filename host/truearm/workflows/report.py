@@ -15,8 +15,8 @@ from truearm.files.disk import sha256
 from truearm.files.project_file import Project
 from truearm.files.result_file import read_result
 from truearm.files.robot_file import load_robot
-from truearm.report.calibration_page import looks_like_page
 from truearm.report.certificate import Certificate, Recording
+from truearm.report.page_parts import looks_like_page
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.identify import Identification, IdentifyFiles, IdentifyOptions, identified, selected
 from truearm.workflows.inputs import check_files, hashed_inputs, read_sources

@@ -1,0 +1,92 @@
+"""What every page is made of: its frame, sections, tables and pictures.
+
+A page is a single HTML file: style and pictures are inside, there is no script, and a Content-Security-Policy forbids the browser to load anything.
+It opens from a disk without a network, follows the reader's light or dark setting, prints, and fits a phone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from importlib.resources import files
+
+from truearm.report.figures import Figure
+from truearm.report.page_text import escape
+
+POLICY = "default-src 'none'; style-src 'unsafe-inline'"
+GENERATOR = '<meta name="generator" content="truearm">'  # by which a page of ours is known
+
+
+def html_page(program: str, title: str, subtitle: str, sections: Iterable[str], mark: str = "") -> str:
+    """Return a whole page as HTML text, to be written as UTF-8; ``program`` stands above its title, ``mark`` before everything."""
+    style = files("truearm.report").joinpath("page.css").read_text(encoding="utf-8")
+    return (
+        f'<!DOCTYPE html>\n{mark}<html lang="en">\n<head>\n<meta charset="utf-8">\n{GENERATOR}\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        '<meta name="color-scheme" content="light dark">\n'
+        f"<title>{escape(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
+        f'<header><p class="brand">{program}</p><h1>{escape(title)}</h1>'
+        f'<p class="subtitle">{escape(subtitle, 400)}</p></header>\n'
+        f"<main>\n{''.join(sections)}</main>\n</body>\n</html>\n"
+    )
+
+
+def looks_like_page(head: bytes) -> bool:
+    """Whether a file that begins so is a page of ours, or empty."""
+    return not head.strip() or GENERATOR.encode() in head
+
+
+def section(title: str, content: str) -> str:
+    """Return a section of a page; ``title`` and ``content`` are HTML already."""
+    return f"<section><h2>{title}</h2>{content}</section>\n"
+
+
+def sentences(texts: Iterable[str], css: str, limit: int = 600) -> str:
+    """Return a list of sentences, each cut at ``limit``; "" of none."""
+    items = "".join(f"<li>{escape(text, limit)}</li>" for text in texts)
+    return f'<ul class="{css}">{items}</ul>' if items else ""
+
+
+def command_block(command: str) -> str:
+    """Return the command that makes a page again; "" of none."""
+    return f'<pre tabindex="0"><code>{escape(command, 2000)}</code></pre>' if command else ""
+
+
+def head_of(titles: Sequence[str]) -> str:
+    """Return the head of a table."""
+    return "<thead><tr>" + "".join(f'<th scope="col">{title}</th>' for title in titles) + "</tr></thead>"
+
+
+def row_of(cells: Sequence[str]) -> str:
+    """Return a row of a table; the first cell names it."""
+    first, *rest = cells
+    return f'<tr><th scope="row">{first}</th>{"".join(f"<td>{cell}</td>" for cell in rest)}</tr>'
+
+
+def table_of(titles: Sequence[str], rows: Iterable[Sequence[str]], label: str, css: str = "plain") -> str:
+    """Return a table that scrolls on a phone. Its cells are HTML already; the first column names the row."""
+    return table(titles, "".join(map(row_of, rows)), label, css)
+
+
+def table(titles: Sequence[str], body: str, label: str, css: str = "plain") -> str:
+    """Return a table that scrolls on a phone, with rows that are HTML already."""
+    return scrolled(f'<table class="{css}">{head_of(titles)}<tbody>{body}</tbody></table>', label)
+
+
+def scrolled(content: str, label: str) -> str:
+    """Return what may be wider than a phone, in a part that scrolls by itself and can be reached by keyboard."""
+    return f'<div class="scroll" tabindex="0" role="region" aria-label="{label}">{content}</div>'
+
+
+def picture(figure: Figure, kind: str = "") -> str:
+    """Return a picture with title and caption; ``kind`` is added to its title where there are several."""
+    title = escape(figure.title + (f" · {kind}" if kind else ""))
+    drawing = scrolled(figure.drawing, title) if figure.wide else figure.drawing
+    caption = f"<figcaption>{escape(figure.caption, 800)}</figcaption>"
+    css = ' class="wide"' if figure.wide else ""
+    return f"<figure{css}><h3>{title}</h3>{drawing}{caption}</figure>\n"
+
+
+def pictures(shown: Iterable[str]) -> str:
+    """Return several pictures side by side where there is room."""
+    return f'<div class="pictures">{"".join(shown)}</div>'
