@@ -165,7 +165,7 @@ def commands() -> list[str]:
     with tempfile.TemporaryDirectory() as folder:
         files = [str(Path(folder) / name) for name in ("poses.csv", "rig.toml")]
         write_inputs(*files)
-        identify = [truearm, "identify", files[0], "--robot", "puma560", "--rig", files[1]]
+        identify = [truearm, "identify", files[0], "--model", "puma560", "--rig", files[1]]
         seconds = {"truearm --help": least([truearm, "--help"]), "truearm identify, 800 rows": least(identify)}
     return [f"- whole process, {name}: {s:.2f} s" for name, s in seconds.items()]
 

@@ -29,23 +29,23 @@ def device(request):
 
 
 def test_info_and_self_test_in_words(device, capsys):
-    assert box("info", "--device", device) == 0
+    assert box("info", "--box", device) == 0
     said = capsys.readouterr().out
     assert f"firmware  {__version__} on vm" in said
     assert "stream adc: 1017.25 samples a second, osr 4096, group delay 0.737 ms" in said
     assert "calibrated to m by 2 coefficients (sim-lvdt 2026-01-01)" in said
-    assert box("test", "--device", device) == 0
+    assert box("test", "--box", device) == 0
     said = capsys.readouterr().out
     assert "PASS  the converter answers: 0x2402" in said
     assert said.splitlines()[-1] == "8 passed, 0 with a warning, 0 failed"
-    assert box("info", "--device", device, "--json") == 0
+    assert box("info", "--box", device, "--json") == 0
     assert json.loads(capsys.readouterr().out)["board"] == "vm"
 
 
 def test_a_self_test_that_fails(capsys):
     world = Stage()
     with served(world, setup=BoxSetup(config=world.box_config(), self_test=SILENT)) as (device, _, _):
-        assert box("test", "--device", device) == 1
+        assert box("test", "--box", device) == 1
         said = capsys.readouterr()
         assert (
             "FAIL  the converter answers: 0x0 (allowed: 0x2400 to 0x24ff)\n      check its supply and the SPI wires"
@@ -54,25 +54,25 @@ def test_a_self_test_that_fails(capsys):
         assert "WARN  5 V of the USB port: 4.42 V\n      near its limit" in said.out
         assert "WARN  noise of converter input 1, shorted\n      the box did not measure it" in said.out
         assert said.err == ""
-        assert box("test", "--device", device, "--json") == 1
+        assert box("test", "--box", device, "--json") == 1
         assert {f["name"]: f["verdict"] for f in json.loads(capsys.readouterr().out)}["converter_id"] == "fail"
 
 
 def test_configuration_by_file_and_by_value(device, tmp_path, capsys):
     path = tmp_path / "box.toml"
-    assert box("config", "get", "--device", device, "--out", path) == 0
-    assert box("config", "set", path, "--device", device) == 0
+    assert box("config", "get", "--box", device, "--out", path) == 0
+    assert box("config", "set", path, "--box", device) == 0
     assert capsys.readouterr().out.splitlines()[-1] == f"{device}: nothing changes"
-    assert box("config", "set", "osr=2048", "channel.lvdt.gain=2", "--device", device, "--dry-run") == 0
+    assert box("config", "set", "osr=2048", "channel.lvdt.gain=2", "--box", device, "--dry-run") == 0
     assert capsys.readouterr().out.splitlines() == [
         "osr: 4096 → 2048",
         "channel.lvdt.gain: (none) → 2",
         f"{device}: unchanged (--dry-run)",
     ]
     path.write_text(path.read_text().replace("osr = 4096", "osr = 2048"))
-    assert box("config", "set", path, "channel.lvdt.gain=2", "--device", device) == 0
+    assert box("config", "set", path, "channel.lvdt.gain=2", "--box", device) == 0
     assert capsys.readouterr().out.splitlines()[-1] == f"{device}: stored and in force"
-    assert box("config", "get", "--device", device) == 0
+    assert box("config", "get", "--box", device) == 0
     assert "osr = 2048  # 2034.51 samples a second" in capsys.readouterr().out
 
 
@@ -92,18 +92,18 @@ def test_configuration_by_file_and_by_value(device, tmp_path, capsys):
 def test_bad_input_is_one_line(arguments, code, says, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     with served() as (device, _, _):
-        assert box(*arguments, "--device", device) == code
+        assert box(*arguments, "--box", device) == code
     said = capsys.readouterr().err
     assert says in said
     assert len(said.strip().splitlines()) == 1
 
 
 def test_no_box_there(capsys):
-    assert box("info", "--device", "/dev/gone") == 1
+    assert box("info", "--box", "/dev/gone") == 1
     assert "is not there" in capsys.readouterr().err
-    assert box("info", "--device", "ftp://x") == 2
+    assert box("info", "--box", "ftp://x") == 2
     assert box("info") == 2
-    assert "--device" in capsys.readouterr().err
+    assert "--box" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -121,21 +121,21 @@ def test_a_box_that_streams_is_left_alone_until_stop(capsys):
         with conversation(device) as talk:  # as a recorder that is killed leaves it
             talk.command(START)
         for command in (["config", "get"], ["config", "set", "osr=2048"], ["test"], ["reset"]):
-            assert box(*command, "--device", device) == 1
+            assert box(*command, "--box", device) == 1
             said = capsys.readouterr().err
             assert "the box is streaming; end the recording first, or give --stop" in said
             assert len(said.splitlines()) == 1
-        assert box("info", "--device", device) == 0
-        assert box("config", "set", "osr=2048", "--device", device, "--stop") == 0
-        assert box("config", "get", "--device", device) == 0
+        assert box("info", "--box", device) == 0
+        assert box("config", "set", "osr=2048", "--box", device, "--stop") == 0
+        assert box("config", "get", "--box", device) == 0
 
 
 def test_a_restart_forgets_the_traceback(capsys):
     with served() as (device, _, shown):
         (shown.flash / "last_error.txt").write_text("Traceback:\n  somewhere\nMemoryError: no room")
-        assert box("info", "--device", device) == 0
+        assert box("info", "--box", device) == 0
         assert "  MemoryError: no room" in capsys.readouterr().out
-        assert box("reset", "--device", device) == 0
+        assert box("reset", "--box", device) == 0
         with conversation(device, retries=20) as talk:
             assert "last_error" not in talk.identify().document
 
@@ -158,7 +158,7 @@ def test_boxes_are_listed_by_their_usb_identity(monkeypatch, capsys):
         assert re.fullmatch(
             rf"{device} \(2e8a:0005 Board in FS mode\): truearm box \w+, firmware {re.escape(__version__)} on vm", line
         )
-        assert box("list", "--json", "--device", "/dev/gone") == 0
+        assert box("list", "--json", "--box", "/dev/gone") == 0
         rows = json.loads(capsys.readouterr().out)["ports"]
         assert [row["device"] for row in rows] == [device, "/dev/gone"]
         assert rows[0]["box"]["firmware"] == __version__
@@ -178,8 +178,8 @@ def test_the_monitor_shows_values_and_ends_with_its_time(capsys):
     world = Stage(mag_period_ns=MAG_PERIOD_NS)
     world.position = 0.0123
     with served(world) as (device, _, _):
-        assert box("monitor", "--device", device, "--duration", "3.5") == 0
-        assert box("config", "get", "--device", device) == 0  # it was stopped
+        assert box("monitor", "--box", device, "--duration", "3.5") == 0
+        assert box("config", "get", "--box", device) == 0  # it was stopped
     lines = capsys.readouterr().out.splitlines()
     shown = [line for line in lines if line.startswith("time ")]
     assert len(shown) >= 2
@@ -221,7 +221,7 @@ def on_a_terminal(command):
 
 def test_on_a_terminal_the_monitor_keeps_to_its_place():
     with served() as (device, _, _):
-        command = [sys.executable, "-m", "truearm", "box", "monitor", "--device", device, "--duration", "4"]
+        command = [sys.executable, "-m", "truearm", "box", "monitor", "--box", device, "--duration", "4"]
         done, shown = on_a_terminal(command)
     assert (done.returncode, done.stderr) == (0, b"")
     assert shown.count("transverse_b") >= 2
@@ -230,7 +230,7 @@ def test_on_a_terminal_the_monitor_keeps_to_its_place():
 
 def test_ctrl_c_ends_the_monitor_in_order():
     with served() as (device, _, _):
-        command = [sys.executable, "-u", "-m", "truearm", "box", "monitor", "--device", device]
+        command = [sys.executable, "-u", "-m", "truearm", "box", "monitor", "--box", device]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         while "time" not in process.stdout.readline():
             time.sleep(0.01)
@@ -239,4 +239,4 @@ def test_ctrl_c_ends_the_monitor_in_order():
         assert process.returncode == 0
         assert stderr == ""
         assert stdout.splitlines()[-1].startswith("ended; lost: 0 frames")
-        assert box("test", "--device", device) == 0  # stopped
+        assert box("test", "--box", device) == 0  # stopped

@@ -21,7 +21,7 @@ def test_a_running_box_is_flashed(tmp_path, no_ports, capsys):
     path, drive = tmp_path / "box.uf2", tmp_path / "media" / "RPI-RP2"
     path.write_bytes(image())
     with served(drive=drive) as (device, _, shown):
-        assert box("flash", path, "--device", device, "--drive", drive) == 0
+        assert box("flash", path, "--box", device, "--drive", drive) == 0
         said = capsys.readouterr().out
         assert shown.written == image()
     assert "for the RP2040, 1 KiB in 4 blocks: the box's firmware" in said
@@ -41,7 +41,7 @@ def test_the_images_firmware_is_compared_with_the_boxs(tmp_path, no_ports, capsy
     path, drive = tmp_path / "box.uf2", tmp_path / "RPI-RP2"
     path.write_bytes(image(mark=f"truearm_box {version}".encode()))
     with served(drive=drive) as (device, _, _):
-        assert box("flash", path, "--device", device, "--drive", drive) == 0
+        assert box("flash", path, "--box", device, "--drive", drive) == 0
         said = capsys.readouterr().out
     assert f"4 blocks: the box's firmware {version}\n" in said
     assert says in said
@@ -122,7 +122,7 @@ def test_files_onto_a_stock_micropython(fake_mpremote, no_ports, capsys):
     """The commands that mpremote gets, exactly; a box that runs is asked for the prompt first."""
     log = fake_mpremote()
     with served() as (device, _, shown):
-        assert box("flash", "--stock", "--device", device, "--no-check") == 0
+        assert box("flash", "--stock", "--box", device, "--no-check") == 0
         assert shown._hardware is None  # it left its protocol
     calls = [json.loads(line) for line in log.read_text().splitlines()]
     ask, clear, copy, *listings, last = calls
@@ -156,7 +156,7 @@ def test_files_onto_a_stock_micropython(fake_mpremote, no_ports, capsys):
 def test_boards_that_cannot_serve(fake, code, says, fake_mpremote, monkeypatch, capsys):
     monkeypatch.setattr("truearm.box.flash._to_prompt", lambda device, stop: None)
     log = fake_mpremote(**fake)
-    assert box("flash", "--stock", "--device", "/dev/ttyACM9") == code
+    assert box("flash", "--stock", "--box", "/dev/ttyACM9") == code
     assert says in capsys.readouterr().err
     assert len(log.read_text().splitlines()) == 1  # nothing was copied
 
@@ -164,7 +164,7 @@ def test_boards_that_cannot_serve(fake, code, says, fake_mpremote, monkeypatch, 
 def test_without_mpremote(monkeypatch, capsys):
     monkeypatch.setattr("shutil.which", lambda name: None)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    assert box("flash", "--stock", "--device", "/dev/ttyACM9") == 2
+    assert box("flash", "--stock", "--box", "/dev/ttyACM9") == 2
     assert "take mpremote; install it: pip install 'truearm[stock]'" in capsys.readouterr().err
 
 
@@ -194,10 +194,10 @@ def test_the_real_mpremote_and_a_real_micropython(tmp_path):
         raise AssertionError(done.stderr)
 
     with served(pty=True, power_on=ChipBox, clock=clock) as (device, _, shown):
-        before = json.loads(typed("info", "--device", device, "--json", tries=5))  # it boots
-        said = typed("flash", "--stock", "--device", device, "--timeout", "60")
+        before = json.loads(typed("info", "--box", device, "--json", tries=5))  # it boots
+        said = typed("flash", "--stock", "--box", device, "--timeout", "60")
         assert said.splitlines()[-1].endswith(f"firmware {__version__} on rp2040")
-        after = json.loads(typed("info", "--device", device, "--json"))
+        after = json.loads(typed("info", "--box", device, "--json"))
         assert after["boot_id"] != before["boot_id"]
         files = read_flash(shown.flash / STORE)
         assert {"main.py", "board.mpy", "truearm_box/box.mpy", "drivers/triggers.mpy", "config.json"} <= files.keys()

@@ -35,14 +35,14 @@ def test_an_lvdt_is_calibrated(tmp_path, monkeypatch, capsys):
     with served() as (device, world, _):
         lines = [*((mm, f"{mm}") for mm in references), (3.0, "7"), "undo", "seven", "", "y"]
         monkeypatch.setattr(sys, "stdin", Operator(world, lines))
-        assert box("gauge", "lvdt", "--device", device, "--seconds", "0.3", "--serial", "LV-1") == 0
+        assert box("gauge", "lvdt", "--box", device, "--seconds", "0.3", "--serial", "LV-1") == 0
         said = capsys.readouterr().out
         assert "dropped place 13" in said
         assert "'seven' is no reading of a reference; type a number of mm" in said
         assert "order 2:" in said.split("← taken")[0].splitlines()[-1]
         assert "12 places, sigma" in said
         assert said.splitlines()[-1] == f"store it in the box? [y/N] {device}: stored and in force"
-        assert box("info", "--device", device, "--json") == 0
+        assert box("info", "--box", device, "--json") == 0
         entry = json.loads(capsys.readouterr().out)["streams"][0]["channels"][0]
     calibration = entry["calibration"]
     assert (calibration["unit"], calibration["serial"]) == ("m", "LV-1")
@@ -66,12 +66,12 @@ def test_references_from_a_file_and_no_at_the_end(tmp_path, monkeypatch, capsys)
         lines = [*((mm, "") for mm in (-20, -10, 0, 10, 20)), "s", "n"]
         monkeypatch.setattr(sys, "stdin", Operator(world, lines))
         options = ["--references", table, "--seconds", "0.2", "--out", page, "--order", "1"]
-        assert box("gauge", "lvdt", "--device", device, *options) == 0
+        assert box("gauge", "lvdt", "--box", device, *options) == 0
         said = capsys.readouterr().out
         assert "1 of 6: set -20.0000 mm, then Enter" in said
         assert "order 1: left-out error" in said
         assert said.splitlines()[-1].endswith(f"{device}: unchanged")
-        assert box("config", "get", "--device", device) == 0
+        assert box("config", "get", "--box", device) == 0
         assert 'serial = "sim-lvdt"' in capsys.readouterr().out
     assert page.exists()
 
@@ -83,9 +83,9 @@ def test_a_magnetostrictive_head_is_calibrated(tmp_path, monkeypatch, capsys):
     with served(world) as (device, _, _):
         lines = [(mm, f"{mm + 300}") for mm in (-100, -50, 0, 50, 100)]
         monkeypatch.setattr(sys, "stdin", Operator(world, [*lines, ""]))
-        assert box("gauge", "magnetostrictive", "--device", device, "--seconds", "0.5", "--yes") == 0
+        assert box("gauge", "magnetostrictive", "--box", device, "--seconds", "0.5", "--yes") == 0
         capsys.readouterr()
-        assert box("config", "get", "--device", device) == 0
+        assert box("config", "get", "--box", device) == 0
         said = capsys.readouterr().out
     speed = float(re.search(r"us_per_inch = ([\d.]+)", said)[1])
     delay = float(re.search(r"delay_us = ([\d.]+)", said)[1])
@@ -103,13 +103,13 @@ def test_places_that_make_no_reading(tmp_path, monkeypatch, capsys):
     world.magnet = False
     with served(world) as (device, _, _):
         monkeypatch.setattr(sys, "stdin", Operator(world, ["1", ""]))
-        assert box("gauge", "magnetostrictive", "--device", device, "--seconds", "0.2") == 2
+        assert box("gauge", "magnetostrictive", "--box", device, "--seconds", "0.2") == 2
         said = capsys.readouterr()
         assert "stop pulses are missing; is the magnet on the rod?" in said.out
         assert "places taken: 0; a calibration needs 5 or more" in said.err
         world.POLY = (0.0, 1e-3, 0.0)  # 1.5 mm are 1.5 V, beyond the converter
         monkeypatch.setattr(sys, "stdin", Operator(world, [(1.5, "1.5"), ""]))
-        assert box("gauge", "lvdt", "--device", device, "--seconds", "0.2") == 2
+        assert box("gauge", "lvdt", "--box", device, "--seconds", "0.2") == 2
         assert "at the converter's rail" in capsys.readouterr().out
 
 
@@ -132,7 +132,7 @@ def test_places_that_make_no_reading(tmp_path, monkeypatch, capsys):
 def test_bad_reference_files(text, says, tmp_path, capsys):
     path = tmp_path / "r.csv"
     path.write_text(text)
-    assert box("gauge", "lvdt", "--references", path, "--device", "/dev/gone") == 2
+    assert box("gauge", "lvdt", "--references", path, "--box", "/dev/gone") == 2
     assert says in capsys.readouterr().err
 
 
@@ -140,7 +140,7 @@ def test_a_page_overwrites_nothing_but_a_page(tmp_path, capsys):
     """Said before a place is taken, also of a file that was named."""
     session = tmp_path / "session.mcap"
     session.write_bytes(b"an afternoon")
-    assert box("gauge", "lvdt", "--device", "/dev/none", "--out", session) == 2
+    assert box("gauge", "lvdt", "--box", "/dev/none", "--out", session) == 2
     assert "is nothing that truearm wrote; give another name" in capsys.readouterr().err
     assert session.read_bytes() == b"an afternoon"
 
@@ -171,7 +171,7 @@ def test_a_gauging_is_rehearsed_on_the_simulated_stage(tmp_path, monkeypatch, ca
     places = [-10, -5, 0, 5, 10]
     stage = stages.Stage(3)
     with served(stage) as (device, _, _):
-        command = ["gauge", "lvdt", "--device", device, "--seconds", "0.3", "--order", "2", "--yes"]
+        command = ["gauge", "lvdt", "--box", device, "--seconds", "0.3", "--order", "2", "--yes"]
         monkeypatch.setattr(sys, "stdin", Rehearsal(stage, [*((mm, True) for mm in places[:4]), (-5, True), ""]))
         assert box(*command) == 2
         said = capsys.readouterr()
@@ -181,7 +181,7 @@ def test_a_gauging_is_rehearsed_on_the_simulated_stage(tmp_path, monkeypatch, ca
         said = capsys.readouterr().out
         assert re.search(r"not taken: the sensor moved by [-+][\d.e-]+ V while it was sampled; leave it alone", said)
         assert "5 places, sigma" in said
-        assert box("info", "--device", device, "--json") == 0
+        assert box("info", "--box", device, "--json") == 0
         entry = json.loads(capsys.readouterr().out)["streams"][0]["channels"][0]
     found = np.array([m * 10.0**e for m, e in entry["calibration"]["poly"]])
     curve, at = stage.curves[0], 1e-3 * np.linspace(-10.0, 10.0, 9)

@@ -41,7 +41,7 @@ def device(tmp_path):
     ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     for line in process.stdout:
-        if found := re.search(r"truearm record --device (\S+)", line):
+        if found := re.search(r"truearm record --box (\S+)", line):
             break
     assert found, "truearm simulate ended"
     yield found.group(1)
@@ -117,7 +117,7 @@ def test_a_terminal_that_stands_still(device, tmp_path):
         "-m",
         "truearm",
         "record",
-        "--device",
+        "--box",
         device,
         "--rate",
         "4000",
@@ -154,7 +154,7 @@ def test_a_view_that_fails(device, tmp_path, monkeypatch, capsys):
 
     monkeypatch.setattr("truearm.live.state.LiveState.line", fail)
     out = tmp_path / "s.mcap"
-    assert main(["record", "--device", device, "--duration", "3", "--out", str(out)]) == 0
+    assert main(["record", "--box", device, "--duration", "3", "--out", str(out)]) == 0
     assert "the view failed (ZeroDivisionError: a bug); the recording did not" in capsys.readouterr().err
     assert truearm("inspect", out).returncode == 0
     assert not any(thread.name == "view" for thread in threading.enumerate())

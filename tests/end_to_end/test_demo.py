@@ -57,7 +57,7 @@ def test_every_step_has_its_time(demo):
 
 def test_the_session_identifies_to_the_same_result(demo):
     out, _, result = demo
-    done = truearm("identify", out / "session.mcap", "--robot", "puma560", "--hold-out", "bar=bar61", "--json")
+    done = truearm("identify", out / "session.mcap", "--model", "puma560", "--hold-out", "bar=bar61", "--json")
     assert done.returncode == 0, done.stderr
     again = json.loads(done.stdout)
     assert again["rms_after_mm"] == pytest.approx(result["rms_after_mm"], rel=1e-9)

@@ -18,7 +18,7 @@ def demo(request, tmp_path_factory):
     said = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("typer.echo", lambda text="", **_: said.append(text))
-        assert main(["demo", "--rig", request.param, "--out", str(out), "--poses", "90", "--rate", "500"]) == 0
+        assert main(["demo", "--experiment", request.param, "--out", str(out), "--poses", "90", "--rate", "500"]) == 0
     return request.param, "\n".join(said), json.loads((out / "result.json").read_text()), out
 
 

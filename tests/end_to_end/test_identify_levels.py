@@ -65,7 +65,7 @@ def test_all_levels_lead_to_the_same_robot(poses, options, tmp_path):
     results = []
     for level in LEVELS:
         path = recorded(level, poses, tmp_path / f"{level}.mcap")
-        done = truearm("identify", path, "--robot", "puma560", "--json", *options)
+        done = truearm("identify", path, "--model", "puma560", "--json", *options)
         assert done.returncode == 0, done.stderr
         results.append(json.loads(done.stdout))
     first, *others = results

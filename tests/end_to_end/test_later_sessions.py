@@ -19,7 +19,7 @@ def folder(tmp_path_factory):
     """result.json of the first session; friday.mcap of the same robot; changed.mcap of it after its third joint's zero moved."""
     out = tmp_path_factory.mktemp("later")
     record_session(out / "monday.mcap", 45, osr=16384)
-    assert main(["identify", str(out / "monday.mcap"), "--robot", "puma560", "--out", str(out / "result.json")]) == 0
+    assert main(["identify", str(out / "monday.mcap"), "--model", "puma560", "--out", str(out / "result.json")]) == 0
     record_session(out / "friday.mcap", POSES, seed=2, osr=16384)
     robot = builtin_robot("puma560")
     moved = robot.parameter_sets["optimised"].copy()
@@ -74,7 +74,7 @@ def test_the_session_that_it_was_identified_from_proves_little(said, folder):
 
 def test_what_sessions_measured_counts_in_a_plan(said, folder):
     """The forecast of one more dwell after a session is what the identification of the session reports, and a little less."""
-    common = ("plan", "ballbar", "--robot", "puma560", "--rig", folder / "rig.toml", "--json", "--candidates", "60")
+    common = ("plan", "ballbar", "--model", "puma560", "--rig", folder / "rig.toml", "--json", "--candidates", "60")
     given = ("--result", folder / "result.json", "--measured", folder / "monday.mcap")
     told = json.loads(said(*common, "--poses", "9", *given))
     assert told["rows"] == 90 + 9

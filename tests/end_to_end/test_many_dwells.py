@@ -82,7 +82,7 @@ def test_nine_pairings(tmp_path, each):
     measured("plan", "-c", PLAN, tmp_path, poses)
     measured("record", "-c", RECORD, tmp_path)
     measured("sync", "-m", "truearm", "inspect", tmp_path / "session.mcap", "--json", out=tmp_path / "inspect.json")
-    options = ["identify", tmp_path / "session.mcap", "--robot", "puma560", "--out", tmp_path / "result.json"]
+    options = ["identify", tmp_path / "session.mcap", "--model", "puma560", "--out", tmp_path / "result.json"]
     measured("identify", "-m", "truearm", *options, out=tmp_path / "said.txt")
     measured(
         "npz", "-m", "truearm", "export-session", tmp_path / "session.mcap", "--out", tmp_path / "x", "--format", "npz"

@@ -102,7 +102,7 @@ class RealTime(Walk):
         return done.stdout
 
     def measured(self, plan, seed):
-        simulator = Simulator(self.folder / f"at-{plan}", "--plan", plan, "--rig-file", "rig.toml", "--seed", str(seed))
+        simulator = Simulator(self.folder / f"at-{plan}", "--plan", plan, "--rig", "rig.toml", "--seed", str(seed))
         out = plan.replace(".csv", ".mcap")
         try:
             given = dict(zip(simulator.record[1::2], simulator.record[2::2], strict=True))
@@ -132,7 +132,7 @@ def walk(request, tmp_path, monkeypatch, capsys):
 
 
 def plan(walk, out, bar, *more):
-    given = ("--robot", walk.name, "--rig", "rig.toml", "--bar", bar, "--candidates", 150, "--out", out)
+    given = ("--model", walk.name, "--rig", "rig.toml", "--bar", bar, "--candidates", 150, "--out", out)
     told = json.loads(walk.typed("plan", "ballbar", *given, *more, "--json"))
     assert Path(out).exists()
     return told
@@ -147,13 +147,13 @@ def test_from_a_plan_to_a_corrected_program(walk):
     plan(walk, "other.csv", short, "--poses", 25, "--seed", 9, "--criterion", "D")
     with ThreadPoolExecutor(2) as both:
         few, other = both.map(walk.measured, ("few.csv", "other.csv"), (1, 2))
-    walk.typed("identify", few, "--robot", walk.name, *walk.more, "--out", "first.json")
+    walk.typed("identify", few, "--model", walk.name, *walk.more, "--out", "first.json")
     # re-plan on the better model, what was measured counted; measure and identify both
     told = plan(walk, "more.csv", long, "--poses", 60, "--result", "first.json", "--measured", few)
     assert told["rows"] == 100
     more = walk.measured("more.csv", 3)
     result = json.loads(
-        walk.typed("identify", few, more, "--robot", walk.name, *walk.more, "--out", "result.json", "--json")
+        walk.typed("identify", few, more, "--model", walk.name, *walk.more, "--out", "result.json", "--json")
     )
     assert result["n_observations"] == 100
     assert result["status"] == "converged"

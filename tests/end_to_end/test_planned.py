@@ -21,7 +21,7 @@ def planned(request, tmp_path_factory):
     poses, candidates = request.param
     out = tmp_path_factory.mktemp("planned")
     write_rig(out / "rig.toml", standard_rig())
-    command = ["plan", "ballbar", "--robot", "puma560", "--rig", str(out / "rig.toml"), "--out", str(out / "plan.csv")]
+    command = ["plan", "ballbar", "--model", "puma560", "--rig", str(out / "rig.toml"), "--out", str(out / "plan.csv")]
     with pytest.MonkeyPatch.context() as patch:
         said = []
         patch.setattr("typer.echo", lambda text="", **_: said.append(text))
@@ -49,7 +49,7 @@ def test_the_bar_stays_on_and_within_its_travel_where_the_plan_says_so(planned):
 def test_every_planned_dwell_is_used_and_sigma_is_as_foretold(planned, capsys):
     plan, forecast, recorded = planned
     assert recorded.summary.counters.lost_frames == 0
-    assert main(["identify", str(recorded.path), "--robot", "puma560", "--json"]) == 0
+    assert main(["identify", str(recorded.path), "--model", "puma560", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["n_observations"] == plan.dwells.sum() == forecast["poses"]
     assert result["rank"] == forecast["rank"] == 36

@@ -42,13 +42,13 @@ def test_an_arm_is_rehearsed_by_commands_alone(arm, tmp_path, monkeypatch, capsy
 
     fast = ["simulate", "--fast", "--model", *model]
     run(*fast, *branch, "--poses", 9, "--out", "rehearsal")
-    rig, known = "rehearsal/rig.toml", ["--robot", *model]
+    rig, known = "rehearsal/rig.toml", ["--model", *model]
     for out, n, seed in (("plan.csv", poses, 0), ("check.csv", check, 5)):
         budget = ["--poses", n, "--candidates", candidates, "--seed", seed]
         run("plan", "ballbar", *known, *branch, "--rig", rig, *budget, "--out", out)
     begun = cpu_s()
-    run(*fast, "--plan", "plan.csv", "--rig-file", rig, "--out", "first", "--truth-out", "truth.json", "--seed", 1)
-    run(*fast, "--plan", "check.csv", "--rig-file", rig, "--out", "second", "--seed", 2, "--truth-seed", 1)
+    run(*fast, "--plan", "plan.csv", "--rig", rig, "--out", "first", "--truth-out", "truth.json", "--seed", 1)
+    run(*fast, "--plan", "check.csv", "--rig", rig, "--out", "second", "--seed", 2, "--truth-seed", 1)
     run("identify", "first/session.mcap", *known, "--out", "result.json")
     Path("targets.csv").write_text("name,x_mm,y_mm,z_mm\na,400,50,350\n")
     in_file = known if model is URDF else []

@@ -34,14 +34,14 @@ def days(tmp_path_factory):
 
 @functools.cache
 def identified(folder, *more, code=0):
-    command = ("identify", folder / "monday.mcap", folder / "tuesday.mcap", "--robot", "puma560", "--json", *more)
+    command = ("identify", folder / "monday.mcap", folder / "tuesday.mcap", "--model", "puma560", "--json", *more)
     done = truearm(*command)
     assert done.returncode == code, done.stderr
     return json.loads(done.stdout)
 
 
 def told(folder, *more):
-    done = truearm("identify", folder / "monday.mcap", folder / "tuesday.mcap", "--robot", "puma560", *more)
+    done = truearm("identify", folder / "monday.mcap", folder / "tuesday.mcap", "--model", "puma560", *more)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
     return done.stderr
 
@@ -91,7 +91,7 @@ def test_both_rigs_may_be_given_and_are_saved_with_the_rows(days, tmp_path):
     result = identified(days, *rigs, "--save-table", tmp_path / "all.csv")
     assert result["rms_after_mm"] == identified(days)["rms_after_mm"]
     assert set(read_table(tmp_path / "all.csv").rig) == {"monday", "tuesday"}
-    again = truearm("identify", tmp_path / "all.csv", "--robot", "puma560", *rigs, "--json")
+    again = truearm("identify", tmp_path / "all.csv", "--model", "puma560", *rigs, "--json")
     assert again.returncode == 0, again.stderr
     assert json.loads(again.stdout)["rms_after_mm"] == pytest.approx(result["rms_after_mm"], rel=1e-9)
     held = identified(days, *rigs, "--hold-out", "rig=tuesday")
@@ -104,7 +104,7 @@ def test_names_that_fit_nothing_are_told(days, tmp_path):
     assert "no session is called so" in told(days, "--rig", f"wednesday={rig}")
     other = tmp_path / "monday.mcap"
     other.write_bytes((days / "tuesday.mcap").read_bytes())
-    two = truearm("identify", days / "monday.mcap", other, "--robot", "puma560")
+    two = truearm("identify", days / "monday.mcap", other, "--model", "puma560")
     assert (two.returncode, two.stdout) == (2, "")
     assert "another session is called monday too, but has another rig" in two.stderr
     table = tmp_path / "t.csv"

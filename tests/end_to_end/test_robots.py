@@ -1,4 +1,4 @@
-"""``truearm simulate --robot rtde`` and ``truearm record --robot rtde://``: a Universal Robots arm without one."""
+"""``truearm simulate --protocol rtde`` and ``truearm record --address rtde://``: a Universal Robots arm without one."""
 
 import json
 
@@ -13,7 +13,7 @@ from truearm_sim.world import World, standard_plan
 
 def test_rtde_from_the_simulator_to_the_dwell(tmp_path):
     """Four seconds at 500 Hz: every reading is in the session, bit for bit the World's, measured and commanded apart."""
-    simulator = Simulator(tmp_path, "--robot", "rtde", "--poses", "9")
+    simulator = Simulator(tmp_path, "--protocol", "rtde", "--poses", "9")
     try:
         assert any(word.startswith("rtde://127.0.0.1:") for word in simulator.record)
         done = truearm_process(*simulator.record, "--duration", 4, timeout_s=60)
@@ -39,6 +39,6 @@ def test_rtde_from_the_simulator_to_the_dwell(tmp_path):
 
 
 def test_another_kind_of_robot_is_refused(tmp_path, capsys):
-    assert main(["simulate", "--robot", "kuka", "--out", str(tmp_path / "x")]) == 2
-    assert "--robot 'kuka' is not known; it is one of lines, rtde" in capsys.readouterr().err
+    assert main(["simulate", "--protocol", "kuka", "--out", str(tmp_path / "x")]) == 2
+    assert "--protocol 'kuka' is not known; it is one of lines, rtde" in capsys.readouterr().err
     assert not (tmp_path / "x").exists()

@@ -28,7 +28,7 @@ def found(short_session, tmp_path_factory):
     folder = tmp_path_factory.mktemp("found")
     first = lines(folder, "first", 1)
     for name, session, *more in (("bar", short_session.path), ("line", first, "--solver", "map")):
-        given = ["identify", session, "--robot", "puma560", "--out", folder / f"{name}.json", *more]
+        given = ["identify", session, "--model", "puma560", "--out", folder / f"{name}.json", *more]
         assert main([str(a) for a in given]) == 0
     return folder, lines(folder, "other", 8)
 

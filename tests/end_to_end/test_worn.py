@@ -19,7 +19,7 @@ from truearm_sim.arm import WORN
 from truearm_sim.lab import Lab
 from truearm_sim.world import standard_rig
 
-ROBOT = ("--robot", "puma560")
+ROBOT = ("--model", "puma560")
 PLAN = ("plan", "characterize", *ROBOT, "--poses", 2, "--rounds", 2, "--long-s", 4)
 
 
@@ -49,7 +49,7 @@ def walk(folder, said, session):
     write_rig(folder / "rig.toml", standard_rig())
     said(*PLAN, "--rig", folder / "rig.toml", "--out", folder / "approaches.csv")
     noise = folder / "noise.toml"
-    approaches = session("approaches", "--worn", "--plan", folder / "approaches.csv", "--rig-file", folder / "rig.toml")
+    approaches = session("approaches", "--worn", "--plan", folder / "approaches.csv", "--rig", folder / "rig.toml")
     told = json.loads(said("characterize", approaches, *ROBOT, "--json", "--out", noise))
     found = read_noise(noise)
     half = 0.5 * np.array(WORN.backlash)

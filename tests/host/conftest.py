@@ -40,7 +40,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def good(files: Path) -> list[object]:
     """An identification that must succeed."""
-    return ["identify", files / "poses.csv", "--robot", "puma560", "--rig", files / "rig.toml"]
+    return ["identify", files / "poses.csv", "--model", "puma560", "--rig", files / "rig.toml"]
 
 
 @pytest.fixture(scope="session")

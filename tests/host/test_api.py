@@ -166,7 +166,7 @@ def test_a_result_reads_back_as_it_was_identified(folder, robot, table, rig, res
 
 
 def test_identify_is_what_the_command_does(run, folder, robot, table, rig):
-    arguments = ["identify", folder / "poses.csv", "--robot", "puma560", "--rig", folder / "rig.toml"]
+    arguments = ["identify", folder / "poses.csv", "--model", "puma560", "--rig", folder / "rig.toml"]
     code, _, err = run(*arguments, "--hold-out", "shell=outer", "--solver", "map", "--out", folder / "command.json")
     assert (code, err) == (0, "")
     options = truearm.IdentifyOptions(solver="map")

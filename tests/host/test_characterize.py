@@ -290,7 +290,7 @@ def write(path, kept, rig, of=None):
 
 def test_from_a_session_file_to_a_noise_file(tmp_path, run):
     path, out = write(tmp_path / "s.mcap", messages_of(world(1), 1), standard_rig()), tmp_path / "noise.toml"
-    code, text, err = run("characterize", path, "--robot", "puma560", "--within-mm", "0.02", "--out", out)
+    code, text, err = run("characterize", path, "--model", "puma560", "--within-mm", "0.02", "--out", out)
     assert (code, err) == (0, "")
     for word in (
         "repeatability, one side",
@@ -301,7 +301,7 @@ def test_from_a_session_file_to_a_noise_file(tmp_path, run):
     ):
         assert word in text
     assert read_noise(out).bar_sigma["bar46"] == said(1)[1].bar_sigma["bar46"]
-    code, text, _ = run("characterize", path, "--robot", "puma560", "--json", "--out", out)  # its own file, again
+    code, text, _ = run("characterize", path, "--model", "puma560", "--json", "--out", out)  # its own file, again
     document = json.loads(text)
     assert code == 0
     assert document["noise"] == said(1)[0]["noise"]
@@ -318,7 +318,7 @@ def test_the_parts_of_a_session_are_one(tmp_path, run):
         tmp_path / "s.2.mcap", [*begun, *(m for m in told if m.t_host_ns >= middle)], standard_rig(), of="s.mcap"
     )
     both, alone = (
-        json.loads(run("characterize", path, "--robot", "puma560", "--json").out) for path in (first, second)
+        json.loads(run("characterize", path, "--model", "puma560", "--json").out) for path in (first, second)
     )
     whole = said(1)[0]
     assert (both["parts"], alone["parts"]) == (2, 1)
@@ -328,14 +328,14 @@ def test_the_parts_of_a_session_are_one(tmp_path, run):
     for name, one in intervals(both).items():
         of_all = intervals(whole)[name]
         assert abs(one["value"] - of_all["value"]) < 0.25 * (of_all["high"] - of_all["low"]), name
-    code, text, err = run("characterize", first, "--robot", "puma560", "--out", second)
+    code, text, err = run("characterize", first, "--model", "puma560", "--out", second)
     assert (code, text, err.count("\n")) == (2, "", 1)
 
     other = replace(standard_rig(), seat_sigma=1e-3)
     write(tmp_path / "s.3.mcap", said_first, other, of="s.mcap")
-    code, _, err = run("characterize", first, "--robot", "puma560")
+    code, _, err = run("characterize", first, "--model", "puma560")
     assert (code, "recorded with another rig" in err) == (2, True)
-    code, text, _ = run("characterize", first, "--robot", "puma560", "--rig", rig_file(tmp_path), "--json")
+    code, text, _ = run("characterize", first, "--model", "puma560", "--rig", rig_file(tmp_path), "--json")
     assert (code, json.loads(text)["parts"], json.loads(text)["visits"]) == (0, 3, both["visits"])
 
 
@@ -349,20 +349,20 @@ def test_a_plan_serves_where_the_session_has_none(tmp_path, run):
     kept = [message for message in messages_of(world(1), 1) if message.topic != "/plan"]
     path, plan = write(tmp_path / "s.mcap", kept, standard_rig()), tmp_path / "plan.csv"
     write_plan(plan, world(1).controller.plan)
-    code, _, err = run("characterize", path, "--robot", "puma560")
+    code, _, err = run("characterize", path, "--model", "puma560")
     assert (code, err.count("\n")) == (2, 1)
     assert "0 dwells can be used" in err
-    code, text, _ = run("characterize", path, "--robot", "puma560", "--plan", plan, "--json")
+    code, text, _ = run("characterize", path, "--model", "puma560", "--plan", plan, "--json")
     assert (code, json.loads(text)["poses"]) == (0, 4)
 
 
 @pytest.mark.parametrize(
     ("more", "says"),
     [
-        (("--robot", "panda"), "6 joints, the robot given has 7"),
-        (("--robot", "puma560", "--out", "-"), "no file name"),
-        (("--robot", "puma560", "--rig", "none.toml"), "none.toml"),
-        (("--robot", "puma560", "--within-mm", "nan"), "within-mm"),
+        (("--model", "panda"), "6 joints, the robot given has 7"),
+        (("--model", "puma560", "--out", "-"), "no file name"),
+        (("--model", "puma560", "--rig", "none.toml"), "none.toml"),
+        (("--model", "puma560", "--within-mm", "nan"), "within-mm"),
     ],
 )
 def test_what_cannot_be_done_is_said_in_one_line(tmp_path, run, more, says):
@@ -375,7 +375,7 @@ def test_what_cannot_be_done_is_said_in_one_line(tmp_path, run, more, says):
 def test_nobodys_file_is_written_over(tmp_path, run):
     path, out = write(tmp_path / "s.mcap", [], None), tmp_path / "notes.toml"
     out.write_text("mine")
-    code, _, err = run("characterize", path, "--robot", "puma560", "--out", out)
+    code, _, err = run("characterize", path, "--model", "puma560", "--out", out)
     assert (code, out.read_text(), err.count("\n")) == (2, "mine", 1)
-    code, _, err = run("characterize", path, "--robot", "puma560")
+    code, _, err = run("characterize", path, "--model", "puma560")
     assert (code, "recorded without a rig" in err) == (2, True)

@@ -202,7 +202,7 @@ CHANGES = {
     "no value": (lambda d: d["parameters"][3].update(value=None), "missing or absurd"),
     "other names": (lambda d: d["parameters"][3].update(name="link9.x", free=False), "not those of robot puma560"),
     "other nominal": (lambda d: d["parameters"][3].update(nominal=0.5), "began from another"),
-    "unknown robot": (lambda d: d["robot"].update(name="x\ny"), "name its file as --robot"),
+    "unknown robot": (lambda d: d["robot"].update(name="x\ny"), "name its file as --model"),
     "no result": (lambda d: d.update(format="other"), "is no result"),
 }
 
@@ -225,7 +225,7 @@ def test_bad_results_are_one_line(bench, tmp_path, capsys, what):
         (("--home", "1,2,3,4,5,nan"), "needs 6 numbers"),
         (("--work", "1,2,3"), "needs 6 numbers"),
         (("--tool", "0,0,0,0,0,9999"), "rotation vector in deg"),
-        (("--robot", "ur5e"), "not those of robot ur5e"),
+        (("--model", "ur5e"), "not those of robot ur5e"),
         (("--method", "magic"), "magic"),
         (("--mark",), "give --partial too"),
     ],
@@ -306,7 +306,7 @@ def test_frames_that_the_names_do_not_tell_are_asked_for(bench, tmp_path, capsys
 def test_what_was_not_seen_is_said(tmp_path, capsys):
     """Balls in sockets of unknown place do not say where the base stands; a calibration by them is said to be so."""
     urdf, rows, rig = (MUKCA / name for name in ("panda.urdf", "panda_3.csv", "rig.toml"))
-    given = (rows, "--robot", urdf, "--tip", "ball_link", "--rig", rig, "--out", tmp_path / "r.json")
+    given = (rows, "--model", urdf, "--tip", "ball_link", "--rig", rig, "--out", tmp_path / "r.json")
     assert run(capsys, "identify", *given)[0] == 0
     chain = load_robot(str(urdf), None, "ball_link").chain
     q = read_table(rows, ("rad",) * 7).q[:5]
@@ -315,7 +315,7 @@ def test_what_was_not_seen_is_said(tmp_path, capsys):
     lines = [",".join(map(repr, row)) for row in np.concatenate([place, q], axis=1).tolist()]
     (tmp_path / "t.csv").write_text("\n".join([titles, *lines]))
     out = tmp_path / "o.csv"
-    code, said, err = run(capsys, "correct", tmp_path / "r.json", tmp_path / "t.csv", "--robot", urdf, "--out", out)
+    code, said, err = run(capsys, "correct", tmp_path / "r.json", tmp_path / "t.csv", "--model", urdf, "--out", out)
     assert code == 0, err
     assert "did not see move the end" in said
     assert "searched for" not in said

@@ -97,9 +97,9 @@ def test_panda_exported_and_reloaded_has_the_same_held_out_error(tmp_path, run):
     held = [a for place in ("frontcenter", "frontleft", "frontright") for a in ("--hold-out", f"place={place}")]
     urdf, table, rig = MUKCA / "panda.urdf", MUKCA / "panda_3.csv", MUKCA / "rig.toml"
     result, out = tmp_path / "r.json", tmp_path / "calibrated.urdf"
-    code, _, err = run("identify", table, "--robot", urdf, "--tip", "ball_link", "--rig", rig, "--out", result, *held)
+    code, _, err = run("identify", table, "--model", urdf, "--tip", "ball_link", "--rig", rig, "--out", result, *held)
     assert code == 0, err
-    code, said, err = run("export", result, "--format", "urdf", "--robot", urdf, "--out", out)
+    code, said, err = run("export", result, "--format", "urdf", "--model", urdf, "--out", out)
     assert code == 0, err
     assert "holds all" in said
     stored = read_result(result)
@@ -148,7 +148,7 @@ HOSTILE = {
 def test_hostile_urdfs_are_one_line(result, tmp_path, run, what):
     text, says = HOSTILE[what]
     (tmp_path / "r.urdf").write_text(text)
-    given = ("export", result, "--format", "urdf", "--robot", tmp_path / "r.urdf", "--out", tmp_path / "o.urdf")
+    given = ("export", result, "--format", "urdf", "--model", tmp_path / "r.urdf", "--out", tmp_path / "o.urdf")
     code, said, err = run(*given)
     assert (code, said, err.count("\n")) == (2, "", 1)
     assert says in err

@@ -16,8 +16,8 @@ from truearm.files.result_file import checksum
 from truearm.files.rig_file import write_rig
 
 CORRECT = "correct result.json targets.csv --out new.csv"
-PLAN = "plan ballbar --robot irb120 --rig irb120.toml --poses 36 --bar bar25 --candidates 60 --out new.csv"
-LINE = "plan line --robot irb120 --rig irb120.toml --lines 2 --candidates 4 --length-mm 200 --out new.csv"
+PLAN = "plan ballbar --model irb120 --rig irb120.toml --poses 36 --bar bar25 --candidates 60 --out new.csv"
+LINE = "plan line --model irb120 --rig irb120.toml --lines 2 --candidates 4 --length-mm 200 --out new.csv"
 EXPORT = "export result.json --format urdf --out new.urdf"
 MAP = "map result.json --out new.csv --picture new.svg"
 VALIDATE = "validate result.json rows.csv --rig rig.toml"
@@ -257,7 +257,7 @@ def cases():
             yield f"{command.split()[0]} result {name}", command.replace("result.json", "bad"), content, "", says
     for name, (content, says) in URDFS.items():
         for command in (EXPORT, CORRECT):
-            yield f"{command.split()[0]} URDF {name}", f"{command} --robot bad.urdf", content, ".urdf", says
+            yield f"{command.split()[0]} URDF {name}", f"{command} --model bad.urdf", content, ".urdf", says
     kinds = (
         ("targets", CORRECT.replace("targets.csv", "bad.csv"), ".csv", TARGETS),
         (

@@ -57,7 +57,7 @@ def test_stopping_early_and_a_rank_that_is_not_full_are_results(run: Run, tmp_pa
     table, rig = exact_lengths(60, chucks=1)
     write_table(tmp_path / "t.csv", table, ("rad",) * 6)
     write_rig(tmp_path / "rig.toml", rig)
-    arguments = ["identify", tmp_path / "t.csv", "--robot", "puma560", "--rig", tmp_path / "rig.toml"]
+    arguments = ["identify", tmp_path / "t.csv", "--model", "puma560", "--rig", tmp_path / "rig.toml"]
     outcome = run(*arguments, "--all-free", "--max-iterations", 1)
     assert outcome.code == 3
     assert "rank 33 of 54 free" in outcome.out  # the paper's Table I: one chuck, three spheres
@@ -79,7 +79,7 @@ def test_stopping_early_and_a_rank_that_is_not_full_are_results(run: Run, tmp_pa
 def test_a_fit_that_creeps_is_told_what_holds_it(run: Run, tmp_path: Path) -> None:
     table = ulb_bench.lines(2, 12, ulb_bench.NOMINAL, np.random.default_rng(2))
     write_table(tmp_path / "t.csv", table, ("rad",) * 6)
-    document = json.loads(run("identify", tmp_path / "t.csv", "--robot", "ulb", "--max-iterations", 1, "--json").out)
+    document = json.loads(run("identify", tmp_path / "t.csv", "--model", "ulb", "--max-iterations", 1, "--json").out)
     assert document["status"] == "max_iterations"
     (stopped,) = not_converged(document)
     assert "A straight line hardly shows its device's roll: give it in the rig, with turn_sigma_deg." in stopped
@@ -186,7 +186,7 @@ def test_rigs_with_names_are_of_the_rows_that_name_them(
     write_rig(tmp_path / "mon.toml", rig)
     write_rig(tmp_path / "tue.toml", replace(rig, spheres=unknown))
     mon, tue = (f"{name}={tmp_path / name}.toml" for name in ("mon", "tue"))
-    arguments = ["identify", tmp_path / "t.csv", "--robot", "puma560", "--json"]
+    arguments = ["identify", tmp_path / "t.csv", "--model", "puma560", "--json"]
     outcome = run(*arguments, "--rig", mon, "--rig", tue)
     assert outcome.code == 0, outcome.err
     result = json.loads(outcome.out)
@@ -208,7 +208,7 @@ def test_lines_are_fitted_and_held_out(run: Run, tmp_path: Path) -> None:
     table = ulb_bench.lines(6, 12, wrong, np.random.default_rng(2))
     write_table(tmp_path / "t.csv", table, ("rad",) * 6)
     write_rig(tmp_path / "rig.toml", ulb_bench.rig(table))
-    arguments = ["identify", tmp_path / "t.csv", "--robot", "ulb", "--rig", tmp_path / "rig.toml", "--solver", "map"]
+    arguments = ["identify", tmp_path / "t.csv", "--model", "ulb", "--rig", tmp_path / "rig.toml", "--solver", "map"]
     arguments += ["--free", "joint[2-6].offset", "--hold-out", "line=l0", "--hold-out", "line=l1"]
     result = json.loads(run(*arguments, "--prior", "none", "--json").out)
     assert result["status"] == "converged"
@@ -233,7 +233,7 @@ def documented_figures() -> list[list[str]]:
 @pytest.mark.parametrize("row", documented_figures(), ids=lambda row: f"{row[0]} {row[2]}")
 def test_real_data_gives_the_documented_figures(run: Run, row: list[str]) -> None:
     table, urdf, places, before, after, with_gains = row
-    arguments = ["identify", MUKCA / f"{table}.csv", "--robot", MUKCA / f"{urdf}.urdf", "--tip", "ball_link"]
+    arguments = ["identify", MUKCA / f"{table}.csv", "--model", MUKCA / f"{urdf}.urdf", "--tip", "ball_link"]
     arguments += ["--rig", MUKCA / "rig.toml", "--json"]
     for place in places.split():
         arguments += ["--hold-out", f"place={place}"]
@@ -256,7 +256,7 @@ def test_a_fit_without_spare_rows_says_so(run: Run, tmp_path: Path) -> None:
     lines = (MUKCA / "panda_3.csv").read_text().splitlines()
     few = tmp_path / "few.csv"
     few.write_text("\n".join(lines[:12]) + "\n")
-    outcome = run("identify", str(few), "--robot", str(MUKCA / "panda.urdf"), "--tip", "ball_link")
+    outcome = run("identify", str(few), "--model", str(MUKCA / "panda.urdf"), "--tip", "ball_link")
     assert outcome.code == 0, outcome
     assert "the residual says nothing about accuracy" in outcome.out
 
@@ -282,7 +282,7 @@ def test_kinds_and_rigs_are_told_apart(run: Run, tmp_path: Path) -> None:
     write_table(tmp_path / "t.csv", table, ("rad",) * 6)
     write_rig(tmp_path / "mon.toml", rig)
     write_rig(tmp_path / "tue.toml", Rig(targets=device_bench.TARGETS, trackers={"t": tracker}))
-    arguments = ["identify", tmp_path / "t.csv", "--robot", "puma560", "--report", tmp_path / "r.html"]
+    arguments = ["identify", tmp_path / "t.csv", "--model", "puma560", "--report", tmp_path / "r.html"]
     arguments += ["--rig", f"mon={tmp_path / 'mon.toml'}", "--rig", f"tue={tmp_path / 'tue.toml'}"]
     result, text = json.loads(run(*arguments, "--json").out), run(*arguments).out
     assert [(e["rig"], e["kind"], e["fitted"]) for e in result["observations"]] == [

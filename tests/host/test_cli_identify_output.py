@@ -112,7 +112,7 @@ def test_outputs_over_inputs_and_inputs_twice_are_refused(run: Run, tmp_path: Pa
     table = tmp_path / "rows.csv"
     table.write_bytes((MUKCA / "panda_3.csv").read_bytes())
     before = table.read_bytes()
-    good = ["identify", table, "--robot", MUKCA / "panda.urdf", "--tip", "ball_link", "--rig", MUKCA / "rig.toml"]
+    good = ["identify", table, "--model", MUKCA / "panda.urdf", "--tip", "ball_link", "--rig", MUKCA / "rig.toml"]
     mine = tmp_path / "mine.json"
     mine.write_text('{"my": "notes"}')
     for more, text in (
@@ -140,7 +140,7 @@ def test_the_page_tells_what_the_result_tells(run: Run, tmp_path: Path, noisy: t
     assert "t.csv row 72" in page
     assert "huber: rows far from all others count less" in page
     assert "wide: nominal to 10 mm" in page
-    assert f"<code>truearm identify {tmp_path / 't.csv'} --robot puma560" in page
+    assert f"<code>truearm identify {tmp_path / 't.csv'} --model puma560" in page
     predicted = result["predicted_error"]
     assert (predicted["n"], predicted["relative"]) == (180, False)
     assert 0.0 < predicted["rms_mm"] < predicted["max_mm"]

@@ -37,7 +37,7 @@ def identified(tmp_path, capsys):
     def call(rows, rig=RIG, *options):
         write_table(tmp_path / "t.csv", rows, UNITS)
         write_rig(tmp_path / "rig.toml", rig)
-        arguments = ["identify", tmp_path / "t.csv", "--robot", "puma560", "--rig", tmp_path / "rig.toml", *options]
+        arguments = ["identify", tmp_path / "t.csv", "--model", "puma560", "--rig", tmp_path / "rig.toml", *options]
         told = []
         for more in (["--json"], []):
             code = cli.main([str(a) for a in [*arguments, *more]])
@@ -183,7 +183,7 @@ def test_nothing_measured_is_misuse(tmp_path, capsys):
     header = (tmp_path / "t.csv").read_text().splitlines()[0]
     (tmp_path / "t.csv").write_text(header + "\n")
     write_rig(tmp_path / "rig.toml", RIG)
-    code = cli.main(["identify", str(tmp_path / "t.csv"), "--robot", "puma560", "--rig", str(tmp_path / "rig.toml")])
+    code = cli.main(["identify", str(tmp_path / "t.csv"), "--model", "puma560", "--rig", str(tmp_path / "rig.toml")])
     out, err = capsys.readouterr()
     assert (code, out) == (2, "")
     assert err.startswith("truearm: ")
@@ -195,7 +195,7 @@ def refused(tmp_path, capsys, rows, rig, *options):
     """The one line on standard error."""
     write_table(tmp_path / "t.csv", rows, UNITS)
     write_rig(tmp_path / "rig.toml", rig)
-    arguments = ["identify", tmp_path / "t.csv", "--robot", "puma560", "--rig", tmp_path / "rig.toml", *options]
+    arguments = ["identify", tmp_path / "t.csv", "--model", "puma560", "--rig", tmp_path / "rig.toml", *options]
     code = cli.main([str(a) for a in arguments])
     out, err = capsys.readouterr()
     assert (code, out, err.count("\n")) == (2, "", 1)
@@ -225,7 +225,7 @@ def test_an_empty_column(tmp_path, capsys):
         cells = [line.split(",") for line in lines[1:]]
         text = "\n".join([lines[0], *(",".join([*row[:at], "", *row[at + 1 :]]) for row in cells), ""])
         (tmp_path / "t.csv").write_text(text)
-        arguments = ["identify", tmp_path / "t.csv", "--robot", "puma560", "--rig", tmp_path / "rig.toml"]
+        arguments = ["identify", tmp_path / "t.csv", "--model", "puma560", "--rig", tmp_path / "rig.toml"]
         code = cli.main([str(a) for a in arguments])
         out, err = capsys.readouterr()
         assert (code, out, err.count("\n")) == (2, "", 1)

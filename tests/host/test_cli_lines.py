@@ -69,7 +69,7 @@ def test_identify_says_how_late_the_readings_are(folder, solver, said):
         said(
             "identify",
             folder / "both.mcap",
-            "--robot",
+            "--model",
             "puma560",
             "--solver",
             solver,
@@ -85,7 +85,7 @@ def test_identify_says_how_late_the_readings_are(folder, solver, said):
 
 
 def test_identify_in_words_and_on_its_page(folder, said):
-    command = ("identify", folder / "both.mcap", "--robot", "puma560", "--solver", "map", "--line-points", "8")
+    command = ("identify", folder / "both.mcap", "--model", "puma560", "--solver", "map", "--line-points", "8")
     text = said(*command, "--hold-out", "shell=l2-down", "--report", folder / "page.html")
     assert "24 line to fit, 8 held out" in text
     late, sigma = map(
@@ -99,7 +99,7 @@ def test_identify_in_words_and_on_its_page(folder, said):
 
 
 def test_one_way_is_said_not_to_show_the_delay(folder, said):
-    text = said("identify", folder / "one.mcap", "--robot", "puma560", "--solver", "map")
+    text = said("identify", folder / "one.mcap", "--model", "puma560", "--solver", "map")
     assert "time_offset: how late the joint readings are is not seen" in text
     assert "Drive lines there and back." in text
     (row,) = [line.split() for line in text.splitlines() if line.startswith("time_offset ")]

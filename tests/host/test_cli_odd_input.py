@@ -11,7 +11,7 @@ from truearm.cli.main import main
 Run = Callable[..., tuple[int, str]]
 JOINTS = ",".join(f"q{i}_rad" for i in range(1, 7))
 TABLE = f"kind,{JOINTS},place,socket\n" + "".join(f"seat,0,0,0,0,0,{i},a,0\n" for i in range(4))
-IDENTIFY = ("identify", "t.csv", "--robot", "puma560")
+IDENTIFY = ("identify", "t.csv", "--model", "puma560")
 
 
 @pytest.fixture
@@ -45,28 +45,28 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 LONG = "a" * 300  # a name that no file system takes
 
 CASES = {
-    "a link in a circle as input": (("identify", "circle", "t.csv", "--robot", "puma560"), "no such file"),
+    "a link in a circle as input": (("identify", "circle", "t.csv", "--model", "puma560"), "no such file"),
     "a link in a circle as output": ((*IDENTIFY, "--out", "circle"), "a link that leads in a circle"),
     "a link in a circle as page": ((*IDENTIFY, "--report", "circle"), "a link that leads in a circle"),
-    "too long a name as input": (("identify", LONG, "--robot", "puma560"), "cannot be read: File name too long"),
+    "too long a name as input": (("identify", LONG, "--model", "puma560"), "cannot be read: File name too long"),
     "too long a name as output": ((*IDENTIFY, "--out", LONG), f"{LONG}: cannot be written: File name too long"),
     "too long a name of a table": ((*IDENTIFY, "--save-table", LONG), "cannot be written: File name too long"),
     "too long a name of a session": (("inspect", f"{LONG}.mcap"), "cannot be read: File name too long"),
-    "standard input": (("identify", "-", "--robot", "puma560"), "standard input is not read"),
+    "standard input": (("identify", "-", "--model", "puma560"), "standard input is not read"),
     "standard output": ((*IDENTIFY, "--out", "-"), "--json prints the result"),
-    "an empty name": (("identify", "", "--robot", "puma560"), "is a directory"),
+    "an empty name": (("identify", "", "--model", "puma560"), "is a directory"),
     "an empty name as output": ((*IDENTIFY, "--report", ""), "is a directory"),
-    "a pipe as table": (("identify", "pipe.csv", "--robot", "puma560"), "not a regular file"),
+    "a pipe as table": (("identify", "pipe.csv", "--model", "puma560"), "not a regular file"),
     "a pipe as session": (("inspect", "pipe.mcap"), "not a regular file"),
-    "an empty table": (("identify", "empty", "--robot", "puma560"), "is empty"),
-    "a table in Latin-1": (("identify", "latin.csv", "--robot", "puma560"), "is not UTF-8"),
-    "an empty session": (("identify", "empty.mcap", "--robot", "puma560"), "is no MCAP file"),
-    "a folder as session": (("identify", "folder.mcap", "--robot", "puma560"), "not a regular file"),
+    "an empty table": (("identify", "empty", "--model", "puma560"), "is empty"),
+    "a table in Latin-1": (("identify", "latin.csv", "--model", "puma560"), "is not UTF-8"),
+    "an empty session": (("identify", "empty.mcap", "--model", "puma560"), "is no MCAP file"),
+    "a folder as session": (("identify", "folder.mcap", "--model", "puma560"), "not a regular file"),
     "text as session": (("inspect", "text.mcap"), "is no MCAP file"),
     "absurd lengths": (("inspect", "claims.mcap"), "ends in the middle"),
-    "a name with a surrogate": (("identify", "\udcff", "--robot", "puma560"), "no such file"),
-    "a robot with a NUL": (("identify", "t.csv", "--robot", "a\0b"), "is no built-in robot"),
-    "a table as robot": (("identify", "t.csv", "--robot", "t.csv"), "is no built-in robot"),
+    "a name with a surrogate": (("identify", "\udcff", "--model", "puma560"), "no such file"),
+    "a robot with a NUL": (("identify", "t.csv", "--model", "a\0b"), "is no built-in robot"),
+    "a table as robot": (("identify", "t.csv", "--model", "t.csv"), "is no built-in robot"),
     "an empty rig name": ((*IDENTIFY, "--rig", "=x"), "no such file"),
     "a file of no name": ((*IDENTIFY, "--rig", "a="), "is a directory"),
     "nothing between commas": ((*IDENTIFY, "--also-free", ","), "matches no parameter"),
@@ -77,8 +77,8 @@ CASES = {
     "papers into a file": (("reproduce", "renders", "--out", "t.csv"), "cannot be used as a folder"),
     "a demo into a stranger's folder": (("demo", "--out", "."), "holds other files"),
     "a rate that is no number": (("demo", "--rate", "nan", "--out", "new"), "is not within the box's"),
-    "a device of no address": (("record", "--device", "socket://", "--out", "s.mcap"), "is no address"),
-    "an endless time": (("record", "--device", "x", "--out", "s.mcap", "--duration", "inf"), "is no time"),
+    "a device of no address": (("record", "--box", "socket://", "--out", "s.mcap"), "is no address"),
+    "an endless time": (("record", "--box", "x", "--out", "s.mcap", "--duration", "inf"), "is no time"),
     "a port beyond": (("simulate", "--port", "99999"), "65535"),
     "no command": (("",), "No such command"),
 }

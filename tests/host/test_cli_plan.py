@@ -18,7 +18,7 @@ from truearm.files.rig_file import read_rig, write_rig
 from truearm.model.builtin import builtin_text
 from truearm.plan.forecast import bar_table
 
-COMMON = ("--robot", "irb120", "--bar", "bar25", "--poses", "36", "--candidates", "60")
+COMMON = ("--model", "irb120", "--bar", "bar25", "--poses", "36", "--candidates", "60")
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +72,7 @@ def test_a_urdf_with_several_ends(folder, capsys):
     branch = bench.known("irb120").branch
     lower, upper = (np.rad2deg(bound) for bound in (branch.lower, branch.upper))
     branch = ",".join(f"{a:.6g}:{b:.6g}" for a, b in zip(lower, upper, strict=True))
-    given = ("plan", "ballbar", "--robot", str(urdf), *COMMON[2:], "--rig", rig, f"--branch={branch}", "--json")
+    given = ("plan", "ballbar", "--model", str(urdf), *COMMON[2:], "--rig", rig, f"--branch={branch}", "--json")
     assert main([*given]) == 2
     assert "choose a tip among camera, plate" in capsys.readouterr().err
     assert main([*given, "--tip", "tool0", "--out", str(folder / "arm.csv")]) == 0
@@ -80,7 +80,7 @@ def test_a_urdf_with_several_ends(folder, capsys):
     visits = read_plan(folder / "arm.csv")
     write_table(folder / "arm_rows.csv", bar_table(bench.known("irb120"), visits.select(visits.dwells)), ("rad",) * 6)
     result = str(folder / "arm.json")
-    rows = ("identify", str(folder / "arm_rows.csv"), "--robot", str(urdf), "--tip", "tool0", "--rig", rig)
+    rows = ("identify", str(folder / "arm_rows.csv"), "--model", str(urdf), "--tip", "tool0", "--rig", rig)
     assert main([*rows, "--out", result, "--json"]) == 0
     found = {p["name"]: p["sigma"] for p in json.loads(capsys.readouterr().out)["parameters"] if p["free"]}
     assert set(found) == {p["name"] for p in told["parameters"]}
@@ -93,7 +93,7 @@ def test_a_urdf_with_several_ends(folder, capsys):
     assert json.loads(capsys.readouterr().out)["rows"] == 72
 
 
-LINES = ("--robot", "irb120", "--lines", "2", "--candidates", "6", "--length-mm", "200", "--seed", "3")
+LINES = ("--model", "irb120", "--lines", "2", "--candidates", "6", "--length-mm", "200", "--seed", "3")
 
 
 def test_lines_are_planned(folder, capsys):
@@ -152,7 +152,7 @@ def test_what_is_wrong_with_lines_is_said_in_one_line(folder, capsys, monkeypatc
         (["--minutes", "5"], "give a budget"),
         (["--spread-mm", "nan"], "--spread-mm"),
         (["--dwell-s", "inf"], "--dwell-s"),
-        (["--robot", "bare.toml"], "give LOW:HIGH,… in degrees as --branch"),
+        (["--model", "bare.toml"], "give LOW:HIGH,… in degrees as --branch"),
         (["--region", "1:2"], "--region '1:2'"),
         (["--region", "5000:5001,0:1,0:1"], "reaches no place of the region"),
         (["--bar", "nope"], "bar 'nope' is not in the rig"),

@@ -25,7 +25,7 @@ def slip(tmp_path_factory):
 
 def test_a_slip_is_named_and_the_option_that_is_named_removes_it(run: Run, slip) -> None:
     folder, chuck, at = slip
-    arguments = ["identify", folder / "poses.csv", "--robot", "puma560", "--rig", folder / "rig.toml", "--json"]
+    arguments = ["identify", folder / "poses.csv", "--model", "puma560", "--rig", folder / "rig.toml", "--json"]
     first = json.loads(run(*arguments).out)
     check_schema(first)
     (found,) = first["systematic"]
@@ -49,7 +49,7 @@ def test_a_slip_is_named_and_the_option_that_is_named_removes_it(run: Run, slip)
 def test_a_person_reads_what_is_off_and_what_to_do(run: Run, slip, tmp_path) -> None:
     folder, chuck, _ = slip
     page = tmp_path / "page.html"
-    files = [folder / "poses.csv", "--robot", "puma560", "--rig", folder / "rig.toml", "--report", page]
+    files = [folder / "poses.csv", "--model", "puma560", "--rig", folder / "rig.toml", "--report", page]
     outcome = run("identify", *files)
     assert outcome.out.startswith(f"Systematic error: chuck.{chuck} is off by 0.")
     assert "To apply it: --allow chuck." in outcome.out
@@ -58,7 +58,7 @@ def test_a_person_reads_what_is_off_and_what_to_do(run: Run, slip, tmp_path) -> 
 
 def test_rows_that_are_left_out_neither_fit_nor_judge(run: Run, slip) -> None:
     folder, *_ = slip
-    arguments = ["identify", folder / "poses.csv", "--robot", "puma560", "--rig", folder / "rig.toml", "--json"]
+    arguments = ["identify", folder / "poses.csv", "--model", "puma560", "--rig", folder / "rig.toml", "--json"]
     result = json.loads(run(*arguments, "--hold-out", "0.2", "--leave-out", "11:30", "--leave-out", "40").out)
     (rows,) = result["observations"]
     assert rows["fitted"] + rows["held_out"] == 360 - 21
@@ -79,4 +79,4 @@ def test_rows_that_are_left_out_neither_fit_nor_judge(run: Run, slip) -> None:
 )
 def test_what_is_not_there_cannot_be_allowed_or_left_out(run: Run, slip, options, message) -> None:
     folder, *_ = slip
-    told(run("identify", folder / "poses.csv", "--robot", "puma560", "--rig", folder / "rig.toml", *options), message)
+    told(run("identify", folder / "poses.csv", "--model", "puma560", "--rig", folder / "rig.toml", *options), message)

@@ -162,9 +162,9 @@ def test_orientations_are_judged_in_degrees(folder, tmp_path, run):
 def test_rows_that_it_was_fitted_to_prove_little(tmp_path, run):
     urdf, rows, rig = MUKCA / "panda.urdf", MUKCA / "panda_3.csv", MUKCA / "rig.toml"
     held = [a for place in ("frontcenter", "frontleft", "frontright") for a in ("--hold-out", f"place={place}")]
-    given = (rows, "--robot", urdf, "--tip", "ball_link", "--rig", rig, "--out", tmp_path / "r.json", *held)
+    given = (rows, "--model", urdf, "--tip", "ball_link", "--rig", rig, "--out", tmp_path / "r.json", *held)
     assert run("identify", *given)[0] == 0
-    code, said, err = run("validate", tmp_path / "r.json", rows, "--robot", urdf, "--rig", rig)
+    code, said, err = run("validate", tmp_path / "r.json", rows, "--model", urdf, "--rig", rig)
     assert code == 0, err
     assert "prove little" in said
     assert "unknowns of the rig were settled" in said

@@ -108,7 +108,7 @@ def identified(files, capsys, *more):
     arguments = [
         "identify",
         files / "poses.csv",
-        "--robot",
+        "--model",
         "puma560",
         "--rig",
         files / "rig.toml",

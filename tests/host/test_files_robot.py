@@ -1,4 +1,4 @@
-"""--robot: built-in by name, TOML or URDF by path; the rest is told in one line."""
+"""--model: built-in by name, TOML or URDF by path; the rest is told in one line."""
 
 from pathlib import Path
 

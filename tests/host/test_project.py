@@ -151,7 +151,7 @@ def test_commands_take_what_they_are_not_told(project, files, run, monkeypatch):
     assert code == 0
     assert err.splitlines()[0] == "truearm.toml: ../sessions/2026-01-01.mcap"
     err = run("identify").err
-    assert err.startswith("truearm.toml: ../sessions/2026-01-01.mcap --robot puma560 --out ../results/")
+    assert err.startswith("truearm.toml: ../sessions/2026-01-01.mcap --model puma560 --out ../results/")
     measured = ["identify", files / "poses.csv", "--rig", files / "rig.toml"]
     assert run(*measured).code == 0
     *_, result = every = sorted((project / "results").glob("*.json"))
@@ -159,7 +159,7 @@ def test_commands_take_what_they_are_not_told(project, files, run, monkeypatch):
     assert run(*measured, "--out", below / "own.json").code == 0
     assert sorted((project / "results").glob("*.json")) == every  # what is typed comes first
     assert run("export", "--format", "dh", "--out", below / "robot.csv").err.startswith(
-        f"truearm.toml: ../results/{result.name} --robot"
+        f"truearm.toml: ../results/{result.name} --model"
     )
 
 
@@ -174,8 +174,8 @@ def test_record_takes_address_and_rig(project, run):
     (project / FILE).write_text(format_project(Project("puma560", address="nonsense://x", box="/dev/none")))
     code, _, err = run("record", "--duration", 1)
     assert code in (1, 2)
-    assert err.startswith("truearm.toml: --device /dev/none --out sessions/")
-    assert "--robot nonsense://x --rig rig.toml" in err
+    assert err.startswith("truearm.toml: --box /dev/none --out sessions/")
+    assert "--address nonsense://x --rig rig.toml" in err
 
 
 def test_a_rehearsal_needs_no_options(project, run):
@@ -183,7 +183,7 @@ def test_a_rehearsal_needs_no_options(project, run):
     assert run("plan", "ballbar", "--poses", 27, "--candidates", 400).code == 0
     code, _, err = run("simulate", "--fast", "--out", project / "rehearsal", "--rate", 254)
     assert code == 0, err
-    assert err.startswith("truearm.toml: --model puma560 --plan plan.csv --rig-file rig.toml")
+    assert err.startswith("truearm.toml: --model puma560 --plan plan.csv --rig rig.toml")
 
 
 def test_without_a_project_status_says_how_to_make_one(tmp_path, run, monkeypatch):

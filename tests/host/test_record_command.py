@@ -53,7 +53,7 @@ def test_a_recording_ended_by_time(tmp_path, capsys):
         box.lvdt = CALIBRATED
         options = ["--duration", "0.5", "--rate", "2000", "--mounted", "bar=bar46,chuck=c1"]
         files = ["--out", str(out), "--rig", str(tmp_path / "rig.toml"), "--plan", str(tmp_path / "plan.csv")]
-        assert main(["record", "--device", device, *options, *files]) == 0
+        assert main(["record", "--box", device, *options, *files]) == 0
     assert not box.streaming
     session = open_session(out)
     found = {}
@@ -73,7 +73,7 @@ def test_a_recording_ended_by_time(tmp_path, capsys):
 def test_a_recording_ended_by_the_robot(tmp_path, capsys):
     with box_on_a_socket() as (_, device):
         out = str(tmp_path / "s.mcap")
-        assert main(["record", "--device", device, "--robot", serve_robot(0.5), "--out", out]) == 0
+        assert main(["record", "--box", device, "--address", serve_robot(0.5), "--out", out]) == 0
     lines = list(open_session(out).messages({"/robot/joints"}))
     assert [json.loads(m.data)["seq"] for m in lines] == list(range(len(lines)))
     assert f"{len(lines)} robot lines; ended: robot closed" in capsys.readouterr().out
@@ -83,7 +83,7 @@ def test_a_fault_of_the_box_is_said_while_it_records(tmp_path, capsys):
     out = tmp_path / "s.mcap"
     with box_on_a_socket() as (box, device):
         box.lvdt = {"scale": [1]}
-        assert main(["record", "--device", device, "--duration", "0.5", "--out", str(out)]) == 0
+        assert main(["record", "--box", device, "--duration", "0.5", "--out", str(out)]) == 0
     said = capsys.readouterr()
     fault = "channel 'c0' of stream adc: scale must be [mantissa, exponent]"
     warnings = [line.split("s: ", 1)[1] for line in said.err.splitlines() if "warning" in line]
@@ -104,7 +104,7 @@ def test_a_pseudo_terminal(tmp_path):
     thread = threading.Thread(target=play, args=(box, lab, master, stop), daemon=True)
     thread.start()
     out = tmp_path / "s.mcap"
-    assert main(["record", "--device", os.ttyname(device), "--duration", "0.4", "--out", str(out)]) == 0
+    assert main(["record", "--box", os.ttyname(device), "--duration", "0.4", "--out", str(out)]) == 0
     stop.set()
     thread.join(PATIENCE_S)
     os.close(device)
@@ -117,7 +117,7 @@ def test_a_pseudo_terminal(tmp_path):
 def test_a_signal_completes_the_file(tmp_path, number):
     out = tmp_path / "s.mcap"
     with box_on_a_socket() as (box, device):
-        command = [sys.executable, "-m", "truearm", "record", "--device", device, "--out", str(out)]
+        command = [sys.executable, "-m", "truearm", "record", "--box", device, "--out", str(out)]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         deadline = time.monotonic() + PATIENCE_S
         while box.blocks < 10 and time.monotonic() < deadline:
@@ -144,15 +144,15 @@ class TestRefused:
             (["--mounted", "bar=a,bar=b"], "names a bar twice"),
             (["--plan", "none.csv"], "no such file"),
             (["--rig", "none.toml"], "no such file"),
-            (["--device", "ftp://x"], "is no device"),
-            (["--robot", "x:1"], "is no address"),
+            (["--box", "ftp://x"], "is no device"),
+            (["--address", "x:1"], "is no address"),
         ],
         ids=lambda value: " ".join(value) if isinstance(value, list) else "",
     )
     def test_options(self, tmp_path, monkeypatch, capsys, options, says):
         monkeypatch.chdir(tmp_path)
         with box_on_a_socket() as (_, device):
-            assert main(["record", "--device", device, "--out", "s.mcap", *options]) == 2
+            assert main(["record", "--box", device, "--out", "s.mcap", *options]) == 2
             with suppress(ConnectionRefusedError):  # the box was opened already, and nobody comes twice
                 socket.create_connection(("127.0.0.1", int(device.rsplit(":", 1)[1]))).close()
         complaint = capsys.readouterr().err
@@ -163,12 +163,12 @@ class TestRefused:
     def test_names_that_the_rig_does_not_have(self, tmp_path, capsys):
         (tmp_path / "rig.toml").write_text(RIG)
         files = ["--rig", str(tmp_path / "rig.toml"), "--out", str(tmp_path / "s.mcap")]
-        assert main(["record", "--device", "/dev/none", "--mounted", "chuck=c9", *files]) == 2
+        assert main(["record", "--box", "/dev/none", "--mounted", "chuck=c9", *files]) == 2
         assert "'c9' is not in" in capsys.readouterr().err
 
     def test_an_existing_file(self, tmp_path, capsys):
         (tmp_path / "s.mcap").write_text("precious")
-        assert main(["record", "--device", "/dev/none", "--out", str(tmp_path / "s.mcap")]) == 2
+        assert main(["record", "--box", "/dev/none", "--out", str(tmp_path / "s.mcap")]) == 2
         assert "--force" in capsys.readouterr().err
         assert (tmp_path / "s.mcap").read_text() == "precious"
 
@@ -176,13 +176,13 @@ class TestRefused:
         """A failed recording removes its file: /dev/null must not be taken for one."""
         (tmp_path / "null").symlink_to(os.devnull)
         for name in ("null", "."):
-            assert main(["record", "--device", "/dev/none", "--force", "--out", str(tmp_path / name)]) == 2
+            assert main(["record", "--box", "/dev/none", "--force", "--out", str(tmp_path / name)]) == 2
             assert "give the name of a file to write" in capsys.readouterr().err
         assert (tmp_path / "null").is_symlink()
 
     def test_nothing_there(self, tmp_path, capsys):
         (tmp_path / "s.mcap").write_text("precious")
-        arguments = ["--device", str(tmp_path / "none"), "--out", str(tmp_path / "s.mcap"), "--force"]
+        arguments = ["--box", str(tmp_path / "none"), "--out", str(tmp_path / "s.mcap"), "--force"]
         assert main(["record", *arguments]) == 1
         assert "is the box plugged in?" in capsys.readouterr().err
         assert (tmp_path / "s.mcap").read_text() == "precious"
@@ -191,7 +191,7 @@ class TestRefused:
         monkeypatch.setattr("truearm.record.recorder.RETRY_NS", 30_000_000)
         with socket.create_server(("127.0.0.1", 0)) as listener:
             device = f"socket://127.0.0.1:{listener.getsockname()[1]}"
-            assert main(["record", "--device", device, "--out", str(tmp_path / "s.mcap")]) == 1
+            assert main(["record", "--box", device, "--out", str(tmp_path / "s.mcap")]) == 1
         assert "no answer to 'identify'" in capsys.readouterr().err
         assert not (tmp_path / "s.mcap").exists()
 

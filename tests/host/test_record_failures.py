@@ -74,7 +74,7 @@ class TestWhatIsThereStays:
         if before is not None:
             out.write_bytes(before)
         with server(talk) as address:
-            assert main(["record", "--device", f"socket://{address}", "--out", str(out), "--force"]) == 1
+            assert main(["record", "--box", f"socket://{address}", "--out", str(out), "--force"]) == 1
         assert "no answer to 'identify'" in capsys.readouterr().err
         assert (out.read_bytes() if out.exists() else None) == before
 
@@ -82,7 +82,7 @@ class TestWhatIsThereStays:
         out.write_bytes(PRECIOUS)
         with box_on_a_socket() as (box, device):
             box.protocol = (2, 0)
-            assert main(["record", "--device", device, "--out", str(out), "--force"]) == 1
+            assert main(["record", "--box", device, "--out", str(out), "--force"]) == 1
         assert "update truearm" in capsys.readouterr().err
         assert out.read_bytes() == PRECIOUS
 
@@ -90,14 +90,14 @@ class TestWhatIsThereStays:
         monkeypatch.setattr("truearm.record.recorder.RETRY_NS", 10**10)
         monkeypatch.setattr("truearm.record.session_writer.MAX_HELD_BYTES", 1 << 16)
         with server(random_bytes) as address:
-            assert main(["record", "--device", f"socket://{address}", "--out", str(out)]) == 1
+            assert main(["record", "--box", f"socket://{address}", "--out", str(out)]) == 1
         assert "before the box said what it is" in capsys.readouterr().err
         assert not out.exists()
 
     def test_once_the_box_has_started_it_is_overwritten(self, out):
         out.write_bytes(PRECIOUS * 100_000)
         with box_on_a_socket() as (box, device):
-            assert main(["record", "--device", device, "--out", str(out), "--force", "--duration", "0.3"]) == 0
+            assert main(["record", "--box", device, "--out", str(out), "--force", "--duration", "0.3"]) == 0
         assert len(list(open_session(out).messages({"/box/adc"}))) == box.blocks
 
     @pytest.mark.parametrize("option", ["--rig", "--plan"])
@@ -109,7 +109,7 @@ class TestWhatIsThereStays:
         if linked:
             out = tmp_path / "link"
             out.symlink_to(path)
-        assert main(["record", "--device", "/dev/none", option, str(path), "--out", str(out), "--force"]) == 2
+        assert main(["record", "--box", "/dev/none", option, str(path), "--out", str(out), "--force"]) == 2
         assert capsys.readouterr().err.count("\n") == 1
         assert path.read_text() == RIG
 
@@ -126,7 +126,7 @@ def test_interrupted_before_the_box_answered(out):
     with server(listen) as address:
         command = [sys.executable, "-c", "import sys; from truearm.cli.main import main; sys.exit(main())", "record"]
         process = subprocess.Popen(
-            [*command, "--device", f"socket://{address}", "--out", str(out)], stderr=subprocess.PIPE, text=True
+            [*command, "--box", f"socket://{address}", "--out", str(out)], stderr=subprocess.PIPE, text=True
         )
         assert asked.wait(PATIENCE_S)  # the recorder has begun to ask and will do so for 5 s
         process.send_signal(signal.SIGINT)
@@ -159,7 +159,7 @@ class TestTheBoxGoes:
 
     def test_for_good(self, out, capsys):
         with self.mortal_box(0.8) as device:
-            assert main(["record", "--device", device, "--out", str(out), "--duration", "4"]) == 4
+            assert main(["record", "--box", device, "--out", str(out), "--duration", "4"]) == 4
         said = capsys.readouterr()
         *lines, gone = said.err.splitlines()
         assert sum("the link to the box was lost" in line for line in lines) == 1
@@ -183,7 +183,7 @@ class TestTheBoxGoes:
             peer.sendall(b'{"end": true}\n')
 
         with self.mortal_box(0.8) as device, server(robot) as address:
-            arguments = ["--device", device, "--robot", f"tcp://{address}", "--out", str(out)]
+            arguments = ["--box", device, "--address", f"tcp://{address}", "--out", str(out)]
             assert main(["record", *arguments]) == 4
         said = capsys.readouterr()
         assert "ended: robot closed" in said.out
@@ -215,7 +215,7 @@ class TestTheRobotIsNone:
                 time.sleep(pause_s)
 
         with box_on_a_socket() as (box, device), server(robot) as address:
-            arguments = ["--device", device, "--robot", f"tcp://{address}", "--out", str(out)]
+            arguments = ["--box", device, "--address", f"tcp://{address}", "--out", str(out)]
             assert main(["record", *arguments]) == 4
         (complaint,) = (line for line in capsys.readouterr().err.splitlines() if line.startswith("truearm: "))
         assert says in complaint
@@ -235,7 +235,7 @@ class TestTheRobotIsNone:
             peer.sendall(b'{"end": true}\n')
 
         with box_on_a_socket() as (_, device), server(robot) as address:
-            arguments = ["--device", device, "--robot", f"tcp://{address}", "--out", str(out)]
+            arguments = ["--box", device, "--address", f"tcp://{address}", "--out", str(out)]
             assert main(["record", *arguments]) == 0
         assert "50 robot lines, 50 malformed" in capsys.readouterr().out
         assert main(["inspect", str(out), "--json"]) == 0
@@ -257,4 +257,4 @@ def test_a_host_that_does_not_resolve(monkeypatch):
 
 def test_help_has_an_example(capsys):
     assert main(["record", "--help"]) == 0
-    assert "truearm record --robot tcp://127.0.0.1:7008" in capsys.readouterr().out
+    assert "truearm record --address tcp://127.0.0.1:7008" in capsys.readouterr().out

@@ -130,7 +130,7 @@ def test_the_command_says_it_within_two_seconds(tmp_path, how):
     out = tmp_path / "s.mcap"
     (tmp_path / "rig.toml").write_text(RIG)
     with box_on_a_socket() as (_, device):
-        options = ["--unchecked", "--device", device, "--rig", tmp_path / "rig.toml", "--duration", "6", "--out", out]
+        options = ["--unchecked", "--box", device, "--rig", tmp_path / "rig.toml", "--duration", "6", "--out", out]
         command = [sys.executable, "-m", "truearm", "record", *map(str, options)]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         while not (out.exists() and out.stat().st_size > 2000):
@@ -168,7 +168,7 @@ def flood():
 def test_a_robot_that_floods_takes_neither_the_clock_nor_the_end(tmp_path):
     out = tmp_path / "s.mcap"
     with box_on_a_socket() as (_, device):
-        options = ["--unchecked", "--device", device, "--robot", flood(), "--duration", "4", "--out", out]
+        options = ["--unchecked", "--box", device, "--address", flood(), "--duration", "4", "--out", out]
         command = [sys.executable, "-m", "truearm", "record", *map(str, options)]
         done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr

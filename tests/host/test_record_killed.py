@@ -31,9 +31,9 @@ def killed(folder, after_s):
     with box_on_a_socket() as (box, device):
         options = [
             "--unchecked",
-            "--device",
+            "--box",
             device,
-            "--robot",
+            "--address",
             serve_robot(60),
             "--rig",
             folder / "rig.toml",

@@ -93,18 +93,18 @@ class TestEarlier:
     def test_refused(self, tmp_path, capsys, names, of, says):
         for name in names:
             session(tmp_path / name)
-        assert main(["record", "--device", "/dev/none", "--resume", str(tmp_path / (of or "none.mcap"))]) == 2
+        assert main(["record", "--box", "/dev/none", "--resume", str(tmp_path / (of or "none.mcap"))]) == 2
         assert says in capsys.readouterr().err
 
     def test_options_that_contradict(self, tmp_path, capsys):
         path = session(tmp_path / "s.mcap")
         for options in ([], ["--resume", str(path), "--out", str(tmp_path / "t.mcap")]):
-            assert main(["record", "--device", "/dev/none", *options]) == 2
+            assert main(["record", "--box", "/dev/none", *options]) == 2
             assert "--out FILE for a new session, or --resume FILE" in capsys.readouterr().err
 
     def test_a_plan_that_is_none(self, tmp_path, capsys):
         path = session(tmp_path / "s.mcap", rows=[{"q": "x"}])
-        assert main(["record", "--device", "/dev/none", "--resume", str(path)]) == 2
+        assert main(["record", "--box", "/dev/none", "--resume", str(path)]) == 2
         assert "its plan is damaged" in capsys.readouterr().err
 
 
@@ -165,7 +165,7 @@ def test_recorded_on(tmp_path, capsys):
     for options in (["--out", str(out), *given, *mounted], ["--resume", str(out)], ["--resume", str(tmp_path)]):
         with box_on_a_socket() as (box, device):
             box.lvdt = CALIBRATED
-            assert main(["record", "--device", device, "--duration", "0.3", *options]) == 0
+            assert main(["record", "--box", device, "--duration", "0.3", *options]) == 0
         if options[0] == "--out":
             shutil.copy(out, tmp_path / "copy")
     assert out.read_bytes() == (tmp_path / "copy").read_bytes()

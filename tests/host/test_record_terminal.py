@@ -102,7 +102,7 @@ def recording(tmp_path, *options):
     out = tmp_path / "s.mcap"
     with box_on_a_socket() as (box, device):
         box.lvdt = CALIBRATED
-        terminal = OnTerminal("record", "--device", device, "--out", out, *options)
+        terminal = OnTerminal("record", "--box", device, "--out", out, *options)
         terminal.expect(r"recording, [1-9]")
         yield terminal, box, out
 
@@ -129,7 +129,7 @@ class TestTyping:
         out = tmp_path / "s.mcap"
         with box_on_a_socket() as (box, device):
             box.lvdt = CALIBRATED
-            terminal = OnTerminal("record", "--plain", "--device", device, "--out", out)
+            terminal = OnTerminal("record", "--plain", "--box", device, "--out", out)
             terminal.expect(
                 r"\d s: lvdt [^\r\n]*; samples adc 1017\.3 Hz; \d+ samples, 0 frames lost; clock [^\r\n]*; dwells \d"
             )
@@ -252,7 +252,7 @@ class TestChecked:
     def test_refused_before_anything_is_written(self, tmp_path, capsys):
         out = tmp_path / "s.mcap"
         with box_on_a_socket() as (box, device):
-            assert main(["record", "--device", device, "--mounted", "bar=b46", "--out", str(out)]) == 2
+            assert main(["record", "--box", device, "--mounted", "bar=b46", "--out", str(out)]) == 2
         complaint = capsys.readouterr().err
         assert "truearm: the box has no channel lvdt (it has c0, c1, c2, c3)" in complaint
         assert not out.exists()
@@ -262,6 +262,6 @@ class TestChecked:
         out = tmp_path / "s.mcap"
         with box_on_a_socket() as (_, device):
             options = ["--mounted", "bar=b46", "--unchecked", "--duration", "0.3"]
-            assert main(["record", "--device", device, *options, "--out", str(out)]) == 0
+            assert main(["record", "--box", device, *options, "--out", str(out)]) == 0
         assert "warning: the box has no channel lvdt" in capsys.readouterr().err
         assert json.loads(open_session(out).metadata["box"]["ident"])

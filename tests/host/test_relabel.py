@@ -109,7 +109,7 @@ class TestOneMissedEnter:
         return path
 
     def test_identify_counts_what_it_leaves_out(self, path, capsys):
-        assert main(["identify", str(path), "--robot", "puma560", "--out", str(path.parent / "r.json")]) in (0, 3)
+        assert main(["identify", str(path), "--model", "puma560", "--out", str(path.parent / "r.json")]) in (0, 3)
         line = capsys.readouterr().out.splitlines()
         said = " ".join(line[:8])
         assert "need your word: truearm relabel" in said
@@ -171,7 +171,7 @@ class TestOneMissedEnter:
         assert main(["relabel", str(path), "--trust", "plan"]) == 0
         recorded(path, plan, right(plan), seed=8)
         capsys.readouterr()
-        assert main(["identify", str(path), "--robot", "puma560"]) == 2
+        assert main(["identify", str(path), "--model", "puma560"]) == 2
         assert "was made for another session" in capsys.readouterr().err
 
     @pytest.mark.parametrize(
@@ -179,7 +179,7 @@ class TestOneMissedEnter:
     )
     def test_a_damaged_annotation_is_one_line(self, path, capsys, text):
         labels_path(path).write_text(text)
-        assert main(["identify", str(path), "--robot", "puma560"]) == 2
+        assert main(["identify", str(path), "--model", "puma560"]) == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert "s.labels.json" in line
 
@@ -197,9 +197,9 @@ class TestOneMissedEnter:
         ("options", "said"),
         [
             ((), "--trust"),
-            (("--trust", "evidence"), "--robot"),
+            (("--trust", "evidence"), "--model"),
             (("--trust", "me"), "plan, typed, evidence"),
-            (("--trust", "evidence", "--robot", "panda"), "7"),
+            (("--trust", "evidence", "--model", "panda"), "7"),
             (("--undo", "--trust", "plan"), "--undo"),
         ],
     )

@@ -31,7 +31,7 @@ def made(tmp_path, run, noisy):
     table, rig = noisy
     write_table(tmp_path / "poses.csv", table, ("rad",) * 6)
     write_rig(tmp_path / "rig.toml", rig)
-    given = ["--robot", "puma560", "--rig", tmp_path / "rig.toml"]
+    given = ["--model", "puma560", "--rig", tmp_path / "rig.toml"]
     options = ["--hold-out", 0.2, "--seed", 3, "--solver", "map", "--freeze", "link2.y"]
     assert run("identify", tmp_path / "poses.csv", *given, *options, "--out", tmp_path / "r.json").code == 0
     return ["report", tmp_path / "r.json", tmp_path / "poses.csv", *given, "--out", tmp_path / "page.html"]

@@ -57,7 +57,7 @@ def test_a_table_has_its_sigma_in_degrees(table):
 
 def test_inclinations_are_identified_and_judged_in_degrees(table, run):
     folder = table.parent
-    given = ["identify", table, "--robot", "puma560", "--rig", folder / "rig.toml", "--hold-out", "0.25"]
+    given = ["identify", table, "--model", "puma560", "--rig", folder / "rig.toml", "--hold-out", "0.25"]
     code, text, err = run(*given, "--out", folder / "r.json", "--report", folder / "r.html")
     assert code == 0, err
     result = json.loads((folder / "r.json").read_text())
@@ -89,7 +89,7 @@ def test_lengths_and_inclinations_are_never_pooled(table, run):
     seats = [",".join(["seat", *row.split(",")[1:7], "near", "", "", "0", "s0"]) for row in rows[:40]]
     table.write_text("\n".join([f"{header},socket,sphere", *(f"{row},," for row in rows), *seats, ""]))
     code, text, err = run(
-        "identify", table, "--robot", "puma560", "--rig", folder / "rig.toml", "--prior", "weak", "--solver", "map"
+        "identify", table, "--model", "puma560", "--rig", folder / "rig.toml", "--prior", "weak", "--solver", "map"
     )
     assert code == 0, err
     lengths, angles = text.split("error [mm]")[1].split("error [deg]")

@@ -43,7 +43,7 @@ def test_a_flat_that_sinks_is_named(tmp_path):
         lines.append(",".join([*cells, *map(repr, joints)]))
     (tmp_path / "poses.csv").write_text("\n".join(lines) + "\n")
     (tmp_path / "rig.toml").write_text(RIG)
-    copy.run("identify", "poses.csv", "--robot", "puma560", "--rig", "rig.toml", "--out", "result.json")
+    copy.run("identify", "poses.csv", "--model", "puma560", "--rig", "rig.toml", "--out", "result.json")
     (found,) = json.loads((tmp_path / "result.json").read_text())["systematic"]
     assert (found["what"], found["form"]) == ("plane.p.offset", "drift")
     assert abs(abs(found["size"]) - SUNK) < 4.0 * found["sigma"]

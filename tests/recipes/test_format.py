@@ -46,7 +46,7 @@ def said(copy):
     commands = [("export", "--help")]
     for name in ROBOTS:
         table, result = f"{name}.csv", f"{name}.json"
-        commands.append(("identify", table, "--robot", name, "--rig", "rig.toml", "--out", result))
+        commands.append(("identify", table, "--model", name, "--rig", "rig.toml", "--out", result))
         commands.append(("export", result, "--format", "screws", "--out", f"{name}.screws", "--over", table))
     return copy.run_each(*commands)
 

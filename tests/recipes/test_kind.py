@@ -32,7 +32,7 @@ xyz_mm = [0, 0, 0]
 position_sigma_mm = 0
 turn_sigma_deg = 0
 """
-COMMAND = ("--robot", "puma560", "--rig", "rig.toml")
+COMMAND = ("--model", "puma560", "--rig", "rig.toml")
 
 
 @pytest.fixture(scope="module")
@@ -139,6 +139,6 @@ def test_wrong_input_is_one_line(copy, row, rig, message):
         f"kind,inclinometer,inclination_deg,{joints}\n{row.strip()},{','.join('0' * 6)}\n"
     )
     (copy.folder / "wrong.toml").write_text(rig)
-    said = copy.run("identify", "wrong.csv", "--robot", "puma560", "--rig", "wrong.toml", code=2)
+    said = copy.run("identify", "wrong.csv", "--model", "puma560", "--rig", "wrong.toml", code=2)
     assert message in said
     assert said.count("\n") == 1

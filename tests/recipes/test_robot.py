@@ -11,7 +11,7 @@ from tests.recipes.recipes import Copy
 from truearm.files.rig_file import write_rig
 from truearm.types import BallBar
 
-PLAN = ("plan", "ballbar", "--robot", "ur3e", "--rig", "rig.toml", "--poses", "36", "--candidates", "60", "--out")
+PLAN = ("plan", "ballbar", "--model", "ur3e", "--rig", "rig.toml", "--poses", "36", "--candidates", "60", "--out")
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def copy(tmp_path_factory):
 @pytest.fixture(scope="module")
 def said(copy):
     """What the commands print."""
-    wrong = ("identify", "none.csv", "--robot", "ur3", "--rig", "rig.toml")
+    wrong = ("identify", "none.csv", "--model", "ur3", "--rig", "rig.toml")
     return copy.run_each(
         ("identify", "--help"), ("plan", "ballbar", "--help"), wrong, (*PLAN, "plan.csv", "--program", "plan.script")
     )

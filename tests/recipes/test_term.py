@@ -24,7 +24,7 @@ SPRING = math.radians(0.12)
 N = 400
 PUMA = (ROOT / "host/truearm/model/robots/puma560.toml").read_text(encoding="utf-8")
 SPRUNG = PUMA.replace("[joint2]\n", "[joint2]\nspring_deg = { design = 0.0, optimised = 0.0 }\n")
-COMMAND = ("--robot", "sprung.toml", "--rig", "rig.toml")
+COMMAND = ("--model", "sprung.toml", "--rig", "rig.toml")
 
 
 def numbers(values):
@@ -110,7 +110,7 @@ def copy(tmp_path_factory):
 def said(copy):
     """What the commands print, by name."""
     exported = {
-        name: ("export", "exact.json", "--robot", "sprung.toml", "--format", name, "--out", name, "--over", "exact.csv")
+        name: ("export", "exact.json", "--model", "sprung.toml", "--format", name, "--out", name, "--over", "exact.csv")
         for name in FORMATS
     }
     commands = {
@@ -120,7 +120,7 @@ def said(copy):
             "correct",
             "exact.json",
             "targets.csv",
-            "--robot",
+            "--model",
             "sprung.toml",
             "--out",
             "corrected.csv",
@@ -196,7 +196,7 @@ def test_a_format_that_declares_the_term_holds_it(copy, said):
         'write_sheth_uicker", ".toml", "links of six constants", ("offset", "gain")',
         'write_sheth_uicker", ".toml", "links of six constants", ("offset", "gain", "spring")',
     )
-    command = ("export", "exact.json", "--robot", "sprung.toml", "--over", "exact.csv", "--format")
+    command = ("export", "exact.json", "--model", "sprung.toml", "--over", "exact.csv", "--format")
     held, refused = copy.run_each(
         (*command, "sheth-uicker", "--out", "held.toml"),
         (*command, "urdf", "--out", "held.urdf"),

@@ -46,7 +46,7 @@ def flash_box(options: FlashOptions) -> Iterator[str]:
     version = ""
     if options.stock:
         if options.device is None or options.image is not None or options.drive is not None:
-            raise InputError("--stock takes --device and neither an image nor a drive")
+            raise InputError("--stock takes --box and neither an image nor a drive")
         yield from _copy_files(options.device, options.stop)
     else:
         if options.image is None:
@@ -132,7 +132,7 @@ def _only(drives: list[Path], image: Image) -> Path:
     if not drives:
         raise InputError(
             "no boot drive was found; hold BOOTSEL while you plug the box in, name its place with --drive, "
-            "or give --device so that a running box is asked"
+            "or give --box so that a running box is asked"
         )
     if len(drives) > 1:
         raise InputError(f"there are several boot drives, {', '.join(map(str, drives))}; name one with --drive")

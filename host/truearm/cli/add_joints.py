@@ -29,7 +29,7 @@ def add_joints(
     joints: Annotated[
         str | None,
         typer.Option(
-            metavar="LIST", help="Names of a bag's joints from the base on: a,b,c. Default: those of --robot."
+            metavar="LIST", help="Names of a bag's joints from the base on: a,b,c. Default: those of --model."
         ),
     ] = None,
     robot: OptionalRobotOption = None,

@@ -11,7 +11,7 @@ from truearm.cli.box_config import config
 from truearm.cli.box_flash import flash
 from truearm.cli.box_gauge import gauge
 from truearm.cli.box_monitor import monitor
-from truearm.cli.options import DeviceOption, JsonOption, StopOption
+from truearm.cli.options import BoxOption, JsonOption, StopOption
 from truearm.cli.output import command_group, print_json, print_lines
 from truearm.errors import InputError, TruearmError
 from truearm.exit_codes import ExitCode
@@ -21,14 +21,15 @@ _LIST_RETRIES = 6  # 3 s: a box that was just plugged in waits 2 s before it run
 app = command_group(
     "box",
     "A sensor box: find, flash, ask, test, set up, calibrate and watch it.",
-    "Example: truearm box test --device /dev/ttyACM0",
+    "Example: truearm box test --box /dev/ttyACM0",
 )
 
 
 @app.command("list")
 def list_boxes(
     device: Annotated[
-        list[str] | None, typer.Option(metavar="DEVICE", help="Ask there too, socket://127.0.0.1:7007 say; repeatable.")
+        list[str] | None,
+        typer.Option("--box", metavar="DEVICE", help="Ask there too, socket://127.0.0.1:7007 say; repeatable."),
     ] = None,
     every: Annotated[bool, typer.Option("--all", help="Ask every serial port, not only those of a Pico.")] = False,
     as_json: JsonOption = False,
@@ -36,7 +37,7 @@ def list_boxes(
     """List the boxes that are plugged in.
 
     Serial ports with the USB identity of a Pico are asked what they are (a box that is being recorded is in use and says so), and
-    boot drives are named. Other serial devices may not like to be asked: --all or --device does.
+    boot drives are named. Other serial devices may not like to be asked: --all or --box does.
 
     Example: truearm box list
     """
@@ -71,10 +72,10 @@ def _asked(port: Any) -> dict[str, Any]:
 
 
 @app.command()
-def info(device: DeviceOption, as_json: JsonOption = False) -> None:
+def info(device: BoxOption, as_json: JsonOption = False) -> None:
     """Print what a box says of itself: firmware, streams, channels, calibrations, faults.
 
-    Example: truearm box info --device /dev/ttyACM0
+    Example: truearm box info --box /dev/ttyACM0
     """
     from truearm.box.description import ident_lines
 
@@ -87,12 +88,12 @@ def info(device: DeviceOption, as_json: JsonOption = False) -> None:
 
 
 @app.command("test")
-def self_test(device: DeviceOption, stop: StopOption = False, as_json: JsonOption = False) -> None:
+def self_test(device: BoxOption, stop: StopOption = False, as_json: JsonOption = False) -> None:
     """Have a box test itself, and print each result with what to do about it.
 
     Exit code 1 if something failed. A warning is something that was not measured or is near its limit.
 
-    Example: truearm box test --device /dev/ttyACM0
+    Example: truearm box test --box /dev/ttyACM0
     """
     from truearm.box.description import finding_lines
     from truearm.box.selftest import FAIL, WARN, findings
@@ -115,10 +116,10 @@ def self_test(device: DeviceOption, stop: StopOption = False, as_json: JsonOptio
 
 
 @app.command()
-def reset(device: DeviceOption, stop: StopOption = False) -> None:
+def reset(device: BoxOption, stop: StopOption = False) -> None:
     """Restart a box. It forgets the traceback that it kept.
 
-    Example: truearm box reset --device /dev/ttyACM0
+    Example: truearm box reset --box /dev/ttyACM0
     """
     from truearm_wire.messages import RESTART
 

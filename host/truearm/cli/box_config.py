@@ -8,27 +8,27 @@ from typing import Annotated, Any
 import typer
 
 from truearm.box.conversation import conversation
-from truearm.cli.options import DeviceOption, ForceOption, StopOption, out_file
+from truearm.cli.options import BoxOption, ForceOption, StopOption, out_file
 from truearm.cli.output import command_group, print_lines
 from truearm.errors import ConfigError
 
 config = command_group(
     "config",
     "What a box is told: rates, channels, calibrations, its magnetostrictive sensor.",
-    "Example: truearm box config get --device /dev/ttyACM0 --out box.toml",
+    "Example: truearm box config get --box /dev/ttyACM0 --out box.toml",
 )
 
 
 @config.command()
 def get(
-    device: DeviceOption,
+    device: BoxOption,
     out: Annotated[Path | None, out_file("the configuration (.toml), instead of printing it")] = None,
     force: ForceOption = False,
     stop: StopOption = False,
 ) -> None:
     """Print a box's configuration as TOML, in units for people.
 
-    Example: truearm box config get --device /dev/ttyACM0 --out box.toml
+    Example: truearm box config get --box /dev/ttyACM0 --out box.toml
     """
     from truearm.box.configuration import format_config
     from truearm.files.disk import check_new, write_atomic
@@ -49,7 +49,7 @@ def put(
     changes: Annotated[
         list[str], typer.Argument(metavar="FILE.toml | KEY=VALUE...", help="A file as get writes it, or single values.")
     ],
-    device: DeviceOption,
+    device: BoxOption,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what would change, and change nothing.")] = False,
     stop: StopOption = False,
 ) -> None:
@@ -60,7 +60,7 @@ def put(
 
     \b
     Example:
-      truearm box config set osr=2048 channel.lvdt.gain=2 magnetostrictive.us_per_inch=9.031 --device /dev/ttyACM0
+      truearm box config set osr=2048 channel.lvdt.gain=2 magnetostrictive.us_per_inch=9.031 --box /dev/ttyACM0
     """
     from truearm.box.configuration import change_lines, checked_config
 

@@ -7,13 +7,13 @@ from typing import Annotated
 
 import typer
 
-from truearm.cli.options import OptionalDeviceOption, StopOption
+from truearm.cli.options import OptionalBoxOption, StopOption
 from truearm.cli.output import print_lines
 
 
 def flash(
     image: Annotated[Path | None, typer.Argument(metavar="IMAGE.uf2", help="The image, as make uf2 makes it.")] = None,
-    device: OptionalDeviceOption = None,
+    device: OptionalBoxOption = None,
     drive: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Where the boot drive is or will be mounted; default: found.")
     ] = None,
@@ -29,15 +29,15 @@ def flash(
 ) -> None:
     """Flash a box, then check that it answers.
 
-    The image is checked first. A box that runs is asked to enter its boot loader (--device); a new Pico is plugged in with
+    The image is checked first. A box that runs is asked to enter its boot loader (--box); a new Pico is plugged in with
     BOOTSEL held, and its drive is found or named (--drive). With --stock there is no image: the firmware's files are copied to a
     board that runs MicroPython. What a box stores, its configuration and calibrations, outlives all of this.
 
     \b
     Examples:
       truearm box flash build/uf2/truearm-0.4.0.uf2
-      truearm box flash build/uf2/truearm-0.4.0.uf2 --device /dev/ttyACM0
-      truearm box flash --stock --device /dev/ttyACM0
+      truearm box flash build/uf2/truearm-0.4.0.uf2 --box /dev/ttyACM0
+      truearm box flash --stock --box /dev/ttyACM0
     """
     from truearm.box.flash import FlashOptions, flash_box
 

@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-from truearm.cli.options import DeviceOption, StopOption, out_file
+from truearm.cli.options import BoxOption, StopOption, out_file
 
 
 def gauge(
     channel: Annotated[str, typer.Argument(metavar="CHANNEL", help="lvdt, transverse_a, magnetostrictive …")],
-    device: DeviceOption,
+    device: BoxOption,
     references: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="The references in order (.csv with a column reference_mm, _um or _in)."),
@@ -34,7 +34,7 @@ def gauge(
     places that were left out is as small as the best one's; the magnetostrictive sensor gets its velocity of sound and delay. A
     page shows what is left, and if you agree the box stores the calibration with its date and temperature.
 
-    Example: truearm box gauge lvdt --device /dev/ttyACM0
+    Example: truearm box gauge lvdt --box /dev/ttyACM0
     """
     from truearm.box.gauge_run import GaugeOptions, gauge_channel
 

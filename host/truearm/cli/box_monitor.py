@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable
 from contextlib import ExitStack
 
-from truearm.cli.options import DeviceOption, DurationOption, PlainOption
+from truearm.cli.options import BoxOption, DurationOption, PlainOption
 from truearm.cli.output import print_lines
 
 SHOW_S = 0.5
@@ -14,7 +14,7 @@ PLAIN_S = 1.0
 
 
 def monitor(
-    device: DeviceOption,
+    device: BoxOption,
     duration: DurationOption = None,
     plain: PlainOption = False,
 ) -> None:
@@ -22,7 +22,7 @@ def monitor(
 
     Starts the box (and stops it in the end: Ctrl-C or --duration). Nothing is recorded.
 
-    Example: truearm box monitor --device /dev/ttyACM0
+    Example: truearm box monitor --box /dev/ttyACM0
     """
     from truearm.box.monitor import monitor_box
 

@@ -51,7 +51,7 @@ def characterize(
 
     \b
     Example:
-      truearm characterize approaches.mcap --robot puma560 --out noise.toml
+      truearm characterize approaches.mcap --model puma560 --out noise.toml
     """
     from truearm.cli.characterize_text import lines, remarks
     from truearm.files.robot_file import RobotChoice

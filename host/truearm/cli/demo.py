@@ -35,7 +35,7 @@ MARK = ".truearm-demo"  # in a folder that the demo made and may write again
 RATE_HZ = 500.0  # the dwells stand still; a thousand takes ten seconds longer and finds the same
 
 
-class DemoRig(StrEnum):
+class Experiment(StrEnum):
     """What measures the simulated robot."""
 
     ballbar = "ballbar"
@@ -43,17 +43,17 @@ class DemoRig(StrEnum):
     both = "both"
 
 
-def what_is_planned(rig: DemoRig, poses: int) -> str:
+def what_is_planned(experiment: Experiment, poses: int) -> str:
     """What the robot visits, in words."""
-    match rig:
-        case DemoRig.ballbar:
+    match experiment:
+        case Experiment.ballbar:
             return f"{poses} poses on the shells of each bar"
-        case DemoRig.line:
+        case Experiment.line:
             return "lines where the design errs"
-        case DemoRig.both:
+        case Experiment.both:
             return f"{poses} poses with each bar, and lines"
         case _:
-            assert_never(rig)
+            assert_never(experiment)
 
 
 def demo(
@@ -66,9 +66,9 @@ def demo(
     ] = 800,
     seed: SeedOption = 1,
     rate: Annotated[float, typer.Option(metavar="HZ", help="Samples a second of each channel.")] = RATE_HZ,
-    rig: Annotated[
-        DemoRig, typer.Option(help="What measures: the ball-bar, lines driven along a line device, or both at once.")
-    ] = DemoRig.ballbar,
+    experiment: Annotated[
+        Experiment, typer.Option(help="What measures: the ball-bar, lines driven along a line device, or both at once.")
+    ] = Experiment.ballbar,
     model: ModelOption = DEFAULT_MODEL,
     base: BaseOption = None,
     tip: TipOption = None,
@@ -90,7 +90,7 @@ def demo(
     \b
     Example:
       truearm demo --out out/demo
-      truearm demo --rig line --out out/line
+      truearm demo --experiment line --out out/line
       truearm demo --model ur5e --poses 200 --out out/ur5e
     """
     from truearm.cli import demo_text
@@ -126,15 +126,15 @@ def demo(
     else:
         typer.echo(f"Firmware in {interpreter}")
     steps = Steps(typer.echo)
-    with steps.step(f"plan {what_is_planned(rig, poses)}"):
-        match rig:
-            case DemoRig.ballbar:
+    with steps.step(f"plan {what_is_planned(experiment, poses)}"):
+        match experiment:
+            case Experiment.ballbar:
                 plan = standard_plan(poses, seed, subject.rig, robot)
                 world = World(seed, plan, subject.rig, simulated.params, arm=simulated.arm, robot=robot)
-            case DemoRig.line | DemoRig.both:
-                world = demo_lines.world_of(rig is DemoRig.both, poses, seed, subject)
+            case Experiment.line | Experiment.both:
+                world = demo_lines.world_of(experiment is Experiment.both, poses, seed, subject)
             case _:
-                assert_never(rig)
+                assert_never(experiment)
         write_setup(out, world)
         if truth_out is not None:
             write_truth(truth_out, world, robot, truth, seed)
@@ -149,19 +149,19 @@ def demo(
         clock = clock_truth(result, box)
     finally:
         box.close()
-    match rig:
-        case DemoRig.ballbar:
+    match experiment:
+        case Experiment.ballbar:
             with steps.step("identify, validate"):
                 found = demo_ball_bar.calibrate(out, result.table, subject)
             with steps.step("report"):
                 page = demo_ball_bar.write_page(out, found, result, clock, steps)
             found_lines, used = demo_text.ball_bar_lines(found), f"{len(result.table)} dwells used"
-        case DemoRig.line | DemoRig.both:
+        case Experiment.line | Experiment.both:
             with steps.step("identify, validate"):
-                lines = demo_lines.calibrate(rig is DemoRig.both, out, result.table, subject)
+                lines = demo_lines.calibrate(experiment is Experiment.both, out, result.table, subject)
             with steps.step("report"):
                 page = demo_lines.write_page(out, lines, result, clock, steps)
             found_lines, used = demo_text.line_lines(lines), demo_text.used(result.table)
         case _:
-            assert_never(rig)
+            assert_never(experiment)
     print_lines([*demo_text.recording_lines(result, clock, steps, used), *found_lines, f"\nreport          {page}"])

@@ -58,7 +58,7 @@ def export(
 
     \b
     Example:
-      truearm export result.json --format urdf --robot panda.urdf --out calibrated.urdf
+      truearm export result.json --format urdf --model panda.urdf --out calibrated.urdf
     """
     from truearm.cli.export_text import lines
     from truearm.files.robot_file import RobotChoice

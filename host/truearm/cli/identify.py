@@ -141,7 +141,7 @@ def identify(
 
     \b
     Example:
-      truearm identify poses.csv --robot puma560 --rig rig.toml --hold-out shell=s61
+      truearm identify poses.csv --model puma560 --rig rig.toml --hold-out shell=s61
     """
     from truearm.cli.identify_text import show_result
     from truearm.files.result_file import format_document

@@ -26,6 +26,7 @@ from truearm.cli.identify import identify
 from truearm.cli.init import init
 from truearm.cli.inspect import inspect
 from truearm.cli.map import map_
+from truearm.cli.options import EARLIER_WORDS
 from truearm.cli.plan import app as plan
 from truearm.cli.project import ProjectCommand, defaults
 from truearm.cli.record import record
@@ -113,7 +114,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _complain(exc.text(_option_of(arguments)))
         return exc.exit_code
     except _UsageError as exc:
-        message = exc.format_message().replace("Value error, ", "")  # words of the parser's own
+        message = _renamed(exc) or exc.format_message().replace("Value error, ", "")  # words of the parser's own
         _complain(f"{message} (see {exc.ctx.command_path if exc.ctx else 'truearm'} --help)")
         return ExitCode.INPUT
     except (KeyboardInterrupt, typer.Abort):
@@ -147,6 +148,16 @@ def _option_of(arguments: Sequence[str]) -> Callable[[str], str]:
         command = command.commands[word]
     options = {one.name: one.opts[0] for one in command.params if one.opts[0].startswith("-")}
     return lambda name: options.get(name, f"--{name.replace('_', '-')}")
+
+
+def _renamed(exc: typer.BadParameter) -> str | None:
+    """What to type for an option that had another name, None for any other error."""
+    earlier = getattr(exc, "option_name", None)  # of an option that the command does not have
+    if earlier is None or exc.ctx is None:
+        return None
+    now = EARLIER_WORDS.get(f"{exc.ctx.info_name} {earlier}", EARLIER_WORDS.get(earlier))
+    has_it = any(now in one.opts for one in exc.ctx.command.params)
+    return f"{earlier} is now {now}" if has_it else None
 
 
 def _run(arguments: list[str]) -> int:

@@ -20,6 +20,16 @@ if TYPE_CHECKING:
 LARGEST_MM, LARGEST_DEG = 1e5, 720.0  # of a frame
 LONGEST_NAME = 64  # letters of a rig's name, as of a table's identifiers
 
+# Words that options had before 0.4: refused, and the word of today is named. With a command: of that command alone.
+EARLIER_WORDS = {
+    "--device": "--box",
+    "--rig-file": "--rig",
+    "--robot": "--model",
+    "record --robot": "--address",
+    "simulate --robot": "--protocol",
+    "demo --rig": "--experiment",
+}
+
 # What is read
 SessionArgument = Annotated[Path, typer.Argument(metavar="SESSION", help="Session file (.mcap) of truearm record.")]
 InputsArgument = Annotated[
@@ -40,7 +50,7 @@ AllowDamagedOption = Annotated[
 def _robot(default: str = "") -> Any:
     names = ", ".join(builtin_names())
     return typer.Option(
-        "--robot", metavar="ROBOT", help=f"Built-in robot ({names}), robot file (.toml) or URDF (.urdf).{default}"
+        "--model", metavar="ROBOT", help=f"Built-in robot ({names}), robot file (.toml) or URDF (.urdf).{default}"
     )
 
 
@@ -90,8 +100,8 @@ PlanOption = Annotated[Path | None, typer.Option("--plan", metavar="FILE", help=
 
 # The box
 _BOX = "The box: /dev/ttyACM0, COM3 or socket://127.0.0.1:7007."
-DeviceOption = Annotated[str, typer.Option("--device", metavar="DEVICE", help=_BOX)]
-OptionalDeviceOption = Annotated[str | None, typer.Option("--device", metavar="DEVICE", help=_BOX)]
+BoxOption = Annotated[str, typer.Option("--box", metavar="DEVICE", help=_BOX)]
+OptionalBoxOption = Annotated[str | None, typer.Option("--box", metavar="DEVICE", help=_BOX)]
 StopOption = Annotated[
     bool, typer.Option("--stop", help="Stop the box first if it streams, as a recorder that was killed leaves it.")
 ]

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 app = command_group(
     "plan",
     "Plan what to measure; say what it will tell before anything is measured.",
-    "Example: truearm plan ballbar --robot puma560 --rig rig.toml --minutes 40 --out plan.csv",
+    "Example: truearm plan ballbar --model puma560 --rig rig.toml --minutes 40 --out plan.csv",
 )
 
 MinutesOption = Annotated[
@@ -161,7 +161,7 @@ def ballbar(
 
     \b
     Example:
-      truearm plan ballbar --robot puma560 --rig rig.toml --minutes 40 --out plan.csv --program plan.script
+      truearm plan ballbar --model puma560 --rig rig.toml --minutes 40 --out plan.csv --program plan.script
     """
     from truearm.cli.plan_text import forecast_lines
     from truearm.files.robot_file import RobotChoice
@@ -240,7 +240,7 @@ def line(
 
     \b
     Example:
-      truearm plan line --robot ur5e --rig rig.toml --lines 6 --out lines.csv --rig-out lines.toml --program lines.script
+      truearm plan line --model ur5e --rig rig.toml --lines 6 --out lines.csv --rig-out lines.toml --program lines.script
     """
     from truearm.cli.plan_text import forecast_lines
     from truearm.files.robot_file import RobotChoice
@@ -305,7 +305,7 @@ def characterize(
 
     \b
     Example:
-      truearm plan characterize --robot puma560 --rig rig.toml --out approaches.csv --program approaches.script
+      truearm plan characterize --model puma560 --rig rig.toml --out approaches.csv --program approaches.script
     """
     from truearm.cli.plan_text import approach_lines
     from truearm.files.robot_file import RobotChoice

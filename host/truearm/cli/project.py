@@ -102,7 +102,7 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
     rig = {"rig": there(project.rig)}
 
     simulated: Mapping[str, Answer] = {"model": model, "base": text(project.base), "tip": text(project.tip)}
-    planned = {"plan": there(project.plan), "rig_file": there(project.rig)}
+    planned = {"plan": there(project.plan), **rig}
 
     def plan() -> str:
         from truearm.workflows.project import new_plan
@@ -116,7 +116,7 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
         "simulate": {**simulated, **(planned if (home / project.plan).exists() else {})},
         "record": {
             "device": text(project.box),
-            "robot": text(project.address),
+            "address": text(project.address),
             "plan": there(project.plan),
             **rig,
             "out": new(project.sessions, ".mcap"),

@@ -12,7 +12,7 @@ import typer
 from truearm.cli.options import (
     DurationOption,
     ForceOption,
-    OptionalDeviceOption,
+    OptionalBoxOption,
     PlainOption,
     PlanOption,
     SessionRigOption,
@@ -29,7 +29,7 @@ _PATIENCE_S = 600.0
 
 def record(
     context: typer.Context,
-    device: OptionalDeviceOption = None,
+    device: OptionalBoxOption = None,
     out: Annotated[Path | None, out_file("a session (.mcap); --resume names its own")] = None,
     resume: Annotated[
         Path | None,
@@ -39,7 +39,7 @@ def record(
             "one session does too.",
         ),
     ] = None,
-    robot: Annotated[
+    address: Annotated[
         str | None,
         typer.Option(
             metavar="URL",
@@ -67,7 +67,7 @@ def record(
 ) -> None:
     """Record a sensor box and a robot into a session file.
 
-    Without --device the box is the one that is plugged in.
+    Without --box the box is the one that is plugged in.
     Ends with Ctrl-C, with q and Enter, after --duration, when the robot says that it has ended (docs/robots.md), or when a box or a
     robot that was lost or closed its stream did not come back in --patience; each completes the file (exit code 4 if not all came that was asked for). An earlier file is overwritten
     (--force) only once the box has started. On a terminal lines may be typed meanwhile: Enter confirms
@@ -75,21 +75,21 @@ def record(
 
     \b
     Example:
-      truearm record --robot tcp://127.0.0.1:7008 --rig rig.toml --plan plan.csv --out session.mcap
+      truearm record --address tcp://127.0.0.1:7008 --rig rig.toml --plan plan.csv --out session.mcap
       truearm record --resume session.mcap
     """
     from truearm.cli.record_text import lines
     from truearm.workflows.record import Request, nearest_osr, record_request
 
     if resume is not None:  # the session's own, not the project's
-        out, plan, rig, robot = (typed(context, name) for name in ("out", "plan", "rig", "robot"))
+        out, plan, rig, address = (typed(context, name) for name in ("out", "plan", "rig", "address"))
     osr = None if rate is None else nearest_osr(rate)
     if duration is not None and not 0 < duration < math.inf:
         raise InputError(f"--duration {duration:g} is no time; give seconds above 0")
     if not 0 <= patience < math.inf:
         raise InputError(f"--patience {patience:g} is no time; give seconds, 0 to end at once")
     recorded = record_request(
-        Request(device, out, resume, robot, plan, rig, mounted, osr, duration, patience, plain, unchecked, force),
+        Request(device, out, resume, address, plan, rig, mounted, osr, duration, patience, plain, unchecked, force),
         sys.stderr,
     )
     print_lines(lines(recorded))

@@ -35,7 +35,7 @@ def relabel(
         str | None,
         typer.Option(
             metavar=TRUSTS,
-            help="Believe the plan, what was typed, or the evidence of all of it and the readings together (needs --robot). Default: ask.",
+            help="Believe the plan, what was typed, or the evidence of all of it and the readings together (needs --model). Default: ask.",
         ),
     ] = None,
     undo: Annotated[bool, typer.Option("--undo", help="Take back the last decision.")] = False,
@@ -49,7 +49,7 @@ def relabel(
 
     \b
     Example:
-      truearm relabel session.mcap --robot puma560 --trust evidence
+      truearm relabel session.mcap --model puma560 --trust evidence
       truearm relabel session.mcap --undo
     """
     from truearm.errors import InputError

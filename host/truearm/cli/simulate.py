@@ -51,7 +51,7 @@ def simulate(
     port: Annotated[
         int, typer.Option(metavar="PORT", min=0, max=65535, help="TCP port of the box; 0 takes a free one.")
     ] = 7007,
-    robot: Annotated[
+    protocol: Annotated[
         str, typer.Option(metavar="KIND", help="What the robot speaks: lines (JSON) or rtde (Universal Robots).")
     ] = "lines",
     robot_port: Annotated[
@@ -69,7 +69,7 @@ def simulate(
         ),
     ] = 0,
     plan: PlanOption = None,
-    rig_file: Annotated[
+    rig: Annotated[
         Path | None, typer.Option(metavar="FILE", help="The rig of --plan (.toml); default: the simulator's own.")
     ] = None,
     robot_delay_ms: Annotated[
@@ -117,7 +117,7 @@ def simulate(
     \b
     Example:
       truearm simulate     (and in another terminal the truearm record line that it prints)
-      truearm simulate --model ur5e --plan plan.csv --rig-file rig.toml --fast --out rehearsal
+      truearm simulate --model ur5e --plan plan.csv --rig rig.toml --fast --out rehearsal
     """
     from truearm.files.robot_file import RobotChoice
     from truearm.workflows.record import nearest_osr
@@ -129,7 +129,7 @@ def simulate(
     )
 
     if any(typed(context, name) is not None for name in ("poses", "lines", "model")):  # not the project's plan then
-        plan, rig_file = typed(context, "plan"), typed(context, "rig_file")
+        plan, rig = typed(context, "plan"), typed(context, "rig")
     options = SimulateOptions(
         folder=out,
         model=RobotChoice(model, base, tip),
@@ -139,13 +139,13 @@ def simulate(
         fast=fast,
         osr=nearest_osr(rate),
         port=port,
-        robot=robot,
+        protocol=protocol,
         robot_port=robot_port,
         pty=pty,
         poses=poses,
         lines=lines,
         plan=plan,
-        rig=rig_file,
+        rig=rig,
         robot_delay_s=MS.to_si(robot_delay_ms),
         trigger=trigger,
         seed=seed,

@@ -10,7 +10,7 @@ from truearm.text import one_line
 
 NONE = (
     "no box is plugged in: no serial port has a Pico's USB identity. Plug it in (a new Pico: truearm box flash), name its port "
-    "with --device, or try all with truearm box list --all; truearm simulate is a box without hardware"
+    "with --box, or try all with truearm box list --all; truearm simulate is a box without hardware"
 )
 
 
@@ -31,7 +31,7 @@ def choose_box(device: str | None, output: TextIO) -> str:
         return boxes[0].device
     listed = [f"{one_line(box.device)} ({_words(box.product, box.serial)})" for box in boxes]
     if not (sys.stdin.isatty() and output.isatty()):
-        raise InputError(f"{len(boxes)} boxes are plugged in: {', '.join(listed)}; name one with --device")
+        raise InputError(f"{len(boxes)} boxes are plugged in: {', '.join(listed)}; name one with --box")
     return boxes[_ask(listed, output)].device
 
 
@@ -47,6 +47,6 @@ def _ask(listed: list[str], output: TextIO) -> int:
         print(f"1 to {len(listed)}: ", end="", file=output, flush=True)
         answer = sys.stdin.readline()
         if not answer:
-            raise InputError("no box was chosen; name one with --device")
+            raise InputError("no box was chosen; name one with --box")
         if answer.strip().isdecimal() and 1 <= int(answer) <= len(listed):
             return int(answer) - 1

@@ -1,4 +1,4 @@
-"""``truearm demo --rig line|both``: Renders' experiment, lines that a device measures in motion, by itself or beside the ball-bar.
+"""``truearm demo --experiment line|both``: Renders' experiment, lines that a device measures in motion, by itself or beside the ball-bar.
 
 Four lines, planned for a region, are driven there and back to identify, and a fifth, drawn in the region by chance, to judge by
 (Renders 1991, III-E). The simulated robot's readings are late, which nobody is told and the identification has to find.

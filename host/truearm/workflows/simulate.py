@@ -33,7 +33,7 @@ SESSION = "session.mcap"
 MARK = ".truearm-simulated"  # in a folder that simulate made and may write again
 
 # what the robot may speak: scheme of its address, usual port, readings a second
-ROBOTS = {"lines": ("tcp", 7008, 50.0), "rtde": ("rtde", 30004, 500.0)}
+PROTOCOLS = {"lines": ("tcp", 7008, 50.0), "rtde": ("rtde", 30004, 500.0)}
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
@@ -71,7 +71,7 @@ PUMA = RobotChoice("puma560")
 class SimulateOptions:
     """What is simulated, and where it listens.
 
-    ``model`` is the robot, ``branch`` where poses are drawn, by default the robot file's, ``truth`` what it is beside its design, written to ``truth_out``. ``robot`` is one of ROBOTS, ``level`` a Level.
+    ``model`` is the robot, ``branch`` where poses are drawn, by default the robot file's, ``truth`` what it is beside its design, written to ``truth_out``. ``protocol`` is one of PROTOCOLS, ``level`` a Level.
     ``plan`` and ``rig`` are files that stand in for ``poses`` with each bar, or for ``lines``. ``faults`` are written SECONDS:KIND. A port
     of 0 is any free one. ``fast``: nothing listens; all is recorded in virtual time, at the oversampling ratio ``osr``.
     """
@@ -84,7 +84,7 @@ class SimulateOptions:
     fast: bool = False
     osr: int = 8192
     port: int = 7007
-    robot: str = "lines"
+    protocol: str = "lines"
     robot_port: int | None = None
     pty: bool = False
     poses: int = 72
@@ -107,7 +107,7 @@ def simulate_box_and_robot(options: SimulateOptions, say: Say) -> None:
     from truearm_sim.rtde_server import RtdeServer
     from truearm_sim.serve import serve
 
-    scheme, usual_port, rate = _spoken(options.robot)
+    scheme, usual_port, rate = _spoken(options.protocol)
     world, of_box, box = _lab(options, rate, say)
     folder = options.folder
     try:
@@ -117,16 +117,16 @@ def simulate_box_and_robot(options: SimulateOptions, say: Say) -> None:
         box.close()
         ports = Argument("port"), " and ", Argument("robot_port")
         raise LinkError(f"cannot listen: {exc.strerror}; choose other ports with ", *ports) from exc
-    robot_end = RtdeServer(listener, rate) if options.robot == "rtde" else listener
+    robot_end = RtdeServer(listener, rate) if options.protocol == "rtde" else listener
     device = box_port.path if isinstance(box_port, Terminal) else f"socket://127.0.0.1:{box_port.number}"
     say(f"{_visits_of(world)}. Record them with\n")
     say(
-        f"  truearm record --device {device} --robot {scheme}://127.0.0.1:{listener.number} "
+        f"  truearm record --box {device} --address {scheme}://127.0.0.1:{listener.number} "
         f"--plan {shlex.quote(str(folder / 'plan.csv'))} --rig {shlex.quote(str(folder / 'rig.toml'))} "
         f"--out {shlex.quote(str(folder / SESSION))}\n"
     )
     try:
-        goes_on = "; its controller goes on, so end the recording with q" if options.robot == "rtde" else ""
+        goes_on = "; its controller goes on, so end the recording with q" if options.protocol == "rtde" else ""
         serve(
             world,
             box,
@@ -149,9 +149,9 @@ def simulate_fast(
 
     ``progress``: of so many seconds of robot time, what hears of the recording. Raises InputError.
     """
-    if options.robot != "lines" or options.pty:
-        raise InputError(Argument("fast"), " has no ports; leave out ", Argument("robot"), " and ", Argument("pty"))
-    _, _, rate = _spoken(options.robot)
+    if options.protocol != "lines" or options.pty:
+        raise InputError(Argument("fast"), " has no ports; leave out ", Argument("protocol"), " and ", Argument("pty"))
+    _, _, rate = _spoken(options.protocol)
     world, of_box, box = _lab(options, rate, say)
     started = time.perf_counter()
     try:
@@ -206,7 +206,7 @@ def simulate_stage(options: SimulateOptions, say: Say, typed: Callable[[], list[
         box.close()
         raise LinkError(f"cannot listen: {exc.strerror}; choose another port with ", Argument("port")) from exc
     device = box_port.path if isinstance(box_port, Terminal) else f"socket://127.0.0.1:{box_port.number}"
-    say(f"Gauge a sensor with\n\n  truearm box gauge lvdt --device {device}\n")
+    say(f"Gauge a sensor with\n\n  truearm box gauge lvdt --box {device}\n")
     say(f"and set the reference here: type a position from {span}; q ends.")
     try:
         serve(stage, box, box_port, unused, stop=set_by_hand, longest_step_ns=of_box.longest_step_ns)
@@ -216,11 +216,11 @@ def simulate_stage(options: SimulateOptions, say: Say, typed: Callable[[], list[
         unused.close()
 
 
-def _spoken(robot: str) -> tuple[str, int, float]:
+def _spoken(protocol: str) -> tuple[str, int, float]:
     """What the robot speaks: scheme, usual port, readings a second. Raises InputError."""
-    if robot not in ROBOTS:
-        raise InputError(Argument("robot"), f" {robot!r} is not known; it is one of {', '.join(ROBOTS)}")
-    return ROBOTS[robot]
+    if protocol not in PROTOCOLS:
+        raise InputError(Argument("protocol"), f" {protocol!r} is not known; it is one of {', '.join(PROTOCOLS)}")
+    return PROTOCOLS[protocol]
 
 
 def _lab(options: SimulateOptions, rate: float, say: Say) -> tuple[World, Hardware, SimulatedBox]:
@@ -235,9 +235,9 @@ def _lab(options: SimulateOptions, rate: float, say: Say) -> tuple[World, Hardwa
     faults = [parse_fault(text) for text in options.faults]
     simulated = simulated_robot(options.model, truth, seed, options.branch)
     joints = len(simulated.robot.chain.joints)
-    if options.robot == "rtde" and joints != RTDE_JOINTS:
+    if options.protocol == "rtde" and joints != RTDE_JOINTS:
         text = f" rtde: a controller of {RTDE_JOINTS} joints, {simulated.robot.chain.name} has {joints}"
-        raise InputError(Argument("robot"), text)
+        raise InputError(Argument("protocol"), text)
     plan, rig = visits(options, simulated)
     if options.truth_out is not None:
         read = [path for path in (options.plan, options.rig, *options.model.files) if path is not None]
@@ -282,7 +282,7 @@ def visits(options: SimulateOptions, simulated: SimulatedRobot) -> tuple[Plan, R
 
     lines, plan_file, rig_file, robot = options.lines, options.plan, options.rig, simulated.robot
     if plan_file is None and rig_file is not None:
-        raise InputError(Argument("rig_file"), " needs the ", Argument("plan"), " that was made for it")
+        raise InputError(Argument("rig"), " needs the ", Argument("plan"), " that was made for it")
     if lines and plan_file is not None:
         raise InputError(
             Argument("lines"), " draws lines and ", Argument("plan"), " reads what the robot visits: give one of them"

@@ -117,7 +117,7 @@ def check_plan(plan: Plan, robot: Robot, rig: Rig, name: str) -> None:
             f"{name}: robot {chain.name} would pull the bar out of its travel at {int(np.sum(beyond > 0.0))} of {rows.size} poses, by "
             f"{MM.text(float(np.median(beyond[beyond > 0.0])), '.0f')} (median); the plan is for another robot or rig; choose them with "
         )
-        raise PlanError(text, Argument("model"), " and ", Argument("rig_file"))
+        raise PlanError(text, Argument("model"), " and ", Argument("rig"))
 
 
 def looks_like_truth(head: bytes) -> bool:

@@ -154,7 +154,7 @@ def _reading(path: Path, number: int, decoder: Typestore, data: bytes, joints: S
     names = list(state.name)
     if not joints:
         raise InputError(
-            f"{path}: name the joints in their order from the base on, with --joints or --robot; there is {_listed(names)}"
+            f"{path}: name the joints in their order from the base on, with --joints or --model; there is {_listed(names)}"
         )
     missing = [joint for joint in joints if joint not in names]
     if missing:

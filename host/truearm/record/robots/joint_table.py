@@ -31,7 +31,7 @@ NO_ARRIVAL = {"arrival": False}  # in every such line: nobody saw it arrive
 def readings(path: Path, options: FileOptions) -> Iterator[Reading]:
     """The readings of a table, in order of time. Raises TableError with file and row, InputError where joints are named."""
     if options.joints:
-        raise InputError("--joints and --robot order the joints of a bag; a table's columns are in order")
+        raise InputError("--joints and --model order the joints of a bag; a table's columns are in order")
     return _readings(path, options.columns)
 
 

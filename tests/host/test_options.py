@@ -1,0 +1,78 @@
+"""The words of options: docs/options.md says what each means, every command follows it, and earlier words are refused."""
+
+import re
+from pathlib import Path
+
+import pytest
+import typer
+
+from truearm.cli.main import app, main
+from truearm.cli.options import EARLIER_WORDS
+
+PAGE = (Path(__file__).parents[2] / "docs" / "options.md").read_text()
+ROWS = {
+    word: tuple(value.split(" or "))
+    for words, value in re.findall(r"^\| (`--.*?) \| (.*?) ?\|", PAGE, re.MULTILINE)
+    for word in re.findall(r"`(--[\w-]+)`", words)
+}
+
+
+def commands(command=None, name="truearm"):
+    """Every command that is no group, by what is typed."""
+    command = command or typer.main.get_command(app)
+    below = getattr(command, "commands", None)
+    if below is None:
+        return {name: command}
+    return {key: one for word, sub in below.items() for key, one in commands(sub, f"{name} {word}").items()}
+
+
+def options():
+    """Each option of each command."""
+    return [(name, one.opts[0], one) for name, command in commands().items() for one in command.params]
+
+
+def test_an_option_takes_the_value_that_the_page_names():
+    for name, word, one in options():
+        if word in ROWS:
+            given = "" if one.is_flag else (one.metavar or "").removeprefix("[NAME=]")
+            assert given in ROWS[word], f"{name} {word} {given}"
+
+
+def test_an_option_of_several_commands_has_one_kind_of_value():
+    """Where the page does not name it: what it takes is the same all the same."""
+    takes = {}
+    for name, word, one in options():
+        if word.startswith("--") and word not in ROWS and not name.startswith("truearm box"):
+            takes.setdefault(word, {}).setdefault(str(one.metavar), []).append(name)
+    assert {word for word, kinds in takes.items() if len(kinds) > 1} == {"--format"}  # each writes formats of its own
+
+
+def test_every_word_of_the_page_is_an_option():
+    assert set(ROWS) <= {word for _, word, _ in options()}
+
+
+@pytest.mark.parametrize(
+    ("typed", "now"),
+    [
+        ("identify t.csv --robot puma560", "--robot is now --model"),
+        ("record --robot tcp://127.0.0.1:7008", "--robot is now --address"),
+        ("record --device /dev/ttyACM0", "--device is now --box"),
+        ("box info --device /dev/ttyACM0", "--device is now --box"),
+        ("simulate --robot rtde", "--robot is now --protocol"),
+        ("simulate --rig-file rig.toml", "--rig-file is now --rig"),
+        ("demo --rig line", "--rig is now --experiment"),
+        ("demo --device x", "No such option: --device"),  # it has no box
+    ],
+)
+def test_an_earlier_word_is_refused_and_the_new_one_named(typed, now, capsys):
+    assert main(typed.split()) == 2
+    assert now in capsys.readouterr().err
+
+
+def test_no_command_has_an_earlier_word():
+    for name, command in commands().items():
+        words = {word for one in command.params for word in one.opts}
+        for earlier, now in EARLIER_WORDS.items():
+            *of, old = earlier.split()
+            if not of or name == f"truearm {of[0]}":
+                assert not {old, now} <= words - {"--rig"}, name
