@@ -1,16 +1,28 @@
 """What was mounted, by all evidence: the hidden Markov model against sums over all its paths, and what single sentences of it must mean."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 import pytest
 from operator_scripts import Visit, lengths, pairing_at, script
 
-from truearm.estimate.mountings import SURE, Readings, Words, label_support, mountings, posterior, runs, transition
+from truearm.estimate.mountings import (
+    BORNE_OUT,
+    SURE,
+    Readings,
+    Words,
+    label_support,
+    mountings,
+    posterior,
+    runs,
+    transition,
+)
 from truearm.model.robot import builtin_robot
 from truearm_sim.world import standard_plan, standard_rig
 
 ROBOT, RIG = builtin_robot("puma560"), standard_rig()
+PAIRING = ("bar46", "c1", "s1")
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +60,14 @@ def test_transitions_are_probabilities(wanted, asked):
 
 def test_runs():
     assert runs(np.array([4, 4, 1, 4])) == [slice(0, 2), slice(2, 3), slice(3, 4)]
+
+
+def shell_rig():
+    """The rig of PAIRING alone."""
+    bar, chuck, sphere = PAIRING
+    return replace(
+        RIG, bars={bar: RIG.bars[bar]}, chucks={chuck: RIG.chucks[chuck]}, spheres={sphere: RIG.spheres[sphere]}
+    )
 
 
 def readings(extension, q):
@@ -112,6 +132,29 @@ def test_right_labels_are_borne_out_and_a_wrong_run_is_not(plan):
     support = label_support(ROBOT.chain, RIG, readings(extension, plan.q), labels, ROBOT.free)
     assert support[wrong].max() < 0.01
     assert np.delete(support, np.arange(8, 11)).min() > 0.9
+
+
+@pytest.mark.parametrize("whole_rig", [True, False])
+def test_a_short_session_of_one_pairing_loses_nothing(whole_rig):
+    """Nine poses of one shell: nothing but the nominal robot, which is off by 14 mm, speaks of the only run. Right labels stay."""
+    (bar, chuck, sphere), small = PAIRING, shell_rig()
+    plan = standard_plan(9, 3, small)
+    visits = [Visit(row, (bar, chuck, sphere)) for row in range(len(plan))]
+    extension = lengths(visits, plan, RIG, ROBOT.chain, ROBOT.parameter_sets["optimised"], 3)
+    words = Words(planned(plan, visits), [()] * len(visits))
+    found = mountings(ROBOT.chain, RIG if whole_rig else small, readings(extension, plan.q), words, ROBOT.free)
+    assert found.probability[:, found.pairings.index(PAIRING)].min() > BORNE_OUT
+
+
+def test_a_short_session_of_another_pairing_is_not_borne_out():
+    """Plan and operator say one thing, another hangs there from the first to the last of its nine poses."""
+    plan, other = standard_plan(9, 5, shell_rig()), ("bar46", "c1", "s3")
+    visits = [Visit(row, other) for row in range(len(plan))]
+    extension = lengths(visits, plan, RIG, ROBOT.chain, ROBOT.parameter_sets["optimised"], 5)
+    assert np.isfinite(extension).sum() == 4
+    words = Words(planned(plan, visits), [(PAIRING,), *[()] * (len(visits) - 1)])
+    found = mountings(ROBOT.chain, RIG, readings(extension, plan.q), words, ROBOT.free)
+    assert found.probability[np.isfinite(extension), found.pairings.index(PAIRING)].max() < BORNE_OUT
 
 
 def test_readings_that_no_robot_gives_doubt_nothing(plan):

@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -122,15 +123,14 @@ def mountings(chain: Chain, rig: Rig, readings: Readings, words: Words, free: Ma
     """
     pairings = candidates(rig, words)
     transitions, told = _course(words, pairings)
-    least, probability = np.inf, told
+    found = list[tuple[float, Floats]]()
     for prior in (weak_prior(chain), wide_prior(chain)):
         fit = _Fit(chain, rig, readings, [pairings] * len(readings.q), free, prior)
-        found = _annealed(fit, transitions, told)
-        if fit.widened < least:
-            least, probability = fit.widened, found
+        probability = _annealed(fit, transitions, told)
+        found.append((fit.widened, probability))
         if fit.widened < CONSISTENT:
             break
-    return Mountings(pairings, probability)
+    return Mountings(pairings, min(found, key=itemgetter(0))[1])
 
 
 def label_support(chain: Chain, rig: Rig, readings: Readings, labels: Sequence[Pairing], free: Mask) -> Floats:
@@ -193,6 +193,7 @@ def _course(words: Words, pairings: Sequence[Pairing]) -> tuple[list[Floats], Fl
         asked = bool(now) and set(now) != set(wanted)
         wanted = now or wanted
         transitions.append(transition(len(pairings), wanted, asked))
+    transitions[0][:] = transitions[0][:-1].mean(axis=0)  # what was mounted before the first dwell is of the rig
     return transitions, told
 
 
@@ -325,7 +326,10 @@ class _Fit:
         self._linearise()
 
     def suspect(self, probability: Floats, seen: _Seen) -> bool:
-        """Leave the run that misses most out of the fit while the fit is worse than its noise; whether one was left out."""
+        """Leave the run that misses most out of the fit while the fit is worse than its noise; whether one was left out.
+
+        Half of the readings stay: a run can be held against the others only where they are the majority.
+        """
         if self.widened < WIDENED:
             return False
         best, weight = self._weighted(probability)
@@ -333,8 +337,12 @@ class _Fit:
         ratio = np.where(weight > 0.0, np.abs(seen.misfit[rows, best]) / seen.sigma[rows, best], 0.0)
         worst = int(ratio.argmax())
         run = next(run for run in runs(self.number[rows, best]) if run.start <= worst < run.stop)
-        self.left_out[run] = True
-        return bool(weight[worst] > 0.0)
+        left_out = self.left_out.copy()
+        left_out[run] = True
+        if weight[worst] == 0.0 or 2 * (left_out & self.readings.read).sum() > self.readings.read.sum():
+            return False
+        self.left_out = left_out
+        return True
 
     def judge(self, probability: Floats) -> _Seen:
         """Hold each dwell against the fit without its run."""
@@ -363,7 +371,7 @@ class _Fit:
             self._condition(seen, pair, *without(slice(before.start, run.stop), pair))
         known = np.flatnonzero(weight > 0.0)
         after = known[(known > 0) & (label[known] == label[known - 1])]
-        self.widened = widen(seen.misfit, seen.sigma, known, best)
+        self.widened = widen(seen.misfit, seen.sigma, known, best) if known.size else np.inf
         widen(seen.after, seen.after_sigma, after, best)
         return seen
 
