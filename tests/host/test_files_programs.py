@@ -389,6 +389,7 @@ BAD = [
     (b"# caf\xc3\xa9\nmovel(p[0,0,0,0,0,0])\n# caf\xe9\n", "urscript", "line 3 is not UTF-8 and line 1 is"),
     ("def movel(x):\nend\n", "urscript", "line 1: movel is a function of the language"),
     ("def f():\nend\ndef f():\nend\n", "urscript", "line 3: f is defined twice"),
+    (f"MODULE a\nLOCAL CONST robtarget p:={T1};\nENDMODULE\nMODULE b\nLOCAL CONST robtarget p:={T2};\nENDMODULE", "rapid", "line 5: p is declared twice in this file"),
 ]  # fmt: skip
 
 
@@ -554,7 +555,7 @@ UNKNOWN_SCRIPT = [
     "speedj([0,0,0.1,0,0,0], 0.5, 1)", "force_mode(p[0,0,0,0,0,0],[0,0,1,0,0,0],[0,0,1,0,0,0],2,[1,1,1,1,1,1])", "freedrive_mode()", "teach_mode()", "camera_go(1)",
     "movel(camera_pose())", "movel(socket_read_ascii_float(6))", "movej(get_inverse_kin(get_actual_tcp_pose()))", f"movej(get_inverse_kin({P}, tcp=read_tool()))",
     "movel(rpc.pose())", "servoj(get_inverse_kin(get_target_tcp_pose()), t=0.008)", f"movec(get_actual_tcp_pose(), {Q})", "movej([0,1,2,3,4,random()])", "movel(p[0.1,0.2,0.3,0,0,random()])",
-    "movel()", "movel(1)", 'movel("here")', f"movel([{P}][random()][0])",
+    f"movej(get_inverse_kin({P}, qnear=Elsewhere_q))", f"movej(get_inverse_kin({P}, qnear=[0,1,2,3,4,random()]))", "movel()", "movel(1)", 'movel("here")', f"movel([{P}][random()][0])",
 ]  # fmt: skip
 UNKNOWN_RAPID = [
     "MoveL CRobT(),v10,fine,tool0;", "MoveJ Offs(CRobT(),0,0,5),v10,fine,tool0;", f"MoveJ Offs({T1},0,0,AInput(ai1)),v10,fine,tool0;", f"MoveJ RelTool({T1},0,0,d),v10,fine,tool0;",
@@ -601,6 +602,15 @@ SILENT = {
     "routine assigns": ("rapid", [f"z:={T1};", "help;", "MoveL z,v10,fine,tool0;", "ENDPROC", "PROC help()", f"z:={T2};"], [8], []),
     "element by reference": ("rapid", [f"aa{{1}}:={T1};", "up aa{1};", "MoveL aa{1},v10,fine,tool0;", "ENDPROC", "PROC up(INOUT robtarget x)", "x.trans.z:=x.trans.z+d;"], [3], [5]),
     "found by a search": ("rapid", [f"z:={T1};", rf"SearchL\Stop,di1,z,{T2},v10,tool0;", "MoveL z,v10,fine,tool0;"], [4], [5]),
+    # two names of one variable
+    "variable given and named": ("rapid", [f"z:={T1};", "up z;", "ENDPROC", "PROC up(INOUT robtarget x)", f"x:={T2};", "MoveL z,v10,fine,tool0;"], [], [8]),
+    "variable assigned while given": ("rapid", [f"z:={T1};", "up z;", "ENDPROC", "PROC up(INOUT robtarget x)", f"z:={T2};", "MoveL x,v10,fine,tool0;"], [], [8]),
+    "variable given twice": ("rapid", [f"z:={T1};", "up z,z;", "ENDPROC", "PROC up(INOUT robtarget x, INOUT robtarget y)", f"x:={T2};", "MoveL y,v10,fine,tool0;"], [], [8]),
+    "variable given on": ("rapid", [f"z:={T1};", "up z;", "ENDPROC", "PROC up(INOUT robtarget x)", "more x;", "ENDPROC", "PROC more(INOUT robtarget y)", f"y:={T2};", "MoveL z,v10,fine,tool0;"], [], [11]),
+    # what the run before has left, wherever it ended
+    "left by the cycle before": ("rapid", ["MoveL aa{1},v10,fine,tool0;", "IF n=1 THEN", f"aa{{1}}:={T1};", "ExitCycle;", "ENDIF"], [1, 5], []),
+    "left by a run that was ended": ("rapid", ["MoveL aa{1},v10,fine,tool0;", f"aa{{1}}:={T1};", "IF n=1 EXIT;", f"aa{{1}}:={T2};"], [1, 4, 6], []),
+    "displaced in the cycle before": ("rapid", [f"MoveL {T1},v10,fine,tool0;", "PDispSet d;"], [3], [3]),
     "back by a jump": ("rapid", [f"z:={T1};", "again:", "MoveL z,v10,fine,tool0;", f"z:={T2};", "GOTO again;"], [3, 6], []),
 }  # fmt: skip
 

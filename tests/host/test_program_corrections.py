@@ -90,6 +90,18 @@ def in_feature(pose):
     return np.linalg.inv(matrix(FEATURE)) @ pose
 
 
+def sets(name, k, result):
+    """A function that gives W the k-th pose, and counts."""
+    return (
+        "n = 0",
+        f"def {name}():",
+        f"  global W = {six(POSES[k])}",
+        "  global n = n + 1",
+        f"  return {result}",
+        "end",
+    )
+
+
 NEAR = f"qnear={written(Q[1])}"
 FORMS = {
     "polyscope": (f"global W_p={six(POSES[1])}", f"global W_q={written(Q[1])}", '$ 2 "MoveJ"', '$ 3 "W" "breakAfter"', "movej(get_inverse_kin(W_p, qnear=W_q), a=1.4, v=1.0)"),
@@ -106,8 +118,13 @@ FORMS = {
     "routine": ("def go(w):", "  movej(w)", "end", f"go({six(POSES[1])})", f"go({six(POSES[2])})"),
     "three tools": tuple(line for k in range(3) for line in (f"set_tcp(p{written(TOOLS[k])})", f"movej({six(tool_point(k + 1, k))})", f"movel({six(tool_point(k + 4, k))})")),
     "tool of its own": (f"movej(get_inverse_kin({six(tool_point(1, 2))}, {NEAR}, tcp=p{written(TOOLS[2])}))",),
+    "solved under a tool before": (f"set_tcp(p{written(TOOLS[1])})", f"q = get_inverse_kin({six(tool_point(1, 1))}, {NEAR})", f"set_tcp(p{written(TOOLS[0])})", "movej(q)"),
     "assigned twice": (f"W = {six(POSES[1])}", "movej(W)", f"W = {six(POSES[2])}", "movej(W)"),
     "branch": (f"W = {six(POSES[1])}", "if random() > 0.5:", f"  W = {six(POSES[2])}", "end", "movej(W)"),
+    # conditions that run a routine, which assigns
+    "elif is not reached": (f"global W = {six(POSES[1])}", *sets("f", 2, "True"), *sets("g", 3, "True"), "if f():", "  movej(W)", "elif g():", "  x = 1", "end"),
+    "and is not reached": (f"global W = {six(POSES[1])}", *sets("g", 3, "True"), "if random() > 0.5 and g():", "  x = 1", "end", "movej(W)"),
+    "condition after the last turn": (f"global W = {six(POSES[1])}", *sets("g", 3, "n < 2"), "while g():", f"  W = {six(POSES[2])}", "end", "movej(W)"),
 }  # fmt: skip
 
 
@@ -173,6 +190,10 @@ def statements(draw):
         f"path = [{six(POSES[7])}, {six(POSES[8])}]",
         f"q9 = {written(Q[9])}",
         "i = 0",
+        "q0 = get_inverse_kin(W2)",
+        "global n = 0",
+        *("def f():", "  global n = n + 1", "  global W2 = W3", "  return n > 1", "end"),
+        *("def g():", "  global n = n + 1", "  global W1 = W2", "  return n < 3", "end"),
     ]
     certain = [
         "movej(W1)", "movel(W2)", "movej(get_inverse_kin(W3))", "movel(pose_trans(Plane, F5))", "movej(pose_trans(Plane, F6))", "movej(path[i])", "movej(path[1])",
@@ -182,7 +203,8 @@ def statements(draw):
         "if i == 0:\n    W3 = W4\n  end",
     ]  # fmt: skip
     doubtful = [
-        "movel(pose_trans(get_actual_tcp_pose(), p[0,0,0.005,0,0,0]))", "W1[2] = W1[2] + 0.005", "movej(pose_trans(W3, p[0,0,0.005,0,0,0]))", "W2 = pose_trans(W2, p[0,0,0.004,0,0,0])",
+        "if f():\n    movej(W1)\n  elif g():\n    movej(W2)\n  end", "while g():\n    W2 = W4\n  end", "if i == 1 and f():\n    movej(W3)\n  end",
+        "q0 = get_inverse_kin(W3)", "movej(q0)", "movel(pose_trans(get_actual_tcp_pose(), p[0,0,0.005,0,0,0]))", "W1[2] = W1[2] + 0.005", "movej(pose_trans(W3, p[0,0,0.005,0,0,0]))", "W2 = pose_trans(W2, p[0,0,0.004,0,0,0])",
         "z = 0.01\n  movej(pose_trans(W4, p[0,0,z,0,0,0]))", "n = 0\n  while n < 3:\n    W4 = pose_add(W4, p[0,0,0.003,0,0,0])\n    movej(W4)\n    n = n + 1\n  end",
     ]  # fmt: skip
     body = draw(st.lists(st.sampled_from(certain + doubtful), min_size=1, max_size=7))
@@ -277,6 +299,7 @@ RAPID_FORMS = {
     "trigger": ([A, B], ["MoveJ a,v100,fine,t0;", "TriggL b,v100,tr1\\T2:=tr2,fine,t0;"]),
     "search": ([A, B, "VAR robtarget found;"], ["MoveJ a,v100,fine,t0;", "SearchL\\Stop,di1,found,b,v100,t0;"]),
     "routine": ([A, B], ["go a,20;", "go b,0;"], "PROC go(robtarget x,num high)", "  IF high>0 THEN", "    MoveJ x,v100,fine,t0;", "  ENDIF", "  MoveJ x,v100,z10,t0;", "ENDPROC"),
+    "bound of a loop": ([A, B, "VAR robtarget now;"], ["now:=a;", "FOR i FROM 1 TO last() DO", "  MoveJ now,v100,fine,t0;", "ENDFOR"], "FUNC num last()", "  now:=b;", "  RETURN 2;", "ENDFUNC"),
     "function": ([A, B], ["MoveJ at(1),v100,fine,t0;", "MoveJ at(2),v100,fine,t0;"], "FUNC robtarget at(num k)", "  IF k=1 THEN", "    RETURN a;", "  ENDIF", "  RETURN b;", "ENDFUNC"),
     "optional work object": ([A], ["go a;"], "PROC go(robtarget x\\PERS wobjdata WObj)", "  MoveJ x,v100,fine,t0\\WObj?WObj;", "ENDPROC"),
     "given work object": ([f"CONST robtarget a:={robtarget(1, 0, 1)};"], ["go a\\WObj:=w1;"], "PROC go(robtarget x\\PERS wobjdata WObj)", "  MoveJ x,v100,fine,t0\\WObj?WObj;", "ENDPROC"),
@@ -324,6 +347,7 @@ def modules(draw):
                     "MoveJ inw,v100,fine,t0\\WObj:=w1;", "MoveJ s.at,v100,fine,t0;", "now:=b;", "now:=list{2};", "a_is:=now;", "MoveJ a_is,v100,fine,t0;", "Incr n;", "n:=1;", "Add x,5;", "x:=0;",
                     "now_t:=t1;", "s.at:=a;", "s.at.trans.z:=s.at.trans.z+4;", "set_now;", "shift now;", "shift list{2};", "shift s.at;", "MoveJ RelTool(at(n),0,0,-x),v100,fine,t0;",
                     "w1.oframe.trans.x:=w1.oframe.trans.x+2;", "IF DInput(di1)=1 THEN\n  now:=a;\n  set_now;\nENDIF", "FOR k FROM 1 TO 2 DO\n  go list{k};\n  now:=list{k};\nENDFOR",
+                    "IF f(a)=1 THEN\n  MoveJ now,v100,fine,t0;\nELSEIF f(b)=1 THEN\n  MoveJ now,v100,fine,t0;\nENDIF", "two now;", "FOR k FROM 1 TO f(b) DO\n  go now;\nENDFOR",
                     "WHILE n<3 DO\n  go Offs(now,0,0,n);\n  n:=n+1;\nENDWHILE\nn:=1;", "now:=CRobT(\\Tool:=t0);", "SearchL\\Stop,di1,now,b,v100,t0;", "go now;", "twice;",
                 ]
             ),
@@ -341,6 +365,7 @@ def modules(draw):
     data += ["RECORD stop", "  robtarget at;", "  num wait;", "ENDRECORD", f"VAR stop s:=[{robtarget(3)},0.5];"]
     routines = ["PROC set_now()", "  now:=list{1};", "ENDPROC", "PROC shift(INOUT robtarget p)", "  p.trans.y:=p.trans.y+3;", "ENDPROC"]  # fmt: skip
     routines += ["PROC go(robtarget p)", "  MoveJ p,v100,fine,t0;", "ENDPROC", "FUNC robtarget at(num k)", "  IF k=1 RETURN a;", "  RETURN now;", "ENDFUNC"]  # fmt: skip
+    routines += ["FUNC num f(robtarget p)", "  now:=p;", "  RETURN n;", "ENDFUNC", "PROC two(INOUT robtarget p)", "  p:=a;", "  MoveJ now,v100,fine,t0;", "ENDPROC"]  # fmt: skip
     routines += ["PROC twice()", "  go now;", "  now:=b;", "  go now;", "ENDPROC"]
     return module(data, [*body, "MoveJ now,v100,fine,t0;"], *routines)
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Protocol, assert_never
 
 from truearm.errors import ProgramError
+from truearm.files.programs.environment import Environment, Key
 from truearm.files.programs.syntax import (
     Assign,
     Block,
@@ -36,6 +37,14 @@ from truearm.files.programs.syntax import (
     Text,
     Truth,
 )
+from truearm.files.programs.tree_walks import (
+    assigns_parameters,
+    calls_in,
+    reached_by,
+    root_of,
+    routines_in,
+    statements_in,
+)
 from truearm.files.programs.values import Goal, Listed, Pose, Solved, Unknown, Value, Values, combined, joined
 
 MAX_CALLS = 20  # of routines within each other
@@ -49,7 +58,6 @@ GLOBAL = 0
 TOOL = "tool in force"  # no name of a variable has a space
 HERE = "where the robot is"
 MOST_STARTS = 64  # of a straight move that are told apart
-Key = tuple[int, str]
 
 
 @dataclass(slots=True)
@@ -90,44 +98,6 @@ class Language(Protocol):
         """The arguments of a built-in instruction that it may assign to."""
 
 
-class Environment:
-    """Variables with their possibilities, in layers: a branch writes to its own, which is then taken off and joined."""
-
-    def __init__(self) -> None:
-        self.layers: list[dict[Key, Values]] = [{}]
-        self.records: list[dict[Key, dict[Value, None]]] = []  # of all that names stood for since each began
-
-    def get(self, key: Key) -> Values | None:
-        for layer in reversed(self.layers):
-            if key in layer:
-                return layer[key]
-        return None
-
-    def set(self, key: Key, values: Values) -> None:
-        for record in self.records:
-            seen = record.get(key)
-            if seen is None:
-                seen = record[key] = dict.fromkeys(self.get(key) or ())
-            seen.update(dict.fromkeys(values))
-        self.layers[-1][key] = values
-
-    def since(self, depth: int) -> dict[Key, Values]:
-        """What was written to the layers from ``depth`` on."""
-        out: dict[Key, Values] = {}
-        for layer in self.layers[depth:]:
-            out |= layer
-        return out
-
-    def join(self, ways: Sequence[Mapping[Key, Values]]) -> None:
-        """Go on from where several ways meet, each with what was written on it."""
-        for key in dict.fromkeys(key for way in ways for key in way):
-            before = self.get(key)
-            values: Values | None = None
-            for way in ways:
-                values = joined(values, way.get(key, before))
-            self.set(key, values or ())
-
-
 @dataclass
 class _Activation:
     """A routine that is being run."""
@@ -162,7 +132,7 @@ class Flow:
         for routine in routines:
             self._declare(routine, None)
         self._find_volatile()
-        self.steps = STEPS + STEPS_EACH * sum(1 for one in self.routines.values() for _ in _within(one.body))
+        self.steps = STEPS + STEPS_EACH * sum(1 for one in self.routines.values() for _ in statements_in(one.body))
         self.scopes = GLOBAL
         self.stack = [_Activation(None, GLOBAL, None, 0)]
         self.turns: list[_Turn] = []
@@ -175,7 +145,7 @@ class Flow:
         if routine.name in self.routines:
             raise self.source.wrong(routine.start, f"{routine.name} is defined twice")
         self.routines[routine.name], self.parents[routine.name] = routine, parent
-        for inner in _routines(routine.body):
+        for inner in routines_in(routine.body):
             self._declare(inner, routine.name)
 
     def _find_volatile(self) -> None:
@@ -186,15 +156,15 @@ class Flow:
         while blocks:
             block = blocks.pop()
             self.volatile |= {
-                _root(one.target) for one in _within(block) if isinstance(one, Assign) and one.scope != "local"
+                root_of(one.target) for one in statements_in(block) if isinstance(one, Assign) and one.scope != "local"
             }
             for call in calls_in(block):
                 routine = self.routines.get(call.function)
                 self.volatile |= {TOOL} if call.function == "set_tcp" else set()
                 if routine is None:
-                    self.volatile |= {_root(one) for one in self.language.changed_by(call)}
-                elif _assigns_parameters(routine):
-                    self.volatile |= {_root(one) for one in call.arguments}
+                    self.volatile |= {root_of(one) for one in self.language.changed_by(call)}
+                elif assigns_parameters(routine):
+                    self.volatile |= {root_of(one) for one in call.arguments}
                 if routine is not None and routine.name not in seen:
                     seen.add(routine.name)
                     blocks.append(routine.body)
@@ -219,6 +189,9 @@ class Flow:
         if self.loose:
             values = joined(self.get(name), values)
         if scope == "global" or (not scope and name == TOOL):
+            for one in self.stack:  # the global one, or where a routine around has its own that one
+                if (before := self.environment.get((one.scope, name))) is not None:
+                    self.environment.set((one.scope, name), joined(before, values))
             self.environment.set((GLOBAL, name), values)
             return
         if not scope and self.environment.get(own) is None:
@@ -249,10 +222,8 @@ class Flow:
                 self.value(what)
             case Assign(target, value, scope):
                 self._assign(target, self.value(value), scope)
-            case If(conditions, blocks, whole):
-                for condition in conditions:
-                    self.value(condition)
-                return self._branch(blocks, whole)
+            case If():
+                return self._choose(statement)
             case Loop():
                 self._loop(statement)
             case Return(value):
@@ -285,6 +256,20 @@ class Flow:
             changed = joined(changed, tuple(self.language.changed(one, place, values, target.start) for one in of))
         if isinstance(target.of, Name | Element):
             self._assign(target.of, changed, scope)
+
+    def _choose(self, choice: If) -> bool:
+        """Run the blocks of a choice. A condition that runs a routine is reached only where none before it holds."""
+        conditions, blocks, whole = choice
+        later = next((k for k, one in enumerate(conditions) if k and self._runs_routine(one)), len(conditions))
+        for condition in conditions[:later]:
+            self.value(condition)
+        if later < len(conditions):
+            blocks, whole = (*blocks[:later], (If(conditions[later:], blocks[later:], whole),)), True
+        return self._branch(blocks, whole)
+
+    def _runs_routine(self, expression: Expression) -> bool:
+        """Whether a routine of the program is run for the value of an expression, and may change variables."""
+        return any(call.function in self.routines for call in calls_in(expression))
 
     def _branch(self, blocks: Sequence[Block], whole: bool) -> bool:
         ways: list[Mapping[Key, Values]] = [] if whole else [{}]
@@ -319,6 +304,8 @@ class Flow:
             if turns >= MAX_TURNS:
                 for key in grown:
                     environment.set(key, (Unknown(f"{key[1]} changes from turn to turn of a loop", 0),))
+        if loop.condition is not None and self._runs_routine(loop.condition):
+            self.value(loop.condition)  # it is evaluated once more than the body
         environment.join([{}, *turn.breaks])
 
     # expressions
@@ -342,9 +329,18 @@ class Flow:
                 # beyond the end of a list the program would stop: a way that leads there leads no further
                 return tuple(dict.fromkeys(found)) or (Unknown("the list has no such element", start),)
             case Operation(sign, operands, start):
+                if sign in ("and", "or") and self._runs_routine(operands[1]):
+                    return self._either(expression)
                 return combined(start, _operator(sign, start), [self.value(operand) for operand in operands])
             case _:
                 assert_never(expression)
+
+    def _either(self, of: Operation) -> Values:
+        """``and`` and ``or``: the second operand is evaluated where the first does not decide."""
+        first, second = of.operands
+        self.value(first)
+        self._branch(((Do(second),),), False)
+        return (Unknown(f"the result of {of.sign} is not followed", of.start),)
 
     def _call(self, call: Call) -> Values:
         arguments = [self.value(argument) for argument in call.arguments]
@@ -357,7 +353,7 @@ class Flow:
         found = self.language.call(self, call, arguments, named)
         if found is not None:
             for argument in self.language.changed_by(call):
-                if isinstance(argument, Name | Element) and self.get(_root(argument)) is not None:
+                if isinstance(argument, Name | Element) and self.get(root_of(argument)) is not None:
                     self._assign(argument, (Unknown(f"{call.function} changes it at run time", call.start),), "")
             return found
         self.uncertain(
@@ -385,12 +381,18 @@ class Flow:
             (one for one in reversed(self.stack) if one.routine and one.routine.name == self.parents[routine.name]),
             None,
         )
+        places = dict[str, Expression]()
+        required = [one for one in routine.parameters if not one.optional or one.default is not None]
+        if call is not None:
+            places = dict(zip((one.name for one in required), call.arguments, strict=False)) | dict(call.named)
+        doubled = self._doubled(routine, places)
+        for name, root in doubled.items():
+            self.set(root, (Unknown(f"{routine.name} changes it by two names, {root} and {name}", routine.start),))
         self.scopes += 1
         here = _Activation(routine, self.scopes, parent, len(self.environment.layers))
         record: dict[Key, dict[Value, None]] = {}
         self.environment.layers.append({})
         self.stack.append(here)
-        required = [one for one in routine.parameters if not one.optional or one.default is not None]
         given = dict(zip((one.name for one in required), arguments, strict=False)) | dict(named)
         for parameter in routine.parameters:
             value = given.get(parameter.name)
@@ -400,11 +402,17 @@ class Flow:
                 value = (Truth(False),)
             why = f"{parameter.name} is an argument of {routine.name} that nothing in this file gives"
             self.set(parameter.name, value or (Unknown(why, routine.start),), "local")
+        for name, root in doubled.items():
+            self.set(
+                name, (Unknown(f"{routine.name} changes it by two names, {root} and {name}", routine.start),), "local"
+            )
         outer, self.turns = self.turns, []
         if routine.handlers:
             self.environment.records.append(record)
         ordered = not self.loose
-        jumps = (k for k, one in enumerate(routine.body) if any(isinstance(part, Jump) for part in _within((one,))))
+        jumps = (
+            k for k, one in enumerate(routine.body) if any(isinstance(part, Jump) for part in statements_in((one,)))
+        )
         first = next(jumps, len(routine.body))
         reached = self.run(routine.body[:first])
         if reached and first < len(routine.body):
@@ -425,12 +433,26 @@ class Flow:
         after = [{name: values for (scope, name), values in way.items() if scope == here.scope} for way in ways]
         self.environment.join([{key: v for key, v in way.items() if key[0] != here.scope} for way in ways])
         if call is not None:  # an argument by reference may have been changed
-            places = dict(zip((one.name for one in required), call.arguments, strict=False)) | dict(call.named)
             for name, place in places.items():
                 for way in after:
                     if isinstance(place, Name | Element) and way.get(name, given[name]) != given[name]:
                         self._assign(place, joined(self.value(place), way[name]), "")
         return results or (Unknown(f"{routine.name} gives nothing", routine.start),)
+
+    def _doubled(self, routine: Routine, places: Mapping[str, Expression]) -> dict[str, str]:
+        """Parameters that are a variable which the routine reaches by another name too, and that it changes by one of them; and the variables."""
+        roots = {
+            one.name: root for one in routine.parameters if one.shared and (root := root_of(places.get(one.name))) != ""
+        }
+        if not roots:
+            return {}
+        used, changed = reached_by(routine, self.routines, self.language.changed_by)
+        given = list(roots.values())
+        return {
+            name: root
+            for name, root in roots.items()
+            if (root in used or given.count(root) > 1) and not changed.isdisjoint((name, *roots, root))
+        }
 
     def end_threads(self, parent: str | None) -> None:
         """Run the threads of a routine once more with all that the routine assigned while they ran."""
@@ -502,7 +524,7 @@ def _goal(value: Value, tool: Value, frame: Value, argument: Expression) -> Goal
         return Goal(value, Pose(()), Pose(()), None, *place)
     near = None
     if isinstance(value, Solved):
-        near, tool = value.near, value.tool or tool
+        near, tool = value.near, value.tool
         value = value.pose
     if not isinstance(value, Pose):
         return "its target is no pose and no joint readings of plain numbers", ""
@@ -539,54 +561,7 @@ def _operator(sign: str, at: int) -> Callable[..., Value]:
     return result
 
 
-def _root(target: Expression) -> str:
-    while isinstance(target, Element):
-        target = target.of
-    return target.name if isinstance(target, Name) else ""
-
-
-def _assigns_parameters(routine: Routine) -> bool:
-    """Whether a routine may change a variable that is given to it; what it gives on to others counts."""
-    names = {one.name for one in routine.parameters}
-    assigned = {_root(one.target) for one in _within(routine.body) if isinstance(one, Assign)}
-    given = {_root(argument) for call in calls_in(routine.body) for argument in call.arguments}
-    return bool(names & (assigned | given))
-
-
-def calls_in(node: object) -> Iterator[Call]:
-    """The calls in a block, a statement or an expression, but for those of routines that are defined there."""
-    if isinstance(node, Call):
-        yield node
-    if isinstance(node, tuple) and not isinstance(node, Number | Taught | Routine):
-        for inner in node:
-            yield from calls_in(inner)
-
-
 def _upward(at: _Activation | None) -> Iterator[_Activation]:
     while at is not None:
         yield at
         at = at.parent
-
-
-def _routines(block: Block) -> Iterator[Routine]:
-    """The routines that are defined in a block, not those within them."""
-    for statement in block:
-        if isinstance(statement, Routine):
-            yield statement
-        for inner in _blocks(statement):
-            yield from _routines(inner)
-
-
-def _within(block: Block) -> Iterator[Statement]:
-    """The statements of a block and of the blocks in it, but for those of routines that are defined there."""
-    for statement in block:
-        yield statement
-        for inner in _blocks(statement):
-            yield from _within(inner)
-
-
-def _blocks(statement: Statement) -> Sequence[Block]:
-    """The blocks of a statement, but for a routine's."""
-    if isinstance(statement, If):
-        return statement.blocks
-    return (statement.body,) if isinstance(statement, Loop) else ()

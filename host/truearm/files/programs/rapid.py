@@ -220,7 +220,7 @@ class _Reader(Reader):
                 while self.step() != "}":
                     if self.kind == END:
                         raise self.unexpected("}")
-            found.append(Parameter(words[-1], None, optional))
+            found.append(Parameter(words[-1], None, optional, not {"inout", "var", "pers"}.isdisjoint(words[:-1])))
             if self.text == ",":
                 self.step()
             elif self.text not in (")", "|", "\\"):
@@ -258,16 +258,16 @@ class _Reader(Reader):
         self.step()
         counter = self.word("a variable")
         self.take("from")
-        self.expression()
+        bounds = [Do(self.expression())]
         self.take("to")
-        self.expression()
+        bounds.append(Do(self.expression()))
         if self.is_word("step"):
             self.step()
-            self.expression()
+            bounds.append(Do(self.expression()))
         self.take("do")
         body = self.block()
         self.take("endfor")
-        return [Loop(None, body, counter)]
+        return [*bounds, Loop(None, body, counter)]
 
     def loop(self) -> list[Statement]:
         self.step()
@@ -348,20 +348,25 @@ class _Reader(Reader):
 
     def test(self) -> list[Statement]:
         self.step()
-        conditions, blocks, whole = [self.expression()], list[Block](), False
+        values, start = [self.expression()], self.start
+        conditions, blocks, whole = list[Expression](), list[Block](), False
         while self.is_word("case"):
             self.step()
-            conditions.append(self.expression())
+            values.append(self.expression())
             while self.text == ",":
                 self.step()
-                conditions.append(self.expression())
+                values.append(self.expression())
             self.take(":")
+            conditions.append(Items(tuple(values), False, start, self.end))
+            values = []
             blocks.append(self.block())
         if self.is_word("default"):
             self.step()
             self.take(":")
             blocks.append(self.block())
             whole = True
+        if values:  # there was no case
+            conditions.append(values[0])
         self.take("endtest")
         return [If(tuple(conditions), tuple(blocks), whole)]
 

@@ -13,9 +13,11 @@ from typing import NamedTuple
 
 from scipy.spatial.transform import Rotation
 
-from truearm.files.programs.dataflow import UNDECLARED, Flow, Key, calls_in
+from truearm.files.programs.dataflow import UNDECLARED, Flow
+from truearm.files.programs.environment import Key
 from truearm.files.programs.rapid import PASSED, Module
 from truearm.files.programs.syntax import Call, Expression, Form, Number, Source, Taught, Text, Truth, words
+from truearm.files.programs.tree_walks import calls_in
 from truearm.files.programs.values import (
     NOWHERE,
     Listed,
@@ -283,11 +285,15 @@ def analyse(source: Source, modules: Sequence[Module], frames: Mapping[str, Pose
     fields = {name: k for name, k in {**_FIELDS, **records}.items() if name not in clash}
     routines = [routine for module in modules for routine in module.routines]
     flow = Flow(source, Rapid(fields, frozenset(name.lower() for name in harmless)), routines)
-    for name, pose in {_TOOL: NOWHERE, _OBJECT: NOWHERE, **frames}.items():
+    for name, pose in {_TOOL: NOWHERE, _OBJECT: NOWHERE, DISPLACED: NOWHERE, **frames}.items():
         flow.environment.set((0, name), (pose,))
     begin: dict[str, Values] = {}
     for module in modules:
         for datum in module.data:
+            if datum.name in begin or datum.name in flow.routines:
+                raise source.wrong(
+                    datum.start, f"{datum.name} is declared twice in this file; put each module into a file of its own"
+                )
             if datum.value is None:
                 why = f"{datum.name} is declared without a value"
                 begin[datum.name] = (Unknown(why, datum.start),)
@@ -307,13 +313,13 @@ def analyse(source: Source, modules: Sequence[Module], frames: Mapping[str, Pose
         for routine in entries:
             flow.environment.layers.append({})
             flow.enter(routine, None, (), {})
-            way = flow.environment.layers.pop()
-            for (scope, name), values in way.items():
-                if scope == 0 and name in kept:
-                    before = flow.environment.get((0, name))
-                    after = joined(before, values)
-                    grown |= after != before
-                    flow.environment.set((0, name), after)
+            flow.environment.layers.pop()
+            for name in kept:
+                # all that it ever was: the run may be stopped anywhere, or ended by ExitCycle
+                before = flow.environment.get((0, name))
+                after = joined(before, tuple(record.get((0, name), ())))
+                grown |= after != before
+                flow.environment.set((0, name), after)
         if not grown:
             break
         if turn == MAX_ROUNDS - 2:
@@ -331,9 +337,9 @@ def analyse(source: Source, modules: Sequence[Module], frames: Mapping[str, Pose
 MAX_ROUNDS = 4
 
 
-def _assigned_elsewhere(modules: Sequence[Module]) -> frozenset[str]:
-    """Data that keep what one routine or run gave them for the next."""
-    return frozenset(datum.name for module in modules for datum in module.data if datum.kind != "const")
+def _assigned_elsewhere(modules: Sequence[Module]) -> tuple[str, ...]:
+    """Data that keep what one routine or run gave them for the next, in the order of the text; so does the displacement."""
+    return (*(datum.name for module in modules for datum in module.data if datum.kind != "const"), DISPLACED)
 
 
 def _target(value: Value, at: int) -> Value:

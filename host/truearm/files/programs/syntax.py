@@ -183,11 +183,12 @@ class Jump(NamedTuple):
 
 
 class Parameter(NamedTuple):
-    """Of a routine."""
+    """Of a routine. ``shared``: it is the variable that is given, not a copy."""
 
     name: str
     default: Expression | None = None
     optional: bool = False
+    shared: bool = False
 
 
 class Routine(NamedTuple):

@@ -127,6 +127,7 @@ QUIET = words(
 )
 OVERWRITES = frozenset(MOVES) | AIMLESS | {"set_tcp", "get_inverse_kin"}
 SIX = 6
+_WHERE_IT_IS = frozenset({"get_actual_joint_positions", "get_target_joint_positions"})
 TRACKED = "tracked conveyor"  # no name of a variable has a space
 
 
@@ -172,7 +173,7 @@ class UrScript(NamedTuple):
         if name == "struct":
             return (Fields(tuple(named), tuple(named.values())),)
         if name == "get_inverse_kin":
-            return _solved(flow, arguments, named, at)
+            return _solved(flow, call, arguments, named)
         if name == "make_list":
             return _made(arguments, named, at)
         if name in _PURE:
@@ -260,29 +261,42 @@ def _tool(value: Value, at: int) -> Value:
     return Unknown("the tool that set_tcp sets is known at run time only", at) if isinstance(found, Unknown) else found
 
 
-def _solved(flow: Flow, arguments: Sequence[Values], named: Mapping[str, Values], at: int) -> Values:
+def _solved(flow: Flow, call: Call, arguments: Sequence[Values], named: Mapping[str, Values]) -> Values:
+    at = call.start
     poses = arguments[0] if arguments else named.get("x", ())
     nears = arguments[1] if len(arguments) > 1 else named.get("qnear", ())
-    tools = named.get("tcp", arguments[4] if len(arguments) > 4 else ())
+    said = call.arguments[1] if len(arguments) > 1 else dict(call.named).get("qnear")
+    if isinstance(said, Call) and said.function in _WHERE_IT_IS:
+        nears = ()  # which is what the controller takes without qnear
+    given = named.get("tcp", arguments[4] if len(arguments) > 4 else ())
+    if not given or given == (Text("active_tcp"),):
+        tools = flow.get(TOOL) or ()
+    else:
+        tools = tuple(_tool(value, at) for value in given)
 
     def solved(pose: Value, near: Value, tool: Value) -> Value:
-        there = _as_pose(pose, at)
-        if isinstance(there, Unknown):
-            return there
-        joints: Taught | tuple[float, ...] | None
-        if isinstance(near, Taught):
-            joints = near if near.form is Form.JOINTS else None
-        else:
-            joints = numbers_of(near)
-            joints = joints if joints is not None and len(joints) == SIX else None
-        own = None
-        if not isinstance(tool, Truth | Text):
-            own = _tool(tool, at)
-            if isinstance(own, Unknown):
-                return own
-        return Solved(there, joints, own if isinstance(own, Pose) else None)
+        there, joints = _as_pose(pose, at), _near(near, at)
+        for one in (there, joints, tool):
+            if isinstance(one, Unknown):
+                return one
+        assert isinstance(there, Pose)
+        assert isinstance(tool, Pose)
+        assert not isinstance(joints, Unknown)
+        return Solved(there, joints, tool)
 
-    return combined(at, solved, [poses, nears or (Truth(False),), tools or (Truth(False),)])
+    return combined(at, solved, [poses, nears or (Truth(False),), tools])
+
+
+def _near(value: Value, at: int) -> Taught | tuple[float, ...] | Unknown | None:
+    """The joint readings of a qnear, None where there is none. They say which of the arm's configurations is meant."""
+    if isinstance(value, Truth):
+        return None
+    if isinstance(value, Solved):
+        return value.near
+    numbers = numbers_of(value)
+    if numbers is None or len(numbers) != SIX or (isinstance(value, Taught) and value.form is not Form.JOINTS):
+        return Unknown("its qnear is known at run time only, so that its configuration is not known", at)
+    return value if isinstance(value, Taught) else numbers
 
 
 def _as_pose(value: Value, at: int) -> Pose | Unknown:

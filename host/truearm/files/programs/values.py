@@ -67,11 +67,11 @@ class Pose(NamedTuple):
 
 
 class Solved(NamedTuple):
-    """The joints at which the tool has a pose, nearest to ``near``; ``tool`` where it is not the one in force."""
+    """The joints at which a tool has a pose, nearest to ``near``."""
 
     pose: Pose
     near: Taught | tuple[float, ...] | None
-    tool: Pose | None
+    tool: Pose
 
 
 class Goal(NamedTuple):

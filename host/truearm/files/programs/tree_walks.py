@@ -1,0 +1,101 @@
+"""What stands within the tree of a program: calls, names, statements and routines, and what a routine changes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+from truearm.files.programs.syntax import (
+    Assign,
+    Block,
+    Call,
+    Element,
+    Expression,
+    If,
+    Loop,
+    Name,
+    Number,
+    Routine,
+    Statement,
+    Taught,
+)
+
+
+def calls_in(node: object) -> Iterator[Call]:
+    """The calls in a block, a statement or an expression, but for those of routines that are defined there."""
+    if isinstance(node, Call):
+        yield node
+    if isinstance(node, tuple) and not isinstance(node, Number | Taught | Routine):
+        for inner in node:
+            yield from calls_in(inner)
+
+
+def names_in(node: object) -> Iterator[str]:
+    """The names of variables in a block, a statement or an expression."""
+    if isinstance(node, Name):
+        yield node.name
+    elif isinstance(node, tuple) and not isinstance(node, Number | Taught):
+        for inner in node:
+            yield from names_in(inner)
+
+
+def routines_in(block: Block) -> Iterator[Routine]:
+    """The routines that are defined in a block, not those within them."""
+    for statement in block:
+        if isinstance(statement, Routine):
+            yield statement
+        for inner in _blocks_of(statement):
+            yield from routines_in(inner)
+
+
+def statements_in(block: Block) -> Iterator[Statement]:
+    """The statements of a block and of the blocks in it, but for those of routines that are defined there."""
+    for statement in block:
+        yield statement
+        for inner in _blocks_of(statement):
+            yield from statements_in(inner)
+
+
+def _blocks_of(statement: Statement) -> Sequence[Block]:
+    """The blocks of a statement, but for a routine's."""
+    if isinstance(statement, If):
+        return statement.blocks
+    return (statement.body,) if isinstance(statement, Loop) else ()
+
+
+def root_of(target: Expression | None) -> str:
+    while isinstance(target, Element):
+        target = target.of
+    return target.name if isinstance(target, Name) else ""
+
+
+def assigns_parameters(routine: Routine) -> bool:
+    """Whether a routine may change a variable that is given to it; what it gives on to others counts."""
+    names = {one.name for one in routine.parameters}
+    assigned = {root_of(one.target) for one in statements_in(routine.body) if isinstance(one, Assign)}
+    given = {root_of(argument) for call in calls_in(routine.body) for argument in call.arguments}
+    return bool(names & (assigned | given))
+
+
+def reached_by(
+    routine: Routine, routines: Mapping[str, Routine], changed_by: Callable[[Call], Sequence[Expression]]
+) -> tuple[set[str], set[str]]:
+    """The names that a routine and those that it calls use, and those that they change."""
+    used, changed, found = set[str](), set[str](), {routine.name}
+    waiting = [routine]
+    while waiting:
+        one = waiting.pop()
+        used |= set(names_in((one.body, one.handlers)))
+        for block in (one.body, *one.handlers):
+            changed |= {
+                root_of(at.target) for at in statements_in(block) if isinstance(at, Assign) and at.scope != "local"
+            }
+        for call in calls_in((one.body, one.handlers)):
+            other = routines.get(call.function)
+            if other is None:
+                changed |= {root_of(argument) for argument in changed_by(call)}
+                continue
+            changed |= {root_of(argument) for argument in (*call.arguments, *(value for _, value in call.named))}
+            if other.name not in found:
+                found.add(other.name)
+                waiting.append(other)
+    return used, changed
