@@ -414,6 +414,16 @@ class Plan:
         return Plan(**{name: getattr(self, name)[rows] for name in self.columns()})
 
 
+def rms(values: Floats) -> float:
+    """Root mean square of all values; NaN of none."""
+    return float(np.sqrt(np.mean(np.square(values)))) if values.size else math.nan
+
+
+def rms_of_columns(values: Floats) -> Floats:
+    """Root mean square (k,) of each column of values (n, k)."""
+    return np.asarray(np.sqrt(np.mean(np.square(values), axis=0)))
+
+
 class Figures(NamedTuple):
     """RMS, mean and largest size of the residuals of n rows, in one SI unit; NaN of no rows.
 
@@ -439,7 +449,7 @@ class Figures(NamedTuple):
         size = np.abs(residual[~np.isnan(residual)])
         if not size.size:
             return cls(math.nan, math.nan, math.nan, 0)
-        return cls(float(np.sqrt(np.mean(size**2))), float(size.mean()), float(size.max()), size.size)
+        return cls(rms(size), float(size.mean()), float(size.max()), size.size)
 
     @classmethod
     def by_unit(cls, residuals: Residuals, rows: NDArray[Any] | slice = slice(None)) -> dict[str, Figures]:

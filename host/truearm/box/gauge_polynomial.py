@@ -28,7 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import legendre, polynomial
 
-from truearm.types import Floats
+from truearm.types import Floats, rms
 from truearm.units import INCH, NS, US
 
 MAX_ORDER = 7
@@ -54,7 +54,7 @@ class PolyFit:
 
     @property
     def press(self) -> float:
-        return float(np.sqrt(np.mean(self.left_out**2)))
+        return rms(self.left_out)
 
 
 def distinct_places(x: Floats) -> int:

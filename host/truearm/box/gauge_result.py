@@ -14,6 +14,7 @@ import numpy as np
 
 from truearm.errors import ConfigError, InputError
 from truearm.schema import raising
+from truearm.types import rms
 from truearm.units import UM
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ def _before(places: Sequence[Place], channel: Channel) -> float | None:
     if unit is None:
         return None
     left = _references(places) - unit.to_si(np.polynomial.polynomial.polyval(_readings(places), channel.poly))
-    return float(np.sqrt(np.mean(left**2)))
+    return rms(left)
 
 
 def with_calibration(

@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
 from truearm.files.programs.program import Refused
 from truearm.text import counted, one_line
-from truearm.types import Floats
+from truearm.types import Floats, rms_of_columns
 from truearm.units import DEG, MM
 from truearm.workflows.calibration import mounting_lines
 from truearm.workflows.correct import SHOWN, CorrectedFile
@@ -43,7 +41,7 @@ def lines(found: CorrectedFile) -> list[str]:
     rows = list(zip(found.places, done.before, done.after, strict=True))
     text += [f"{place:<10}{_cells(before, after)}" for place, before, after in rows[:SHOWN]]
     text += [f"and {len(rows) - SHOWN} more"] * (len(rows) > SHOWN)
-    before, after = (np.sqrt(np.mean(np.square(error), axis=0)) for error in (done.before, done.after))
+    before, after = map(rms_of_columns, (done.before, done.after))
     text.append(f"{'RMS':<10}{_cells(before, after)}")
     text.append("These errors are what the identified robot says; its own uncertainty comes on top.")
     return [*text, *found.warnings, *found.notes, f"Written: {one_line(str(found.out))}"]

@@ -23,7 +23,7 @@ from truearm.correct.inverse import within
 from truearm.correct.model_pair import ModelPair, believed, reached
 from truearm.errors import RobotError
 from truearm.model.chain import joint_frames, joint_jacobian, point_jacobians
-from truearm.types import Floats
+from truearm.types import Floats, rms
 
 SAMPLES = 100  # of each of the two joints: cells to begin with
 MOST_CELLS = 250_000
@@ -230,5 +230,5 @@ def best_region(
         (float(u[0] - half), float(u[-1] + half)),
         (float(v[0] - half), float(v[-1] + half)),
         float(largest[i, j]),
-        float(np.sqrt(np.mean(windows[i, j] ** 2))),
+        rms(windows[i, j]),
     )

@@ -49,6 +49,7 @@ from truearm.types import (
     ObservationTable,
     Residuals,
     WithOutliers,
+    rms,
 )
 from truearm.units import UNITS
 
@@ -245,7 +246,7 @@ def _moves(chain: Chain, x: Floats, there: Floats, q: Floats) -> float:
     """Distance [m] of the end's origin by the robot's parameters of x and by those of ``there``, RMS over the poses."""
     p = len(chain.parameters)
     apart = forward(chain, there[:p], q)[:, :3, 3] - forward(chain, x[:p], q)[:, :3, 3]
-    return float(np.sqrt((apart**2).sum(axis=1).mean()))
+    return rms(np.linalg.norm(apart, axis=1))
 
 
 def modelled_of(chain: Chain, rig: Rigs, table: ObservationTable, effects: Sequence[Effect]) -> list[Modelled]:

@@ -23,7 +23,7 @@ from truearm.plan.branch_inverse import pose_error
 from truearm.plan.collision_shapes import device_is_clear
 from truearm.plan.measurement_limits import Site, all_allowed, smallest_singular_value
 from truearm.plan.region import Region
-from truearm.types import Floats
+from truearm.types import Floats, rms_of_columns
 from truearm.units import MM
 
 STEPS = 6  # of Newton's method from one place to the next; the fourth is exact to rounding
@@ -181,5 +181,5 @@ def straightness(site: Site, q: Floats, along: Floats, point: Floats) -> float:
 def a_priori(site: Site, q: Floats, point: Floats) -> Floats:
     """(c,) [m] error to be expected on lines (c, n, j), RMS over their points, by the tolerances of ``weak_prior``."""
     chain = site.arm.chain
-    rms = tolerance_error(chain, weak_prior(chain), q.reshape(-1, q.shape[2]), point).rms
-    return np.asarray(np.sqrt((rms.reshape(q.shape[:2]) ** 2).mean(axis=1)))
+    error = tolerance_error(chain, weak_prior(chain), q.reshape(-1, q.shape[2]), point).rms
+    return rms_of_columns(error.reshape(q.shape[:2]).T)

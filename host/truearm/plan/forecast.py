@@ -30,7 +30,7 @@ from truearm.model.chain import Chain, point_forward, point_jacobians
 from truearm.model.robot import Robot
 from truearm.model.workspace import Branch, Capsules
 from truearm.plan.branch_inverse import Arm, make_arm
-from truearm.types import Defaults, Floats, NullDirection, ObservationTable, Plan, Rig
+from truearm.types import Defaults, Floats, NullDirection, ObservationTable, Plan, Rig, rms
 from truearm.units import UNITS
 
 
@@ -68,7 +68,7 @@ class Forecast:
     @property
     def cartesian_rms(self) -> float:
         """Over the region [m]; NaN where there is none."""
-        return float("nan") if self.cartesian is None else float(np.sqrt(np.mean(self.cartesian**2)))
+        return float("nan") if self.cartesian is None else rms(self.cartesian)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from truearm.model.chain import Chain
 from truearm.model.joint_law import TERMS
 from truearm.model.law_chain import DOWN, with_laws
 from truearm.plan.forecast import Known
-from truearm.types import Floats, ObservationTable
+from truearm.types import Floats, ObservationTable, rms
 
 TYPICAL = 2e-4  # rad, at each of the lengths
 TYPICAL_LENGTHS = (0.1, 0.2)  # rad
@@ -70,7 +70,7 @@ def curve_forecasts(known: Known, planned: ObservationTable) -> tuple[CurveForec
     curves = sampled_curves(whole, laws, np.zeros(n + added), covariance, lower, upper)
     for law, curve in zip(laws, curves, strict=True):
         unseen = curve.sigma > UNSEEN * whole_size
-        sigma = float(np.sqrt((curve.sigma[curve.covered] ** 2).mean()))
+        sigma = rms(curve.sigma[curve.covered])
         ends = float(lower[law.joint]), float(upper[law.joint])
         out.append(CurveForecast(curve.joint, ends, sigma, _spans(curve.readings, unseen & curve.covered)))
     return tuple(out)

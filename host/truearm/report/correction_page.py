@@ -15,7 +15,7 @@ from truearm.report.figures import Figure, drawn
 from truearm.report.page_parts import html_page, picture, pictures, section, sentences, table_of
 from truearm.report.page_tables import fact_list
 from truearm.report.page_text import ABSENT, escape, figures, number
-from truearm.types import Floats
+from truearm.types import Floats, rms
 from truearm.units import MM, MRAD
 
 MOST_ROWS = 400  # of a table; the JSON document has all
@@ -70,7 +70,7 @@ _MOVES = ("to", "from", "deviation [mm]", "nearest joint limit", "singular value
 def _summary(page: CorrectionPage) -> str:
     tiles = [
         ("shift, median", MM.of(float(np.median(page.sizes[:, 0]))), "mm", "of the commanded position", "old"),
-        ("error without correction, RMS", MM.of(float(np.sqrt(np.mean(page.before**2)))), "mm", "by the model", "val"),
+        ("error without correction, RMS", MM.of(rms(page.before)), "mm", "by the model", "val"),
         ("expected error, largest (k = 2)", MM.of(_largest(page.expected[:, 0])), "mm", _EXPECTED, "fit"),
     ]
     shown = "".join(

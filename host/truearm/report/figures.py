@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from truearm.kinds.registry import kinds
 from truearm.report import svg
 from truearm.report.page_text import figures, number
-from truearm.report.residual_rows import Rows, law_of, rms
+from truearm.report.residual_rows import Rows, law_of
 from truearm.text import counted
-from truearm.types import Estimate, Floats
+from truearm.types import Estimate, Floats, rms
 from truearm.units import shown, symbol, title
 
 MAX_TIPS = 3000  # points with a tooltip each (about 120 B); beyond, points are bare

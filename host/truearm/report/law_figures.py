@@ -8,6 +8,7 @@ from truearm.estimate.law_curves import SampledCurve, spectrum
 from truearm.report import svg
 from truearm.report.figures import Figure, drawn
 from truearm.report.page_text import figures
+from truearm.types import rms
 from truearm.units import DEG, MRAD
 
 
@@ -30,9 +31,8 @@ def _over_readings(curve: SampledCurve) -> Figure:
     for run in _runs(curve.covered):
         parts.append(svg.line(plot, x[run], inside[run], "fit line"))
     parts.append(svg.legend(plot, [("fit line", "covered"), ("law line", "outside"), ("old line", "±2σ")]))
-    rms = float(np.sqrt((y[curve.covered] ** 2).mean())) if curve.covered.any() else float("nan")
     caption = (
-        f"What the joint turns beyond offset and gain. RMS over the covered readings {figures(rms, 2)} mrad; "
+        f"What the joint turns beyond offset and gain. RMS over the covered readings {figures(rms(y[curve.covered]), 2)} mrad; "
         "outside of them the curve returns to zero and its band opens."
     )
     return drawn(plot, f"Error curve of {curve.joint}", caption, parts)

@@ -161,8 +161,3 @@ def law_of(rows: Rows) -> Law:
     if rows.signed:
         return Law(1, float(r.mean()), float(r.std(ddof=1)) if r.size > 1 else 0.0)
     return Law(rows.width, 0.0, float(np.sqrt(np.mean(r**2) / rows.width)))
-
-
-def rms(values: Floats) -> float:
-    """Of values of one unit; NaN of none."""
-    return Figures.of(values).rms

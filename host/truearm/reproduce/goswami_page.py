@@ -15,7 +15,7 @@ from truearm.report.reproduce_page import Chapter, Claim, Table
 from truearm.report.residual_rows import rows_by_kind
 from truearm.reproduce import goswami
 from truearm.reproduce.goswami import NOISE, Bench, Errors
-from truearm.types import Estimate, Floats
+from truearm.types import Estimate, Floats, rms
 from truearm.units import MM, UNITS
 
 TITLE = "Ball-bar calibration of a PUMA 560"
@@ -236,7 +236,7 @@ def _validation(made: Bench, runs: list[Errors], gears: list[tuple[float, float,
             "RMS on the 61 cm shells, noise alone",
             "mm",
             VALIDATION,
-            MM.of(float(np.sqrt(np.mean([r.far**2 for r in runs])))),
+            MM.of(rms(np.array([r.far for r in runs]))),
             theory,
             tolerance,
             "White noise of 0.084 mm cannot give the paper's 0.110 mm: 800 poses leave the parameters too little "

@@ -57,7 +57,7 @@ from truearm.session.device_clock import DeviceClock
 from truearm.session.joint_readings import UNNUMBERED, Bins, JointStream, parse_lines
 from truearm.session.message_columns import LATEST_NS, Ints, Messages
 from truearm.session.samples import ChannelBlocks, columns_in, extension, mean_variance, of_channels, railed
-from truearm.types import Floats
+from truearm.types import Floats, rms_of_columns
 
 # ----------------------------------------------------------------------------------------------------------------- legs
 
@@ -607,7 +607,7 @@ def _rows(
     passing = replace(passing, dropped=dict(Counter(why[why != ""].tolist()) + beyond))
     if kept.sum() < LEAST_ROWS:
         return _without_rows(passing, Counter(passing.dropped))
-    noise = np.sqrt(np.mean(rms[kept] ** 2, axis=0))
+    noise = rms_of_columns(rms[kept])
     leverage = np.stack([aside.leverage, along.leverage, aside.leverage], axis=1)[kept]
     own = noise**2 * np.minimum(leverage * correlation, 1.0)
     by_time = (_beside(along.rate, aside.rate)[kept] * passing.time_sigma_s) ** 2
@@ -619,7 +619,7 @@ def _rows(
         xyz=_beside(along.value, aside.value)[kept],
         xyz_sigma=np.sqrt(own + by_time),
         noise=noise,
-        q_noise=np.maximum(np.sqrt(np.mean(joints.rms[kept] ** 2, axis=0)), step / np.sqrt(12.0)),
+        q_noise=np.maximum(rms_of_columns(joints.rms[kept]), step / np.sqrt(12.0)),
         q_error=float(np.max(MISSED * joints.rms[kept] + 0.5 * step)),  # a joint that hardly moves stays on one step
         n_samples=int(along.n[kept].sum()),
     )

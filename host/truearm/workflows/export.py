@@ -18,7 +18,7 @@ from truearm.files.plan_file import read_plan
 from truearm.files.robot_file import MAX_BYTES, RobotChoice
 from truearm.model.chain import Chain
 from truearm.text import one_line
-from truearm.types import CurveKnots, Floats
+from truearm.types import CurveKnots, Floats, rms
 from truearm.units import MM
 from truearm.workflows.calibration import Calibration, check_names, mounting_lines, read_calibration
 from truearm.workflows.curve_table import curve_table, looks_like_curves
@@ -75,7 +75,7 @@ class ExportedRobot:
     @property
     def rms(self) -> float:
         """RMS [m] of the file's position error against the identified robot."""
-        return float(np.sqrt(np.mean(self.fitted.left**2)))
+        return rms(self.fitted.left)
 
     @property
     def largest(self) -> float:
@@ -102,7 +102,7 @@ def cost_lines(found: ExportedRobot) -> list[str]:
 
 
 def _of(error: Floats) -> str:
-    return f"{MM.text(np.sqrt(np.mean(error**2)), '.3f')} RMS ({MM.of(error.max()):.3f} at most)"
+    return f"{MM.text(rms(error), '.3f')} RMS ({MM.of(error.max()):.3f} at most)"
 
 
 def export_file(

@@ -29,7 +29,7 @@ from truearm.kinds.registry import regions as regions_of_kinds
 from truearm.model.chain import forward
 from truearm.report.systematic_words import systematic_sentences
 from truearm.text import counted, one_line
-from truearm.types import Figures, Floats, ObservationTable
+from truearm.types import Figures, Floats, ObservationTable, rms
 from truearm.units import MM, SUFFIXES, UNITS, Scale, key, shown, title
 from truearm.workflows.calibration import Calibration, covariance_of, read_calibration, unseen_of
 from truearm.workflows.inputs import Sources, check_files, hashed_inputs, observed
@@ -171,7 +171,7 @@ def validated(
         **{key("reference", si): _reference(calibration.stored.document, si) for si in errors},
         **_figure_entries(*figures),
         "placed": before is not raw,
-        **{key("rms_raw", si): _shown(_root_mean(raw.error[si][of.rows] ** 2), si) for si, of in errors.items()},
+        **{key("rms_raw", si): _shown(rms(raw.error[si][of.rows]), si) for si, of in errors.items()},
         "unseen": n_unseen,
         "expected": due_entries,
         **{key("unexplained", si): _shown(_unexplained(of, of.rows), si) for si, of in errors.items()},
