@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
 import cbor2
 
@@ -17,8 +17,8 @@ from truearm.record.fields import fields_of
 from truearm.record.frames import FrameSplitter, frame_seq, frame_type
 from truearm.record.links import Clock, Link
 from truearm.record.requests import Requests
-from truearm.session.box_frames import Data, Pages, data_of, decode, usual_data
-from truearm.session.box_ident import Ident, decode_ident
+from truearm.session.box_frames import Data, Pages, data_frame
+from truearm.session.box_ident import Ident, decode_ident, load_document
 from truearm_wire import messages as wire
 from truearm_wire.cbor import CborError, encode
 
@@ -30,8 +30,6 @@ CONFIG_PAGES_MAX = 16  # that a box takes
 MAX_WAITING = 20_000  # frames that nobody fetched; the oldest go
 _READ_S = 0.05
 _SEQ_MASK, _SEQ_HALF = 2**32 - 1, 2**31
-_DEPTH = 16
-_REFERENCES = (25, 28, 29, 256)  # tags by which a short document would stand for an endless one
 
 NAMES = {
     wire.IDENTIFY: "identify",
@@ -148,8 +146,7 @@ class BoxControl:
 
     def _document(self, data: bytes, what: str) -> dict[str, Any]:
         try:
-            refused = dict.fromkeys(_REFERENCES, _refuse)
-            document = cbor2.loads(data, max_depth=_DEPTH, allow_indefinite=False, semantic_decoders=refused)
+            document = load_document(data)
         except cbor2.CBORError as exc:
             raise ProtocolError(f"{self._link.name}: the box's {what} cannot be decoded ({exc})") from exc
         if not isinstance(document, dict) or not all(isinstance(key, str) for key in document):
@@ -194,7 +191,7 @@ class BoxControl:
         kind = frame_type(payload)
         self._count(frame_seq(payload))
         if kind == wire.DATA:
-            data = usual_data(payload) or _unusual_data(payload)
+            data = data_frame(payload)
             if data is not None:
                 self._waiting.append(Sent(t_host_ns, kind, data, {}))
             return
@@ -229,12 +226,3 @@ class BoxControl:
         if document is not None:
             self.ident = decode_ident(document)
             self._identified = fields["req_id"]
-
-
-def _unusual_data(payload: bytes) -> Data | None:
-    elements = decode(payload)
-    return None if elements is None else data_of(elements)
-
-
-def _refuse(_: object) -> NoReturn:
-    raise ValueError("references are not on this wire")

@@ -24,7 +24,7 @@ from scipy import special
 
 from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import held_as_frames, mounting
-from truearm.estimate.identifiability import identifiability, not_told, suggested_free
+from truearm.estimate.identifiability import identifiability, not_told, spread, suggested_free
 from truearm.estimate.information import RANK_TOLERANCE, observe, with_prior
 from truearm.estimate.prior import weak_prior, wide_prior
 from truearm.estimate.problem import Problem, Rigs, build_problem, settled
@@ -120,7 +120,7 @@ def _weak_where_needed(problem: Problem, x: Floats, free: Mask, unit: Floats, mo
     found = fit(replace(problem, prior_sigma=everywhere), columns, x, Options(PRELIMINARY))
     misfit = _usual_misfit(problem, found.x, columns)
     root = _root(problem, found.x, free) / misfit
-    needed = _spread(not_told(root, n, unit[free], least=RANK_TOLERANCE), free) & ~mounted
+    needed = spread(not_told(root, n, unit[free], least=RANK_TOLERANCE), free) & ~mounted
     return np.where(needed, unit / misfit, np.inf)
 
 
@@ -178,7 +178,7 @@ def _seen_by_moving_only(
     roots = [_root(build_problem(chain, rig, replace(table, q=q)), x, free) for q in (standing, moving)]
     kept = suggested_free(roots[0], n, ((~own | named)[free]))
     told = suggested_free(roots[1], n, kept, taken=kept)
-    return _spread(told & ~kept, free) & ~named
+    return spread(told & ~kept, free) & ~named
 
 
 def _root(problem: Problem, x: Floats, free: Mask) -> Floats:
@@ -187,9 +187,3 @@ def _root(problem: Problem, x: Floats, free: Mask) -> Floats:
     sigma = np.where(np.arange(problem.start.size) < free.size, np.inf, problem.prior_sigma)[columns]
     seen = observe(settled(problem, x), x, columns)
     return with_prior(seen, np.zeros(sigma.size), sigma).root
-
-
-def _spread(flags: Mask, columns: Mask) -> Mask:
-    out = np.zeros(columns.size, dtype=bool)
-    out[columns] = flags
-    return out

@@ -198,3 +198,10 @@ def _directions(
         weights = weights / weights[np.argmax(np.abs(weights))]
         out.append(NullDirection(tuple(names[i] for i in part), tuple(float(w) for w in weights)))
     return tuple(out)
+
+
+def spread(flags: NDArray[np.bool_], columns: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Flags of some columns among all: ``flags`` (k,) of the k that ``columns`` (p,) names, False elsewhere (p,)."""
+    out = np.zeros(columns.size, dtype=bool)
+    out[columns] = flags
+    return out

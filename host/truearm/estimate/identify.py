@@ -20,6 +20,7 @@ from truearm.estimate.identifiability import (
     hardly_told,
     identifiability,
     observability,
+    spread,
     suggested_free,
     told_apart,
 )
@@ -162,7 +163,7 @@ def identify(
         wrong = replace(wrong, moves=_moves(chain, x, x + wrong.shift, table.q[fitted]))
     pose = poses(table.select(fitted))
     distance, beyond = standardised(problem, x, columns, half(parts), found.weight)
-    identifiable = _spread(sight.identifiable & ~np.isin(names, untimed), columns)
+    identifiable = spread(sight.identifiable & ~np.isin(names, untimed), columns)
     matrix = np.zeros((x.size, x.size))
     # Robust losses and the solvers that read the noise from the residuals have it in their covariance.
     as_declared = options.loss == Loss.LINEAR and not SOLVERS[options.solver].reads_noise
@@ -211,9 +212,9 @@ def identify(
         chi2_freedom=fit_quality.freedom,
         distance=_merge(distance, np.nan, fitted, held),
         weight=_merge(found.weight, np.nan, fitted, held),
-        suspect=_spread(beyond, fitted),
+        suspect=spread(beyond, fitted),
         observability=observability(data.root, int(free.sum()), suggested, unit, data.n_residuals),
-        suggested_free=_spread(suggested, free),
+        suggested_free=spread(suggested, free),
         hardly_seen=(*weak, *(NullDirection((name,), (1.0,)) for name in untimed)),
         additions=additions(chain, rig, table.select(fitted), names, data.root, known, *wanting),
         systematic=wrong,
@@ -349,12 +350,6 @@ def _mask(name: str, mask: NDArray[np.bool_] | None, size: int, default: bool) -
 
 def rms_of(residual: Residuals) -> dict[str, float]:
     return {unit: figures.rms for unit, figures in Figures.by_unit(residual).items()}
-
-
-def _spread(flags: NDArray[np.bool_], columns: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    out = np.zeros(columns.size, dtype=bool)
-    out[columns] = flags
-    return out
 
 
 def merged(fitted: Residuals, held_out: Residuals, rows: NDArray[np.bool_], held: NDArray[np.bool_]) -> Residuals:

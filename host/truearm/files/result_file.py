@@ -11,7 +11,7 @@ import hashlib
 import json
 import math
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,6 +23,7 @@ from truearm import __version__
 from truearm.errors import InputError
 from truearm.files.disk import read_text, sha256, write_atomic
 from truearm.files.law_document import LAWS, law_document
+from truearm.files.strict_json import number_or_null, numbers_or_null, shown_or_null
 from truearm.schema import Choice, Flag, Key, List, ReadOnly, SchemaError, Table, Text, Value, quoted, raising
 from truearm.types import (
     Defaults,
@@ -43,7 +44,7 @@ from truearm.types import (
     SystematicError,
     SystematicErrors,
 )
-from truearm.units import UNITS, key, shown
+from truearm.units import UNITS, key
 
 FORMAT = "truearm-result"
 FORMAT_VERSION = 3
@@ -152,12 +153,12 @@ def document_of(
         "observations": _counts(estimate, table, units),
         "n_free": int(estimate.free[: estimate.n_robot_parameters].sum()),
         "rank": estimate.rank,
-        "rank_gap": _number(estimate.rank_gap),
+        "rank_gap": number_or_null(estimate.rank_gap),
         "free": names[estimate.free].tolist(),
         "defaults": _defaults(defaults),
         "suggested_free": names[np.flatnonzero(estimate.suggested_free)].tolist(),
-        "null_space": [{"names": list(d.names), "weights": _numbers(d.weights)} for d in estimate.null_space],
-        "hardly_seen": [{"names": list(d.names), "weights": _numbers(d.weights)} for d in estimate.hardly_seen],
+        "null_space": [{"names": list(d.names), "weights": numbers_or_null(d.weights)} for d in estimate.null_space],
+        "hardly_seen": [{"names": list(d.names), "weights": numbers_or_null(d.weights)} for d in estimate.hardly_seen],
         "observability": _observability(estimate.observability),
         "additions": [_lists(addition._asdict()) for addition in estimate.additions],
         "relabellings": [_relabelling(r, table) for r in estimate.relabellings],
@@ -172,10 +173,12 @@ def document_of(
         **_by_unit("rms_declared", {si: of.declared for si, of in estimate.parts.items()}, units),
         **_by_unit("rms_unexplained", {si: of.unexplained for si, of in estimate.parts.items()}, units),
         "pose_error": _pose_error(estimate.pose_error),
-        **{key("rms_history", si): [_shown(rms, si) for rms in estimate.rms_history.get(si, ())] for si in units},
-        "chi2_reduced": _number(estimate.chi2_reduced),
-        "chi2_band": _numbers(estimate.chi2_band),
-        "chi2_freedom": _number(estimate.chi2_freedom),
+        **{
+            key("rms_history", si): [shown_or_null(rms, si) for rms in estimate.rms_history.get(si, ())] for si in units
+        },
+        "chi2_reduced": number_or_null(estimate.chi2_reduced),
+        "chi2_band": numbers_or_null(estimate.chi2_band),
+        "chi2_freedom": number_or_null(estimate.chi2_freedom),
         "suspect": _suspects(estimate, table),
         **systematic_entries(estimate.systematic, table),
         "unexplained": _unexplained(estimate),
@@ -189,7 +192,7 @@ def document_of(
         "covariance": {
             "names": names[estimate.free].tolist(),
             "units": np.array(estimate.units)[estimate.free].tolist(),
-            "matrix": [_numbers(row) for row in estimate.covariance[np.ix_(estimate.free, estimate.free)]],
+            "matrix": [numbers_or_null(row) for row in estimate.covariance[np.ix_(estimate.free, estimate.free)]],
         },
     }
     return with_checksum(document)
@@ -214,7 +217,7 @@ def _joint_range(q: Floats) -> dict[str, list[float]]:
 
 def _defaults(defaults: Defaults) -> dict[str, Any]:
     names = {name: list(getattr(defaults, name)) for name in ("base", "tool", "lost", "believed")}
-    frames = [{"names": list(d.names), "weights": _numbers(d.weights)} for d in defaults.frames]
+    frames = [{"names": list(d.names), "weights": numbers_or_null(d.weights)} for d in defaults.frames]
     return {**names, "frames": frames, "still": [joint._asdict() for joint in defaults.still]}
 
 
@@ -226,7 +229,7 @@ def residual_units(estimate: Estimate) -> list[str]:
 
 def _by_unit(name: str, values: Mapping[str, float], units: Sequence[str]) -> dict[str, float | None]:
     """A number of each unit, in the unit that a person sees, which ends its key; None where there is none."""
-    return {key(name, si): _shown(values.get(si, math.nan), si) for si in units}
+    return {key(name, si): shown_or_null(values.get(si, math.nan), si) for si in units}
 
 
 def _counts(estimate: Estimate, table: ObservationTable, units: Sequence[str]) -> list[dict[str, Any]]:
@@ -258,9 +261,9 @@ def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
         {
             "name": name,
             "unit": estimate.units[i],
-            "nominal": _number(estimate.nominal[i]),
-            "value": _number(estimate.value[i]),
-            "sigma": _number(estimate.sigma[i]) if estimate.free[i] and estimate.identifiable[i] else None,
+            "nominal": number_or_null(estimate.nominal[i]),
+            "value": number_or_null(estimate.value[i]),
+            "sigma": number_or_null(estimate.sigma[i]) if estimate.free[i] and estimate.identifiable[i] else None,
             "free": bool(estimate.free[i]),
             "seen": bool(estimate.free[i] and estimate.identifiable[i]),
             **({"law": True} if i in estimate.law_parameters else {}),
@@ -271,7 +274,7 @@ def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
 
 
 def _observability(indices: Observability | None) -> dict[str, float | None] | None:
-    return None if indices is None else {name: _number(value) for name, value in indices._asdict().items()}
+    return None if indices is None else {name: number_or_null(value) for name, value in indices._asdict().items()}
 
 
 def _lists(record: Mapping[str, Any]) -> dict[str, Any]:
@@ -284,8 +287,8 @@ def _relabelling(relabelling: Relabelling, table: ObservationTable) -> dict[str,
         "columns": list(relabelling.columns),
         "was": list(relabelling.was),
         "fits": list(relabelling.fits),
-        "rms_before_mm": _shown(relabelling.rms_before, "m"),
-        "rms_after_mm": _shown(relabelling.rms_after, "m"),
+        "rms_before_mm": shown_or_null(relabelling.rms_before, "m"),
+        "rms_after_mm": shown_or_null(relabelling.rms_after, "m"),
     }
 
 
@@ -295,9 +298,9 @@ def _explanation(one: Explanation) -> dict[str, Any]:
         "text": one.text,
         "apply": {"leave_out": one.apply} if one.apply else None,
         "n": one.n,
-        **{key("rms_given", si): _shown(rms, si) for si, rms in one.rms_given.items()},
-        **{key("rms", si): _shown(rms, si) for si, rms in one.rms.items()},
-        "chance": _number(one.chance),
+        **{key("rms_given", si): shown_or_null(rms, si) for si, rms in one.rms_given.items()},
+        **{key("rms", si): shown_or_null(rms, si) for si, rms in one.rms.items()},
+        "chance": number_or_null(one.chance),
     }
 
 
@@ -312,7 +315,7 @@ def _unexplained(estimate: Estimate) -> dict[str, Any] | None:
         return None
     out: dict[str, Any] = {"by": "cross-validation"}
     for si, error in estimate.unexplained.items():
-        out |= {key(name, si): _shown(getattr(error, name), si) for name in ("mean", "low", "high")}
+        out |= {key(name, si): shown_or_null(getattr(error, name), si) for name in ("mean", "low", "high")}
         out |= {key("n", si): error.n}
         if error.held_out:
             out["by"] = "held out"
@@ -323,7 +326,7 @@ def _pose_error(error: PoseError | None) -> dict[str, Any] | None:
     """What the rows of one pose share beyond chance."""
     if error is None:
         return None
-    return {"sigma_mm": _shown(error.sigma, "m"), "row_variance": _number(error.row), "n": error.n}
+    return {"sigma_mm": shown_or_null(error.sigma, "m"), "row_variance": number_or_null(error.row), "n": error.n}
 
 
 def _with_outliers(estimate: Estimate, units: Sequence[str]) -> dict[str, Any] | None:
@@ -334,9 +337,9 @@ def _with_outliers(estimate: Estimate, units: Sequence[str]) -> dict[str, Any] |
     return {
         "n": every.n,
         **_by_unit("rms_after", every.rms_after, units),
-        "chi2_reduced": _number(every.chi2_reduced),
+        "chi2_reduced": number_or_null(every.chi2_reduced),
         "names": list(estimate.parameter_names),
-        "value": _numbers(every.value),
+        "value": numbers_or_null(every.value),
     }
 
 
@@ -346,8 +349,8 @@ def _suspects(estimate: Estimate, table: ObservationTable) -> list[dict[str, Any
     return [
         {
             "source": _source(table, int(row)),
-            "distance": _number(estimate.distance[row]),
-            "weight": _number(estimate.weight[row]),
+            "distance": number_or_null(estimate.distance[row]),
+            "weight": number_or_null(estimate.weight[row]),
         }
         for row in rows[np.argsort(-estimate.distance[rows], kind="stable")]
     ]
@@ -358,9 +361,9 @@ def systematic_entries(found: SystematicErrors | None, table: ObservationTable) 
     if found is None:
         return {"systematic": [], "without_systematic": None}
     would_be = {
-        "chi2_reduced": _number(found.chi2_reduced),
-        "tool_moves_mm": _shown(found.moves, "m"),
-        "held_out_ratio": _number(found.held_out_ratio),
+        "chi2_reduced": number_or_null(found.chi2_reduced),
+        "tool_moves_mm": shown_or_null(found.moves, "m"),
+        "held_out_ratio": number_or_null(found.held_out_ratio),
     }
     return {"systematic": [_systematic(one, table) for one in found.found], "without_systematic": would_be}
 
@@ -375,12 +378,15 @@ def _systematic(found: SystematicError, table: ObservationTable) -> dict[str, An
         "from": _source(table, first),
         "to": _source(table, last - 1),
         "unit": found.unit or None,
-        "size": _number(found.size),
-        "sigma": _number(found.sigma),
-        "off_by": [{**of._asdict(), "value": _number(of.value), "sigma": _number(of.sigma)} for of in found.off_by],
-        "chi2_drop": _number(found.drop),
+        "size": number_or_null(found.size),
+        "sigma": number_or_null(found.sigma),
+        "off_by": [
+            {**of._asdict(), "value": number_or_null(of.value), "sigma": number_or_null(of.sigma)}
+            for of in found.off_by
+        ],
+        "chi2_drop": number_or_null(found.drop),
         "freedom": found.freedom,
-        "chance": _number(found.chance),
+        "chance": number_or_null(found.chance),
         "rivals": list(found.rivals),
         "apply": {"leave_out": f"{first + 1}:{last}"} if effect is None else {"allow": str(effect)},
     }
@@ -405,25 +411,12 @@ def _predicted(predicted: PredictedError | None) -> dict[str, Any] | None:
     if predicted is None:
         return None
     return {
-        "rms_mm": _shown(predicted.rms, "m"),
-        "max_mm": _shown(predicted.largest, "m"),
+        "rms_mm": shown_or_null(predicted.rms, "m"),
+        "max_mm": shown_or_null(predicted.largest, "m"),
         "at": Path(predicted.source).name,
         "n": predicted.n,
         "relative": predicted.relative,
     }
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
-
-
-def _numbers(values: Iterable[float]) -> list[float | None]:
-    return [_number(value) for value in values]
-
-
-def _shown(value: float, si: str) -> float | None:
-    """In the unit that a person sees."""
-    return _number(shown(value, si))
 
 
 def format_document(value: Any, indent: int = 0) -> str:

@@ -4,7 +4,25 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterable
 from typing import Any
+
+from truearm.units import shown
+
+
+def number_or_null(value: Any) -> float | None:
+    """Return a number for JSON, None where it is not finite."""
+    return float(value) if math.isfinite(value) else None
+
+
+def numbers_or_null(values: Iterable[Any]) -> list[float | None]:
+    """Return numbers for JSON, None for each that is not finite."""
+    return [number_or_null(value) for value in values]
+
+
+def shown_or_null(value: Any, si: str) -> float | None:
+    """Return a value in SI for JSON, in the unit that a person sees; None where it is not finite."""
+    return number_or_null(shown(value, si))
 
 
 def without_nan(value: Any) -> Any:

@@ -24,7 +24,7 @@ from truearm.record.probes import Probes
 from truearm.record.session_schemas import PREVIEW
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
-from truearm.session.box_frames import Data, Pages, data_of, decode, too_many, usual_data
+from truearm.session.box_frames import Data, Pages, data_frame, too_many, usual_data
 from truearm.session.box_ident import Ident, decode_ident
 from truearm.session.samples import shown, with_ratios
 from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, IDENT, REPLY, SYNC_REPLY
@@ -116,7 +116,7 @@ class Intake:
         data = usual_data(payload)
         kind = DATA if data is not None else frame_type(payload)
         if kind == DATA:
-            self._take_data(t_host_ns, payload, data or _unusual_data(payload))
+            self._take_data(t_host_ns, payload, data or data_frame(payload))
             return
         self.writer.add(_topic(kind), t_host_ns, payload)
         self._count(t_host_ns, frame_seq(payload))
@@ -233,8 +233,3 @@ def _check_same(before: Ident, now: Ident) -> None:
 
 def _topic(kind: int | None) -> str:
     return "/box/other" if kind is None else _TOPICS.get(kind, "/box/other")
-
-
-def _unusual_data(payload: bytes) -> Data | None:
-    frame = decode(payload)
-    return None if frame is None else data_of(frame)

@@ -281,31 +281,17 @@ def _why_not_open(name: str, exc: Exception) -> str:
     return f"{name}: {hint}" if hint else f"{name}: cannot be opened ({exc})"
 
 
-class TcpLink:
-    """A robot's stream behind ``tcp://host:port``; ``name`` is what errors call it, the url by default."""
+class SocketLink:
+    """A socket that a thread reads; it hands out what the ``_receive`` of its kind returns."""
 
-    def __init__(self, url: str, clock: Clock, name: str | None = None) -> None:
-        self.name = name or url
+    def __init__(self, name: str, clock: Clock, opened: socket.socket) -> None:
+        self.name = name
         self._clock = clock
-        address = host_and_port(url, "tcp")
-        try:
-            self._socket = socket.create_connection(address, timeout=_CONNECT_TIMEOUT_S)
-        except OSError as exc:
-            raise LinkError(_why_not_open(self.name, exc)) from exc
-        self._socket.settimeout(_WRITE_TIMEOUT_S)
-        _notice_silence(self._socket)
+        self._socket = opened
         self._reader = Reader(self._receive, clock)
 
     def read(self, timeout_s: float) -> Arrivals:
         return self._reader.read(timeout_s)
-
-    def write(self, data: bytes) -> int:
-        t_host_ns = self._clock.now_ns()
-        try:
-            self._socket.sendall(data)
-        except OSError as exc:
-            raise LinkError(f"{self.name}: the robot was lost ({exc})") from exc
-        return t_host_ns
 
     @property
     def backlog(self) -> Backlog:
@@ -315,6 +301,31 @@ class TcpLink:
     def close(self) -> None:
         self._reader.stop()
         self._socket.close()
+
+    def _receive(self) -> bytes:
+        raise NotImplementedError
+
+
+class TcpLink(SocketLink):
+    """A robot's stream behind ``tcp://host:port``; ``name`` is what errors call it, the url by default."""
+
+    def __init__(self, url: str, clock: Clock, name: str | None = None) -> None:
+        address = host_and_port(url, "tcp")
+        try:
+            connection = socket.create_connection(address, timeout=_CONNECT_TIMEOUT_S)
+        except OSError as exc:
+            raise LinkError(_why_not_open(name or url, exc)) from exc
+        connection.settimeout(_WRITE_TIMEOUT_S)
+        _notice_silence(connection)
+        super().__init__(name or url, clock, connection)
+
+    def write(self, data: bytes) -> int:
+        t_host_ns = self._clock.now_ns()
+        try:
+            self._socket.sendall(data)
+        except OSError as exc:
+            raise LinkError(f"{self.name}: the robot was lost ({exc})") from exc
+        return t_host_ns
 
     def _receive(self) -> bytes:
         try:

@@ -67,6 +67,11 @@ def usual_data(payload: bytes) -> Data | None:
     return Data(seq, stream, n0, t0_us, period_ns, b"", payload[_USUAL.size : -1], flags)
 
 
+def data_frame(payload: bytes) -> Data | None:
+    """A data frame of any layout; None if it is not one."""
+    return usual_data(payload) or (None if (frame := decode(payload)) is None else data_of(frame))
+
+
 def decode(payload: bytes) -> list[Any] | None:
     """The elements of a payload; None if it is not [type, seq, …]."""
     if len(payload) > MAX_PAYLOAD:
@@ -449,7 +454,7 @@ def heartbeat_values(elements: list[Any]) -> list[int] | None:
 
 
 def _usual_data(messages: Messages, begin: Ints, end: Ints) -> NDArray[np.bool_]:
-    """Which payloads are data frames of the usual layout (``data_frames.usual_data``)."""
+    """Which payloads are data frames of the usual layout (``usual_data``)."""
     head = heads(messages.data, begin, _DATA)
     size = end - begin
     usual = (head["begin"] == 0x88) & (head["type"] == wire.DATA) & (head["mark"] == _UINT32)

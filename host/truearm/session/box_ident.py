@@ -95,12 +95,17 @@ class _Wrong(ValueError):
 
 def decode_ident(data: bytes) -> Ident:
     """The ident document as a box sends it. Raises ProtocolError as ``parse_ident`` does."""
-    references = dict.fromkeys(_REFERENCES, _refuse)
     try:
-        document = cbor2.loads(data, max_depth=_MAX_DEPTH, allow_indefinite=False, semantic_decoders=references)
+        document = load_document(data)
     except cbor2.CBORError as exc:
         raise ProtocolError(f"the box's description of itself cannot be decoded ({exc}); update its firmware") from exc
     return parse_ident(document)
+
+
+def load_document(data: bytes) -> Any:
+    """A document of the box, without references, which are not on this wire. Raises cbor2.CBORError."""
+    references = dict.fromkeys(_REFERENCES, _refuse)
+    return cbor2.loads(data, max_depth=_MAX_DEPTH, allow_indefinite=False, semantic_decoders=references)
 
 
 def parse_ident(document: object) -> Ident:

@@ -12,6 +12,7 @@ import numpy as np
 from truearm.errors import Argument, InputError
 from truearm.files.result_file import StoredResult, read_result
 from truearm.files.robot_file import RobotChoice, is_urdf, load_robot
+from truearm.files.strict_json import number_or_null
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import Chain
 from truearm.model.law_chain import robot_with_laws
@@ -108,7 +109,7 @@ class Calibration:
                 unit,
                 float(nominal),
                 float(value),
-                float(sigma) if np.isfinite(sigma) else None,
+                number_or_null(sigma),
                 bool(free),
                 "robot" if robot else "rig",
             )

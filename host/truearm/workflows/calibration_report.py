@@ -11,6 +11,7 @@ import numpy as np
 from truearm.estimate.law_curves import SampledCurve, sampled_curves
 from truearm.estimate.problem import Rigs
 from truearm.files.disk import write_atomic
+from truearm.files.strict_json import number_or_null
 from truearm.kinds.registry import kinds
 from truearm.model.chain import Chain
 from truearm.types import Estimate, Floats, ObservationTable, Rig
@@ -95,9 +96,7 @@ def _timing(estimate: Estimate) -> list[str]:
 
     sigma = np.where(np.isfinite(estimate.sigma), estimate.sigma, np.nan)
     return [
-        time_offset(
-            estimate.parameter_names[i], float(estimate.value[i]), None if np.isnan(sigma[i]) else float(sigma[i])
-        )
+        time_offset(estimate.parameter_names[i], float(estimate.value[i]), number_or_null(sigma[i]))
         for i in np.flatnonzero(estimate.free & (np.array(estimate.units) == "s"))
     ]
 

@@ -16,6 +16,7 @@ from truearm.correct.model_pair import ModelPair, believed, reached
 from truearm.correct.straight_moves import StraightMoves, limit_margins
 from truearm.estimate.prediction import ParametersKnown, end_sigmas
 from truearm.files.programs.program import Refused
+from truearm.files.strict_json import number_or_null
 from truearm.model.poses import apart, inverted, position_and_rotation
 from truearm.text import counted, listed
 from truearm.types import Floats
@@ -199,11 +200,11 @@ def _target_entries(found: Findings, units: Sequence[str]) -> list[dict[str, Any
             "before": _pose_entry(poses[0][i], done.q_nominal[i], units),
             "after": _pose_entry(poses[1][i], done.q[i], units),
             "shift_mm": float(MM.of(found.shift[i, 0])),
-            "shift_mrad": _finite(MRAD.of(found.shift[i, 1])),
+            "shift_mrad": number_or_null(MRAD.of(found.shift[i, 1])),
             "error_before_mm": float(MM.of(found.before[i])),
             "error_after_mm": float(MM.of(found.after[i])),
-            "expected_mm": _finite(MM.of(found.expected[i, 0])),
-            "expected_mrad": _finite(MRAD.of(found.expected[i, 1])),
+            "expected_mm": number_or_null(MM.of(found.expected[i, 0])),
+            "expected_mrad": number_or_null(MRAD.of(found.expected[i, 1])),
             **_limit_entry(found.limits[i], units),
             "singular_value": float(found.singular_value[i]),
             "outside": None if found.outside is None else [int(j) + 1 for j in np.flatnonzero(found.outside[i])],
@@ -245,10 +246,6 @@ def _move_entries(moves: CorrectedMoves, units: Sequence[str]) -> list[dict[str,
         }
         for place, start, deviation, singular, limits, drivable in columns
     ]
-
-
-def _finite(value: Any) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def _several(places: Sequence[str]) -> str:

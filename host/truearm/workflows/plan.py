@@ -16,6 +16,7 @@ from truearm.files.disk import check_writable, write_atomic
 from truearm.files.plan_file import looks_like_plan, write_plan
 from truearm.files.rig_file import looks_like_rig, read_rig, write_rig
 from truearm.files.robot_file import RobotChoice, load_robot
+from truearm.files.strict_json import number_or_null
 from truearm.model.robot import Robot
 from truearm.model.workspace import Branch
 from truearm.plan.approaches import ApproachesWanted, plan_approaches
@@ -404,10 +405,6 @@ def _write_programs(
 
 def _document(forecast: Forecast) -> dict[str, Any]:
     """The forecast as it is printed and as JSON has it."""
-
-    def number(value: float) -> float | None:
-        return float(value) if np.isfinite(value) else None
-
     return {
         "rows": forecast.n_rows,
         "rank": forecast.rank,
@@ -416,13 +413,13 @@ def _document(forecast: Forecast) -> dict[str, Any]:
         "null_space": [dict(zip(d.names, d.weights, strict=True)) for d in forecast.null_space],
         "hardly_seen": [dict(zip(d.names, d.weights, strict=True)) for d in forecast.hardly_seen],
         "parameters": [
-            {"name": name, "unit": unit, "sigma": number(sigma)}
+            {"name": name, "unit": unit, "sigma": number_or_null(sigma)}
             for name, unit, sigma, free in zip(
                 forecast.names, forecast.units, forecast.sigma, forecast.free, strict=True
             )
             if free
         ],
-        "cartesian_rms_mm": number(MM.of(forecast.cartesian_rms)),
+        "cartesian_rms_mm": number_or_null(MM.of(forecast.cartesian_rms)),
         "cartesian_worst_mm": None if forecast.cartesian is None else MM.of(float(forecast.cartesian.max())),
         "cartesian_relative": forecast.relative,
     }

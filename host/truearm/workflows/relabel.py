@@ -17,6 +17,7 @@ from truearm.estimate.mountings import BORNE_OUT, FITS, SURE, Mountings, Reading
 from truearm.files.labels_file import Decision, no_labels, read_labels, with_decision, write_labels
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import RobotChoice, load_robot
+from truearm.files.strict_json import number_or_null
 from truearm.session.dwell_labels import Pairing, Said, label_of, may_be_dwells, pairing_of, said_of_dwells
 from truearm.types import BAR_MOUNTED, DwellLabel, Rig
 from truearm.workflows.session_observations import attached_rig
@@ -287,7 +288,7 @@ def _row(part: Part, k: int, label: DwellLabel, readings: Readings, at: int) -> 
         "dwell": part.good[k] + 1,
         "pose": label.pose,
         **{key: label.mounted.get(key) for key in BAR_MOUNTED},
-        "probability": None if np.isnan(label.probability) else label.probability,
+        "probability": number_or_null(label.probability),
         "reading": bool(readings.read[at]),
         "planned": [" ".join(one) for one in said.planned],
         "confirmed": None if said.confirmed is None else " ".join(said.confirmed),

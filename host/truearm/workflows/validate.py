@@ -25,12 +25,13 @@ from truearm.estimate.problem import Rigs
 from truearm.estimate.validation import Expected, Judgement, consistency, expected, judge
 from truearm.files.result_file import Input, systematic_entries
 from truearm.files.robot_file import RobotChoice
+from truearm.files.strict_json import shown_or_null
 from truearm.kinds.registry import regions as regions_of_kinds
 from truearm.model.chain import forward
 from truearm.report.systematic_words import systematic_sentences
 from truearm.text import counted, one_line
 from truearm.types import Figures, Floats, ObservationTable, rms
-from truearm.units import MM, SUFFIXES, UNITS, Scale, key, shown, title
+from truearm.units import MM, SUFFIXES, UNITS, Scale, key, title
 from truearm.workflows.calibration import Calibration, covariance_of, read_calibration, unseen_of
 from truearm.workflows.inputs import Sources, check_files, hashed_inputs, observed
 from truearm.workflows.session_parts import with_parts
@@ -171,10 +172,10 @@ def validated(
         **{key("reference", si): _reference(calibration.stored.document, si) for si in errors},
         **_figure_entries(*figures),
         "placed": before is not raw,
-        **{key("rms_raw", si): _shown(rms(raw.error[si][of.rows]), si) for si, of in errors.items()},
+        **{key("rms_raw", si): shown_or_null(rms(raw.error[si][of.rows]), si) for si, of in errors.items()},
         "unseen": n_unseen,
         "expected": due_entries,
-        **{key("unexplained", si): _shown(_unexplained(of, of.rows), si) for si, of in errors.items()},
+        **{key("unexplained", si): shown_or_null(_unexplained(of, of.rows), si) for si, of in errors.items()},
         "better": {UNITS[si].scale.suffix: _is_better(of) for si, of in errors.items()},
         "consistent": None if test is None else test.explained,
         "chi2_reduced": None if test is None else test.chi2 / test.freedom,
@@ -256,18 +257,16 @@ def _figure_entries(before: ByUnit, after: ByUnit) -> dict[str, float | None]:
     out: dict[str, float | None] = {}
     for si in after:
         for name, found in (("before", before[si]), ("after", after[si])):
-            out |= {key(f"{what}_{name}", si): _shown(getattr(found, what), si) for what in ("rms", "mean", "max")}
+            out |= {
+                key(f"{what}_{name}", si): shown_or_null(getattr(found, what), si) for what in ("rms", "mean", "max")
+            }
         out[key("n", si)] = after[si].n
     return out
 
 
 def _region_entry(region: ValidationRegion) -> dict[str, Any]:
-    due = {key("rms_expected", si): _shown(rms, si) for si, rms in region.expected.items()}
+    due = {key("rms_expected", si): shown_or_null(rms, si) for si, rms in region.expected.items()}
     return {"region": region.name, "rows": region.n, **_figure_entries(region.before, region.after), **due}
-
-
-def _shown(value: float, si: str) -> float | None:
-    return None if math.isnan(value) else float(shown(value, si))
 
 
 def _root_mean(square: Floats) -> float:
@@ -291,7 +290,7 @@ def _expected(errors: Mapping[str, Errors]) -> tuple[dict[str, float], dict[str,
             "rms_after": of.after**2,
         }
         rms[si] = _root_mean(squares["rms"][rows])
-        out |= {key(name, si): _shown(_root_mean(square[rows]), si) for name, square in squares.items()}
+        out |= {key(name, si): shown_or_null(_root_mean(square[rows]), si) for name, square in squares.items()}
     known = {si: value for si, value in rms.items() if not math.isnan(value)}
     return known, None if all(value is None for value in out.values()) else out
 

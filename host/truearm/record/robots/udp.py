@@ -6,13 +6,13 @@ import select
 import socket
 
 from truearm.errors import LinkError
-from truearm.record.links import Arrivals, Backlog, Clock, Reader, host_and_port
+from truearm.record.links import Clock, SocketLink, host_and_port
 
 MAX_DATAGRAM = 8192  # bytes; of a longer one the rest is cut off, and what is left is no reading
 _POLL_S = 0.1
 
 
-class UdpLink:
+class UdpLink(SocketLink):
     """What is sent to ``udp://host:port``, an address of this machine (0.0.0.0: all of them).
 
     The first sender is the robot; datagrams of others are passed over. Each is handed out with a line feed at its end. Nothing
@@ -20,36 +20,22 @@ class UdpLink:
     """
 
     def __init__(self, url: str, clock: Clock, name: str | None = None) -> None:
-        self.name = name or url
-        self._clock = clock
         self._sender: tuple[str, int] | None = None
         address = host_and_port(url, "udp")
         family = socket.AF_INET6 if ":" in address[0] else socket.AF_INET
         try:
-            self._socket = socket.socket(family, socket.SOCK_DGRAM)
-            self._socket.bind(address)
+            opened = socket.socket(family, socket.SOCK_DGRAM)
+            opened.bind(address)
         except OSError as exc:
             raise LinkError(
-                f"{self.name}: cannot listen there ({exc.strerror or exc}); name an address of this machine"
+                f"{name or url}: cannot listen there ({exc.strerror or exc}); name an address of this machine"
             ) from exc
-        self.port = int(self._socket.getsockname()[1])
-        self._reader = Reader(self._receive, clock)
-
-    def read(self, timeout_s: float) -> Arrivals:
-        return self._reader.read(timeout_s)
+        self.port = int(opened.getsockname()[1])
+        super().__init__(name or url, clock, opened)
 
     def write(self, data: bytes) -> int:
         """Nothing is sent to such a robot."""
         return self._clock.now_ns()
-
-    @property
-    def backlog(self) -> Backlog:
-        """What waits to be read."""
-        return self._reader.backlog
-
-    def close(self) -> None:
-        self._reader.stop()
-        self._socket.close()
 
     def _receive(self) -> bytes:
         try:
