@@ -11,6 +11,9 @@ The link is USB CDC through MicroPython's own standard input and output, which l
 frame is handed over only when the endpoint has sent all it had: then 320 bytes fit (FIFO and packet), and the call returns at once.
 When the host is gone the endpoint stays full, `send` takes nothing, and the box counts what it has to drop.
 
+Both times of a clock exchange are taken in C, in the USB interrupt and just before the FIFO, where the image has it (image/usb_stamp). A
+stock MicroPython takes them in Python: when it looks for bytes, and before CRC and FIFO.
+
 At power-on there are two seconds in which Ctrl-C leads to the REPL: only after them byte 3 is data and the watchdog runs. So
 whatever the firmware does, the box stays reachable; a command leads back too.
 """
@@ -32,6 +35,12 @@ from drivers.ads131m04_dma import Adc
 from drivers.lvdt import Excitation
 from drivers.magnetostrictive import Magnetostrictive
 from drivers.triggers import Triggers
+
+try:
+    import usb_stamp
+except ImportError:  # a stock MicroPython: times of exchanges are Python's
+    usb_stamp = None
+from truearm_wire.frame import close
 
 BOOT_WINDOW_MS = 2000
 CONVERTER_PINS = (16, 17, 18, 19, 20, 21, 22)  # DOUT, CS, SCLK, DIN, DRDY, SYNC/RESET, CLKIN
@@ -56,7 +65,7 @@ BLINKS = ((50, 1950), (500, 500), (50, 450), (100, 100))
 
 
 @micropython.viper
-def _now(out: ptr8):
+def _now(out: ptr8, at: int):
     high_register = ptr32(0x40054024)
     low_register = ptr32(0x40054028)
     high = int(high_register[0])
@@ -68,8 +77,8 @@ def _now(out: ptr8):
         high = again
     i = 3
     while i >= 0:
-        out[i] = high & 255
-        out[4 + i] = low & 255
+        out[at + i] = high & 255
+        out[at + 4 + i] = low & 255
         high >>= 8
         low >>= 8
         i -= 1
@@ -100,6 +109,7 @@ class Board:
         self._stdin = sys.stdin.buffer
         self._stdout = sys.stdout.buffer
         self._byte = bytearray(1)
+        self.send_stamped = usb_stamp.send if usb_stamp else self._send_stamped
         self._watchdog = None
         self._blink = BLINKS[0]
         self._lit_at = time.ticks_ms()
@@ -121,7 +131,7 @@ class Board:
     # -- time
 
     def now(self, buf):
-        _now(buf)
+        _now(buf, 0)
 
     def ticks(self):
         return time.ticks_us()
@@ -139,16 +149,25 @@ class Board:
             else:
                 break
             if n == 0:
-                _now(stamp)
+                _now(stamp, 0)
             self._stdin.readinto(self._byte)
             buf[n] = self._byte[0]
             n += 1
+        if n and usb_stamp:
+            usb_stamp.received(stamp)
         return n
 
     def send(self, buf, at, n):
         if not self._link_rests():
             return 0
         return self._stdout.write(buf, at, min(n, TX_MAX)) or 0
+
+    @micropython.native
+    def _send_stamped(self, buf, at, end, place):
+        if not self._link_rests():
+            return 0
+        _now(buf, place)
+        return self._stdout.write(buf, at, close(buf, at, end) - at) or 0
 
     def _link_rests(self):
         """Whether all that was handed over has been fetched by the host.

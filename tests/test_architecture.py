@@ -54,7 +54,7 @@ WIRE_ALLOWED = {"record", "session", "box", "live"}
 SIMULATOR_ALLOWED = {"cli", "workflows"}  # simulate, demo and reproduce alone
 PURE = ("model", "kinds", "estimate", "correct", "plan", "export")  # compute; touch neither files nor the network
 IO_MODULES = {"socket", "serial", "urllib", "http", "subprocess", "shutil", "tempfile", "os", "mcap", "pathlib", "io"}
-DEVICE_MODULES = {"machine", "rp2"}
+DEVICE_MODULES = {"machine", "rp2", "usb_stamp"}
 # what the firmware may use of MicroPython's library
 FIRMWARE_ALLOWED = {"array", "gc", "io", "json", "sys", "micropython", "os", "board", "truearm_box", "truearm_wire"}
 BOARD_ALLOWED = DEVICE_MODULES | {"chips", "drivers", "select", "time"}  # board files bring chip and drivers together

@@ -279,6 +279,7 @@ def _configure(work: Path, cmake: Path, environ: dict[str, str]) -> None:
         "MICROPY_BOARD": "TRUEARM_BOX",
         "MICROPY_BOARD_DIR": HERE / "board",
         "MICROPY_FROZEN_MANIFEST": work / "manifest.py",
+        "USER_C_MODULES": HERE / "usb_stamp",
         "PICO_NO_PICOTOOL": "1",
         "Python3_EXECUTABLE": sys.executable,
     }
@@ -288,7 +289,9 @@ def _configure(work: Path, cmake: Path, environ: dict[str, str]) -> None:
 
 
 def _board_key() -> str:
-    text = "".join(path.read_text() for path in sorted((HERE / "board").glob("*")))
+    text = "".join(
+        path.read_text() for path in [*sorted((HERE / "board").glob("*")), HERE / "usb_stamp" / "micropython.cmake"]
+    )
     return hashlib.sha256((text + _output(["arm-none-eabi-gcc", "--version"])).encode()).hexdigest()
 
 

@@ -7,6 +7,9 @@
     receive(buf, stamp) → n   bytes that came over the link, at most len(buf). If any: stamp (8 bytes) is a time, as now's, at which the first of
                               them was there already
     send(buf, at, n) → taken  of buf[at:at + n], 0 … n
+    send_stamped(buf, at, end, place) → taken
+                              finishes the frame whose payload is buf[at + HEAD:end], as frame.close does, with the time now in the 8 bytes
+                              at place, and sends it, with as little between as it can. 0: the link takes nothing, nothing was changed
     adc, mag                  the sources of samples, see below
     configure(settings)       the configuration (config.DEFAULT shows one) is in force from now on: gains, blanking and time-out, the
                               watchdog. At boot and whenever it changed, never while sampling

@@ -59,7 +59,6 @@ class Commands:
         self._with_ident = False  # the ident is its answer, or follows it
         self._pages = ()  # (frame type, req_id, page, pages, data) of what is being answered
         self._page = 0
-        self._t2 = bytearray(8)
         self._stop_id = 0  # of a stop that is to be answered
         self.leaving = 0  # the command by which the box leaves its loop when all is answered
         self.mode = 0  # of a reset
@@ -134,9 +133,8 @@ class Commands:
         link.begin(SYNC_REPLY, 3)
         link.put_int(n)
         link.put_u64(t1)
-        self._board.now(self._t2)
-        link.put_u64(self._t2)
-        link.send()
+        link.put_time()
+        link.send_stamped()
 
     def _command(self, values):
         if values[1] != self._last:

@@ -6,7 +6,7 @@ for the ring's data frames); until the link has taken all of it no other can be 
 
 from truearm_wire.cbor import put_head, put_int
 from truearm_wire.fast import add, copy
-from truearm_wire.frame import FRAME_MAX, HEAD, close
+from truearm_wire.frame import FRAME_MAX, HEAD, TAIL, close
 from truearm_wire.messages import COUNTER
 
 
@@ -18,6 +18,7 @@ class Link:
         self._buf = self._own  # what is being sent: _buf[_at:_stop]
         self._at = 0
         self._stop = 0
+        self._time_at = 0  # where the time of sending goes into it, until it has
         self._held_back = False
         self._seq = bytearray(4)
         self.sent = 0
@@ -32,7 +33,12 @@ class Link:
         left = self._stop - self._at
         if left == 0:
             return False
-        taken = self._board.send(self._buf, self._at, left)
+        if self._time_at:
+            taken = self._board.send_stamped(self._buf, self._at, self._stop - TAIL, self._time_at)
+            if taken:
+                self._time_at = 0
+        else:
+            taken = self._board.send(self._buf, self._at, left)
         self._at += taken
         if taken == left:
             self.sent = (self.sent + 1) & COUNTER
@@ -70,11 +76,24 @@ class Link:
         copy(self._own, self._end + 1, counter, 0, 8)
         self._end += 9
 
+    def put_time(self):
+        """Eight bytes for the time at which the frame goes; it must be closed with send_stamped()."""
+        self._own[self._end] = 0x1B
+        self._end += 9
+
     def put_bytes(self, data, major=2):
         """A byte string, or text with major 3."""
         self._end = put_head(self._own, self._end, major, len(data))
         copy(self._own, self._end, data, 0, len(data))
         self._end += len(data)
+
+    def send_stamped(self):
+        """Send the frame that was begun, whose last element is the time of sending."""
+        self._buf = self._own
+        self._at = 0
+        self._stop = self._end + TAIL
+        self._time_at = self._end - 8
+        self.pump()
 
     def send(self):
         """Send the frame that was begun."""

@@ -6,6 +6,7 @@ from .fast import cobs_decode, crc32_ok, seal
 PAYLOAD_MAX = 250
 FRAME_MAX = PAYLOAD_MAX + 4 + 1 + 2
 HEAD = 2  # delimiter and first code byte stand before the payload
+TAIL = 5  # CRC and delimiter behind it
 
 
 def close(buf, at, end):
@@ -16,7 +17,7 @@ def close(buf, at, end):
     seal(buf, at + HEAD, end)
     buf[at] = 0
     buf[end + 4] = 0
-    return end + 5
+    return end + TAIL
 
 
 def frame(payload):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.wire_frames import command, frames
+from truearm_wire.frame import close
 from truearm_wire.messages import SYNC_REPLY
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "firmware"))
@@ -57,6 +58,10 @@ class Slow:
     def send(self, buf, at, n):
         self.sent += bytes(buf[at : at + n])
         return n
+
+    def send_stamped(self, buf, at, end, place):
+        buf[place : place + 8] = self.now_us.to_bytes(8, "big")
+        return self.send(buf, at, close(buf, at, end) - at)
 
     def self_test(self, settings):
         return {}

@@ -24,6 +24,7 @@ import json
 import sys
 
 from truearm_wire.fast import add, copy
+from truearm_wire.frame import close
 from truearm_wire.messages import COUNTER, FLAG_CONVERTER, FLAG_MISSING_STOP
 
 GRANT = 40
@@ -317,6 +318,12 @@ class Board:
         self._tx_n += n
         self._tx_room -= n
         return n
+
+    def send_stamped(self, buf, at, end, place):
+        if min(self._tx_room, TX_MAX - self._tx_n) <= 0:
+            return 0
+        copy(buf, place, self._head, 6, 8)
+        return self.send(buf, at, close(buf, at, end) - at)
 
     def configure(self, settings):
         self._watchdog_ms = settings["watchdog_ms"]

@@ -148,6 +148,10 @@ def _copy_files(device: str, stop: bool) -> Iterator[str]:
     yield f"{device}: {check_version(device, mpremote)}"
     copy_firmware(device, firmware, wire, mpremote, compiler)
     yield f"{device}: the firmware's files are copied; the box restarts"
+    yield (
+        "clock: a stock MicroPython ties the box's clock to the host's to about 250 µs; "
+        "the image does to 100 µs, as it stamps requests in the USB interrupt"
+    )
 
 
 def _to_prompt(device: str, stop: bool) -> None:

@@ -1,0 +1,94 @@
+"""Clock exchanges on the chip: the image's C module stamps a request in the USB interrupt and an answer just before the FIFO."""
+
+from pathlib import Path
+
+import numpy as np
+
+from tests.chip.conftest import MS
+from tests.wire_frames import command
+from truearm.session.device_clock import fit_clock
+from truearm_sim.chip import STORE, make_flash
+from truearm_wire.messages import CONFIGURE, START, SYNC_REPLY, SYNC_REQUEST
+
+LOOK_US = 20  # how often the host looks for bytes
+BOUND_US = 120.0
+STOCK_BOUND_US = 250.0  # what `truearm box flash --stock` says
+
+
+def exchange(chip, number, pieces):
+    """(t0, t1, t2, t3) [µs] of one request, sent in ``pieces`` with waits [µs] between them."""
+    t0 = chip.now_us
+    found = []
+    for piece, wait_us in pieces:
+        found += chip.hear(wait_us, rx=piece)
+    while chip.now_us < t0 + 80 * MS:
+        for reply in found:
+            if isinstance(reply, list) and reply[0] == SYNC_REPLY and reply[2] == number:
+                return t0, reply[3], reply[4], chip.now_us
+        found = chip.hear(LOOK_US)
+    raise AssertionError("no answer")
+
+
+def test_exchanges_bound_the_clock_while_both_sources_stream(power_on):
+    """Twenty-five exchanges, as many as come in 6 s. The emulator's USB takes 53 µs a packet and way, which no stamp can see."""
+    chip = power_on()
+    chip.boot()
+    chip.ask(CONFIGURE, 1, 983_040)
+    chip.ask(START)
+    rng = np.random.default_rng(1)
+    exchanges = []
+    for k in range(25):
+        chip.hear(int(rng.integers(3, 16)) * MS + int(rng.integers(1000)))
+        exchanges.append(exchange(chip, 100 + k, [(command(SYNC_REQUEST, 100 + k), LOOK_US)]))
+    t = np.array(exchanges)
+    assert np.all(np.diff(t, axis=1) >= 0)
+    late, left = t[:, 1] - t[:, 0], t[:, 3] - t[:, 2]
+    print(f"t1 {late.min()} to {late.max()} µs after the request, t2 {left.min()} to {left.max()} µs before its end")
+    assert late.max() < 53 + 50  # every one, not the quickest: the interrupt waits for nothing
+    assert left.max() < 53 + 60 + LOOK_US
+    fitted = fit_clock(0, t * np.array([1000, 1, 1, 1000]))
+    assert fitted is not None
+    clock, report = fitted
+    inside = np.linspace(t[0, 1], t[-1, 1], 200).astype(np.int64)  # device and host count the same time here
+    host_ns, bound_ns = clock.to_host_ns(inside)
+    assert np.all(np.abs(host_ns - 1000 * inside) <= bound_ns)
+    print(f"bound {report.bound_ns / 1000:.1f} µs")
+    assert report.bound_ns <= 1000 * BOUND_US
+
+
+def test_no_request_is_stamped_before_it_came(power_on):
+    """In pieces, behind other requests in one packet, behind rubbish, and while the box sends: t1 is never too early."""
+    chip = power_on()
+    chip.boot()
+    chip.ask(START)
+    rng = np.random.default_rng(2)
+    for k in range(25):
+        chip.hear(int(rng.integers(0, 9)) * MS + int(rng.integers(1000)))
+        request = command(SYNC_REQUEST, 300 + k)
+        if k % 3 == 0:
+            chip.hear(int(rng.integers(0, 700)), rx=b"\0rubbish\0")
+        elif k % 3 == 1:
+            chip.hear(int(rng.integers(0, 700)), rx=command(SYNC_REQUEST, 900 + k))
+        cut = int(rng.integers(1, len(request)))
+        pieces = [(request[:cut], int(rng.integers(0, 400))), (request[cut:], LOOK_US)]
+        t0, t1, t2, t3 = exchange(chip, 300 + k, pieces)
+        assert t0 <= t1 <= t2 <= t3
+
+
+def test_a_stock_micropython_stamps_in_python(power_on, tmp_path):
+    """Without the C module t1 is taken when the loop looks for bytes, t2 before CRC and FIFO: wider, and as true."""
+    board = (Path(__file__).parents[2] / "firmware" / "board_pico.py").read_text()
+    files = {"config.json": b"{}", "board.py": board.replace("import usb_stamp", "import no_such_module").encode()}
+    make_flash(tmp_path / STORE, files)
+    chip = power_on()
+    chip.boot()
+    rng = np.random.default_rng(3)
+    exchanges = []
+    for k in range(25):
+        chip.hear(int(rng.integers(3, 16)) * MS + int(rng.integers(1000)))
+        exchanges.append(exchange(chip, 100 + k, [(command(SYNC_REQUEST, 100 + k), LOOK_US)]))
+    t = np.array(exchanges)
+    assert np.all(np.diff(t, axis=1) >= 0)
+    late, left = t[:, 1] - t[:, 0], t[:, 3] - t[:, 2]
+    print(f"t1 {late.min()} to {late.max()} µs after the request, t2 {left.min()} to {left.max()} µs before its end")
+    assert 0.5 * (late.min() + left.min()) <= STOCK_BOUND_US
