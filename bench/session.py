@@ -17,14 +17,17 @@ import os
 os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 import gc
+import json
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cbor2
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "host"))
@@ -44,6 +47,7 @@ from truearm_wire import messages as wire
 from truearm_wire.cbor import Tag
 
 DWELL_S = 2.7
+BOOT_US = 2_000_000  # from a restart to the first block
 RUNS = 3
 
 
@@ -117,30 +121,68 @@ def write_long(path: Path, hours: float, faster: int = 4) -> None:
             box.messages = []
 
 
+@dataclass
+class Life:
+    """A box from one boot to the next: what its frames count from, as numbers of the first life."""
+
+    boot_id: int = session_stream.Box.boot_id
+    us: int = 0
+    n0: int | None = 0  # None: the first block of the life is still to come
+    seq: int = 0
+
+    def frame(self, message: Message) -> Message:
+        """What this life's box sends instead."""
+        kind, seq, *rest = cbor2.loads(message.data)
+        if kind == wire.DATA:
+            stream, n0, t0_us, period_ns, samples, flags = rest
+            self.n0 = n0 if self.n0 is None else self.n0
+            rest = [stream, n0 - self.n0, t0_us - self.us, period_ns, Tag(samples.tag, samples.value), flags]
+        elif kind == wire.HEARTBEAT:
+            rest[:2] = self.boot_id, rest[1] - self.us
+        elif kind == wire.SYNC_REPLY:
+            rest[1:] = [t_us - self.us for t_us in rest[1:]]
+        return message._replace(data=bytes(wire.encode_payload([kind, seq - self.seq, *rest])))
+
+    def exchange(self, message: Message) -> Message:
+        """The same of what the recorder says of a clock exchange."""
+        said = json.loads(message.data)
+        said |= {key: said[key] - self.us for key in ("t1_us", "t2_us")}
+        return message._replace(data=json.dumps(said).encode())
+
+
 def with_faults(rng: np.random.Generator, messages: list[Message]) -> list[Message]:
-    """One frame in a hundred lost, doubled, flipped or swapped with the next, and ten restarts."""
+    """One frame in a hundred lost, doubled, flipped (its CRC does not hold: bytes of no frame) or swapped with the next, and ten restarts.
+
+    A box that restarts has another boot id, tells what it is, and counts frames, samples and time from 0.
+    """
     received: list[Message] = []
     restarts = set(rng.integers(len(messages), size=10).tolist())
-    seq_off = 0
     fates = rng.integers(4, size=len(messages))
     hit = rng.random(len(messages)) < 0.01
-    ident = [message for message in messages if message.topic == "/box/ident"]
+    life = Life()
+    restarting = False
     for k, message in enumerate(messages):
+        restarting |= k in restarts
+        if message.topic == "/sync":
+            received.append(life.exchange(message))
         if not message.topic.startswith("/box/"):
-            received.append(message)
+            received += [message] if message.topic != "/sync" else []
             continue
-        if k in restarts:
-            first = renumbered(ident[0], 0)
-            received += [first._replace(t_host_ns=message.t_host_ns), *ident[1:]]
-            seq_off = sequence(message) - len(ident)
-        message = renumbered(message, (sequence(message) - seq_off) % 2**32)
+        if restarting and message.topic == "/box/adc":
+            box = session_stream.Box(boot_id=life.boot_id + 1)
+            box.ident(message.t_host_ns)
+            us = cbor2.loads(message.data)[4] - BOOT_US
+            life = Life(box.boot_id, us, None, sequence(message) - len(box.messages))
+            received += box.messages
+            restarting = False
+        message = life.frame(message)
         fate = int(fates[k]) if hit[k] else -1
         if fate == 0:
             continue
         if fate == 2:
             data = bytearray(message.data)
             data[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
-            message = message._replace(data=bytes(data))
+            message = message._replace(topic="/box/console", data=bytes(data))
         received.append(message)
         if fate == 1:
             received.append(message)
