@@ -284,16 +284,13 @@ class TestCommandedJoints:
         """200 readings at 125 Hz; the command leads by 0.01 rad: a mean that mixed the two would be off by half of it."""
         stream = read(self.rows(*[[0.11, -0.21]] * 200))
         assert np.allclose(stream.bins.mean, (0.1, -0.2), atol=1e-15)
-        assert np.allclose(stream.bins.commanded, (0.11, -0.21), atol=1e-15)
         (dwell,) = find_dwells(stream, DwellRules(shortest_s=0.5))
         assert np.allclose(dwell.q, (0.1, -0.2), atol=1e-15)
-        assert np.allclose(dwell.q_cmd, (0.11, -0.21), atol=1e-15)
 
     @pytest.mark.parametrize("other", [None, "x", [1.0], [1.0, float("inf")], [1.0, 10**400], [[1.0], [2.0]]])
     def test_what_is_none_makes_no_reading_malformed(self, other):
         stream = read(self.rows([0.11, -0.21], other, [0.11, -0.21]))
         assert (stream.readings, stream.malformed) == (3, 0)
-        assert np.all(np.isnan(stream.bins.commanded))
         assert np.allclose(stream.bins.mean, (0.1, -0.2), atol=1e-15)
         alone = read(self.rows(other))
-        assert np.all(np.isnan(alone.bins.commanded))
+        assert np.allclose(alone.bins.mean, (0.1, -0.2), atol=1e-15)

@@ -27,7 +27,7 @@ from typing import Any, NamedTuple, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.session.joint_readings import Bins, JointStream
+from truearm.session.joint_readings import Bins, JointStream, pairs
 from truearm.session.samples import (
     LEAST_BLOCKS,
     DwellSamples,
@@ -119,7 +119,6 @@ class Dwell:
     clock_bound_ns: float = float("nan")
     pose: int | None = None  # row of the plan
     mounted: dict[str, str] = field(default_factory=dict)  # bar, chuck, sphere, shell
-    q_cmd: Floats = field(default_factory=lambda: np.empty(0))  # (j,) mean commanded, NaN if not said; nothing uses it
 
 
 def find_dwells(stream: JointStream, rules: DwellRules) -> list[Dwell]:
@@ -129,11 +128,12 @@ def find_dwells(stream: JointStream, rules: DwellRules) -> list[Dwell]:
 
 def find_stops(bins: Bins, step: Floats, rules: DwellRules) -> list[Dwell]:
     """The stops of whatever is in the bins, by its own noise and its step (j,)."""
-    ranges, whole = _window_ranges(bins)
+    quiet = whole = _whole_windows(bins)
     if not np.any(whole):
         return []
-    threshold = motion_threshold(ranges[whole], step)
-    quiet = whole & np.all(ranges <= threshold, axis=1)
+    for joint, smallest in enumerate(step):  # one by one: a session may hold half a million bins
+        ranges = _window_ranges(bins, joint)
+        quiet = quiet & (ranges <= motion_threshold(ranges[whole], smallest))
     runs = [
         slice(first, last)
         for first, last in _runs(quiet, len(bins.n))
@@ -159,21 +159,28 @@ def resting_variance(bins: Bins, runs: list[slice]) -> Floats:
     return np.asarray(np.median(spread, axis=0)) if spread else np.zeros(bins.mean.shape[1])
 
 
-def motion_threshold(ranges: Floats, step: Floats) -> Floats:
-    """Largest range (j,) of the joints in a window that is still rest, from the ranges (w, j) of whole windows."""
-    rest = np.quantile(ranges, QUIET_SHARE, axis=0)
-    return np.asarray(np.maximum(np.maximum(QUIET_FACTOR * rest, 2.001 * step), LEAST_MOTION))
+def motion_threshold(ranges: Floats, step: float) -> float:
+    """Largest range of a joint in a window that is still rest, from the ranges (w,) of whole windows."""
+    rest = float(np.quantile(ranges, QUIET_SHARE))
+    return max(QUIET_FACTOR * rest, 2.001 * step, LEAST_MOTION)
 
 
-def _window_ranges(bins: Bins) -> tuple[Floats, NDArray[np.bool_]]:
-    """Range (b, j) over each bin and its three followers, and whether there are such without a gap between."""
+def _whole_windows(bins: Bins) -> NDArray[np.bool_]:
+    """Of which bins (b,) the three followers are there without a gap between."""
     b = len(bins.n)
-    high, low, whole = bins.high.copy(), bins.low.copy(), np.arange(b) <= b - WINDOW_BINS
+    whole = np.arange(b) <= b - WINDOW_BINS
     for k in range(1, WINDOW_BINS):
-        np.maximum(high[:-k], bins.high[k:], out=high[:-k])
-        np.minimum(low[:-k], bins.low[k:], out=low[:-k])
         whole[:-k] &= ~bins.gap[k:]
-    return high - low, whole
+    return whole
+
+
+def _window_ranges(bins: Bins, joint: int) -> Floats:
+    """Range (b,) of a joint over each bin and its three followers."""
+    high, low = bins.high[:, joint].copy(), bins.low[:, joint].copy()
+    for k in range(1, WINDOW_BINS):
+        np.maximum(high[:-k], bins.high[k:, joint], out=high[:-k])
+        np.minimum(low[:-k], bins.low[k:, joint], out=low[:-k])
+    return high - low
 
 
 def _runs(quiet: NDArray[np.bool_], b: int) -> Iterator[tuple[int, int]]:
@@ -254,7 +261,6 @@ class _Readings(TypedDict):
 
     q: Floats
     q_cov: Floats
-    q_cmd: Floats
     n_readings: int
     bins: tuple[int, int]
 
@@ -265,12 +271,15 @@ def _readings(bins: Bins, used: slice, step: Floats) -> _Readings:
     total = int(np.sum(n))
     q = np.sum(n[:, None] * mean, axis=0) / total
     between = (mean - q) * np.sqrt(n)[:, None]
-    scatter = np.sum(bins.scatter[used], axis=0, dtype=np.float64) + between.T @ between
+    first, second = pairs(mean.shape[1])
+    scatter = between.T @ between
+    within = np.sum(bins.scatter[used], axis=0, dtype=np.float64)
+    scatter[first, second] += within
+    scatter[second, first] = scatter[first, second]
     # The smallest change seen is the step of a quantised reading; of a fine one it is next to nothing.
     return _Readings(
         q=q,
         q_cov=scatter / max(1, total - 1) + np.diag(step**2) / 12.0,
-        q_cmd=np.average(bins.commanded[used], axis=0, weights=n),
         n_readings=total,
         bins=(used.start, used.stop),
     )

@@ -353,16 +353,20 @@ COARSEST_STEP = 1e-3  # rad or m; no encoder worth calibrating is coarser
 class Bins:
     """Readings in bins (b,), in order; ``gap`` where readings are missing before a bin or another segment begins."""
 
-    segment: NDArray[np.int64]
+    segment: NDArray[np.int32]
     t_first_s: Floats
     t_last_s: Floats
-    n: NDArray[np.int64]
-    mean: Floats  # (b, j)
+    n: NDArray[np.int32]
+    mean: Floats  # (b, j), of the measured joints, as all that follows
     low: Floats  # (b, j)
     high: Floats  # (b, j)
-    scatter: NDArray[np.float32]  # (b, j, j) sums of products of deviations from the bin's mean
+    scatter: NDArray[np.float32]  # (b, j (j + 1) / 2) sums of products of deviations from the mean, of pairs()
     gap: NDArray[np.bool_]
-    commanded: Floats  # (b, j) mean of the commanded joints, NaN where a reading has none; the rest is of the measured
+
+
+def pairs(joints: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The pairs of joints in ``Bins.scatter``: first and second, which is not before it."""
+    return np.triu_indices(joints)
 
 
 @dataclass(frozen=True)
@@ -586,7 +590,7 @@ class JointReader:
             self._last = (self._latest_s, int(kept[-1]))
             self._arrivals[-1].add(t[keep], batch.arrival_ns[keep])
             self._inputs[-1].add(t[keep], batch.inputs[keep])
-            self._bin(t[keep], batch.q[keep], batch.q_cmd[keep])
+            self._bin(t[keep], batch.q[keep])
 
     def _account(
         self, seq: NDArray[np.int64], previous: NDArray[np.int64], late: NDArray[np.bool_], keep: NDArray[np.bool_]
@@ -600,38 +604,39 @@ class JointReader:
             else:
                 self._holes.skip(int(before[i]), int(seq[i]))
 
-    def _bin(self, t: Floats, q: Floats, q_cmd: Floats) -> None:
+    def _bin(self, t: Floats, q: Floats) -> None:
         if self._carried is not None:
-            t, q, q_cmd = (np.concatenate(pair) for pair in zip(self._carried, (t, q, q_cmd), strict=True))
+            t, q = (np.concatenate(pair) for pair in zip(self._carried, (t, q), strict=True))
         self._step = np.minimum(self._step, _smallest(np.diff(q, axis=0)))
         self._fast_step = np.minimum(self._fast_step, _smallest(np.diff(q, n=2, axis=0)))
         key = np.floor((t - self._arrivals[-1].t_ref_s) / self._bin_s)
         closed = int(np.searchsorted(key, key[-1]))
-        self._carried = (t[closed:], q[closed:], q_cmd[closed:])
+        self._carried = (t[closed:], q[closed:])
         if closed:
-            self._store(t[:closed], q[:closed], q_cmd[:closed], key[:closed])
+            self._store(t[:closed], q[:closed], key[:closed])
 
     def _close_bin(self) -> None:
         if self._carried is not None:
-            t, q, q_cmd = self._carried
-            self._store(t, q, q_cmd, np.zeros(t.size))
+            t, q = self._carried
+            self._store(t, q, np.zeros(t.size))
         self._carried = None
 
-    def _store(self, t: Floats, q: Floats, q_cmd: Floats, key: Floats) -> None:
+    def _store(self, t: Floats, q: Floats, key: Floats) -> None:
         starts = np.flatnonzero(np.concatenate([[True], np.diff(key) > 0]))
         n = np.diff(np.concatenate([starts, [t.size]]))
-        mean, commanded = (np.add.reduceat(joints, starts, axis=0) / n[:, None] for joints in (q, q_cmd))
+        mean = np.add.reduceat(q, starts, axis=0) / n[:, None]
         deviation = q - np.repeat(mean, n, axis=0)
-        scatter = np.add.reduceat(deviation[:, :, None] * deviation[:, None, :], starts, axis=0)
+        first, second = pairs(q.shape[1])
+        scatter = np.add.reduceat(deviation[:, first] * deviation[:, second], starts, axis=0)
         # A gap may also lie inside a bin where bins are long; it then counts before the bin.
         silent = np.diff(np.concatenate([[self._previous_bin_s], t])) > self._gap_s
         gap = np.logical_or.reduceat(silent, starts)
         self.gaps += int(np.sum(silent)) - int(np.isinf(self._previous_bin_s))
         self._previous_bin_s = float(t[-1])
         low, high = np.minimum.reduceat(q, starts, axis=0), np.maximum.reduceat(q, starts, axis=0)
-        segment = np.full(starts.size, len(self._arrivals) - 1)
+        segment = np.full(starts.size, len(self._arrivals) - 1, np.int32)
         last = np.concatenate([starts[1:], [t.size]]) - 1
-        bins = (segment, t[starts], t[last], n, mean, low, high, scatter.astype(np.float32), gap, commanded)
+        bins = (segment, t[starts], t[last], n.astype(np.int32), mean, low, high, scatter.astype(np.float32), gap)
         self._bins.append(bins)
 
 

@@ -86,8 +86,8 @@ def sensor_bins(blocks: Iterable[ChannelBlocks], clocks: Mapping[int, DeviceCloc
     if not rows:
         return None
     segment, first_s, last_s, n, mean, low, high, gaps = (np.array(column) for column in zip(*rows, strict=True))
-    empty, nothing = np.zeros((len(rows), 1, 1), np.float32), np.full((len(rows), 1), np.nan)
-    return Bins(segment, first_s, last_s, n, mean[:, None], low[:, None], high[:, None], empty, gaps, nothing)
+    empty = np.zeros((len(rows), 1), np.float32)
+    return Bins(segment, first_s, last_s, n, mean[:, None], low[:, None], high[:, None], empty, gaps)
 
 
 class _Block(NamedTuple):
@@ -144,7 +144,6 @@ def _noted(stream: JointStream, bins: Bins, k: int, t_host_ns: int, reason: str 
         detail=detail,
         start_host_ns=t_host_ns,
         end_host_ns=t_host_ns,
-        q_cmd=bins.commanded[k],
     )
 
 
