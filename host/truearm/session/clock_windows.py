@@ -202,7 +202,7 @@ def fit_line(part: Ints, keep: NDArray[np.bool_]) -> Window | None:
     """The line with the largest margin; None if none keeps to the widened bounds of the exchanges that are kept."""
     if not np.any(keep):
         return None
-    used, centre = part[keep], _centre(part)
+    used, centre = part if np.all(keep) else part[keep], _centre(part)
     device_ref, host_ref = int(used[len(used) // 2, 1]), int(used[len(used) // 2, 0])
     offset, rate, margin = _middle(*_candidates(_points(used, device_ref, host_ref)))
     if margin < -ROUNDING_NS:

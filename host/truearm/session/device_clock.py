@@ -74,7 +74,7 @@ USUAL_NS = 120e9  # to both sides of the time that it is for
 BLOCK_NS = 30e9  # for which one usual rate holds
 LEAST_SLOPES = 8  # to both sides, where exchanges are sparse
 ROUNDING_NS = 2.0  # two stamps are whole ns
-AT_ONCE = 16384  # times
+AT_ONCE = 2048  # times, or windows
 
 
 class Rates(NamedTuple):
@@ -166,7 +166,7 @@ class Cones(NamedTuple):
         high = high + np.maximum(least - least_there, most - most_there)  # at x
         return cls(high - least, high - most, low - least, low - most)
 
-    def of_some(self, which: NDArray[np.intp]) -> Cones:
+    def of_some(self, which: NDArray[np.intp] | slice) -> Cones:
         """Those of some exchanges."""
         return Cones(*(column[which] for column in self))
 
@@ -178,60 +178,60 @@ class Cones(NamedTuple):
 
 
 class Level(NamedTuple):
-    """What windows of m of the n exchanges allow under a range of rates, in each of the n + 1 gaps before, between and behind them.
-
-    At t in gap g, with L and H the integrals there, y is at most the largest min(upper_before + H, upper_after + L) of the windows (g, …), and
-    at least the smallest max(lower_before + L, lower_after + H).
-    """
+    """What windows of m of the n exchanges allow under a range of rates, in each of the n + 1 gaps before, between and behind them."""
 
     rates: Rates
     cones: Cones
+    m: int
     refuted: NDArray[np.bool_]  # (n − m + 1,) windows by their first exchange
     doubtful: NDArray[np.bool_]  # (n + 1,) gaps that a refuted window touches
-    upper_before: Floats  # (n + 1, m + 1)
-    upper_after: Floats
-    lower_before: Floats
-    lower_after: Floats
 
     @classmethod
     def of(cls, cones: Cones, rates: Rates, m: int) -> Level:
         """The windows of m consecutive exchanges."""
-        n = cones.upper_low.size
-        refuted = Cones(*(sliding_window_view(column, m) for column in cones)).refuted()
-        if m == 1:
-            refuted[:] = False  # there is nothing to ask instead
-        window = np.arange(n + 1)[:, None] + np.arange(-m, 1)
-        there = (window >= 0) & (window <= n - m)
-        contradicts = there & refuted[np.clip(window, 0, n - m)]
-        asked = there & ~contradicts
-        return cls(
-            rates,
-            cones,
-            refuted,
-            contradicts.any(axis=1),
-            np.where(asked, _least_before(cones.upper_high, m), -np.inf),
-            np.where(asked, _least_after(cones.upper_low, m), -np.inf),
-            np.where(asked, -_least_before(-cones.lower_low, m), np.inf),
-            np.where(asked, -_least_after(-cones.lower_high, m), np.inf),
-        )
+        windows = Cones(*(sliding_window_view(column, m) for column in cones))
+        refuted = np.zeros(len(windows.upper_low), dtype=bool)
+        if m > 1:  # else there is nothing to ask instead
+            for first in range(0, len(refuted), AT_ONCE):
+                some = slice(first, first + AT_ONCE)
+                refuted[some] = windows.of_some(some).refuted()
+        doubtful = np.zeros(cones.upper_low.size + 1, dtype=bool)
+        at = np.flatnonzero(refuted)
+        doubtful[np.add.outer(at, np.arange(m + 1))] = True
+        return cls(rates, cones, m, refuted, doubtful)
 
     def at(self, t: Floats, gap: NDArray[np.intp]) -> tuple[Floats, Floats]:
-        """Lowest and highest y (k,) [ns] at times (k,) in these gaps."""
+        """Lowest and highest y (k,) [ns] at times (k,) in these gaps.
+
+        With L and H the integrals at t, y is at most the largest min(upper_before + H, upper_after + L) of the windows that touch the
+        gap, and at least the smallest max(lower_before + L, lower_after + H).
+        """
         least, most = (integral[:, None] for integral in self.rates.integrals(t))
-        upper = np.minimum(self.upper_before[gap] + most, self.upper_after[gap] + least)
-        lower = np.maximum(self.lower_before[gap] + least, self.lower_after[gap] + most)
+        gaps, of = np.unique(gap, return_inverse=True)
+        n, m = self.cones.upper_low.size, self.m
+        window = gaps[:, None] + np.arange(-m, 1)
+        asked = (window >= 0) & (window <= n - m)
+        asked &= ~self.refuted[np.clip(window, 0, n - m)]
+        first = max(0, int(gaps[0]) - m)  # no exchange farther away is asked
+        cones, gaps = self.cones.of_some(slice(first, int(gaps[-1]) + m)), gaps - first
+        upper_before = np.where(asked, _least_before(cones.upper_high, m, gaps), -np.inf)
+        upper_after = np.where(asked, _least_after(cones.upper_low, m, gaps), -np.inf)
+        lower_before = np.where(asked, -_least_before(-cones.lower_low, m, gaps), np.inf)
+        lower_after = np.where(asked, -_least_after(-cones.lower_high, m, gaps), np.inf)
+        upper = np.minimum(upper_before[of] + most, upper_after[of] + least)
+        lower = np.maximum(lower_before[of] + least, lower_after[of] + most)
         return np.min(lower, axis=1), np.max(upper, axis=1)
 
 
-def _least_before(values: Floats, m: int) -> Floats:
-    """Least (n + 1, m + 1) of the m, m − 1 … 0 values before each gap."""
-    last = sliding_window_view(np.pad(values, m, constant_values=np.inf), m)[: values.size + 1, ::-1]
+def _least_before(values: Floats, m: int, gaps: NDArray[np.intp]) -> Floats:
+    """Least (g, m + 1) of the m, m − 1 … 0 values before some gaps (g,)."""
+    last = sliding_window_view(np.pad(values, m, constant_values=np.inf), m)[gaps, ::-1]
     return np.pad(np.minimum.accumulate(last, axis=1)[:, ::-1], ((0, 0), (0, 1)), constant_values=np.inf)
 
 
-def _least_after(values: Floats, m: int) -> Floats:
-    """Least (n + 1, m + 1) of the 0, 1 … m values behind each gap."""
-    return _least_before(values[::-1], m)[::-1, ::-1]
+def _least_after(values: Floats, m: int, gaps: NDArray[np.intp]) -> Floats:
+    """Least (g, m + 1) of the 0, 1 … m values behind some gaps (g,)."""
+    return _least_before(values[::-1], m, values.size - gaps)[:, ::-1]
 
 
 class Change(NamedTuple):
@@ -259,11 +259,14 @@ class ClockBounds:
         low, high = (t0 - host_ref - received).astype(float), (t3 - host_ref - answered).astype(float)
         x, later = received.astype(float), answered.astype(float)
         limit = Rates.of(x[:1], np.full(1, -RATE_LIMIT), np.full(1, RATE_LIMIT))
-        levels = [
-            Level.of(Cones.of(x, low, later, high, rates), rates, min(m, x.size))
-            for m, rates in ((SPAN, usual_rates(x, low, high)), (2, limit), (1, limit))
-        ]
-        return cls(device_ref, host_ref, x, tuple(levels))
+        usual = usual_rates(x, low, high)
+        cones, widest = (Cones.of(x, low, later, high, rates) for rates in (usual, limit))
+        levels = (
+            Level.of(cones, usual, min(SPAN, x.size)),
+            Level.of(widest, limit, min(2, x.size)),
+            Level.of(widest, limit, 1),
+        )
+        return cls(device_ref, host_ref, x, levels)
 
     def at(self, t_us: Ints) -> tuple[Ints, Floats, Floats]:
         """Host times (n,) [ns] by the first exchange and a rate of 1, and how far [ns] the truth is behind them, at least and at most."""
@@ -274,16 +277,19 @@ class ClockBounds:
 
     def _at(self, t: Floats) -> tuple[Floats, Floats]:
         gap, which = np.searchsorted(self.x, t, side="right"), np.arange(t.size)
+        if not t.size:
+            return t, t
         low, high = self.levels[0].at(t, gap)
         for doubted, level in pairwise(self.levels):
             which = which[doubted.doubtful[gap[which]]]
+            if not which.size:
+                break
             low[which], high[which] = level.at(t[which], gap[which])
         return low, high
 
     def changes(self) -> tuple[list[Change], NDArray[np.bool_]]:
         """Where a clock changed, in order, and which exchanges (n,) are wrong: those before and after them go together, but not with them."""
-        level, n = self.levels[0], self.x.size
-        m = n + 1 - level.refuted.size
+        level, n, m = self.levels[0], self.x.size, self.levels[0].m
         at = np.flatnonzero(level.refuted)
         found, wrong = list[Change](), np.zeros(n, dtype=bool)
         for run in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if at.size else []:
