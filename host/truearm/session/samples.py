@@ -202,13 +202,43 @@ def of_channels(blocks: Blocks, columns: tuple[int, ...]) -> ChannelBlocks:
     )
 
 
+class _Kept(NamedTuple):
+    """Blocks as they wait to be asked for, in half the memory: counts (n, c) as differences where 16 bits hold them, columns of a single value once."""
+
+    blocks: ChannelBlocks  # without their counts
+    first: NDArray[np.int32]  # (c,) counts
+    rest: NDArray[Any]  # (n, c): int16 differences of one sample to the next, 0 for the first; else int32 counts
+
+    @classmethod
+    def of(cls, blocks: ChannelBlocks) -> _Kept:
+        """Pack blocks; at least one."""
+        counts = blocks.counts
+        columns = {name: _once(getattr(blocks, name)) for name in ("period_ns", "n", "gap", "fault")}
+        without = replace(blocks, counts=counts[:0].copy(), **columns)
+        steps = np.diff(counts, axis=0, prepend=counts[:1])
+        small = steps.min() >= -(2**15) and steps.max() < 2**15
+        return cls(without, counts[0].copy(), steps.astype(np.int16) if small else counts)
+
+    def unpacked(self) -> ChannelBlocks:
+        """The blocks as they were."""
+        counts = self.rest
+        if counts.dtype == np.int16:
+            counts = np.cumsum(counts, axis=0, dtype=np.int32) + self.first
+        return replace(self.blocks, counts=counts)
+
+
+def _once(column: NDArray[Any]) -> NDArray[Any]:
+    """The column, in the memory of a single value where all are the same."""
+    return np.broadcast_to(column[0], column.shape) if np.all(column == column[0]) else column
+
+
 class ChannelSamples:
     """The samples of one channel: kept while a session is read for the first time, if they are not too many, else read again."""
 
     def __init__(self, channel: str, again: Callable[[], Iterator[Blocks]], limit_bytes: int = MOST_KEPT_BYTES) -> None:
         """``again``: all blocks of the session once more."""
         self._channel, self._again, self._left = channel, again, limit_bytes
-        self._kept: list[ChannelBlocks] = []
+        self._kept: list[_Kept] = []
         self._lacking: Ident | None = None
 
     def keep(self, blocks: Iterable[Blocks]) -> None:
@@ -218,7 +248,8 @@ class ChannelSamples:
             if place is None:
                 self._lacking = self._lacking or one.ident
             elif self._left >= 0 and place[0].id == one.stream.id:
-                self._kept.append(of_channels(one, place[1]))
+                if len(one):
+                    self._kept.append(_Kept.of(of_channels(one, place[1])))
                 self._left -= 4 * int(one.n.sum()) + 18 * len(one)
         if self._left < 0:
             self._kept = []
@@ -231,7 +262,7 @@ class ChannelSamples:
 
     def __iter__(self) -> Iterator[ChannelBlocks]:
         if self._left >= 0:
-            yield from self._kept
+            yield from (kept.unpacked() for kept in self._kept)
             return
         for one in self._again():
             place = columns_in(one.ident, [self._channel])
