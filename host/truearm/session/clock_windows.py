@@ -30,7 +30,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,30 +39,42 @@ from truearm.types import Floats
 
 
 def lower_hull(x: Floats, y: Floats) -> NDArray[np.intp]:
-    """Indices, by ascending x, of the corners of the lower hull of n ≥ 1 points.
+    """Indices, by ascending x, of the corners of the lower hull of n ≥ 1 points."""
+    return lower_hulls(x, y, np.zeros(x.size, dtype=np.intp))
+
+
+def lower_hulls(x: Floats, y: Floats, group: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
+    """Indices, by ascending group and x, of the corners of the lower hull of each group of n ≥ 1 points.
 
     Quickhull on points sorted by x: below a chord the lowest point is a corner and splits the rest in two slices
-    (Barber, Dobkin, Huhdanpaa, "The quickhull algorithm", 1996).
+    (Barber, Dobkin, Huhdanpaa, "The quickhull algorithm", 1996). All chords of a level are looked at together.
     """
-    order = np.lexsort((y, x))
-    first = np.concatenate([[True], np.diff(x[order]) > 0])  # of equal x the lowest y
-    order = order[first]
-    xs, ys = x[order], y[order]
-    corners = [0] if xs.size == 1 else [0, xs.size - 1]
-    pending = [(0, xs.size - 1)]
-    while pending:
-        left, right = pending.pop()
-        if right - left < 2:
-            continue
-        inner = slice(left + 1, right)
+    order = np.lexsort((y, x, group))
+    xs, groups = x[order], group[order]
+    other = np.flatnonzero((np.diff(groups) != 0) | (np.diff(xs) > 0)) + 1  # of equal x the lowest y
+    order = order[np.concatenate([[0], other])]
+    xs, ys, groups = x[order], y[order], group[order]
+    begins = np.concatenate([[0], np.flatnonzero(np.diff(groups)) + 1])
+    left, right = begins, np.append(begins[1:], len(order)) - 1
+    is_corner = np.zeros(len(order), dtype=bool)
+    is_corner[left] = is_corner[right] = True
+    while True:
+        long = right - left > 1
+        left, right = left[long], right[long]
+        if not left.size:
+            return np.asarray(order[is_corner])
         slope = (ys[right] - ys[left]) / (xs[right] - xs[left])
-        below = ys[inner] - ys[left] - slope * (xs[inner] - xs[left])
-        lowest = int(np.argmin(below))
-        if below[lowest] < 0.0:
-            corner = left + 1 + lowest
-            corners.append(corner)
-            pending += [(left, corner), (corner, right)]
-    return np.asarray(order[np.sort(corners)])
+        inner = right - left - 1
+        first = np.cumsum(inner) - inner
+        chord = np.repeat(np.arange(left.size), inner)
+        point = np.arange(chord.size) - first[chord] + left[chord] + 1
+        below = ys[point] - ys[left][chord] - slope[chord] * (xs[point] - xs[left][chord])
+        least = np.minimum.reduceat(below, first)
+        lowest = np.flatnonzero(below == least[chord])
+        split = np.flatnonzero(least < 0.0)
+        corner = point[lowest[np.searchsorted(chord[lowest], split)]]
+        is_corner[corner] = True
+        left, right = np.concatenate([left[split], corner]), np.concatenate([corner, right[split]])
 
 
 def line_under(x: Floats, y: Floats, middle: float) -> tuple[float, float]:

@@ -220,8 +220,8 @@ def _settled(bins: Bins, used: slice, rest: _Rest) -> tuple[int, int]:
     if len(means) < LEAST_BLOCKS:
         return 0, 0
     fewer = float(np.median(n) / np.min(n))  # a bin cut by the rest of the recording has fewer readings, so more noise
-    firsts = [settled_from(means[:, j], fewer * rest.bin_var[j], rest.floor[j]).first for j in range(means.shape[1])]
-    return max(firsts), int(np.argmax(firsts))
+    firsts = settled_from(np.ascontiguousarray(means.T), fewer * rest.bin_var, rest.floor).first
+    return int(np.max(firsts)), int(np.argmax(firsts))
 
 
 def _seconds(bins: Bins, used: slice, rules: DwellRules) -> float:
@@ -393,7 +393,7 @@ def without_noisy(dwells: Sequence[Dwell]) -> list[Dwell]:
 
 def _first_sample(found: Settled | None, n: int, block: int) -> int:
     """The first of n samples at rest; the first ones that are in no block count with their neighbours."""
-    return n % block + found.first * block if found is not None and found.first else 0
+    return n % block + int(found.first) * block if found is not None and found.first else 0
 
 
 def _with_mean(dwell: Dwell, of: MeanOfSamples, bar: BallBar) -> Dwell:

@@ -143,7 +143,7 @@ def survey(
     if has_manual_joints(joints):
         dwells = manual_dwells(joints, samples, clocks, rules)
     else:
-        dwells = [_on_host(dwell, joints) for dwell in find_dwells(joints, rules)]
+        dwells = _on_host(find_dwells(joints, rules), joints)
     return Survey(
         losses=box.losses(),
         streams=box.streams(),
@@ -217,9 +217,17 @@ def _rest(listener: Listener) -> Iterator[LegSamples]:
     yield from listener.rest()
 
 
-def _on_host(dwell: Dwell, joints: JointStream) -> Dwell:
-    start, end = joints.clocks[dwell.segment].to_host_ns(np.array([dwell.start_s, dwell.end_s]))
-    return replace(dwell, start_host_ns=int(start), end_host_ns=int(end))
+def _on_host(dwells: Sequence[Dwell], joints: JointStream) -> list[Dwell]:
+    """The dwells with their times of the host's clock."""
+    times = np.array([(dwell.start_s, dwell.end_s) for dwell in dwells]).reshape(-1, 2)
+    segment = np.array([dwell.segment for dwell in dwells], dtype=np.intp)
+    host = np.empty(times.shape, np.int64)
+    for k in np.unique(segment).tolist():
+        host[segment == k] = joints.clocks[k].to_host_ns(times[segment == k].ravel()).reshape(-1, 2)
+    return [
+        replace(dwell, start_host_ns=start, end_host_ns=end)
+        for dwell, (start, end) in zip(dwells, host.tolist(), strict=True)
+    ]
 
 
 def disjoint(intervals: list[tuple[int, int, int]]) -> list[tuple[int, int, int]]:

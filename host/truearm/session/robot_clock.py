@@ -29,7 +29,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from truearm.session.clock_windows import line_under, lower_hull, slack_ns
+from truearm.session.clock_windows import line_under, lower_hulls, slack_ns
 from truearm.types import Floats
 from truearm.units import PPM
 
@@ -72,11 +72,11 @@ class RobotClock:
     def to_host_ns(self, t_robot_s: Floats) -> Ints:
         """Host times [ns] of controller times (n,) [s], late by the shortest latency of the link."""
         dt = 1e9 * (np.asarray(t_robot_s, dtype=np.float64) - self.t_ref_s)
-        lines = self.offset_ns[:, None] + self.rate[:, None] * dt
         place = np.interp(t_robot_s, self.centre_s, np.arange(len(self.centre_s)))
         left = np.minimum(place.astype(int), max(0, len(self.centre_s) - 2))
-        right, column = np.minimum(left + 1, len(self.centre_s) - 1), np.arange(dt.size)
-        correction = lines[left, column] + (place - left) * (lines[right, column] - lines[left, column])
+        right = np.minimum(left + 1, len(self.centre_s) - 1)
+        here, there = (self.offset_ns[k] + self.rate[k] * dt for k in (left, right))
+        correction = here + (place - left) * (there - here)
         return np.asarray(self.host_ref_ns + np.rint(dt).astype(np.int64) + np.rint(correction).astype(np.int64))
 
 
@@ -138,19 +138,21 @@ class Arrivals:
         latency = (t_host_ns - self.host_ref_ns - np.rint(1e9 * dt).astype(np.int64)).astype(np.float64)
         block = np.floor(dt / BLOCK_S).astype(np.int64)
         starts = np.flatnonzero(np.diff(block, prepend=block[:1] - 1))
-        for rows in np.split(np.arange(dt.size), starts[1:]):
-            self._add_block(int(block[rows[0]]), dt[rows], latency[rows])
+        for key, (a, b) in zip(block[starts].tolist(), pairwise([*starts.tolist(), dt.size]), strict=True):
+            half = int(key * BLOCK_S // HALF_WINDOW_S)
+            of_run = np.array([b - a, np.add.reduce(dt[a:b]), np.add.reduce(latency[a:b])])
+            self.sums[half] = self.sums.get(half, np.zeros(3)) + of_run
+        keys = np.unique(block[starts]).tolist()
+        known = [self.hulls[key] for key in keys if key in self.hulls]
+        x, y = (np.concatenate([*(old[:, k] for old in known), column]) for k, column in enumerate((dt, latency)))
+        of = np.concatenate([np.floor(old[:, 0] / BLOCK_S) for old in known] + [block]).astype(np.int64)
+        corners = lower_hulls(x, y, of)
+        edges = np.searchsorted(of[corners], [*keys, keys[-1] + 1]).tolist()
+        points = np.stack([x[corners], y[corners]], axis=1)
+        self.hulls.update((key, points[a:b].copy()) for key, (a, b) in zip(keys, pairwise(edges), strict=True))
         self.readings += dt.size
         self.first_s = min(self.first_s, float(t_robot_s[0]))
         self.last_s = max(self.last_s, float(t_robot_s[-1]))
-
-    def _add_block(self, key: int, dt: Floats, latency: Floats) -> None:
-        old = self.hulls.get(key, np.empty((0, 2)))
-        x, y = np.concatenate([old[:, 0], dt]), np.concatenate([old[:, 1], latency])
-        corners = lower_hull(x, y)
-        self.hulls[key] = np.stack([x[corners], y[corners]], axis=1)
-        half = int(key * BLOCK_S // HALF_WINDOW_S)
-        self.sums[half] = self.sums.get(half, np.zeros(3)) + np.array([dt.size, np.sum(dt), np.sum(latency)])
 
 
 def fit_robot_clock(segment: int, arrivals: Arrivals) -> tuple[RobotClock, RobotClockReport]:

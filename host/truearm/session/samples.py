@@ -30,7 +30,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import reduce
+from functools import cache, reduce
 from itertools import pairwise
 from statistics import NormalDist
 from typing import Any, NamedTuple
@@ -213,7 +213,7 @@ class _Kept(NamedTuple):
     def of(cls, blocks: ChannelBlocks) -> _Kept:
         """Pack blocks; at least one."""
         counts = blocks.counts
-        columns = {name: _once(getattr(blocks, name)) for name in ("period_ns", "n", "gap", "fault")}
+        columns: dict[str, Any] = {name: _once(getattr(blocks, name)) for name in ("period_ns", "n", "gap", "fault")}
         without = replace(blocks, counts=counts[:0].copy(), **columns)
         steps = np.diff(counts, axis=0, prepend=counts[:1])
         small = steps.min() >= -(2**15) and steps.max() < 2**15
@@ -401,33 +401,42 @@ LEAST_BLOCKS = 4
 
 
 class Settled(NamedTuple):
-    """``first``: index of the first block at rest, the number of blocks if none is; ``level``: mean of the second half.
+    """Where signals come to rest, one or several.
 
-    ``deviation`` (b,): block means less the level; ``bound``: how far one block may stray.
+    ``first`` (…): index of the first block at rest, the number of blocks if none is; ``level`` (…): mean of the second half;
+    ``deviation`` (…, b): block means less the level; ``bound`` (…): how far one block may stray.
     """
 
-    first: int
-    level: float
+    first: NDArray[np.intp]
+    level: Floats
     deviation: Floats
-    bound: float
+    bound: Floats
 
 
-def settled_from(means: Floats, block_var: float, floor: float) -> Settled:
-    """Where the means (b,) of consecutive blocks, each of variance ``block_var`` by noise, come to rest."""
-    b = means.size
+def settled_from(means: Floats, block_var: Floats | float, floor: Floats | float) -> Settled:
+    """Where the means (…, b) of consecutive blocks, each of variance ``block_var`` (…) by noise, come to rest."""
+    b = means.shape[-1]
     half = b // 2
-    level = float(np.mean(means[half:]))
-    level_var = block_var / (b - half)
-    deviation = means - level
-    sums = np.concatenate([[0.0], np.cumsum(deviation)])
+    level = np.mean(means[..., half:], axis=-1)
+    deviation = means - level[..., None]
+    level_var = np.asarray(block_var) / (b - half)
+    sums = np.concatenate([np.zeros((*means.shape[:-1], 1)), np.cumsum(deviation, axis=-1)], axis=-1)
     widths = [1 << k for k in range(max(1, half).bit_length())]
-    sigmas = -NormalDist().inv_cdf(FALSE_ALARM / (2.0 * b * len(widths)))
-    first = 0
+    sigmas = _sigmas(b * len(widths))
+    first = np.zeros(means.shape[:-1], dtype=np.intp)
     for width in widths:
-        stretch = (sums[width:] - sums[:-width]) / width
-        off = np.flatnonzero(np.abs(stretch) > max(floor, sigmas * np.sqrt(block_var / width + level_var)))
-        first = max(first, int(off[-1]) + 1 if off.size else 0)
-    return Settled(first, level, deviation, max(floor, float(sigmas * np.sqrt(block_var + level_var))))
+        stretch = (sums[..., width:] - sums[..., :-width]) / width
+        bound = np.maximum(floor, sigmas * np.sqrt(block_var / width + level_var))
+        off = np.abs(stretch) > bound[..., None]
+        last = off.shape[-1] - np.argmax(off[..., ::-1], axis=-1)
+        first = np.maximum(first, np.where(np.any(off, axis=-1), last, 0))
+    return Settled(first, level, deviation, np.maximum(floor, sigmas * np.sqrt(block_var + level_var)))
+
+
+@cache
+def _sigmas(stretches: int) -> float:
+    """How many standard deviations one of so many stretches strays in FALSE_ALARM of all cases."""
+    return -NormalDist().inv_cdf(FALSE_ALARM / (2.0 * stretches))
 
 
 def block_means(samples: Floats, length: int) -> Floats:
