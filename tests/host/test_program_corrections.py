@@ -60,7 +60,7 @@ def corrected(tmp_path, text, **options):
     """The corrected text. Raises ProgramRefused."""
     path = Path(tmp_path) / ("p.mod" if text.startswith("MODULE") else "p.script")
     path.write_text(text)
-    how = HowCorrected(ModelPair(CHAIN, DESIGN, TRUTH), "newton", 1, Q[0], MARGIN)
+    how = HowCorrected(ModelPair(CHAIN, DESIGN, TRUTH), "newton", 1, options.pop("home", Q[0]), MARGIN)
     given = {"joint_moves": JointMoves.CORRECT, **({} if path.suffix == ".mod" else {"tool": TOOLS[0]}), **options}
     return correct_program(path, how, HERE, ProgramOptions(**given)).text.decode("latin-1")
 
@@ -135,6 +135,29 @@ def test_the_true_arm_goes_where_a_perfect_one_would(tmp_path, form):
     before = misses(text, text)
     assert before[:, 0].min() > 5e-3
     assert misses(text, corrected(tmp_path, text)).max() < 1e-6
+
+
+def flipped(q):
+    """The other wrist: the same pose of an arm whose last three axes meet."""
+    turn = np.where(q[[3, 5]] > 0.0, -np.pi, np.pi)
+    return np.array([*q[:3], q[3] + turn[0], -q[4], q[5] + turn[1]])
+
+
+FROM_JOINTS = {
+    "straight": (f"movej({written(flipped(Q[1]))})", f"movel({six(POSES[2])})", f"movel({six(POSES[3])})"),
+    "by joints": (f"movej({written(flipped(Q[1]))})", f"movej({six(POSES[2])})"),
+    "from a qnear": (f"movej(get_inverse_kin({six(POSES[1])}, qnear={written(flipped(Q[1]))}))", f"movel({six(POSES[2])})"),
+    "a rough qnear": (f"movej(get_inverse_kin({six(POSES[2])}, qnear={written(np.round(flipped(Q[2])) + np.array([0.5, 0.5, -0.5, -0.5, 0.6, 0.5]))}))",),
+    "in a routine written before": ("def go():", f"  movel({six(POSES[3])})", "end", f"movej({written(flipped(Q[1]))})", f"movel({six(POSES[2])})", "go()", f"movej({written(Q[5])})", f"movel({six(POSES[6])})"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("form", FROM_JOINTS)
+def test_the_configuration_is_the_one_in_which_the_program_comes(tmp_path, form):
+    """Without a home: the wrist is where the joint move before has brought it, however the text is ordered."""
+    np.testing.assert_allclose(forward(CHAIN, DESIGN, flipped(Q[1])[None])[0], POSES[1], atol=1e-12)
+    text = program(*FROM_JOINTS[form])
+    assert misses(text, corrected(tmp_path, text, home=None)).max() < 1e-6
 
 
 def test_a_pose_whose_elements_are_set_is_split(tmp_path):

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.correct.false_target import false_target
-from truearm.correct.inverse import Inverse, inverse, search, singular_value, within
+from truearm.correct.inverse import Inverse, Origins, inverse, search, singular_value, within
 from truearm.correct.joint_space import joint_space
 from truearm.correct.methods import Method
 from truearm.correct.model_pair import ModelPair, believed, in_rig, reached
@@ -33,12 +33,13 @@ class Configuration(NamedTuple):
     """Which of the arm's configurations the controller takes.
 
     ``q_start``: (n, j) near the joints that it will take; without, they are searched for (``inverse.search``), near ``home`` (j,)
-    first and within ``quadrants`` (n, j).
+    first, within ``quadrants`` (n, j), each nearest to where the robot comes from by ``origins``.
     """
 
     q_start: Floats | None = None
     home: Floats | None = None
     quadrants: Floats | None = None
+    origins: Origins | None = None
 
 
 SEARCHED = Configuration()
@@ -104,9 +105,9 @@ def correct(
 
 def _nominal(pair: ModelPair, targets: Floats, oriented: bool, configuration: Configuration) -> Inverse:
     """f_n⁻¹(x_d)"""
-    q_start, home, quadrants = configuration
+    q_start, home, quadrants, origins = configuration
     if q_start is None:
-        return search(pair.chain, pair.nominal, targets, oriented, home, quadrants)
+        return search(pair.chain, pair.nominal, targets, oriented, home, quadrants, origins)
     found = inverse(pair.chain, pair.nominal, targets, q_start, oriented)
     return found._replace(reached=found.reached & within(pair.chain, found.q))
 

@@ -49,6 +49,13 @@ class Inverse(NamedTuple):
     singular_value: Floats  # (n,) smallest, of the Jacobian there
 
 
+class Origins(NamedTuple):
+    """Where the robot comes from to each of n targets: another target (n,), -1 for the one before; or joint readings (n, j), NaN where it is a target."""
+
+    target: NDArray[np.int_]
+    q: Floats
+
+
 def inverse(chain: Chain, params: Floats, targets: Floats, q_start: Floats, oriented: bool = True) -> Inverse:
     """The solutions for targets (n, 4, 4) that are nearest downhill from q_start (n, j); limits are not looked at.
 
@@ -114,11 +121,12 @@ def search(
     oriented: bool = True,
     home: Floats | None = None,
     quadrants: Floats | None = None,
+    origins: Origins | None = None,
 ) -> Inverse:
     """Solutions within the joint limits for targets (n, 4, 4).
 
     Each from the solution before and from N_STARTS of the N_NEAR best of N_SAMPLES joint vectors. Of an arm's
-    configurations that is taken which is nearest to the solution before, of the first target nearest to ``home`` (j,)
+    configurations that is taken which is nearest to where the robot comes from, by ``origins`` or the solution before, of the first target nearest to ``home`` (j,)
     (default: the middle of the limits); joints with more than a turn take as many turns as bring them near. ``quadrants``
     (n, j), NaN where it does not matter, is stronger: the quarter turn that a reading shall lie in, as ⌊q/90°⌋. Where
     no target is reached, what came nearest is returned.
@@ -134,35 +142,58 @@ def search(
     stock = Inverse(found.q.reshape(n, k, j), found.reached.reshape(n, k), found.singular_value.reshape(n, k))
     first = 0.5 * (lower + upper) if home is None else home
     asked = np.full((n, j), np.nan) if quadrants is None else quadrants
-    chosen, near = _chosen(chain, params, stock, first, asked, oriented)
+    begun = Origins(np.full(n, -1), np.full((n, j), np.nan)) if origins is None else origins
+    chosen, near = _chosen(chain, params, stock, first, asked, oriented, begun)
     for _ in range(PASSES if oriented else 0):  # without orientation the joints are ours to choose
         went_on = inverse(chain, params, targets, near, oriented)
         stock = Inverse(*(np.concatenate([a, b[:, None]], axis=1) for a, b in zip(stock, went_on, strict=True)))
         near_before = near
-        chosen, near = _chosen(chain, params, stock, first, asked, oriented)
+        chosen, near = _chosen(chain, params, stock, first, asked, oriented, begun)
         if np.abs(near - near_before).max(initial=0.0) < SAME:
             break
     return chosen
 
 
 def _chosen(
-    chain: Chain, params: Floats, stock: Inverse, first: Floats, asked: Floats, oriented: bool
+    chain: Chain, params: Floats, stock: Inverse, first: Floats, asked: Floats, oriented: bool, origins: Origins
 ) -> tuple[Inverse, Floats]:
-    """Of k solutions (n, k) for each target the one nearest to the solution before, and where that was (n, j)."""
-    near, picked = np.empty_like(asked), []
+    """Of k solutions (n, k) for each target the one nearest to where the robot comes from, and where that was (n, j)."""
+    near, chosen = np.empty_like(asked), np.empty_like(asked)
+    good, margin = np.zeros(len(asked), dtype=bool), np.zeros(len(asked))
     here = first
-    for i, (q, reached, singular) in enumerate(zip(*stock, strict=True)):
+    given: NDArray[np.bool_] = np.asarray(np.isfinite(origins.q).all(axis=1))
+    for i in _followed(origins.target):
+        before = origins.target[i]
+        if given[i]:
+            here = origins.q[i]
+        elif before >= 0 and good[before]:
+            here = chosen[before]
         near[i] = here
+        q, reached, singular = (part[i] for part in stock)
         q = turned(chain, params, q, np.where(np.isnan(asked[i]), here, 0.5 * np.pi * (asked[i] + 0.5)))
-        good = reached & within(chain, q)
-        far = np.abs(q - here).max(axis=-1) + 1e3 * _misplaced(q, asked[i]) + 1e6 * ~good
+        usable = reached & within(chain, q)
+        far = np.abs(q - here).max(axis=-1) + 1e3 * _misplaced(q, asked[i]) + 1e6 * ~usable
         if not oriented:  # then joints at a limit or a singularity are the worse choice
             far += 1e2 * (~within(chain, q, ROOM) | (singular < SINGULAR))
         best = int(np.argmin(far))
-        picked.append((q[best], good[best], singular[best]))
-        here = q[best] if good[best] else here
-    q, reached, singular = (np.array(column) for column in zip(*picked, strict=True)) if picked else stock
-    return Inverse(q.reshape(asked.shape), reached.reshape(-1), singular.reshape(-1)), near
+        chosen[i], good[i], margin[i] = q[best], usable[best], singular[best]
+        here = q[best] if usable[best] else here
+    return Inverse(chosen, good, margin), near
+
+
+def _followed(origin: NDArray[np.int_]) -> list[int]:
+    """The targets in an order in which each stands behind the one that the robot comes from, where that is no circle."""
+    order: list[int] = []
+    seen = np.zeros(len(origin), dtype=bool)
+    for i in range(len(origin)):
+        way = []
+        at = i
+        while at >= 0 and not seen[at]:
+            seen[at] = True
+            way.append(at)
+            at = int(origin[at])
+        order += reversed(way)
+    return order
 
 
 def turned(chain: Chain, params: Floats, q: Floats, near: Floats) -> Floats:

@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truearm.correct.controller_frames import SAME, Frame, base_of, flange_of
 from truearm.correct.correction import Configuration, Correction, correct
+from truearm.correct.inverse import Origins
 from truearm.correct.joint_moves import JointMoves
 from truearm.correct.methods import Method
 from truearm.correct.model_pair import ModelPair, believed
@@ -42,6 +44,8 @@ from truearm.text import counted, listed
 from truearm.types import Floats
 from truearm.workflows.correction_findings import CorrectedMoves, CorrectedTargets
 
+N_READINGS = 6  # of a program's joint readings
+NEAR = 0.3  # rad, m from joints that a program gives to those of the target: farther ones are searched for
 MOST_MOVES = 5_000  # straight moves that are driven: about 0.2 ms each
 Six = tuple[float, float, float, float, float, float]
 
@@ -133,7 +137,7 @@ def correct_program(
     ends = base.pose @ frame @ place @ inverted(tools) @ inverted(flange.pose)
     n_joints = len(how.pair.chain.joints)
     near, quarters = nears_of(targets.poses, n_joints), quarters_of(targets.poses, n_joints)
-    done = _corrected_poses(how, ends, near, quarters)
+    done = _corrected_poses(how, ends, near, quarters, targets.origins)
     readings = [literal for literal, _ in targets.joints]
     joints = _corrected_joints(how, readings)
     refused = [*targets.refused, *_problems(program, done, [one.at for one in targets.poses])]
@@ -184,7 +188,13 @@ def correct_program(
         (
             f"The controller's base: {base.words}. Its flange: {flange.words}.",
             *_joints_kept(len(at_joints) if options.joint_moves is JointMoves.KEEP else 0),
-            *_configurations(correction.q[: len(kept)], near[rows], quarters[rows], lines_of),
+            *_configurations(
+                correction.q[: len(kept)],
+                near[rows],
+                quarters[rows],
+                [targets.origins[i] is not None for i in rows],
+                lines_of,
+            ),
         ),
     )
 
@@ -229,13 +239,19 @@ def _joints_kept(n: int) -> list[str]:
     return [f"{counted(n, 'move')} to joint readings kept as {'it is' if n == 1 else 'they are'}."] * bool(n)
 
 
-def _configurations(q: Floats, near: Floats, quarters: Floats, lines: Sequence[int]) -> list[str]:
-    """What to check of the arm's configurations: those that were searched for, and those that a program's own data contradict."""
-    told = np.isfinite(near).any(axis=1) | np.isfinite(quarters).any(axis=1)
+def _configurations(
+    q: Floats, near: Floats, quarters: Floats, after: Sequence[bool], lines: Sequence[int]
+) -> list[str]:
+    """What to check of the arm's configurations: those that were searched for, and those that a program's own data contradict. ``after``: the program says where
+    the robot comes from."""
+    told = np.isfinite(near).any(axis=1) | np.isfinite(quarters).any(axis=1) | np.array(after, dtype=bool)
     wrong = ((np.floor(q / (0.5 * np.pi)) != quarters) & ~np.isnan(quarters)).any(axis=1)
     where = listed([str(line) for line, is_wrong in zip(lines, wrong, strict=False) if is_wrong])
     check = f"Check the configuration data of {counted(int(wrong.sum()), 'robtarget')} (lines {where}): by this model an axis is in another quarter turn."
-    return [SEARCHED] * bool((~told).any()) + [check] * bool(wrong.any())
+    unknown = listed([str(line) for line, is_told in zip(lines, told, strict=False) if not is_told])
+    return [f"{SEARCHED} The program does not say where the robot comes from to line {unknown}."] * bool(
+        (~told).any()
+    ) + [check] * bool(wrong.any())
 
 
 def _placed(language: ProgramLanguage, names: CalibrationFrames, options: ProgramOptions) -> tuple[Frame, Frame]:
@@ -263,12 +279,33 @@ def _given(six: Six | None) -> Frame | None:
     return Frame(np.asarray(pose_of(np.array([six[:3]]), np.array([six[3:]]))[0]), "as given")
 
 
-def _corrected_poses(how: HowCorrected, ends: Floats, near: Floats, quarters: Floats) -> Correction:
-    """Targets (n, 4, 4) corrected: those with joints near them from there, the others by a search."""
-    known = np.isfinite(near).all(axis=1)
+def _corrected_poses(
+    how: HowCorrected, ends: Floats, near: Floats, quarters: Floats, origins: Sequence[int | Taught | None]
+) -> Correction:
+    """Targets (n, 4, 4) corrected: those with joints near them from there, the others by a search from where the robot comes from."""
+    given: NDArray[np.bool_] = np.asarray(np.isfinite(near).all(axis=1))
+    known = given.copy()
+    at_known = _corrected(how, ends[known], Configuration(q_start=near[known]))
+    if (far := np.abs(at_known.q_nominal - near[known]).max(axis=1) > NEAR).any():
+        known[np.flatnonzero(known)[far]] = (
+            False  # downhill from so far may lead to another configuration than the nearest
+        )
+        at_known = _rows(at_known, np.flatnonzero(~far).tolist())
+    place = np.where(known, np.cumsum(known), np.cumsum(~known)) - 1  # among those of its sort
+    begun = Origins(np.full(len(ends), -1), near.copy())
+    for i, origin in enumerate(origins):
+        if given[i]:
+            continue
+        if isinstance(origin, Taught) and near.shape[1] == N_READINGS:
+            begun.q[i] = readings_of(origin)
+        elif isinstance(origin, int) and known[origin]:
+            begun.q[i] = at_known.q_nominal[place[origin]]
+        elif isinstance(origin, int):
+            begun.target[i] = place[origin]
+    rest = Origins(begun.target[~known], begun.q[~known])
     found = _joined(
-        _corrected(how, ends[known], Configuration(q_start=near[known])),
-        _corrected(how, ends[~known], Configuration(home=how.home, quadrants=quarters[~known])),
+        at_known,
+        _corrected(how, ends[~known], Configuration(home=how.home, quadrants=quarters[~known], origins=rest)),
     )
     order = np.concatenate([np.flatnonzero(known), np.flatnonzero(~known)])
     return _rows(found, np.argsort(order).tolist())

@@ -56,7 +56,8 @@ UNDECLARED = "name"  # the remedy of a name that the file does not declare, unti
 
 GLOBAL = 0
 TOOL = "tool in force"  # no name of a variable has a space
-HERE = "where the robot is"
+_HERE: Key = (GLOBAL, "where the robot is")
+_ANYWHERE: Values = (Unknown("nothing says where the program begins", 0),)
 MOST_STARTS = 64  # of a straight move that are told apart
 
 
@@ -64,15 +65,15 @@ MOST_STARTS = 64  # of a straight move that are told apart
 class Motion:
     """A statement that moves the robot; ``problems`` say why it, or a part of it, cannot be corrected.
 
-    ``lines``: of a move along a straight line, from where to where it may go; ``known_starts`` is False where it may begin elsewhere too.
+    ``legs``: each time that it was followed, what the robot may come from and what it may end at; ``straight``: along a line in space.
     """
 
     name: str
     start: int
     end: int
     goals: dict[Goal, None] = field(default_factory=dict)
-    lines: dict[tuple[Goal, Goal], None] = field(default_factory=dict)
-    known_starts: bool = True
+    legs: list[tuple[Values, Values]] = field(default_factory=list)
+    straight: bool = False
     problems: dict[tuple[str, str], None] = field(default_factory=dict)  # why, and the argument that would settle it
 
 
@@ -479,7 +480,7 @@ class Flow:
     def uncertain(self, name: str, start: int, end: int, why: str, remedy: str = "") -> None:
         """Record a statement that may move the robot and cannot be corrected; ``remedy``: the argument that would settle it."""
         self.motion(name, start, end).problems[why, remedy] = None
-        self.set(HERE, (Unknown(why, start),), "global")
+        self.environment.set(_HERE, (Unknown(why, start),))
 
     def goes_to(
         self,
@@ -506,13 +507,11 @@ class Flow:
                             motion.problems[found] = None
                         if k == len(targets):
                             ends[found if isinstance(found, Goal) else Unknown(found[0], call.start)] = None
-        if straight:
-            starts = self.get(HERE) or (Unknown("nothing says where the program begins", call.start),)
-            pairs = [(a, b) for a in starts if isinstance(a, Goal) for b in ends if isinstance(b, Goal)]
-            motion.known_starts &= len(pairs) == len(starts) * len(ends)
-            motion.lines |= dict.fromkeys(pairs)
         several = Unknown("it may be at too many places to be told apart", call.start)
-        self.set(HERE, tuple(ends) if len(ends) <= MOST_STARTS else (several,), "global")
+        reached = tuple(ends) if len(ends) <= MOST_STARTS else (several,)
+        motion.straight = straight
+        motion.legs.append((self.environment.get(_HERE) or _ANYWHERE, tuple(ends)))
+        self.environment.set(_HERE, joined(self.environment.get(_HERE), reached) if self.loose else reached)
 
 
 def _goal(value: Value, tool: Value, frame: Value, argument: Expression) -> Goal | tuple[str, str]:

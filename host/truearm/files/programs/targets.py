@@ -21,6 +21,7 @@ from truearm.files.programs.values import (
     Goal,
     LiteralPoses,
     Pose,
+    Value,
     literals_in,
     matrices_of,
     matrix_of,
@@ -53,7 +54,8 @@ class Line(NamedTuple):
 class Targets(NamedTuple):
     """What is to be corrected: poses, and joint readings as literals; and the moves that cannot be.
 
-    ``lines`` are the straight moves, of which ``loose`` (by place) may begin elsewhere too.
+    ``lines`` are the straight moves, of which ``loose`` (by place) may begin elsewhere too. ``origins``: where the robot comes from when it first goes to each
+    pose, another pose by its index or joint readings, None where the program does not say.
     """
 
     poses: tuple[PoseTarget, ...]
@@ -61,6 +63,7 @@ class Targets(NamedTuple):
     refused: tuple[Refused, ...]
     lines: tuple[Line, ...]
     loose: tuple[int, ...]
+    origins: tuple[int | Taught | None, ...]
 
 
 Refuse = Callable[[Motion, str, str], None]
@@ -96,19 +99,38 @@ def targets_of(program: Program, joint_moves: bool, split: bool) -> Targets:
     for literal in _suspects([*literals.values(), *joints]):
         if (absurd := _absurd(literal)) is not None:
             raise program.source.wrong(literal.start, absurd)
-    lines = tuple(dict.fromkeys(_lines(program, dict(zip(users, index, strict=True)))))
-    loose = tuple(motion.start for motion in program.motions if not motion.known_starts)
-    return Targets(poses, tuple(joints.items()), tuple(sorted(refused)), lines, loose)
+    lines, loose, origins = _ways(program, dict(zip(users, index, strict=True)))
+    found = tuple(origins.get(i) for i in range(len(poses)))
+    return Targets(poses, tuple(joints.items()), tuple(sorted(refused)), lines, loose, found)
 
 
-def _lines(program: Program, index: Mapping[Goal, int | None]) -> Iterator[Line]:
-    """The straight moves from known places to poses that are corrected."""
+def _ways(
+    program: Program, index: Mapping[Goal, int | None]
+) -> tuple[tuple[Line, ...], tuple[int, ...], dict[int, int | Taught]]:
+    """The straight moves from known places to poses that are corrected, those that may begin elsewhere too, and the origins of poses."""
+    lines: dict[Line, None] = {}
+    loose: dict[int, None] = {}
+    origins: dict[int, int | Taught] = {}
     for motion in program.motions:
-        for start, end in motion.lines:
-            begin = start.target if isinstance(start.target, Taught) else index.get(start)
-            to = index.get(end)
-            if begin is not None and to is not None:
-                yield Line(motion.start, begin, to)
+        for starts, ends in motion.legs:
+            places = [place for start in starts if (place := _origin(start, index)) is not None]
+            reached = [index.get(end) if isinstance(end, Goal) else None for end in ends]
+            known = [to for to in reached if to is not None]
+            if places:
+                origins |= {
+                    to: next((one for one in places if one != to), places[0]) for to in known if to not in origins
+                }
+            if motion.straight:
+                lines |= dict.fromkeys(Line(motion.start, begin, to) for begin in places for to in known)
+                if not all(isinstance(one, Goal) for one in (*starts, *ends)):
+                    loose[motion.start] = None
+    return tuple(lines), tuple(loose), origins
+
+
+def _origin(start: Value, index: Mapping[Goal, int | None]) -> int | Taught | None:
+    if not isinstance(start, Goal):
+        return None
+    return start.target if isinstance(start.target, Taught) else index.get(start)
 
 
 def _assigned(
