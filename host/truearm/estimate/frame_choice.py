@@ -54,7 +54,10 @@ def mounting(chain: Chain, params: Floats) -> Mounting:
     at_end = [np.einsum("nki,knp->inp", pose[:, :3, :3], part) for part in (turn, velocity)]
     twists = [np.concatenate(parts) for parts in ((turn, at_base), at_end)]  # (6, n, p)
     base, tool = (np.ptp(of, axis=1).max(axis=0) <= CONSTANT * np.abs(of).max(initial=1.0) for of in twists)
-    return Mounting(base, tool, twists[0][:, 0], twists[1][:, 0])
+    varies = np.isin(
+        np.arange(params.size), chain.law.of_column
+    )  # a curve's coefficient may do nothing in any of these poses
+    return Mounting(base & ~varies, tool & ~varies, twists[0][:, 0], twists[1][:, 0])
 
 
 def held_as_frames(

@@ -6,7 +6,7 @@ are compared with the identified robot's. A format that declares a term of the l
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -19,7 +19,7 @@ from truearm.export.formats import FORMATS, Format, writer
 from truearm.export.link_frames import LinkFrames, link_frames, predicted
 from truearm.export.refit import MARKS, refit
 from truearm.model import joint_law
-from truearm.model.chain import GEOMETRY, Chain, forward
+from truearm.model.chain import GEOMETRY, Chain, Parameter, forward
 from truearm.model.mountings import mountings
 from truearm.types import Floats
 
@@ -60,7 +60,7 @@ class Fitted(NamedTuple):
     """Parameters that a format holds, and what they cost against the identified ones over n poses."""
 
     params: Floats  # (p,)
-    missing: tuple[str, ...]  # identified parameters that the format has no place for
+    missing: tuple[str, ...]  # identified parameters that the format has no place for; a curve or a sag as one
     refitted: bool
     dropped: Floats  # (n,) m, position error if what does not fit were simply left out
     left: Floats  # (n,) m, position error of what is written
@@ -101,13 +101,14 @@ def fit_to(
     neutral = {term.name: term.neutral for term in joint_law.TERMS}
     without = np.where(has_place, nominal, [neutral.get(p.term, np.nan) for p in chain.parameters])
     start = np.where(adjustable & has_place, identified, without)
-    missing = tuple(chain.parameter_names[i] for i in np.flatnonzero(~has_place & (identified != without)))
+    lost = [p for p, gone in zip(chain.parameters, ~has_place & (identified != without), strict=True) if gone]
+    missing = tuple(dict.fromkeys(_called(p) for p in lost))
     refitted = not np.array_equal(start, identified)
     params = refit(chain, identified, start, adjustable & has_place, q) if refitted else identified
     wanted = forward(chain, identified, q)
     poses = predicted(link_frames(chain, nominal, params), q)
     if missing and adjustable.all():
-        _check_worth(name, chain, nominal, identified, poses, missing, q)
+        _check_worth(name, chain, nominal, identified, poses, lost, q)
     return Fitted(
         params=params,
         missing=missing,
@@ -116,6 +117,12 @@ def fit_to(
         left=_distance(poses, wanted),
         exact=bool(np.abs(poses - wanted).max(initial=0.0) <= EXACT),
     )
+
+
+def _called(parameter: Parameter) -> str:
+    """Its name; of a coefficient that of its joint's curve or sag: "joint2.sag"."""
+    learned = {term.name for term in joint_law.TERMS if term.learned}
+    return parameter.name.rpartition(".")[0] if parameter.term in learned else parameter.name
 
 
 def named(names: tuple[str, ...]) -> str:
@@ -129,7 +136,7 @@ def _check_worth(
     nominal: Floats,
     identified: Floats,
     poses: Floats,
-    missing: tuple[str, ...],
+    lost: Sequence[Parameter],
     q: Floats,
 ) -> None:
     """Raise RobotError unless a file's poses (n, 4, 4) are nearer to the identified robot's than those of the nominal one.
@@ -140,7 +147,7 @@ def _check_worth(
     as_described = mounted.base @ forward(chain, nominal, q) @ mounted.tool
     if _marks_apart(poses, wanted) <= _marks_apart(as_described, wanted):
         return
-    terms = {p.term for p in chain.parameters if p.name in missing}
+    terms, missing = {p.term for p in lost}, tuple(dict.fromkeys(map(_called, lost)))
     others = [other for other, form in FORMATS.items() if terms <= set(form.holds)]
     raise RobotError(
         f"{name} has no place for {named(missing)}, and without {'it' if len(missing) == 1 else 'them'} no file is nearer to the "

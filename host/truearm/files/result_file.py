@@ -151,7 +151,7 @@ def document_of(
         "n_observations": estimate.n_observations,
         "joint_range": _joint_range(table.q[estimate.fitted]),
         "observations": _counts(estimate, table, units),
-        "n_free": int(estimate.free[: estimate.n_robot_parameters].sum()),
+        "n_free": int(estimate.free[: estimate.n_robot_parameters].sum()) - _coefficients(estimate),
         "rank": estimate.rank,
         "rank_gap": number_or_null(estimate.rank_gap),
         "free": names[estimate.free].tolist(),
@@ -196,6 +196,11 @@ def document_of(
         },
     }
     return with_checksum(document)
+
+
+def _coefficients(estimate: Estimate) -> int:
+    """Parameters of joint laws: the evidence's prior holds them, so that they count neither as free nor in the rank."""
+    return sum(law.size for law in estimate.joint_laws.kept) if estimate.joint_laws else 0
 
 
 def with_checksum(document: Mapping[str, Any]) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from truearm.files.programs.program import Refused
 from truearm.files.strict_json import number_or_null
 from truearm.model.poses import apart, inverted, position_and_rotation
 from truearm.text import counted, listed
-from truearm.types import Floats
+from truearm.types import CurveKnots, Floats
 from truearm.units import DEG, MM, MRAD, key, shown
 from truearm.workflows.calibration import Calibration
 
@@ -27,6 +27,7 @@ STRAIGHT = 1e-4  # m: a straight move that bends more is warned of
 COVERAGE = 2.0  # k of the expanded uncertainty, about 95 % of a normal error
 NEAR_OBSERVED = 0.05  # rad, m beyond the readings that were fitted: no extrapolation worth a warning
 RMS_OF_MEAN = math.sqrt(0.5 * math.pi)  # of |x| where x is normal
+FADES = " Error curves fade out there: what is corrected is geometry and sag."
 FORMAT = "truearm-correction"
 FORMAT_VERSION = 1
 
@@ -145,7 +146,7 @@ def warnings(calibration: Calibration, targets: CorrectedTargets, moves: Correct
         names = [calibration.chain.joints[j].name for j in np.flatnonzero(outside.any(axis=0))]
         said.append(
             f"{counted(rows.size, 'target')} outside the joint readings that the calibration was identified from, in {listed(names)}: "
-            f"{_several([targets.places[i] for i in rows])}."
+            f"{_several([targets.places[i] for i in rows])}.{FADES * any(isinstance(law, CurveKnots) for law in calibration.stored.laws)}"
         )
     if drive is not None:
         bent = np.flatnonzero(drive.deviation > STRAIGHT)

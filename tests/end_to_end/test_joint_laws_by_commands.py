@@ -1,0 +1,93 @@
+"""The full way with an arm that has error curves and sag: plan, record, identify, correct, by commands alone, judged by the hidden truth."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from truearm.cli.main import main
+from truearm.files.plan_file import read_plan
+from truearm.files.robot_file import RobotChoice
+from truearm.model.chain import forward
+from truearm.model.poses import position_and_rotation
+from truearm.workflows.simulated_robot import TruthOptions, simulated_robot
+
+POSES, TARGETS = 1600, 40
+GEAR, PERIODS = 2.5e-4, (180.0, 360.0 / 17.0)  # rad of each sine, deg: 2 and 17 cycles a turn
+MASSES, STIFFNESS = (3.7, 8.4, 2.3, 1.2, 1.2, 0.2), 3e4  # kg of a UR5e's links; N·m/rad
+TOOL = np.array([0.0, 0.0, 0.1, 1.0])  # m: the point of the end that is judged
+LAWS = [
+    *("--gear-error-mrad", 1e3 * GEAR, "--gear-periods-deg", ",".join(map(str, PERIODS))),
+    *("--masses-kg", ",".join(map(str, MASSES)), "--stiffness-nm-rad", STIFFNESS, "--repeatability-mm", 0.03),
+]
+
+
+def true_poses(seed):
+    """A function that says where the true arm's end is at joint readings."""
+    truth = TruthOptions(gear_error=GEAR, gear_periods=tuple(np.radians(PERIODS)), masses=MASSES, stiffness=STIFFNESS)
+    robot = simulated_robot(RobotChoice("ur5e"), truth, seed)
+    chain = robot.robot.chain
+    return chain, lambda q: forward(chain, robot.params, q + sum(error.at(q) for error in robot.arm.errors))
+
+
+def write_targets(path, poses, q):
+    six = position_and_rotation(poses)
+    names = ["x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg", *(f"q{k}_deg" for k in range(1, 7))]
+    rows = np.concatenate([1e3 * six[:, :3], np.degrees(six[:, 3:]), np.degrees(q)], axis=1).tolist()
+    path.write_text("\n".join([",".join(names), *(",".join(map(repr, row)) for row in rows)]) + "\n")
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", [1, 2])
+def test_targets_are_reached_by_an_arm_with_curves_and_sag(seed, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments):
+        assert main([str(argument) for argument in arguments]) == 0
+        return capsys.readouterr().out
+
+    fast, known = ["simulate", "--fast", "--model", "ur5e"], ["--model", "ur5e"]
+    run(*fast, "--poses", 9, "--out", "rehearsal")
+    rig = Path("rig.toml")
+    rig.write_text(Path("rehearsal/rig.toml").read_text().replace("8.4e-05", "3e-05"))
+    for out, poses, draw in (("plan.csv", POSES, 0), ("check.csv", 60, 5)):
+        budget = ["--poses", poses, "--candidates", 6000, "--seed", draw]
+        run("plan", "ballbar", *known, "--rig", rig, *budget, "--joint-laws", "--out", out)
+    run(*fast, *LAWS, "--plan", "plan.csv", "--rig-file", rig, "--out", "first", "--seed", seed)
+    run(*fast, *LAWS, "--plan", "check.csv", "--rig-file", rig, "--out", "second", "--seed", 9, "--truth-seed", seed)
+
+    chain, true_end = true_poses(seed)
+    plan, rng = read_plan(Path("plan.csv")), np.random.default_rng(7)
+    stops = plan.q[np.flatnonzero(plan.dwells)]
+    q = stops[rng.permutation(len(stops))[:TARGETS]] + rng.uniform(-0.05, 0.05, (TARGETS, 6))
+    targets = forward(chain, chain.params_nominal, q)
+    write_targets(Path("targets.csv"), targets, q)
+
+    def corrected(result, *method):
+        """Errors of the true tool [mm], and what was expected of them, k = 1 [mm]."""
+        document = json.loads(run("correct", result, "targets.csv", *method, "--out", "corrected.csv", "--json"))
+        with open("corrected.csv", encoding="utf-8") as file:
+            rows = [[float(row[f"q{k}_deg"]) for k in range(1, 7)] for row in csv.DictReader(file)]
+        error = ((true_end(np.radians(rows)) - targets) @ TOOL)[:, :3]
+        expected = [target["expected_mm"] / 2.0 for target in document["targets"]]
+        return 1e3 * np.linalg.norm(error, axis=1), np.array(expected)
+
+    run("identify", "first/session.mcap", *known, "--joint-laws", "none", "--out", "geometry.json")
+    run("identify", "first/session.mcap", *known, "--joint-laws", "auto", "--out", "laws.json")
+    geometry, _ = corrected("geometry.json")
+    for method in ([], ["--method", "false-target", "--steps", 4], ["--method", "joints", "--steps", 4]):
+        error, expected = corrected("laws.json", *method)
+        print(f"seed {seed} {method}: {geometry.mean():.3f} → {error.mean():.4f} mm, largest {error.max():.3f}")
+        print(f"expected (k = 1) {expected.mean():.4f} mm")
+        assert error.mean() <= max(0.06, 1.3 * expected.mean())
+        assert (error <= 2.0 * expected).mean() >= 0.85
+    assert geometry.mean() >= 0.3
+    verdicts = [
+        json.loads(run("validate", result, "second/session.mcap", "--json"))
+        for result in ("geometry.json", "laws.json")
+    ]
+    assert verdicts[1]["rms_after_mm"] < 0.5 * verdicts[0]["rms_after_mm"]
+    run("map", "laws.json", "--picture", "map.svg")
+    run("export", "laws.json", "--format", "ur", "--over", "check.csv", "--out", "laws.yaml", "--curves", "curves.csv")
