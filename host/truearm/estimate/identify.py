@@ -160,7 +160,7 @@ def identify(
     taken = only(problem, found.weight > 0.0)
     wrong = systematic_errors(taken, x, columns, Fitted.of(information), FitChi2(chi2, freedom, explained), how)
     if wrong is not None:
-        wrong = replace(wrong, moves=_moves(chain, x, x + wrong.shift, table.q[fitted]))
+        wrong = replace(wrong, moves=moves(chain, x, x + wrong.shift, table.q[fitted]))
     pose = poses(table.select(fitted))
     distance, beyond = standardised(problem, x, columns, half(parts), found.weight)
     identifiable = spread(sight.identifiable & ~np.isin(names, untimed), columns)
@@ -243,7 +243,7 @@ def _left_out(spans: Sequence[tuple[int, int]], n: int) -> NDArray[np.bool_]:
     return out
 
 
-def _moves(chain: Chain, x: Floats, there: Floats, q: Floats) -> float:
+def moves(chain: Chain, x: Floats, there: Floats, q: Floats) -> float:
     """Distance [m] of the end's origin by the robot's parameters of x and by those of ``there``, RMS over the poses."""
     p = len(chain.parameters)
     apart = forward(chain, there[:p], q)[:, :3, 3] - forward(chain, x[:p], q)[:, :3, 3]

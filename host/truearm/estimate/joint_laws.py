@@ -15,14 +15,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from truearm.estimate.identify import judged, merged, modelled_of, rms_of
+from truearm.estimate.identify import judged, merged, modelled_of, moves, rms_of
 from truearm.estimate.information import observe
 from truearm.estimate.law_candidates import candidates
 from truearm.estimate.law_curves import strongest_periods
 from truearm.estimate.law_fit import LawProblem, Learned, Posterior, gated, law_problem, learn, posterior
 from truearm.estimate.law_rows import law_rows
+from truearm.estimate.law_systematic import law_systematic
 from truearm.estimate.mean_error import mean_errors
-from truearm.estimate.measured_order import poses
+from truearm.estimate.measured_order import measured_order, poses
 from truearm.estimate.pose_noise import PoseNoise
 from truearm.estimate.problem import Rigs, build_problem
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss
@@ -123,6 +124,9 @@ def _why_none(estimate: Estimate) -> str:
         return f"joint laws are fitted with the solvers lm and map and the linear loss, not with {estimate.solver} and {estimate.loss}"
     if not estimate.chi2_freedom >= LEAST_FREEDOM:
         return f"{estimate.n_observations} rows are too few: {LEAST_FREEDOM} degrees of freedom beyond the geometry are needed"
+    wrong = estimate.systematic
+    if wrong is not None and wrong.chi2_reduced <= estimate.chi2_band[1]:
+        return "the systematic errors that were found explain what the geometry leaves: correct or allow them first"
     return ""
 
 
@@ -164,7 +168,8 @@ class _Work:
     def estimate(self, of: LawProblem, learned: Learned) -> Estimate:
         """The estimate before, with all that the laws change."""
         before, problem = self.before, of.problem
-        found = _centred(of, posterior(of, learned), self.table.q[before.fitted])
+        fitted = posterior(of, learned)
+        found = _centred(of, fitted, self.table.q[before.fitted])
         x, p = found.x, problem.n_robot
         at, added = before.n_robot_parameters, p - before.n_robot_parameters
         is_law = np.arange(x.size) >= at
@@ -187,6 +192,10 @@ class _Work:
             unexplained = mean_errors(error, poses(self.table.select(held)), held_out=True) or mean_errors(
                 rows.left_out, of.pose, held_out=False
             )
+        how = measured_order(self.table, before.fitted)
+        wrong = law_systematic(of, fitted, learned.noise, how, quality)
+        if wrong is not None:
+            wrong = replace(wrong, moves=moves(problem.chain, x, x + wrong.shift, self.table.q[before.fitted]))
         number = np.cumsum(before.fitted) - 1  # of each row among those that were fitted
         return replace(
             before,
@@ -208,7 +217,7 @@ class _Work:
             unexplained=unexplained,
             distance=np.where(before.fitted, rows.distance[number], np.nan),
             suspect=before.fitted & rows.beyond[number],
-            systematic=None,
+            systematic=wrong,
             parts=rows.parts,
             pose_error=_pose_error(of, learned.noise),
             suggested_free=np.append(before.suggested_free, np.zeros(added, dtype=bool)),

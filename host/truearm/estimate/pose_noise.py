@@ -9,6 +9,7 @@ a model error that a pose's rows share would else pass for information, and join
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -107,6 +108,26 @@ def _whitened(problem: Problem, x: Floats, piece: Group, count: int) -> PoseRows
     rows = np.ascontiguousarray(stacked.transpose(2, 1, 0)).reshape(n // count, count * w, -1)
     j = lin.by_joints.shape[2]
     return PoseRows(piece, declared, rows[..., :-j], rows[..., -j:])
+
+
+def with_pose_noise(problem: Problem, x: Floats, noise: PoseNoise) -> Problem:
+    """The problem with this noise, at x (P,), in place of the declared one; what the rows of a pose share is in each row alone."""
+    groups = []
+    for group in problem.groups:
+        if group.row is None:
+            groups.append(group)
+            continue
+        cov = noise.sensor * group.sensor_cov
+        if noise.shared:
+            if cov.ndim == 2:
+                cov = cov[..., None] * np.eye(cov.shape[1])
+            force = np.moveaxis(group.evaluate(problem.chain, x).wrenches[..., FORCE], 0, 1)
+            cov = cov + noise.shared * (force @ force.swapaxes(1, 2))
+        groups.append(replace(group, sensor_cov=cov))
+    joints = noise.joint * np.eye(len(problem.chain.joints))
+    if problem.joint_cov is not None:
+        joints = joints + noise.sensor * problem.joint_cov
+    return replace(problem, groups=tuple(groups), joint_cov=joints)
 
 
 def normal_matrix(problem: Problem, x: Floats, columns: NDArray[np.bool_], pose: Indices, noise: PoseNoise) -> Normals:

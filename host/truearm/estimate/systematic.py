@@ -43,6 +43,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 from scipy import special
 
@@ -305,20 +306,27 @@ def _left(square: Floats, by_basis: Floats) -> tuple[Floats, Floats, NDArray[np.
 
 
 def _block_drops(family: _Family, rows: _Whitened) -> tuple[Floats, Indices, Floats]:
-    """As ``_drops``, of leaving out each of the spans."""
-    edges, at = np.unique(np.concatenate([family.first, family.last]), return_inverse=True)
-    cuts, r = np.searchsorted(rows.row, edges), rows.basis.shape[1]
-    beside = np.concatenate([rows.basis, rows.residual[:, None]], axis=1)
-    sums = np.zeros((edges.size, r + 1, r + 1))
-    for i, (a, b) in enumerate(pairwise(cuts)):
-        sums[i + 1] = sums[i] + beside[a:b].T @ beside[a:b]
-    w = family.first.size
-    of = sums[at[w:]] - sums[at[:w]]
-    rest = np.eye(r) * (1.0 + SEEN) - of[:, :r, :r]
-    follows = np.linalg.solve(rest, of[:, :r, r:])[..., 0]
-    freedom = cuts[at[w:]] - cuts[at[:w]]
+    """As ``_drops``, of leaving out each of the spans: eᵀ(I − Q Qᵀ)⁻¹e of its residuals, which is the module's form by Woodbury's identity.
+
+    Spans that begin or end together are parts of the longest: with its I − Q Qᵀ = L Lᵀ they are sums of the squares of L⁻¹e.
+    """
+    cuts = np.searchsorted(rows.row, np.stack([family.first, family.last]))
+    drop = np.zeros(family.first.size)
+    begins, ends = (np.unique(side, return_inverse=True, return_counts=True) for side in cuts)
+    forwards = begins[2][begins[1]] >= ends[2][ends[1]]
+    for side, some in ((0, forwards), (1, ~forwards)):
+        for at in np.unique(cuts[side, some]):
+            mine = np.flatnonzero(some & (cuts[side] == at))
+            which = slice(int(cuts[0, mine].min()), int(cuts[1, mine].max()))
+            q, e = (part[which][:: -1 if side else 1] for part in (rows.basis, rows.residual))
+            if not e.size:
+                continue
+            lower = np.linalg.cholesky(np.eye(e.size) * (1.0 + SEEN) - q @ q.T)
+            squares = np.append(0.0, np.cumsum(scipy.linalg.solve_triangular(lower, e, lower=True) ** 2))
+            drop[mine] = squares[cuts[1, mine] - cuts[0, mine]]
+    freedom = cuts[1] - cuts[0]
     known = np.where(np.arange(freedom.max()) < freedom[:, None], BLOCK_SIGMA**2, 0.0)
-    return of[:, r, r] + (of[:, r, :r] * follows).sum(axis=1), freedom, known
+    return drop, freedom, known
 
 
 def _log_chance(drop: Floats, freedom: Indices, state: FitChi2) -> Floats:
