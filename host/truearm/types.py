@@ -231,6 +231,9 @@ def _absent() -> Any:
     return None
 
 
+_NUMBERS = ("value", "sigma", "time", "temperature")  # columns (n,) of a table that are no text
+
+
 @dataclass(frozen=True)
 class ObservationTable:
     """Observations of one or several kinds, a row each (hop 5): what tables and sessions both become.
@@ -241,7 +244,8 @@ class ObservationTable:
     of a pose row; ``q_rate``: the joints' velocities, NaN where the robot stood or nobody measured; ``side``: in which direction
     each joint last moved before the robot stood, −1 or 1, NaN where nobody knows. ``sigma``: the
     standard deviation of each residual in the (first) unit of the row's kind, m or rad, NaN where the rig's figure is to be used; ``xyz_sigma`` [m]: of this point's own
-    noise along the device's axes, beside that figure, NaN for none. The identifier columns hold ""
+    noise along the device's axes, beside that figure, NaN for none. ``time`` [s]: when it was measured, by any clock; ``temperature`` [°C]: of the box then;
+    NaN where nobody knows. The identifier columns hold ""
     where a row has none. ``rig`` says which of several rigs a row belongs to, ``source`` where a row comes from, for
     messages ("poses.csv row 17"; not given, "table[16]"). ``more`` are the columns that only other kinds have, (n,) or (n, c), by the name that the kind
     declares. Columns that are not given are filled with NaN or "". Raises TypeError and InputError for a column that has another type or shape.
@@ -270,6 +274,8 @@ class ObservationTable:
     rotation: Floats = field(default_factory=_absent)  # (n, 3)
     q_rate: Floats = field(default_factory=_absent)  # (n, j) rad/s or m/s
     side: Floats = field(default_factory=_absent)  # (n, j)
+    time: Floats = field(default_factory=_absent)  # (n,) s
+    temperature: Floats = field(default_factory=_absent)  # (n,) °C
     target: Strings = field(default_factory=_absent)  # (n,)
     line: Strings = field(default_factory=_absent)  # (n,)
     tracker: Strings = field(default_factory=_absent)  # (n,)
@@ -289,12 +295,12 @@ class ObservationTable:
         }
         for name, shape in shapes.items():
             if getattr(self, name) is None:
-                blank = np.nan if len(shape) == 2 or name in ("value", "sigma") else ""
+                blank = np.nan if len(shape) == 2 or name in _NUMBERS else ""
                 rows = (
                     [f"table[{i}]" for i in range(n)] if name == "source" else np.broadcast_to(np.array(blank), shape)
                 )
                 object.__setattr__(self, name, rows)
-            is_text = len(shape) == 1 and name not in ("value", "sigma")
+            is_text = len(shape) == 1 and name not in _NUMBERS
             object.__setattr__(self, name, _column(name, getattr(self, name), is_text))
             if getattr(self, name).shape != shape:
                 raise InputError(Argument(name), f" must be {shape}, is {getattr(self, name).shape}")
@@ -553,12 +559,24 @@ class Explanation(NamedTuple):
     chance: float
 
 
+class DriftWith(StrEnum):
+    """What a drift is linear in."""
+
+    TIME = "time"  # of the rows; their order, where they have no times
+    TEMPERATURE = "temperature"  # of the box
+
+    @property
+    def ending(self) -> str:
+        """How names of a drift's parameters end."""
+        return ".drift" if self is DriftWith.TIME else ".thermal_drift"
+
+
 @dataclass(frozen=True)
 class Effect:
     """A systematic error: ``what`` is off in the rows ``first`` to before ``last`` (None: to the end), counted from 0.
 
     ``what`` is a thing of a rig ("chuck.c2", "bar.b46.zero"), a joint, or "base". It is off by an offset in these rows or, if
-    it ``drifts``, by a part that grows linearly over them.
+    it ``drifts_with`` something, by a part that is linear in that.
 
     Examples
     --------
@@ -570,7 +588,7 @@ class Effect:
     what: str
     first: int = 0
     last: int | None = None
-    drifts: bool = False
+    drifts_with: DriftWith | None = None
 
     def __str__(self) -> str:
         return self.parameter(self.what)
@@ -579,7 +597,7 @@ class Effect:
         """The name of the parameter that says by how much a ``number`` of the thing is off; rows count from 1 there."""
         end = "" if self.last is None else f":{self.last}"
         rows = f"@{self.first + 1}{end}" if self.first or end else ""
-        return f"{number}{'.drift' * self.drifts}{rows}"
+        return f"{number}{self.drifts_with.ending if self.drifts_with else ''}{rows}"
 
 
 class OffBy(NamedTuple):
@@ -624,7 +642,7 @@ class SystematicError:
         """How it is off."""
         if self.effect is None:
             return ErrorForm.ROWS
-        return ErrorForm.DRIFT if self.effect.drifts else ErrorForm.OFFSET
+        return ErrorForm.DRIFT if self.effect.drifts_with else ErrorForm.OFFSET
 
 
 @dataclass(frozen=True)

@@ -66,12 +66,14 @@ M_S = Scale("m_s", "m/s", "m/s", 1.0, 1.0)
 MM_S = Scale("mm_s", "mm/s", "m/s", 1e-3, 1e3)
 RAD_S = Scale("rad_s", "rad/s", "rad/s", 1.0, 1.0)
 DEG_S = Scale("deg_s", "deg/s", "rad/s", DEGREE, 1.0 / DEGREE)
+DEGC = Scale("degc", "°C", "degc", 1.0, 1.0)  # temperatures stay in °C: only their differences are computed with
+MDEGC = Scale("mdegc", "m°C", "degc", 1e-3, 1e3)
 
 SUFFIXES: Mapping[str, Scale] = {
     scale.suffix: scale
     for scale in (
         *(M, CM, MM, UM, INCH, RAD, DEG, MRAD, URAD, ONE, PPM),
-        *(S, MS, US, NS, M_S, MM_S, RAD_S, DEG_S),
+        *(S, MS, US, NS, M_S, MM_S, RAD_S, DEG_S, DEGC, MDEGC),
     )
 }
 
@@ -117,12 +119,13 @@ UNITS: Mapping[str, Unit] = {
         Unit("s", MS, 4, 100.0, 1e-3),
         Unit("m/s", MM_S, 3, 100.0),
         Unit("rad/s", DEG_S, 4, 20.0 * math.pi),
+        Unit("degc", DEGC, 1, 200.0),
     )
 }
 
 
 def suffixes(
-    si: str, of: Iterable[str] = ("m", "mm", "rad", "deg", "s", "ms", "m_s", "mm_s", "rad_s", "deg_s")
+    si: str, of: Iterable[str] = ("m", "mm", "rad", "deg", "s", "ms", "m_s", "mm_s", "rad_s", "deg_s", "degc")
 ) -> dict[str, float]:
     """The suffixes ``of`` that a quantity in an SI unit may have, each with the factor that makes it SI; SI's own first."""
     return {name: SUFFIXES[name].scale for name in of if SUFFIXES[name].si == si}

@@ -136,8 +136,12 @@ def session(
     step: float = 1e-4,
     robot_hz: float = 125.0,
     plan: bool = True,
+    warming: float = 0.0,
 ) -> tuple[list[Message], Truth]:
-    """A session of a robot that visits random poses, and its truth; readings are exact up to noise and quantisation."""
+    """A session of a robot that visits random poses, and its truth; readings are exact up to noise and quantisation.
+
+    The box is at 24 °C at first and ``warming`` [m°C/s].
+    """
     q = rng.uniform(-1.5, 1.5, (dwells, 6))
     length = 0.46 + rng.uniform(-0.03, 0.03, dwells)
     start = 1e9 * (5.0 + np.arange(dwells) * (rest_s + move_s))
@@ -148,7 +152,7 @@ def session(
     for t in np.arange(5e7, end_ns, 2.5e8):
         box.sync(int(t), 90e3 + rng.exponential(1e5), 90e3 + rng.exponential(1e5))
     for t in range(10**9, end_ns, 10**9):
-        box.heartbeat(t)
+        box.heartbeat(t, temperature_mdegc=round(24_000 + warming * 1e-9 * t))
     seq_less = sorted(box.messages[len(wire.pages(cbor2.dumps(ident_document()))) :], key=lambda m: m.t_host_ns)
     times = np.arange(2 * 10**9, end_ns, PERIOD_NS)
     readings = np.interp(times - 1_500_000, corners, np.repeat(length - 0.46, 2)) + noise * rng.standard_normal(

@@ -1,22 +1,30 @@
 """The check for systematic errors after a fit: what it names, by how much, and that clean data give nothing."""
 
+from dataclasses import replace
+
 import fault_worlds as worlds
 import numpy as np
 import pytest
 from puma_bench import CHAIN, CHUCKS, DESIGN, FREE, PAIRS, RIG, SIGMA, TRUTH, lengths, random_poses, random_table, table
 
+from truearm.errors import ProblemError
 from truearm.estimate.effects import error_columns
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.problem import build_problem
 from truearm.estimate.systematic import FOLDS, STRETCHES
+from truearm.estimate.wrong_inputs import diagnosed
+from truearm.files.result_file import systematic_entries
 from truearm.model.chain import point_forward
 from truearm.model.rotation import rotation
+from truearm.report.systematic_words import systematic_sentences
 from truearm.types import Device, Effect, ObservationTable, Point, Rig
+from truearm.workflows.selection import parse_effect
 
 EVERY_WORLD = 40
 
 
 UNMOVED = np.eye(4)
+DWELL_S = 12.0
 
 
 def chi2(estimate):
@@ -102,6 +110,58 @@ def test_a_slipped_chuck_is_named_with_its_row():
         assert found.effect.what == f"chuck.{chuck}"
         assert abs(found.rows[0] - at) <= 15
         assert found.rows[1] == len(rows)
+
+
+def in_time(rows, size, pause_s, swing):
+    """A zero that is off by ``size`` times a profile in time or in the box's temperature; the lab is left for a while half-way."""
+    n = len(rows)
+    time = DWELL_S * np.arange(n) + pause_s * (np.arange(n) >= n // 2)
+    temperature = 24.0 + 6.0 * (1.0 - np.exp(-time / 900.0))  # as a box warms up
+    along = temperature if swing else time
+    zero = size * (along - along.mean()) / np.ptp(along)
+    # A microcontroller's sensor has steps of half a degree.
+    return replace(rows, value=rows.value + zero, time=time, temperature=0.5 * np.round(temperature / 0.5))
+
+
+DRIFTS = {
+    "bar.bar46.zero.thermal_drift": "bar.bar46.zero drifts with the box's temperature (6.0 °C warmer at the most than at the least) by ",
+    "bar.bar46.zero.drift": "bar.bar46.zero drifts linearly in 132 min by ",
+}
+
+
+@pytest.mark.parametrize("name", DRIFTS)
+def test_a_drift_is_named_by_what_it_is_linear_in(name):
+    """200 µm in two visits of each mount (seeds 0 to 2): with the box's temperature, or with time in spite of an hour's pause."""
+    plan = worlds.plan_of_two_visits()
+    for seed in range(3):
+        clean = worlds.clean(plan, np.random.default_rng(seed))
+        rows = in_time(clean, 200e-6, 3600.0, swing="thermal" in name)
+        before = worlds.identified(rows)
+        found = the_one(before)
+        assert str(found.effect) == name
+        assert abs(found.size - 200e-6) < 4.0 * found.sigma < 150e-6
+        said, applied = systematic_sentences(systematic_entries(before.systematic, rows))
+        assert DRIFTS[name] in said
+        assert f"allow {name}." in applied
+        after = worlds.identified(rows, [parse_effect(name)])
+        assert after.systematic is None
+        assert chi2(before) - chi2(after) == pytest.approx(found.drop, rel=0.01, abs=0.2)
+        assert worlds.tool_error(after, plan) < worlds.tool_error(before, plan)
+        assert worlds.identified(in_time(clean, 0.0, 3600.0, swing=True)).systematic is None
+
+
+def test_a_drift_needs_what_it_is_linear_in():
+    rows = worlds.clean(worlds.plan(), np.random.default_rng(0))
+    with pytest.raises(ProblemError, match=r"thermal_drift: rows 1 to 360 have no temperature, or it does not change"):
+        worlds.identified(rows, [parse_effect("bar.bar46.zero.thermal_drift")])
+    still = replace(rows, temperature=np.full(len(rows), 24.5))
+    with pytest.raises(ProblemError, match="have no temperature, or it does not change"):
+        worlds.identified(still, [parse_effect("bar.bar46.zero.thermal_drift")])
+    by_order = worlds.identified(rows, [parse_effect("bar.bar46.zero.drift")])
+    timed = replace(rows, time=1e9 + DWELL_S * np.arange(len(rows)))
+    np.testing.assert_allclose(
+        worlds.identified(timed, [parse_effect("bar.bar46.zero.drift")]).value, by_order.value, rtol=1e-6, atol=1e-9
+    )
 
 
 def test_a_drift_is_a_drift_and_not_a_step():
@@ -239,7 +299,8 @@ def test_faults_are_named_and_their_removal_restores_the_tool(fault):
         estimate = worlds.identified(rows)
         found = findings(estimate)
         # A fit that labels bend so far that it does not converge has no such findings, but a label that fits.
-        relabelled = [(of.rows[0], of.rows[-1] + 1) for of in estimate.relabellings]
+        diagnosis = estimate if found else diagnosed(estimate, CHAIN, worlds.RIG, rows, FREE)
+        relabelled = [(of.rows[0], of.rows[-1] + 1) for of in diagnosis.relabellings]
         named.append(right(found[0]) if found else relabelled == [span])
         bent.append(worlds.tool_error(estimate, plan))
         if named[-1]:

@@ -109,6 +109,8 @@ def tables(draw: st.DrawFn) -> ObservationTable:
         tracker=identifier("position", "pose"),
         plane=identifier("plane"),
         rig=identifier(*every),
+        time=matrix(st.floats(0.0, 1e10), 1)[:, 0],
+        temperature=matrix(st.floats(-20.0, 60.0) | st.just(math.nan), 1)[:, 0],
     )
 
 
@@ -136,7 +138,7 @@ WRONG = {
     "semicolons": (SEAT.replace(",", ";"), "separate them by commas"),
     "no kind": ("q1_rad,place\n0,a\n", "no column 'kind'"),
     "unknown column": ("kind,q1_rad,plaec\nseat,0,a\n", "did you mean plane or place?"),
-    "nothing like it": ("kind,q1_rad,temperature\nseat,0,20\n", "x_"),
+    "nothing like it": ("kind,q1_rad,humidity\nseat,0,20\n", "x_"),
     "no unit": ("kind,q1\nseat,0\n", "name it q1_rad or q1_deg"),
     "length without unit": ("kind,q1_rad,length\nball_bar,0,1\n", "name it length_m or length_mm"),
     "unknown unit": ("kind,q1_grad\nseat,0\n", "'grad'"),

@@ -52,6 +52,22 @@ def test_every_dwell_gives_its_length(clean):
     assert result.samples_used == sum(dwell.n_samples for dwell in result.dwells) > 10 * 1000
 
 
+def test_every_row_has_its_time_and_the_boxs_temperature():
+    """Dwells of 2 s within 4 minutes, in which the box warms by 10 m°C a second: its mean over two minutes is its temperature then."""
+    messages, truth = session(np.random.default_rng(2), dwells=80, warming=10.0)
+    table = synced(messages).table
+    middle = 0.5e-9 * (truth.start_ns + truth.end_ns)
+    assert len(table) == 80
+    assert (
+        np.abs(table.time - middle)[1:].max() < 0.5
+    )  # what settles is not used; the robot stands at the first pose before
+    inner = (middle > 65.0) & (middle < middle[-1] - 65.0)
+    # Half a second more or less of two minutes, and a reading's rounding.
+    np.testing.assert_allclose(table.temperature[inner], 24.0 + 1e-2 * middle[inner], atol=0.02)
+    silent = synced([message for message in messages if message.topic != "/box/heartbeat"]).table
+    assert np.isnan(silent.temperature).all()
+
+
 def test_variance_of_the_mean_matches_the_spread():
     """z² over 60 dwells: χ² with 60 degrees, 1 ± 3·sqrt(2/60), plus the 3 % that the estimates' own spread adds."""
     z2 = []

@@ -106,7 +106,7 @@ def identify(
         typer.Option(
             metavar="NAME[@FIRST[:LAST]]",
             help="Estimate a systematic error too: bar.b46.zero, chuck.c2@183 from row 183 on, joint2@91:270, "
-            "bar.b46.zero.drift (repeatable). The check after a fit names what to allow.",
+            "bar.b46.zero.drift, or .thermal_drift (repeatable). The check after a fit names what to allow.",
         ),
     ] = None,
     leave_out: Annotated[

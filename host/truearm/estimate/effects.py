@@ -2,15 +2,15 @@
 
 An effect adds to what is predicted. The derivatives of a prediction by the numbers of the rig, known ones too, by each joint
 reading and by a motion of the robot's base are at hand in every row, and so is that by a motion of the tool with all its points; an effect is one or several of them, times a
-profile over the rows: 1 in the rows that it concerns, or a ramp from −½ to ½ for a drift. So the parameter of an effect is
-in the unit of what is off: metres of a bar's zero, a chuck's coordinates, the radians of a joint.
+profile over the rows: 1 in the rows that it concerns; for a drift their time or the box's temperature, from −½ at the least to ½ at
+the most. So the parameter of an effect is in the unit of what is off: metres of a bar's zero, a chuck's coordinates, the radians of a joint.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from truearm.kinds.group import Group
 from truearm.kinds.linearised import Indices, Linearised
 from truearm.kinds.unknowns import Fault
 from truearm.model.chain import Chain
-from truearm.types import Effect, Floats
+from truearm.types import DriftWith, Effect, Floats, ObservationTable
 
 # As ``Linearised.wrenches`` begins: force and couple on each axis of the base frame, the derivatives by its displacement.
 BASE = (("base.x", "m"), ("base.rx", "rad"), ("base.y", "m"), ("base.ry", "rad"), ("base.z", "m"), ("base.rz", "rad"))
@@ -57,6 +57,37 @@ class Cause(NamedTuple):
     fault: Fault
 
 
+class Circumstances(NamedTuple):
+    """In what n rows were measured: times [s] and temperatures [°C] (n,), NaN where nobody knows."""
+
+    time: Floats
+    temperature: Floats
+
+    @classmethod
+    def of(cls, table: ObservationTable) -> Circumstances:
+        """Those of a table's rows."""
+        return cls(table.time, table.temperature)
+
+    def __len__(self) -> int:
+        return int(self.time.size)
+
+    def during(self, drift: DriftWith, first: int, last: int) -> Floats | None:
+        """What a drift is linear in, of some rows; None where that is not known, or does not change.
+
+        The order of the rows stands for times that are not known.
+        """
+        match drift:
+            case DriftWith.TIME:
+                along = self.time[first:last]
+                if not np.isfinite(along).all():
+                    along = np.arange(float(last - first))
+            case DriftWith.TEMPERATURE:
+                along = self.temperature[first:last]
+            case never:
+                assert_never(never)
+        return along if np.isfinite(along).all() and np.ptp(along) > 0.0 else None
+
+
 class Modelled(NamedTuple):
     """An effect that is a parameter of a problem: its name, its column, and its profile over the rows."""
 
@@ -69,8 +100,8 @@ class Modelled(NamedTuple):
         return self._replace(profile=self.profile[rows])
 
 
-def modelled_effects(causes: Sequence[Cause], effects: Sequence[Effect], n: int) -> list[Modelled]:
-    """The effects' parameters, one for each number of the thing that is off, over n rows.
+def modelled_effects(causes: Sequence[Cause], effects: Sequence[Effect], rows: Circumstances) -> list[Modelled]:
+    """The effects' parameters, one for each number of the thing that is off, over the rows.
 
     Raises ProblemError for a thing that is none of the causes, for a form that it cannot have and for rows that there are not.
     """
@@ -81,18 +112,28 @@ def modelled_effects(causes: Sequence[Cause], effects: Sequence[Effect], n: int)
             names = ", ".join(cause.name for cause in causes)
             raise ProblemError(f"{effect.what!r} cannot be off here; these can: {names}")
         # What drifts was right at some moment that nobody knows: it is off by an offset too.
-        for part in (effect, Effect(effect.what)) if effect.drifts else (effect,):
-            out += [Modelled(part, number, profile(part, n)) for number in known[0].numbers]
+        for part in (effect, Effect(effect.what)) if effect.drifts_with else (effect,):
+            out += [Modelled(part, number, profile(part, rows)) for number in known[0].numbers]
     return out
 
 
-def profile(effect: Effect, n: int) -> Floats:
-    """(n,) by what a row's prediction is off for one unit of the effect. Raises ProblemError for rows that there are not."""
+def profile(effect: Effect, rows: Circumstances) -> Floats:
+    """(n,) by what a row's prediction is off for one unit of the effect.
+
+    Raises ProblemError for rows that there are not, or in which nothing is known that a drift could be linear in.
+    """
+    n = len(rows)
     first, last = effect.first, n if effect.last is None else effect.last
     if not 0 <= first < last <= n:
         raise ProblemError(f"{effect}: there are rows 1 to {n}")
     out = np.zeros(n)
-    out[first:last] = np.linspace(-0.5, 0.5, last - first) if effect.drifts else 1.0
+    if effect.drifts_with is None:
+        out[first:last] = 1.0
+        return out
+    along = rows.during(effect.drifts_with, first, last)
+    if along is None:
+        raise ProblemError(f"{effect}: rows {first + 1} to {last} have no {effect.drifts_with}, or it does not change")
+    out[first:last] = (along - (along.max() + along.min()) / 2.0) / np.ptp(along)
     return out
 
 

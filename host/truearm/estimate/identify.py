@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
 from truearm.estimate.declared_noise import residual_parts
-from truearm.estimate.effects import Modelled, modelled_effects
+from truearm.estimate.effects import Circumstances, Modelled, modelled_effects
 from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.further_measurements import additions
@@ -252,7 +252,9 @@ def moves(chain: Chain, x: Floats, there: Floats, q: Floats) -> float:
 
 def modelled_of(chain: Chain, rig: Rigs, table: ObservationTable, effects: Sequence[Effect]) -> list[Modelled]:
     """The parameters of effects, by what the whole table uses."""
-    return modelled_effects(build_problem(chain, rig, table).causes, effects, len(table)) if effects else []
+    return (
+        modelled_effects(build_problem(chain, rig, table).causes, effects, Circumstances.of(table)) if effects else []
+    )
 
 
 def _untimed(root: Floats, names: Sequence[str]) -> list[str]:

@@ -7,6 +7,7 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.estimate.effects import Circumstances
 from truearm.estimate.systematic import Measured
 from truearm.kinds.linearised import Indices
 from truearm.kinds.registry import kinds
@@ -18,7 +19,7 @@ SAME_POSE = 1e-3  # rad or m: joint readings that differ by less are of one pose
 def measured_order(table: ObservationTable, rows: NDArray[np.bool_]) -> Measured:
     """How the ``rows`` (n,) of a table were measured; rows of a table stand in the order of measurement."""
     some = table.select(rows)
-    return Measured(np.flatnonzero(rows), len(table), sessions(some), mountings(some), poses(some))
+    return Measured(np.flatnonzero(rows), Circumstances.of(table), sessions(some), mountings(some), poses(some))
 
 
 def poses(table: ObservationTable) -> Indices:

@@ -13,6 +13,9 @@ the parameters can follow, such as a motion of all chucks that the base's parame
 cumulative sum. All steps of a thing cost as much as one. A joint that is off from some row to another is sought between every two
 of WINDOW_KNOTS.
 
+**Drifts.** What drifts is off linearly in time, from the first row of a session to its last, or linearly in the box's temperature where that changed.
+Nobody knows when it was right, so an offset is beside it.
+
 **Blocks.** Rows that do not fit the rest: each first or last part of a run of rows with one thing mounted. Left out, e_B takes
 e_BᵀQ_B(I − Q_BᵀQ_B)⁻¹Q_Bᵀe_B + e_Bᵀe_B away, χ² of as many degrees of freedom as it has residuals.
 
@@ -47,12 +50,12 @@ import scipy.linalg
 from numpy.typing import NDArray
 from scipy import special
 
-from truearm.estimate.effects import Cause, Errors, error_columns, profile
+from truearm.estimate.effects import Cause, Circumstances, Errors, error_columns, profile
 from truearm.estimate.information import Information, half, spectrum
 from truearm.estimate.problem import Problem, blocks
 from truearm.estimate.residual_noise import residual_cov, whiten
 from truearm.kinds.linearised import Indices
-from truearm.types import Effect, Floats, OffBy, SystematicError, SystematicErrors
+from truearm.types import DriftWith, Effect, Floats, OffBy, SystematicError, SystematicErrors
 from truearm.units import UNITS
 
 LEVEL = 1e-3  # chance that a clean data set gives any finding
@@ -60,6 +63,7 @@ MOST_FINDINGS = 6
 MOST_STEPS = 400  # rows at which a step is sought; of more an even choice
 WINDOW_KNOTS = 36
 GROSS = 30.0  # σ of the noise: a fit bent so far says nothing to first order but which rows bend it
+LEAST_WARMING = 1.0  # °C: two steps of a microcontroller's own sensor; less is no change of temperature
 LEAST_ROWS = 5  # that a step concerns, and that it leaves: fewer are outliers, which are judged one by one
 MOST_BLOCK = 300  # rows: each of their residuals is a column
 SEEN = 1e-8  # share of a column's square that the parameters must leave of it
@@ -73,10 +77,15 @@ class Measured(NamedTuple):
     """How n rows were measured, in their order."""
 
     row: Indices  # (n,) in the user's table
-    total: int  # rows of that table
+    table: Circumstances  # of all rows of that table
     session: Indices  # (n,) numbers; within one a thing may drift
     run: Indices  # (n,) numbers; while one lasts the same is mounted
     pose: Indices  # (n,) numbers; residuals of one pose are wrong together
+
+    @property
+    def total(self) -> int:
+        """Rows of the user's table."""
+        return len(self.table)
 
 
 class FitChi2(NamedTuple):
@@ -118,7 +127,7 @@ class _Family(NamedTuple):
     cause: Cause | None  # None: blocks of rows
     first: Indices
     last: Indices
-    drifts: bool = False
+    drift: DriftWith | None = None
 
 
 class _Best(NamedTuple):
@@ -232,7 +241,11 @@ def _families(causes: Sequence[Cause], errors: Errors, rows: _Whitened, how: Mea
         if cause.fault.drift:
             for number in np.unique(how.session[used]):
                 mine = np.flatnonzero(how.session == number)
-                yield _Family(cause, mine[:1], mine[-1:] + 1, drifts=True)
+                for drift in DriftWith:
+                    family = _Family(cause, mine[:1], mine[-1:] + 1, drift)
+                    along = how.table.during(drift, *_span(family, 0, how))
+                    if along is not None and (drift is DriftWith.TIME or np.ptp(along) >= LEAST_WARMING):
+                        yield family
     yield from _blocks(how)
 
 
@@ -261,7 +274,7 @@ def _search(family: _Family, errors: Errors, rows: _Whitened, how: Measured, sta
         drop, freedom, known = _block_drops(family, rows)
     else:
         by = _columns(family.cause, errors, rows)
-        if family.drifts:
+        if family.drift:
             by = _with_offset(by, _profile(family, 0, how)[rows.row])
         drop, freedom, known = _drops(by, family, rows)
     if not freedom.any():
@@ -350,7 +363,7 @@ def _effect(best: _Best, how: Measured) -> Effect | None:
     if best.family.cause is None:
         return None
     first, last = _span(best.family, best.at, how)
-    return Effect(best.family.cause.name, first, None if last == how.total else last, best.family.drifts)
+    return Effect(best.family.cause.name, first, None if last == how.total else last, best.family.drift)
 
 
 def _span(family: _Family, at: int, how: Measured) -> tuple[int, int]:
@@ -362,7 +375,7 @@ def _span(family: _Family, at: int, how: Measured) -> tuple[int, int]:
 def _profile(family: _Family, at: int, how: Measured) -> Floats:
     """(n,) of the fitted rows."""
     first, last = _span(family, at, how)
-    return profile(Effect("", first, last, family.drifts), how.total)[how.row]
+    return profile(Effect("", first, last, family.drift), how.table)[how.row]
 
 
 def _effect_columns(best: _Best, errors: Errors, rows: _Whitened, how: Measured) -> Floats:
@@ -372,7 +385,7 @@ def _effect_columns(best: _Best, errors: Errors, rows: _Whitened, how: Measured)
         return np.eye(rows.row.size, b - a, -a)
     by = _columns(best.family.cause, errors, rows)
     profile_of_rows = _profile(best.family, best.at, how)[rows.row]
-    return _with_offset(by, profile_of_rows) if best.family.drifts else np.asarray(by * profile_of_rows[:, None])
+    return _with_offset(by, profile_of_rows) if best.family.drift else np.asarray(by * profile_of_rows[:, None])
 
 
 def _with_offset(by: Floats, profile_of_rows: Floats) -> Floats:

@@ -21,7 +21,7 @@ from truearm.files.csv_cells import Row, identifiers, numbers, read_cells, toget
 from truearm.files.disk import read_text, write_atomic
 from truearm.files.observation_columns import Column, joint_columns, rate_columns, read_header, sigma_column
 from truearm.kinds import registry
-from truearm.kinds.quantities import LARGEST_NOISE, Quantity
+from truearm.kinds.quantities import CIRCUMSTANCES, LARGEST_NOISE, Quantity
 from truearm.schema import quoted
 from truearm.text import with_article
 from truearm.types import Floats, ObservationTable, Rig
@@ -114,7 +114,8 @@ def _check_kinds(
     titles = {column: with_article(column) for column in names} | {q.field: q.title for q in registry.quantities()}
     filled = {column: _filled(cells) for column, cells in {**names, **measured}.items()}
     needs = {key: [_field(column) for column in of.needs] for key, of in registry.kinds().items()}
-    known = {key: {*map(_field, (*of.needs, *of.may)), *registry.ANYWHERE} for key, of in registry.kinds().items()}
+    anywhere = {*registry.ANYWHERE, *map(_field, CIRCUMSTANCES)}
+    known = {key: {*map(_field, (*of.needs, *of.may)), *anywhere} for key, of in registry.kinds().items()}
     leaves = {key: [column for column in filled if column not in known[key]] for key in known}
     for i, row in enumerate(rows):
         where = f"{name} row {row.number}"

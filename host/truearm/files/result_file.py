@@ -14,7 +14,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ from truearm.files.strict_json import number_or_null, numbers_or_null, shown_or_
 from truearm.schema import Choice, Flag, Key, List, ReadOnly, SchemaError, Table, Text, Value, quoted, raising
 from truearm.types import (
     Defaults,
+    DriftWith,
     Estimate,
     Explanation,
     Figures,
@@ -385,6 +386,7 @@ def _systematic(found: SystematicError, table: ObservationTable) -> dict[str, An
         "unit": found.unit or None,
         "size": number_or_null(found.size),
         "sigma": number_or_null(found.sigma),
+        **_over(found, table),
         "off_by": [
             {**of._asdict(), "value": number_or_null(of.value), "sigma": number_or_null(of.sigma)}
             for of in found.off_by
@@ -394,6 +396,25 @@ def _systematic(found: SystematicError, table: ObservationTable) -> dict[str, An
         "chance": number_or_null(found.chance),
         "rivals": list(found.rivals),
         "apply": {"leave_out": f"{first + 1}:{last}"} if effect is None else {"allow": str(effect)},
+    }
+
+
+def _over(found: SystematicError, table: ObservationTable) -> dict[str, Any]:
+    """What a drift is linear in, and how much that changes over its rows: ``over_s`` or ``over_degc``."""
+    drift, rows = None if found.effect is None else found.effect.drifts_with, slice(*found.rows)
+    match drift:
+        case None:
+            seconds, degrees = math.nan, math.nan
+        case DriftWith.TIME:
+            seconds, degrees = float(np.ptp(table.time[rows])), math.nan
+        case DriftWith.TEMPERATURE:
+            seconds, degrees = math.nan, float(np.ptp(table.temperature[rows]))
+        case never:
+            assert_never(never)
+    return {
+        "drifts_with": drift and drift.value,
+        "over_s": number_or_null(seconds),
+        "over_degc": number_or_null(degrees),
     }
 
 

@@ -49,4 +49,7 @@ LENGTH = Quantity("value", ("length",), "m", positive=True)
 DISTANCE = Quantity("value", ("length",), "m")  # with a sign
 POINT = Quantity("xyz", ("x", "y", "z"), "m")
 SPREAD = Quantity("xyz_sigma", ("sx", "sy", "sz"), "m", LARGEST_NOISE, positive=True)
+TIME = Quantity("time", ("time",), "s", 1e11)  # by any clock, since any moment; 3000 years
+TEMPERATURE = Quantity("temperature", ("temperature",), "degc")
+CIRCUMSTANCES = (TIME, TEMPERATURE)  # of a row of any kind
 TURN = Quantity("rotation", ("rx", "ry", "rz"), "rad", 2.0 * math.pi)  # a rotation vector's length need not pass π

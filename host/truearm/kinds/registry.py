@@ -44,8 +44,10 @@ def identifiers() -> tuple[str, ...]:
 @cache
 def quantities() -> tuple[Quantity, ...]:
     """The quantities that a table may have, one of each field."""
+    from truearm.kinds.quantities import CIRCUMSTANCES
+
     every = (quantity for kind in kinds().values() for quantity in kind.quantities)
-    return tuple({quantity.field: quantity for quantity in every}.values())
+    return tuple({quantity.field: quantity for quantity in (*every, *CIRCUMSTANCES)}.values())
 
 
 @cache

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from typing import Any, assert_never
 
 from truearm.text import counted, one_line
-from truearm.types import ErrorForm
-from truearm.units import MM, UNITS
+from truearm.types import DriftWith, ErrorForm
+from truearm.units import DEGC, MM, UNITS
 
 
 def systematic_sentences(document: Mapping[str, Any], argument: Callable[[str], str] = str) -> list[str]:
@@ -43,7 +43,7 @@ def _sentence(entry: Mapping[str, Any]) -> str:
         case ErrorForm.ROWS:
             line = f"Systematic error: {rows} do not fit the others; without them {gain}."
         case ErrorForm.DRIFT:
-            line = f"Systematic error: {_what(entry)} drifts by {_size(entry)} over {rows}; with that {gain}."
+            line = f"Systematic error: {_what(entry)} drifts {_along(entry)} by {_size(entry)} over {rows}; with that {gain}."
         case ErrorForm.OFFSET:
             line = f"Systematic error: {_what(entry)} is off by {_size(entry)} in {rows}; with that {gain}."
         case form:
@@ -51,6 +51,18 @@ def _sentence(entry: Mapping[str, Any]) -> str:
     if entry["rivals"]:
         line += f" Not ruled out instead: {', '.join(map(one_line, entry['rivals']))}."
     return line
+
+
+def _along(entry: Mapping[str, Any]) -> str:
+    """What a drift is linear in: the box's temperature, time, or the rows' order, where they have no times."""
+    match DriftWith(entry["drifts_with"]):
+        case DriftWith.TEMPERATURE:
+            return f"with the box's temperature ({DEGC.text(entry['over_degc'], '.1f')} warmer at the most than at the least)"
+        case DriftWith.TIME:
+            seconds = entry["over_s"]
+            return "linearly" if seconds is None else f"linearly in {round(seconds / 60.0)} min"
+        case drift:
+            assert_never(drift)
 
 
 def _what(entry: Mapping[str, Any]) -> str:

@@ -11,6 +11,7 @@ samples are whole within a run between blocks marked ``gap``.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from typing import Any
@@ -200,6 +201,10 @@ class BoxReader:
         for name in COUNTED:
             known[name] = sum(getattr(stream, name) for stream in self._streams.values())
         return Losses(**known, box=box)
+
+    def temperatures(self) -> Mapping[int, Sequence[tuple[int, int]]]:
+        """What the heartbeats of each segment said so far of the box's temperature: device time [µs] and m°C."""
+        return self._heartbeats.temperatures
 
     def streams(self) -> tuple[StreamReport, ...]:
         """The streams so far."""

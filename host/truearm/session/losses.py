@@ -38,7 +38,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.session.box_frames import CIRCLE, Run, too_many
+from truearm.session.box_frames import CIRCLE, MAX_DEVICE_US, Run, too_many
 from truearm.session.box_ident import Stream
 from truearm.session.message_columns import Ints, Messages
 from truearm_wire import messages as wire
@@ -358,6 +358,7 @@ class Heartbeats:
         self._boots: dict[int, _Boot] = {}
         self._worst: dict[str, int | None] = {key: None for _, key in EXTREMES.values()}
         self._n = 0
+        self.temperatures: dict[int, list[tuple[int, int]]] = {}  # of each segment: device time [µs], m°C
 
     def take(self, segment: int, values: Sequence[int]) -> None:
         """One heartbeat of a segment. Segments of one boot id are one boot: a frame that came late looks like a restart."""
@@ -368,6 +369,8 @@ class Heartbeats:
                 boot.since[name] += (beat.get(name, 0) - boot.last.get(name, 0)) % WRAP
             boot.last = beat
         self._n += 1
+        if "temperature_mdegc" in beat and 0 <= beat["t_us"] < MAX_DEVICE_US:
+            self.temperatures.setdefault(segment, []).append((beat["t_us"], beat["temperature_mdegc"]))
         for name, (extreme, key) in EXTREMES.items():
             if name in beat:
                 before = self._worst[key]

@@ -20,6 +20,7 @@ import numpy as np
 from truearm.errors import RigError
 from truearm.session.box_ident import Ident
 from truearm.session.box_reader import Blocks, BoxReader
+from truearm.session.box_temperature import BoxTemperature, box_temperature
 from truearm.session.device_clock import ClockReport, DeviceClock, fit_clock
 from truearm.session.dwell_labels import labelled
 from truearm.session.dwells import LEARNT, Dwell, DwellRules, Sensing, find_dwells, measured, usual_noise, without_noisy
@@ -46,6 +47,7 @@ class Survey:
     boot_ids: tuple[int | None, ...]
     clocks: dict[int, DeviceClock]
     clock_reports: tuple[ClockReport, ...]
+    temperature: BoxTemperature
     joints: JointStream
     dwells: tuple[Dwell, ...]
     legs: tuple[Leg, ...]  # () where no line was planned or mounted
@@ -151,6 +153,7 @@ def survey(
         boot_ids=tuple(s.boot_id for s in box.segments),
         clocks=clocks,
         clock_reports=tuple(report for _, report in fits.values()),
+        temperature=box_temperature(box.temperatures(), clocks),
         joints=joints,
         dwells=tuple(dwells),
         legs=tuple(find_legs(joints)) if marks.names_lines else (),
@@ -196,6 +199,7 @@ def observations(
     used = sum(dwell.n_samples for dwell in dwells if not dwell.reason) + sum(one.n_samples for one in driven)
     bins = None if has_manual_joints(found.joints) else found.joints.bins
     table = table_of(dwells, driven, len(found.joints.step), name, bins)
+    table = replace(table, temperature=found.temperature.at((1e9 * table.time).astype(np.int64)))
     return SyncResult(table, tuple(dwells), driven, found, found.losses.samples, used)
 
 
@@ -327,6 +331,7 @@ def _of_dwells(dwells: Sequence[Dwell], joints: int, name: str, bins: Bins | Non
         value=np.array([dwell.value for _, dwell in rows], dtype=np.float64),
         sigma=np.array([dwell.sigma for _, dwell in rows], dtype=np.float64),
         source=np.array([f"{name} dwell {i}" for i, _ in rows], dtype=np.str_),
+        time=np.array([0.5e-9 * (dwell.start_host_ns + dwell.end_host_ns) for _, dwell in rows], dtype=np.float64),
         side=np.where(side == 0.0, np.nan, side),
         bar=words("bar"),
         chuck=words("chuck"),
@@ -344,6 +349,7 @@ def _of_pass(one: Pass, number: int, name: str) -> ObservationTable:
         shell=np.full(n, one.group),
         line=np.full(n, one.mounted.get("line", "")),
         target=np.full(n, one.mounted.get("target", "")),
+        time=np.asarray(1e-9 * one.t_host_ns),
         xyz=one.xyz,
         xyz_sigma=one.xyz_sigma,
         q_rate=one.q_rate,

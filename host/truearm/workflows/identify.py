@@ -76,7 +76,7 @@ class IdentifyOptions:
         Draws the rows of a held-out fraction; 0 or more.
     allow : tuple of str
         Systematic errors that are estimated too: ``"bar.b46.zero"`` in all rows, ``"chuck.c2@183"`` from row 183 on,
-        ``"joint2@91:270"`` in rows 91 to 270, ``"bar.b46.zero.drift"`` growing with the rows.
+        ``"joint2@91:270"`` in rows 91 to 270, ``"bar.b46.zero.drift"`` linear in time, ``"bar.b46.zero.thermal_drift"`` in the box's temperature.
     fit_only : tuple of str
         Groups such as ``"place=front"``: only their rows are fitted, all others judge.
     leave_out : tuple of str

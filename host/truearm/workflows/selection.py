@@ -14,7 +14,7 @@ from truearm.errors import Argument, InputError
 from truearm.estimate.measured_order import poses
 from truearm.kinds.registry import GROUPS, drawn_from, identifiers
 from truearm.text import listed
-from truearm.types import Effect, ObservationTable
+from truearm.types import DriftWith, Effect, ObservationTable
 
 Mask = NDArray[np.bool_]
 
@@ -167,14 +167,18 @@ def _near(pattern: str, names: Sequence[str]) -> str:
 
 def parse_effect(text: str) -> Effect:
     """The systematic error that a text such as ``chuck.c2@183`` names (``Effect``). Raises InputError."""
-    match = re.fullmatch(r"([^@]+?)(\.drift)?(?:@([0-9]{1,9})(?::([0-9]{1,9}))?)?", text)
+    endings = {drift.ending: drift for drift in DriftWith}
+    match = re.fullmatch(
+        rf"([^@]+?)({'|'.join(map(re.escape, endings))})?(?:@([0-9]{{1,9}})(?::([0-9]{{1,9}}))?)?", text
+    )
     first = int(match[3] or 1) if match else 0
     last = int(match[4]) if match and match[4] else None
     if match is None or first < 1 or (last is not None and last < first):
         raise InputError(
-            ALLOW, f" {text!r} is not NAME, NAME.drift or either with @FIRST or @FIRST:LAST behind it, rows from 1"
+            ALLOW,
+            f" {text!r} is not NAME, NAME.drift, NAME.thermal_drift or one of these with @FIRST or @FIRST:LAST behind it, rows from 1",
         )
-    return Effect(match[1], first - 1, last, bool(match[2]))
+    return Effect(match[1], first - 1, last, endings.get(match[2]))
 
 
 def parse_rows(text: str) -> tuple[int, int]:

@@ -1,0 +1,51 @@
+"""How warm the box was while something was measured, by its heartbeats.
+
+The sensor is the microcontroller's own: steps of half a degree, good to some degrees, but it follows the box as that warms up. The mean
+over two minutes smooths the steps; a box changes by less than a step in that time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from truearm.session.device_clock import DeviceClock
+from truearm.session.message_columns import Ints
+from truearm.types import Floats
+from truearm.units import MDEGC
+
+AROUND_NS = 60_000_000_000  # before and after
+COLDEST, WARMEST = -60_000, 200_000  # m°C; anything else is no reading
+
+
+class BoxTemperature(NamedTuple):
+    """Readings (k,) in the order of their host time [ns], in °C."""
+
+    t_host_ns: Ints
+    degc: Floats
+
+    def at(self, t_host_ns: Ints) -> Floats:
+        """(n,) means of the readings around host times (n,); NaN where there is none."""
+        first = np.searchsorted(self.t_host_ns, t_host_ns - AROUND_NS)
+        last = np.searchsorted(self.t_host_ns, t_host_ns + AROUND_NS, side="right")
+        total = np.concatenate([[0.0], np.cumsum(self.degc)])
+        n = last - first
+        return np.where(n > 0, (total[last] - total[first]) / np.maximum(n, 1), np.nan)
+
+
+def box_temperature(
+    heard: Mapping[int, Sequence[tuple[int, int]]], clocks: Mapping[int, DeviceClock]
+) -> BoxTemperature:
+    """The readings ``heard`` in each segment, device time [µs] and m°C; those of segments without a clock are left out."""
+    times, degrees = [np.zeros(0, np.int64)], [np.zeros(0)]
+    for segment, beats in heard.items():
+        readings = [(t_us, mdegc) for t_us, mdegc in beats if COLDEST <= mdegc <= WARMEST]
+        if segment in clocks and readings:
+            t_us, mdegc = np.array(readings, dtype=np.int64).T
+            times.append(clocks[segment].to_host_ns(t_us)[0])
+            degrees.append(MDEGC.to_si(mdegc))
+    t_host_ns, degc = np.concatenate(times), np.concatenate(degrees)
+    order = np.argsort(t_host_ns, kind="stable")
+    return BoxTemperature(t_host_ns[order], degc[order])
