@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 HOST = ROOT / "host" / "truearm"
 
 # modules that every room may use
-COMMON = {"types", "arguments", "errors", "exit_codes", "text", "units", "schema", "interrupt", "__version__"}
+COMMON = {"types", "arguments", "bounds", "errors", "exit_codes", "text", "units", "schema", "interrupt", "__version__"}
 # room of truearm → rooms it may import besides itself and COMMON; imports run downwards
 ROOMS = {
     "model": set(),
@@ -43,6 +43,7 @@ ROOMS = {
     "__main__": {"cli"},
     "types": set(),
     "arguments": set(),
+    "bounds": set(),
     "errors": set(),
     "exit_codes": set(),
     "text": set(),

@@ -21,7 +21,7 @@ from truearm.plan.branches import branch_of
 from truearm.plan.first_rig import bars, first_rig, triangle
 from truearm.plan.forecast import Known
 from truearm.plan.shells import plan_shells
-from truearm.types import BallBar, Floats, Plan, Point, Rig
+from truearm.types import Floats, Plan, Rig
 from truearm_sim import sensors
 from truearm_sim.arm import Arm
 from truearm_sim.clocks import Clock, Clocks, draw_clocks
@@ -30,8 +30,8 @@ from truearm_sim.paths import line_paths
 from truearm_sim.robot import Controller, Inputs, States, new_pairing
 from truearm_sim.true_robot import PAPER, moving, true_params
 
-NO_BAR = BallBar("", math.nan, math.nan, math.nan, math.nan)  # at rows of a plan with the bar off
-NO_POINT = Point("", (math.nan, math.nan, math.nan))
+NO_BAR = (math.nan,) * 4  # zero, gain, travel and sigma at rows of a plan with the bar off
+NO_POINT = (math.nan,) * 3
 MAG_PERIOD_NS = 983_040  # 1017 Hz
 MAG_STROKE = (0.05, 0.55)  # m, of the magnetostrictive sensor where no lines are driven
 MAG_MIDDLE = 0.30
@@ -139,11 +139,15 @@ class World:
         self.chain: Chain = robot.chain
         self.params = true_params(robot, seed) if params is None else params
         self.clocks = clocks or draw_clocks(seed)
-        bars = [self.rig.bars.get(name, NO_BAR) for name in plan.bar]
-        self._p_chuck = np.array([self.rig.chucks.get(name, NO_POINT).xyz for name in plan.chuck])
-        self._p_sphere = np.array([self.rig.spheres.get(name, NO_POINT).xyz for name in plan.sphere])
-        self._zero, self._gain, self._travel = np.array([(bar.zero, bar.gain, bar.travel) for bar in bars]).T
-        self._scatter = sensors.repeatability(seed, len(plan))[arrivals(plan)] * [bar.sigma for bar in bars]
+        known = {name: (bar.zero, bar.gain, bar.travel, bar.sigma) for name, bar in self.rig.bars.items()}
+        bars = np.array([known.get(name, NO_BAR) for name in plan.bar.tolist()]).T
+        chucks, spheres = (
+            {name: p.xyz for name, p in points.items()} for points in (self.rig.chucks, self.rig.spheres)
+        )
+        self._p_chuck = np.array([chucks.get(name, NO_POINT) for name in plan.chuck.tolist()])
+        self._p_sphere = np.array([spheres.get(name, NO_POINT) for name in plan.sphere.tolist()])
+        self._zero, self._gain, self._travel = bars[:3]
+        self._scatter = sensors.repeatability(seed, len(plan))[arrivals(plan)] * bars[3]
         arm, paths = moving(robot, arm), line_paths(plan, self.chain, self.chain.params_nominal, self.rig)
         self.controller = Controller.from_plan(
             plan, self.clocks.robot, seed, robot_rate, self._runs_out(plan), arm, paths, robot_delay_s

@@ -15,11 +15,12 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from truearm.arguments import OneOf, Within, checked, floats
+from truearm.arguments import checked, floats
+from truearm.bounds import CELL, LINE_POINTS, MINUTES, POSES, OneOf
 from truearm.correct.correction import Correction
 from truearm.correct.error_map import ErrorMap
 from truearm.correct.methods import Method
-from truearm.errors import InputError, SessionError
+from truearm.errors import Argument, InputError, SessionError, TableError
 from truearm.estimate.problem import Rigs
 from truearm.export.formats import FORMATS
 from truearm.files import observation_table, result_file, rig_file, robot_file
@@ -210,7 +211,7 @@ def read_session(
     rig: PathLike | None = None,
     noise: PathLike | None = None,
     allow_damaged: bool = False,
-    line_points: Annotated[int, Within(5)] | None = None,
+    line_points: Annotated[int, LINE_POINTS] | None = None,
 ) -> SessionObservations:
     """Make observations of a recorded session: synchronise the clocks, find dwells and lines.
 
@@ -431,8 +432,8 @@ def plan_ball_bar(
     robot: RobotArgument,
     rig: RigArgument,
     *,
-    poses: Annotated[int, Within(1)] | None = None,
-    minutes: Annotated[float, Within(1.0, 100_000.0)] | None = None,
+    poses: Annotated[int, POSES] | None = None,
+    minutes: Annotated[float, MINUTES] | None = None,
     result: ResultArgument | None = None,
     options: BallBarOptions | None = None,
 ) -> BallBarPlan:
@@ -597,7 +598,7 @@ def error_map(
     *,
     at: Joints | None = None,
     elbow_up: bool = True,
-    cell: Annotated[float, Within(1e-3, 1.0)] = 0.025,
+    cell: Annotated[float, CELL] = 0.025,
     own_frames: bool = False,
 ) -> ErrorMap:
     """Map the error of the uncalibrated robot over a section of its workspace (Renders 1991, eq. 31).
@@ -673,7 +674,10 @@ def _rigs(rig: Rigs | None, table: ObservationTable) -> Rigs:
     """The rig, or the rigs by name, held against the rows that name them."""
     if rig is None or isinstance(rig, Rig):
         one = Rig() if rig is None else rig
-        observation_table.check_against_rig(table, one)
+        try:
+            observation_table.check_against_rig(table, one)
+        except TableError as exc:
+            raise exc if rig is not None else InputError(Argument("rig"), f": is needed: {exc}") from None
         return one
     missing = sorted(set(table.rig.tolist()) - set(rig))
     if missing:

@@ -9,18 +9,18 @@ from __future__ import annotations
 
 import functools
 import inspect
-import math
 import numbers
 import os
 import types
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from enum import StrEnum
 from typing import Annotated, Any, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from truearm.bounds import SHOWN, OneOf, Within
 from truearm.errors import Argument, InputError
 from truearm.text import with_article
 
@@ -38,34 +38,6 @@ WORDS: Mapping[Any, str] = {
     Callable: "a function",
 }
 MANY: Mapping[Any, str] = {str: "texts", float: "numbers", int: "whole numbers"}
-SHOWN = 40  # characters of a wrong value
-
-
-@dataclass(frozen=True)
-class Within:
-    """A rule: a finite number from ``least`` to ``most``."""
-
-    least: float = -math.inf
-    most: float = math.inf
-
-    def check(self, name: str, value: Any) -> None:
-        """Raise InputError."""
-        if not (math.isfinite(value) and self.least <= value <= self.most):
-            low, high = (f"{end:g}" if math.isfinite(end) else "" for end in (self.least, self.most))
-            wanted = f"from {low} to {high}" if low and high else f"of {low} or more" if low else "that is finite"
-            raise InputError(Argument(name), f": must be a number {wanted}, is {value}")
-
-
-@dataclass(frozen=True)
-class OneOf:
-    """A rule: one of some names."""
-
-    names: Collection[str]
-
-    def check(self, name: str, value: Any) -> None:
-        """Raise InputError."""
-        if value not in self.names:
-            raise InputError(Argument(name), f": {value[:SHOWN]!r} is not one of {', '.join(self.names)}")
 
 
 def checked(function: Callable[P, R]) -> Callable[P, R]:
@@ -74,7 +46,11 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
-        for name, value in signature.bind(*args, **kwargs).arguments.items():
+        try:
+            given = signature.bind(*args, **kwargs).arguments
+        except TypeError as exc:  # as Python says it, with the function's name
+            raise TypeError(f"{function.__name__}() {exc}") from None
+        for name, value in given.items():
             check(name, value, _hints(function)[name])
         return function(*args, **kwargs)
 

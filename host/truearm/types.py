@@ -9,12 +9,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
-from typing import Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truearm.arguments import check, check_fields
+from truearm.bounds import FINITE, SIGMA, TRAVEL
 from truearm.errors import Argument, InputError, PlanError
 
 Floats = NDArray[np.float64]
@@ -74,8 +75,11 @@ class Point:
     """
 
     name: str
-    xyz: tuple[float, float, float]
-    sigma: float | None = 0.0
+    xyz: Annotated[tuple[float, float, float], FINITE]
+    sigma: Annotated[float, SIGMA] | None = 0.0
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @dataclass(frozen=True)
@@ -94,12 +98,15 @@ class BallBar:
     """
 
     name: str
-    zero: float
-    gain: float
-    travel: float
-    sigma: float
-    zero_sigma: float = 0.0
-    gain_sigma: float = 0.0
+    zero: Annotated[float, FINITE]
+    gain: Annotated[float, FINITE]
+    travel: Annotated[float, TRAVEL]
+    sigma: Annotated[float, SIGMA]
+    zero_sigma: Annotated[float, SIGMA] = 0.0
+    gain_sigma: Annotated[float, SIGMA] = 0.0
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @dataclass(frozen=True)
@@ -114,8 +121,11 @@ class SocketDistance:
     """
 
     sockets: tuple[str, str]
-    distance: float
-    sigma: float
+    distance: Annotated[float, FINITE]
+    sigma: Annotated[float, SIGMA]
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @dataclass(frozen=True)
@@ -139,11 +149,14 @@ class Device:
 
     name: str
     sensor_cov: Matrix
-    xyz: tuple[float, float, float] | None = None
-    rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    sigma: float | None = None
-    turn_sigma: float | None = None
-    rotation_sigma: float | None = None
+    xyz: Annotated[tuple[float, float, float], FINITE] | None = None
+    rotation: Annotated[tuple[float, float, float], FINITE] = (0.0, 0.0, 0.0)
+    sigma: Annotated[float, SIGMA] | None = None
+    turn_sigma: Annotated[float, SIGMA] | None = None
+    rotation_sigma: Annotated[float, SIGMA] | None = None
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @dataclass(frozen=True)
@@ -161,11 +174,14 @@ class Plane:
     """
 
     name: str
-    xyz: tuple[float, float, float]
-    normal: tuple[float, float, float]
-    sigma: float
-    offset_sigma: float | None = None
-    tilt_sigma: float | None = None
+    xyz: Annotated[tuple[float, float, float], FINITE]
+    normal: Annotated[tuple[float, float, float], FINITE]
+    sigma: Annotated[float, SIGMA]
+    offset_sigma: Annotated[float, SIGMA] | None = None
+    tilt_sigma: Annotated[float, SIGMA] | None = None
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @dataclass(frozen=True)
@@ -197,19 +213,19 @@ class Rig:
     spheres: Mapping[str, Point] = field(default_factory=dict)
     bars: Mapping[str, BallBar] = field(default_factory=dict)
     socket_distances: tuple[SocketDistance, ...] = ()
-    seat_sigma: float = 1e-4
+    seat_sigma: Annotated[float, SIGMA] = 1e-4
     targets: Mapping[str, Point] = field(default_factory=dict)
     lines: Mapping[str, Device] = field(default_factory=dict)
-    line_sigma: tuple[float, float, float] = (62e-6, 100e-6, 62e-6)
+    line_sigma: Annotated[tuple[float, float, float], SIGMA] = (62e-6, 100e-6, 62e-6)
     line_placement: LinePlacement = LinePlacement.LEAST_SQUARES
-    line_travel: float | None = None
+    line_travel: Annotated[float, TRAVEL] | None = None
     trackers: Mapping[str, Device] = field(default_factory=dict)
     planes: Mapping[str, Plane] = field(default_factory=dict)
-    time_offset: float = 0.0
-    time_offset_sigma: float | None = None
+    time_offset: Annotated[float, FINITE] = 0.0
+    time_offset_sigma: Annotated[float, SIGMA] | None = None
     joint_cov: Matrix = ()
-    backlash: tuple[float, ...] = ()
-    backlash_sigma: tuple[float, ...] = ()
+    backlash: Annotated[tuple[float, ...], FINITE] = ()
+    backlash_sigma: Annotated[tuple[float, ...], SIGMA] = ()
     sockets: Mapping[tuple[str, str], Point] = field(default_factory=dict)  # by place and socket
     entries: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # of other types that kinds declare, by name
 

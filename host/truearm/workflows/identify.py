@@ -10,7 +10,8 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.arguments import OneOf, Within, check_fields
+from truearm.arguments import check_fields
+from truearm.bounds import ITERATIONS, SEED, OneOf
 from truearm.errors import Argument, InputError, ProblemError
 from truearm.estimate.defaults import choose_defaults, with_frames
 from truearm.estimate.identify import SolverOptions
@@ -103,8 +104,8 @@ class IdentifyOptions:
     prior: Annotated[str, OneOf(tuple(Prior))] | None = None
     solver: Annotated[str, OneOf(SOLVERS)] = "lm"
     loss: Annotated[str, OneOf(tuple(Loss))] = "linear"
-    max_iterations: Annotated[int, Within(1, 10_000)] = 50
-    seed: Annotated[int, Within(0)] = 0
+    max_iterations: Annotated[int, ITERATIONS] = 50
+    seed: Annotated[int, SEED] = 0
     allow: tuple[str, ...] = ()
     leave_out: tuple[str, ...] = ()
     fit_only: tuple[str, ...] = ()

@@ -10,7 +10,8 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from truearm.arguments import OneOf, Within, check_fields
+from truearm.arguments import check_fields
+from truearm.bounds import CANDIDATES, CHECK_POSES, DWELL, SEED, TRAVEL, VISITS, OneOf
 from truearm.errors import Argument, InputError
 from truearm.files.disk import check_writable, write_atomic
 from truearm.files.plan_file import looks_like_plan, write_plan
@@ -129,14 +130,14 @@ class BallBarOptions:
 
     criterion: Annotated[str, OneOf(tuple(Criterion))] = "I"
     region: Region | None = None
-    candidates: Annotated[int, Within(9, 100_000)] = 5000
+    candidates: Annotated[int, CANDIDATES] = 5000
     bars: tuple[str, ...] = ()
-    reserve: Annotated[float, Within(0.0)] | None = None
-    spread: Annotated[float, Within(0.0)] = 0.0
-    dwell: Annotated[float, Within(0.5, 600.0)] = 2.0
-    seed: Annotated[int, Within(0)] = 0
-    visits: Annotated[int, Within(1, 10)] = 1
-    check_poses: Annotated[int, Within(0, 100)] = 10
+    reserve: Annotated[float, TRAVEL] | None = None
+    spread: Annotated[float, TRAVEL] = 0.0
+    dwell: Annotated[float, DWELL] = 2.0
+    seed: Annotated[int, SEED] = 0
+    visits: Annotated[int, VISITS] = 1
+    check_poses: Annotated[int, CHECK_POSES] = 10
     joint_laws: bool = False
 
     def __post_init__(self) -> None:

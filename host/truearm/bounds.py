@@ -1,0 +1,61 @@
+"""What a number or a name may be. An argument of Python and the option of a command take the same bounds from here.
+
+``--help`` reads this, so it imports nothing slow.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from truearm.errors import Argument, InputError
+
+SHOWN = 40  # characters of a wrong value
+
+
+@dataclass(frozen=True)
+class Within:
+    """A rule: a finite number from ``least`` to ``most``, or several of them."""
+
+    least: float = -math.inf
+    most: float = math.inf
+
+    def check(self, name: str, value: Any) -> None:
+        """Raise InputError."""
+        several = isinstance(value, Iterable)
+        if not all(math.isfinite(one) and self.least <= one <= self.most for one in (value if several else (value,))):
+            what = "numbers" if several else "a number"
+            low, high = (f"{end:g}" if math.isfinite(end) else "" for end in (self.least, self.most))
+            wanted = (
+                f"from {low} to {high}" if low and high else f"of {low} or more" if low else "not infinite, not NaN"
+            )
+            raise InputError(Argument(name), f": must be {what} {wanted}, is {value}")
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """A rule: one of some names."""
+
+    names: Collection[str]
+
+    def check(self, name: str, value: Any) -> None:
+        """Raise InputError."""
+        if value not in self.names:
+            raise InputError(Argument(name), f": {value[:SHOWN]!r} is not one of {', '.join(self.names)}")
+
+
+FINITE = Within()
+SIGMA = Within(0.0)  # a standard deviation, SI
+SEED = Within(0)
+ITERATIONS = Within(1, 10_000)
+LINE_POINTS = Within(5)
+POSES = Within(1)
+MINUTES = Within(1.0, 100_000.0)
+CANDIDATES = Within(9, 100_000)
+TRAVEL = Within(0.0)  # m, that a plan keeps free or varies
+DWELL = Within(0.5, 600.0)  # s
+VISITS = Within(1, 10)
+CHECK_POSES = Within(0, 100)
+CELL = Within(1e-3, 1.0)  # m, of an error map
