@@ -194,8 +194,8 @@ class LinkClosed(LinkError):
 class RefusedError(LinkError):
     """The box refuses a command; ``code`` is that of protocol/SPEC.md §4."""
 
-    def __init__(self, text: str, code: int) -> None:
-        super().__init__(text)
+    def __init__(self, code: int, *text: str) -> None:
+        super().__init__(*text)
         self.code = code
 
 

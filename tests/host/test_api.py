@@ -16,7 +16,7 @@ from identify_bench import exact_lengths
 from session_stream import RIG, session
 
 import truearm
-from truearm.errors import InputError, RobotError, TableError, TargetError
+from truearm.errors import InputError, RobotError, TargetError
 from truearm.files.rig_file import write_rig
 from truearm.model.chain import forward
 from truearm.record.links import HostClock

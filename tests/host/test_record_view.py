@@ -173,7 +173,7 @@ class TestView:
 
     def test_a_box_that_is_refused(self):
         view = View(LiveState(SessionProgress(), None, False), Purpose(ball_bar=True))
-        with pytest.raises(InputError, match=r"not calibrated to a length.* Nothing was started; --unchecked"):
+        with pytest.raises(InputError, match=r"not calibrated to a length.* Nothing was started; unchecked"):
             view.approve(box(calibration={}))
         all_the_same = View(LiveState(SessionProgress(), None, False), Purpose(ball_bar=True), unchecked=True)
         all_the_same.approve(box(calibration={}))

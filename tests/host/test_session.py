@@ -331,7 +331,7 @@ class TestWriterErrors:
     def test_no_overwriting_unless_told(self, tmp_path):
         written(tmp_path / "s.mcap", 3)
         before = (tmp_path / "s.mcap").read_bytes()
-        with pytest.raises(InputError, match="--force"):
+        with pytest.raises(InputError, match="choose another name or give force"):
             SessionWriter(tmp_path / "s.mcap", Lab())
         assert (tmp_path / "s.mcap").read_bytes() == before
 
@@ -371,7 +371,7 @@ class TestWriterErrors:
     def test_a_file_that_came_while_it_was_held(self, tmp_path):
         writer = SessionWriter(tmp_path / "s.mcap", Lab(), hold=True)
         (tmp_path / "s.mcap").write_text("precious")
-        with pytest.raises(InputError, match="--force"):
+        with pytest.raises(InputError, match="choose another name or give force"):
             writer.keep()
         writer.close()
         assert (tmp_path / "s.mcap").read_text() == "precious"

@@ -177,7 +177,7 @@ class BoxControl:
     def _check_refused(self, name: str) -> None:
         if self._error is not None:
             code, text = self._error
-            raise RefusedError(f"{self._link.name}: the box refuses {name!r}: {text[:200]}", code)
+            raise RefusedError(code, f"{self._link.name}: the box refuses {name!r}: {text[:200]}")
 
     def _pump(self, timeout_s: float) -> None:
         for t_host_ns, data in self._link.read(timeout_s):

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from truearm.errors import RefusedError
+from truearm.errors import Argument, RefusedError
 
 if TYPE_CHECKING:
     from truearm.box.control import BoxControl
@@ -36,8 +36,10 @@ def conversation(device: str, stop: bool = False, retries: int = RETRIES) -> Ite
         yield box
     except RefusedError as exc:
         if exc.code == STREAMING:
-            text = f"{device}: the box is streaming; end the recording first, or give --stop if nothing records it"
-            raise RefusedError(text, STREAMING) from exc
+            advice = (Argument("stop"), " if nothing records it")
+            raise RefusedError(
+                STREAMING, f"{device}: the box is streaming; end the recording first, or give ", *advice
+            ) from exc
         raise
     finally:
         link.close()

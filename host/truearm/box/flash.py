@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import truearm
 from truearm import __version__
 from truearm.box.conversation import conversation, ident_of, one_line_of
-from truearm.errors import InputError, LinkError
+from truearm.errors import Argument, InputError, LinkError
 from truearm.record.ports import usb_ports
 
 if TYPE_CHECKING:
@@ -46,12 +46,13 @@ def flash_box(options: FlashOptions) -> Iterator[str]:
     version = ""
     if options.stock:
         if options.device is None or options.image is not None or options.drive is not None:
-            raise InputError("--stock takes --box and neither an image nor a drive")
+            raise InputError(Argument("stock"), " takes ", Argument("box"), " and neither an image nor a drive")
         yield from _copy_files(options.device, options.stop)
     else:
         if options.image is None:
             raise InputError(
-                f"give the image to flash, such as build/uf2/truearm-{__version__}.uf2 (make uf2), or --stock"
+                f"give the image to flash, such as build/uf2/truearm-{__version__}.uf2 (make uf2), or ",
+                Argument("stock"),
             )
         version = yield from _write_image(options.image, options)
     if not options.check:
@@ -131,11 +132,13 @@ def compared(has: str, gets: str) -> str:
 def _only(drives: list[Path], image: Image) -> Path:
     if not drives:
         raise InputError(
-            "no boot drive was found; hold BOOTSEL while you plug the box in, name its place with --drive, "
-            "or give --box so that a running box is asked"
+            "no boot drive was found; hold BOOTSEL while you plug the box in, name its place with ",
+            *(Argument("drive"), ", or give ", Argument("box"), " so that a running box is asked"),
         )
     if len(drives) > 1:
-        raise InputError(f"there are several boot drives, {', '.join(map(str, drives))}; name one with --drive")
+        raise InputError(
+            f"there are several boot drives, {', '.join(map(str, drives))}; name one with ", Argument("drive")
+        )
     return drives[0]
 
 

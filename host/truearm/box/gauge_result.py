@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from truearm.errors import ConfigError, InputError
+from truearm.errors import Argument, ConfigError, InputError
 from truearm.schema import raising
 from truearm.types import rms
 from truearm.units import UM
@@ -54,7 +54,7 @@ def calibrate(places: Sequence[Place], order: int | None, linear: bool) -> tuple
     if order is None:
         return chosen(tried), tried
     if order > tried[-1].order:
-        raise InputError(f"--order {order} needs more places; {len(places)} allow {tried[-1].order}")
+        raise InputError(Argument("order"), f" {order} needs more places; {len(places)} allow {tried[-1].order}")
     return tried[order - 1], tried
 
 

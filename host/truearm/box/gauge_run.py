@@ -13,7 +13,7 @@ import numpy as np
 from truearm.box.configuration import change_lines, checked_config
 from truearm.box.conversation import conversation, ident_of
 from truearm.box.gauge_result import HEAD, MAG, Place, calibrate, with_calibration, words, write_page
-from truearm.errors import InputError, LinkError, TableError
+from truearm.errors import Argument, InputError, LinkError, TableError
 from truearm.text import one_line
 from truearm.units import MM, NS, suffixes
 
@@ -73,7 +73,7 @@ def gauge_channel(device: str, options: GaugeOptions, operator: Operator, stop: 
 
     unit, channel, say = options.unit, options.channel, operator.say
     if unit not in UNITS:
-        raise InputError(f"--unit {unit[:20]!r} is not one of {', '.join(UNITS)}")
+        raise InputError(Argument("unit"), f" {unit[:20]!r} is not one of {', '.join(UNITS)}")
     listed = None if options.references is None else read_references(options.references)
     page = options.page or Path(
         "gauge-" + "".join(c if c.isalnum() or c in "-_" else "_" for c in channel[:40]) + ".html"

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from truearm.box.conversation import conversation, ident_of, one_line_of
-from truearm.errors import InputError
+from truearm.errors import Argument, InputError
 from truearm.interrupt import asked_to_stop
 from truearm.session.losses import COUNTERS
 from truearm.text import one_line
@@ -104,7 +104,7 @@ def monitor_box(device: str, duration: float | None, every_s: float, show: Calla
     Yields a line when the box has answered, and one when all is over. Raises InputError, LinkError.
     """
     if duration is not None and not 0 < duration < math.inf:
-        raise InputError(f"--duration {duration:g} is no time; give seconds above 0")
+        raise InputError(Argument("duration"), f" {duration:g} is no time; give seconds above 0")
     with conversation(device, stop=True) as box, asked_to_stop() as interrupted:
         yield one_line_of(ident_of(box))
         watch = _watch(box, duration, interrupted, every_s, show)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import sys
 from typing import TextIO
 
-from truearm.errors import InputError
+from truearm.errors import Argument, InputError
 from truearm.text import one_line
 
 NONE = (
-    "no box is plugged in: no serial port has a Pico's USB identity. Plug it in (a new Pico: truearm box flash), name its port "
-    "with --box, or try all with truearm box list --all; truearm simulate is a box without hardware"
+    "no box is plugged in: no serial port has a Pico's USB identity. Plug it in (a new Pico: truearm box flash), name its port with ",
+    Argument("box"),
+    ", or try all with truearm box list --all; truearm simulate is a box without hardware",
 )
 
 
@@ -25,13 +26,13 @@ def choose_box(device: str | None, output: TextIO) -> str:
         return device
     boxes = find_boxes()
     if not boxes:
-        raise InputError(NONE)
+        raise InputError(*NONE)
     if len(boxes) == 1:
         print(f"box: {one_line(boxes[0].device)} ({_words(boxes[0].product, boxes[0].serial)})", file=output)
         return boxes[0].device
     listed = [f"{one_line(box.device)} ({_words(box.product, box.serial)})" for box in boxes]
     if not (sys.stdin.isatty() and output.isatty()):
-        raise InputError(f"{len(boxes)} boxes are plugged in: {', '.join(listed)}; name one with --box")
+        raise InputError(f"{len(boxes)} boxes are plugged in: {', '.join(listed)}; name one with ", Argument("box"))
     return boxes[_ask(listed, output)].device
 
 
@@ -47,6 +48,6 @@ def _ask(listed: list[str], output: TextIO) -> int:
         print(f"1 to {len(listed)}: ", end="", file=output, flush=True)
         answer = sys.stdin.readline()
         if not answer:
-            raise InputError("no box was chosen; name one with --box")
+            raise InputError("no box was chosen; name one with ", Argument("box"))
         if answer.strip().isdecimal() and 1 <= int(answer) <= len(listed):
             return int(answer) - 1

@@ -16,7 +16,7 @@ from datetime import date
 from typing import TYPE_CHECKING, Any, TextIO
 
 from truearm.box.readiness import Purpose, check_box
-from truearm.errors import InputError
+from truearm.errors import Argument, InputError
 from truearm.live.keyboard import Typed, may_ask, typed_lines
 from truearm.live.state import CONTRADICTION, HELP, LiveState, ViewLine
 from truearm.record.joint_lines import SILENCE_S
@@ -60,7 +60,8 @@ class View(Operator):
         verdict = check_box(ident, self._purpose, date.today())
         if verdict.refused and not self._unchecked:
             raise InputError(
-                f"{'; '.join(one_line(text) for text in verdict.refused)}. Nothing was started; --unchecked records all the same"
+                f"{'; '.join(one_line(text) for text in verdict.refused)}. Nothing was started; ",
+                *(Argument("unchecked"), " records all the same"),
             )
         self._put("ident", ident)
         for text in (*verdict.refused, *verdict.warned):

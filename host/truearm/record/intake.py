@@ -227,7 +227,7 @@ def _check_same(before: Ident, now: Ident) -> None:
     if uids[0] != uids[1]:
         raise ProtocolError(
             f"another box answers ({uids[1] or 'without a uid'}; the recording began with {uids[0] or 'one without'}); "
-            "plug in the one that it began with and go on with --resume"
+            "plug in the one that it began with and resume the session"
         )
 
 

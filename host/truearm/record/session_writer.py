@@ -35,7 +35,7 @@ from typing import Any, BinaryIO, assert_never
 from mcap.writer import CompressionType, Writer
 
 from truearm import __version__
-from truearm.errors import InputError, LinkError, WriteError
+from truearm.errors import Argument, InputError, LinkError, WriteError
 from truearm.record.file_watch import FileLoss, copy_open_file, file_loss, new_file_beside
 from truearm.record.links import Clock
 from truearm.record.session_schemas import Encodings, encodings_of
@@ -252,7 +252,7 @@ class SessionWriter:
         try:
             return self.path.open("w+b" if self._overwrite else "x+b")
         except FileExistsError as exc:
-            raise InputError(f"{self.path}: exists; choose another name or give --force") from exc
+            raise InputError(f"{self.path}: exists; choose another name or give ", Argument("force")) from exc
         except OSError as exc:
             raise InputError(f"{self.path}: cannot be written: {exc.strerror}") from exc
 

@@ -109,7 +109,7 @@ _TARGETS = (
 def _rows(titles: Sequence[str], rows: Sequence[Sequence[str]], label: str, total: int = 0) -> str:
     """A table of plain cells, cut at MOST_ROWS."""
     total = total or len(rows)
-    more = f"<p>and {total - MOST_ROWS} more; --json prints all</p>" if total > MOST_ROWS else ""
+    more = f"<p>and {total - MOST_ROWS} more; the JSON document has all</p>" if total > MOST_ROWS else ""
     cells = ([escape(cell) for cell in row] for row in rows[:MOST_ROWS])
     return table_of([escape(title) for title in titles], cells, label) + more
 

@@ -118,7 +118,7 @@ def _summary(page: ReproducePage) -> str:
         REPRODUCED: ("fit", "within a tolerance that its remark explains"),
         IN_KIND: ("old", "the paper leaves open what its number depends on"),
         NOT_REPRODUCED: ("val", "the remark says why"),
-        NOT_JUDGED: ("old", "too few experiments, as --quick makes"),
+        NOT_JUDGED: ("old", "too few experiments: a quick run"),
         OURS: ("old", "the paper has no such number"),
     }
     tiles = "".join(

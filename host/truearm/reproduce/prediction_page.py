@@ -28,7 +28,7 @@ def figure_four(quick: bool, seed: int) -> Chapter:
     p0s, few_sets, many_sets = (P0[3:], 2, 1) if quick else (P0, SETS_8, SETS_60)
 
     def too_few(made: int, needed: int) -> str:
-        made_here = f"{made} experiment{'s' * (made != 1)}, too few to judge: without --quick {needed} are made. "
+        made_here = f"{made} experiment{'s' * (made != 1)}, too few to judge: a full run makes {needed}. "
         return made_here if made < needed else ""
 
     few_8, few_60 = too_few(few_sets, SETS_8), too_few(many_sets, SETS_60)

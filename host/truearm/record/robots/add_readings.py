@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from operator import attrgetter
 from pathlib import Path
 
-from truearm.errors import InputError, SessionError
+from truearm.errors import Argument, InputError, SessionError
 from truearm.record.robots.joint_table import Reading
 from truearm.record.session_writer import Anchor, SessionWriter, media_type, read_anchor
 from truearm.session.session_file import Session
@@ -103,8 +103,11 @@ def add_readings(
 
 def _outside(t: float | None, zero_s: float | None) -> InputError:
     which = "no reading lies" if t is None else f"the reading at {t:g} s does not lie"
-    how = "is their time UTC? else say with --zero when it was zero" if zero_s is None else "is --zero right?"
-    return InputError(f"{which} within the session; {how}")
+    zero = Argument("zero")
+    how = (
+        ("is their time UTC? else say with ", zero, " when it was zero") if zero_s is None else ("is ", zero, " right?")
+    )
+    return InputError(f"{which} within the session; ", *how)
 
 
 def _span(session: Session, replace: bool) -> tuple[int, int]:
@@ -113,7 +116,8 @@ def _span(session: Session, replace: bool) -> tuple[int, int]:
     for message in session.messages():
         if message.topic == TOPIC and not replace:
             raise SessionError(
-                f"{session.path}: has joint readings already; give --replace to leave them out of the new file"
+                f"{session.path}: has joint readings already; give ",
+                *(Argument("replace"), " to leave them out of the new file"),
             )
         begin_ns, end_ns = min(begin_ns, message.t_host_ns), max(end_ns, message.t_host_ns)
     if end_ns < 0:

@@ -49,7 +49,9 @@ def readings(path: Path, options: FileOptions) -> Iterator[Reading]:
             found += 1
             yield _reading(file, found, decoder, data, options.joints)
     if not found:
-        raise InputError(f"{path}: has no message on {options.topic}; name the topic of the joint states with --topic")
+        raise InputError(
+            f"{path}: has no message on {options.topic}; name the topic of the joint states with ", Argument("topic")
+        )
 
 
 def bag_files(path: Path) -> list[Path]:
@@ -154,7 +156,8 @@ def _reading(path: Path, number: int, decoder: Typestore, data: bytes, joints: S
     names = list(state.name)
     if not joints:
         raise InputError(
-            f"{path}: name the joints in their order from the base on, with --joints or --model; there is {_listed(names)}"
+            f"{path}: name the joints in their order from the base on, with ",
+            *(Argument("joints"), " or ", Argument("model"), f"; there is {_listed(names)}"),
         )
     missing = [joint for joint in joints if joint not in names]
     if missing:

@@ -10,7 +10,7 @@ from itertools import chain
 from pathlib import Path
 from typing import IO, NamedTuple
 
-from truearm.errors import InputError, TableError
+from truearm.errors import Argument, InputError, TableError
 from truearm.files.csv_cells import Row, rows_of
 from truearm.record.joint_lines import MAX_LINE
 from truearm.record.robots.joint_columns import read_columns, renamed, separator_of, with_point
@@ -31,7 +31,14 @@ NO_ARRIVAL = {"arrival": False}  # in every such line: nobody saw it arrive
 def readings(path: Path, options: FileOptions) -> Iterator[Reading]:
     """The readings of a table, in order of time. Raises TableError with file and row, InputError where joints are named."""
     if options.joints:
-        raise InputError("--joints and --model order the joints of a bag; a table's columns are in order")
+        raise InputError(
+            *(
+                Argument("joints"),
+                " and ",
+                Argument("model"),
+                " order the joints of a bag; a table's columns are in order",
+            )
+        )
     return _readings(path, options.columns)
 
 
