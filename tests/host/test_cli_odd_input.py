@@ -76,9 +76,9 @@ CASES = {
     "papers into the folder of no name": (("reproduce", "goswami", "--out", ""), "holds other files"),
     "papers into a file": (("reproduce", "renders", "--out", "t.csv"), "cannot be used as a folder"),
     "a demo into a stranger's folder": (("demo", "--out", "."), "holds other files"),
-    "a rate that is no number": (("demo", "--rate", "nan", "--out", "new"), "is not within the box's"),
+    "a rate that is no number": (("demo", "--rate", "nan", "--out", "new"), "--rate must be a finite number, is nan"),
     "a device of no address": (("record", "--box", "socket://", "--out", "s.mcap"), "is no address"),
-    "an endless time": (("record", "--box", "x", "--out", "s.mcap", "--duration", "inf"), "is no time"),
+    "an endless time": (("record", "--box", "x", "--out", "s.mcap", "--duration", "inf"), "must be a finite number"),
     "a port beyond": (("simulate", "--port", "99999"), "65535"),
     "no command": (("",), "No such command"),
 }

@@ -137,9 +137,9 @@ class TestRefused:
         ("options", "says"),
         [
             (["--rate", "5"], "--rate 5 Hz is not within"),
-            (["--rate", "nan"], "--rate nan Hz is not within"),
+            (["--rate", "nan"], "--rate must be a finite number, is nan"),
             (["--duration", "-1"], "--duration -1 is no time"),
-            (["--duration", "inf"], "--duration inf is no time"),
+            (["--duration", "inf"], "--duration must be a finite number"),
             (["--mounted", "bar46"], "is not KEY=NAME"),
             (["--mounted", "bar=a,bar=b"], "names a bar twice"),
             (["--plan", "none.csv"], "no such file"),

@@ -97,7 +97,7 @@ def test_memory_is_that_of_a_chunk(tmp_path, storage):
 WRONG = {
     "no joints": (
         [],
-        "name the joints in their order from the base on, with --joints or --model; there is elbow,lift,pan",
+        "name the joints in their order from the base on, with joints or model; there is elbow,lift,pan",
     ),
     "an unknown joint": (["pan", "lid"], "has no joint 'lid'; there is elbow,lift"),
 }

@@ -13,6 +13,7 @@ from truearm.cli.box_gauge import gauge
 from truearm.cli.box_monitor import monitor
 from truearm.cli.options import BoxOption, JsonOption, StopOption
 from truearm.cli.output import command_group, print_json, print_lines
+from truearm.cli.project import ProjectCommand
 from truearm.errors import InputError, TruearmError
 from truearm.exit_codes import ExitCode
 
@@ -25,7 +26,7 @@ app = command_group(
 )
 
 
-@app.command("list")
+@app.command("list", cls=ProjectCommand)
 def list_boxes(
     device: Annotated[
         list[str] | None,
@@ -71,7 +72,7 @@ def _asked(port: Any) -> dict[str, Any]:
     return {**row, "box": dict(ident.document), "answer": one_line_of(ident) + faults}
 
 
-@app.command()
+@app.command(cls=ProjectCommand)
 def info(device: BoxOption, as_json: JsonOption = False) -> None:
     """Print what a box says of itself: firmware, streams, channels, calibrations, faults.
 
@@ -87,7 +88,7 @@ def info(device: BoxOption, as_json: JsonOption = False) -> None:
         print_lines(ident_lines(ident))
 
 
-@app.command("test")
+@app.command("test", cls=ProjectCommand)
 def self_test(device: BoxOption, stop: StopOption = False, as_json: JsonOption = False) -> None:
     """Have a box test itself, and print each result with what to do about it.
 
@@ -115,7 +116,7 @@ def self_test(device: BoxOption, stop: StopOption = False, as_json: JsonOption =
         raise typer.Exit(ExitCode.FAILED)
 
 
-@app.command()
+@app.command(cls=ProjectCommand)
 def reset(device: BoxOption, stop: StopOption = False) -> None:
     """Restart a box. It forgets the traceback that it kept.
 
@@ -128,7 +129,7 @@ def reset(device: BoxOption, stop: StopOption = False) -> None:
     typer.echo(f"{device}: the box restarts")
 
 
-app.command()(flash)
-app.command()(gauge)
-app.command()(monitor)
+app.command(cls=ProjectCommand)(flash)
+app.command(cls=ProjectCommand)(gauge)
+app.command(cls=ProjectCommand)(monitor)
 app.add_typer(config, name="config")

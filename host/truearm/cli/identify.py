@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from truearm.bounds import ITERATIONS, LINE_POINTS
 from truearm.cli.options import (
     AllowDamagedOption,
     BaseOption,
@@ -17,6 +18,7 @@ from truearm.cli.options import (
     RobotOption,
     SeedOption,
     TipOption,
+    bounded,
     choices,
     one_of,
     out_file,
@@ -114,7 +116,7 @@ def identify(
         typer.Option(metavar="FIRST:LAST", help="Rows that are neither fitted nor judged, as 120:140 (repeatable)."),
     ] = None,
     max_iterations: Annotated[
-        int, typer.Option(min=1, max=10_000, metavar="N", help="Stop there, converged or not.")
+        int, typer.Option(metavar="N", help="Stop there, converged or not.", **bounded(ITERATIONS))
     ] = 50,
     out: Annotated[Path | None, out_file("the result (.json)")] = None,
     as_json: JsonOption = False,
@@ -127,9 +129,9 @@ def identify(
     line_points: Annotated[
         int | None,
         typer.Option(
-            min=5,
             metavar="N",
             help="Points of each pass along a line at most. Default: as many as the noise tells apart.",
+            **bounded(LINE_POINTS),
         ),
     ] = None,
     allow_damaged: AllowDamagedOption = False,

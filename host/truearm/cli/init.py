@@ -9,7 +9,6 @@ from typing import Annotated
 
 import typer
 
-from truearm.cli.options import check_finite
 from truearm.cli.output import print_lines
 from truearm.errors import InputError
 from truearm.model.builtin import builtin_names
@@ -105,7 +104,6 @@ def init(
         if zero is not None
         else _number("--zero-sigma-mm", ask(None, "How well is the first bar's length measured [mm]", "0.1"))
     )
-    check_finite(zero_sigma_mm=zero, minutes=minutes)
     wanted = Wanted(project, lengths, places, MM.to_si(length), minutes or None)
     folder.mkdir(parents=True, exist_ok=True)
     written = create(folder, wanted, lambda text: typer.echo(text, err=True))

@@ -9,12 +9,14 @@ from typing import Annotated, assert_never
 
 import typer
 
+from truearm.bounds import CELL
 from truearm.cli.options import (
     BaseOption,
     IdentifiedRobotOption,
     OwnFramesOption,
     ResultArgument,
     TipOption,
+    bounded,
     joints_of,
     numbers_of,
     out_file,
@@ -47,7 +49,7 @@ def map_(
         str | None, typer.Option(metavar="Q1,Q2,...", help="Where the other joints stand [deg, mm]; default: 0.")
     ] = None,
     elbow: Annotated[Elbow, typer.Option(help="Which of the arm's two configurations.")] = Elbow.up,
-    cell: Annotated[float, typer.Option(min=1.0, max=1000.0, metavar="MM", help="Size of a cell.")] = 25.0,
+    cell: Annotated[float, typer.Option(metavar="MM", help="Size of a cell.", **bounded(CELL, MM))] = 25.0,
     task: Annotated[
         str | None, typer.Option(metavar="WxH", help="Find the best place for a task of this size [mm].")
     ] = None,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from truearm.bounds import SEED, Within
 from truearm.errors import InputError
 from truearm.model.builtin import builtin_names, names_with_branch
 from truearm.units import DEG, MM, Scale, from_shown
@@ -29,6 +30,14 @@ EARLIER_WORDS = {
     "simulate --robot": "--protocol",
     "demo --rig": "--experiment",
 }
+
+
+def bounded(by: Within, scale: Scale | None = None) -> dict[str, Any]:
+    """Return what declares an option's bounds, those in SI in the unit that the option is given in."""
+    ends = {"min": by.least, "max": by.most}
+    shown = {name: end if scale is None else scale.of(end) for name, end in ends.items()}
+    return {name: end if math.isfinite(end) else None for name, end in shown.items()}
+
 
 # What is read
 SessionArgument = Annotated[Path, typer.Argument(metavar="SESSION", help="Session file (.mcap) of truearm record.")]
@@ -115,7 +124,7 @@ PlainOption = Annotated[
 # What is written
 ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite the file to write.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON and nothing else.")]
-SeedOption = Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Random seed.")]
+SeedOption = Annotated[int, typer.Option("--seed", metavar="N", help="Random seed.", **bounded(SEED))]
 
 
 def out_file(what: str) -> Any:
@@ -203,13 +212,6 @@ def frame_of(option: str, text: str | None) -> tuple[float, float, float, float,
     if max(map(abs, (x, y, z))) > LARGEST_MM or max(map(abs, (rx, ry, rz))) > LARGEST_DEG:
         raise InputError(f"{option} {text}: needs x, y, z in mm and a rotation vector in deg")
     return MM.to_si(x), MM.to_si(y), MM.to_si(z), DEG.to_si(rx), DEG.to_si(ry), DEG.to_si(rz)
-
-
-def check_finite(**given: float | None) -> None:
-    """Raise InputError for an option that is nan or inf, which typer's bounds let pass."""
-    for name, value in given.items():
-        if value is not None and not math.isfinite(value):
-            raise InputError(f"--{name.replace('_', '-')} must be a finite number, is {value}")
 
 
 def branch_given(text: str | None) -> Branch | None:

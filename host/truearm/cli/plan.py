@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from truearm.bounds import CANDIDATES, CHECK_POSES, DWELL, MINUTES, POSES, TRAVEL, VISITS
 from truearm.cli.options import (
     BaseOption,
     BranchOption,
@@ -16,8 +17,8 @@ from truearm.cli.options import (
     RobotOption,
     SeedOption,
     TipOption,
+    bounded,
     branch_given,
-    check_finite,
     choices,
     one_of,
     out_file,
@@ -42,10 +43,9 @@ app = command_group(
 MinutesOption = Annotated[
     float | None,
     typer.Option(
-        min=1.0,
-        max=100_000.0,
         metavar="M",
         help="Budget in an operator's minutes, at most; pairings are mounted that are worth the time.",
+        **bounded(MINUTES),
     ),
 ]
 CriterionOption = Annotated[
@@ -86,9 +86,9 @@ ReserveOption = Annotated[
     float | None,
     typer.Option(
         "--reserve-mm",
-        min=0.0,
         metavar="MM",
         help="Travel kept for what the model does not know; default 22, 3 with --result.",
+        **bounded(TRAVEL, MM),
     ),
 ]
 
@@ -113,12 +113,12 @@ def ballbar(
     rig: RigOption,
     base: BaseOption = None,
     tip: TipOption = None,
-    poses: Annotated[int | None, typer.Option(min=1, metavar="N", help="Budget in poses.")] = None,
+    poses: Annotated[int | None, typer.Option(metavar="N", help="Budget in poses.", **bounded(POSES))] = None,
     minutes: MinutesOption = None,
     criterion: CriterionOption = "I",
     region: RegionOption = None,
     bar: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this bar (repeatable).")] = None,
-    candidates: Annotated[int, typer.Option(min=9, max=100_000, metavar="N", help="Poses to choose from.")] = 5000,
+    candidates: Annotated[int, typer.Option(metavar="N", help="Poses to choose from.", **bounded(CANDIDATES))] = 5000,
     result: ResultOption = None,
     measured: MeasuredOption = None,
     branch: BranchOption = None,
@@ -126,23 +126,25 @@ def ballbar(
     spread: Annotated[
         float,
         typer.Option(
-            "--spread-mm", min=0.0, metavar="MM", help="Vary the bar's length about mid-travel, to tell its gain."
+            "--spread-mm",
+            metavar="MM",
+            help="Vary the bar's length about mid-travel, to tell its gain.",
+            **bounded(TRAVEL, MM),
         ),
     ] = 0.0,
-    dwell_s: Annotated[float, typer.Option(min=0.5, max=600.0, metavar="S", help="Rest at a pose.")] = 2.0,
+    dwell_s: Annotated[float, typer.Option(metavar="S", help="Rest at a pose.", **bounded(DWELL))] = 2.0,
     visits: Annotated[
         int,
         typer.Option(
-            min=1, max=10, metavar="N", help="Visits to every mount; with 2 drift and slip show (docs/rig.md)."
+            metavar="N", help="Visits to every mount; with 2 drift and slip show (docs/rig.md).", **bounded(VISITS)
         ),
     ] = 1,
     check_poses: Annotated[
         int,
         typer.Option(
-            min=0,
-            max=100,
             metavar="N",
             help="Poses of the first mount that are visited again in the middle and at the end; not with --visits 2.",
+            **bounded(CHECK_POSES),
         ),
     ] = 10,
     joint_laws: Annotated[
@@ -168,7 +170,6 @@ def ballbar(
     from truearm.plan.route_stops import Signals
     from truearm.workflows.plan import BallBarOptions, Budget, PlanFiles, plan_ball_bar_files
 
-    check_finite(minutes=minutes, reserve_mm=reserve, spread_mm=spread, dwell_s=dwell_s)
     files = PlanFiles(
         robot=RobotChoice(robot, base, tip),
         rig=rig,
@@ -248,7 +249,6 @@ def line(
     from truearm.plan.route_stops import Signals
     from truearm.workflows.plan import Budget, LineOptions, PlanFiles, plan_line_files
 
-    check_finite(minutes=minutes, length_mm=length_mm, transverse_mm=transverse_mm, speed_mm_s=speed_mm_s)
     files = PlanFiles(
         robot=RobotChoice(robot, base, tip),
         rig=rig,
@@ -312,7 +312,6 @@ def characterize(
     from truearm.plan.route_stops import Signals
     from truearm.workflows.plan import ApproachOptions, PlanFiles, plan_approaches_files
 
-    check_finite(long_s=long_s, reserve_mm=reserve, dwell_s=dwell_s)
     files = PlanFiles(
         robot=RobotChoice(robot, base, tip),
         rig=rig,

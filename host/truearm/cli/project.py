@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shlex
 from collections.abc import Callable, Mapping, Sequence
@@ -11,16 +12,22 @@ from typing import Any
 import typer
 from typer.core import TyperCommand
 
+from truearm.errors import InputError
 from truearm.files.project_file import Project, find_project, read_project
 
 Answer = Callable[[], Any]  # what an option would have been given; None: nothing
 
 
 class ProjectCommand(TyperCommand):
-    """A command that says on standard error what it took from truearm.toml, before it begins."""
+    """A command that says on standard error what it took from truearm.toml, and whose numbers are finite."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command."""
+        """Run the command. Raises InputError for an option that is nan or inf, which typer's bounds let pass."""
+        for one in self.params:
+            given = ctx.params[one.name or ""]
+            for value in given if isinstance(given, list | tuple) else (given,):
+                if isinstance(value, float) and not math.isfinite(value):
+                    raise InputError(f"{one.opts[0]} must be a finite number, is {value}")
         taken = [
             word
             for one in self.params

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from truearm.bounds import LINE_POINTS
 from truearm.cli.options import (
     AllowDamagedOption,
     BaseOption,
@@ -16,6 +17,7 @@ from truearm.cli.options import (
     NamedRigsOption,
     ResultArgument,
     TipOption,
+    bounded,
     out_file,
     rigs_of,
 )
@@ -39,7 +41,8 @@ def report(
     operator: Annotated[str | None, typer.Option(metavar="TEXT", help="Who measured.")] = None,
     name: Annotated[str | None, typer.Option(metavar="TEXT", help="What was calibrated.")] = None,
     line_points: Annotated[
-        int | None, typer.Option(min=5, metavar="N", help="Points of each pass, as truearm identify was told.")
+        int | None,
+        typer.Option(metavar="N", help="Points of each pass, as truearm identify was told.", **bounded(LINE_POINTS)),
     ] = None,
     allow_damaged: AllowDamagedOption = False,
 ) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from truearm.cli.options import check_finite, numbers_of
+from truearm.cli.options import numbers_of
 from truearm.errors import InputError
 from truearm.model.builtin import builtin_names
 from truearm.units import DEG, MM, MRAD
@@ -91,7 +91,6 @@ def truth_of(
     """Return what the options say of the truth, in SI units. Raises InputError."""
     from truearm.workflows.simulated_robot import TruthOptions
 
-    check_finite(gear_error_mrad=gear_error_mrad, stiffness_nm_rad=stiffness, repeatability_mm=repeatability_mm)
     drawn, masses = numbers_of("--tolerance", tolerance, 2), numbers_of("--masses-kg", masses_kg)
     periods = numbers_of("--gear-periods-deg", gear_periods_deg) or ()
     if drawn is not None and min(drawn) < 0.0:
