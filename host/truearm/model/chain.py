@@ -188,7 +188,13 @@ def joint_frames(chain: Chain, params: Floats, q: Floats) -> Floats:
 
     Joint i moves along or about the axis ``chain.movers[i].motion`` of its frame, through the frame's origin.
     """
-    return np.stack(_far_frames(chain, params, q)[:-1], axis=-3)
+    return joint_and_end_frames(chain, params, q)[0]
+
+
+def joint_and_end_frames(chain: Chain, params: Floats, q: Floats) -> tuple[Floats, Floats]:
+    """What ``joint_frames`` and ``forward`` say, at the cost of one of them."""
+    *joints, end = _far_frames(chain, params, q)
+    return np.stack(joints, axis=-3), end
 
 
 def joint_jacobian(chain: Chain, params: Floats, q: Floats) -> Floats:
@@ -205,7 +211,8 @@ def joint_jacobian(chain: Chain, params: Floats, q: Floats) -> Floats:
         if motion[0] == "t":
             columns.append(np.concatenate([axis, np.zeros_like(axis)], axis=-1))
         else:
-            columns.append(np.concatenate([np.cross(axis, p_end - frame[..., :3, 3]), axis], axis=-1))
+            lever = cross(np.moveaxis(axis, -1, 0), np.moveaxis(p_end - frame[..., :3, 3], -1, 0))
+            columns.append(np.concatenate([np.moveaxis(lever, 0, -1), axis], axis=-1))
     jac = np.stack(columns, axis=-1)
     return jac if by_joints.ndim == 2 else np.asarray(jac @ chain.law.by_joints(params, q))
 

@@ -19,9 +19,18 @@ def axis_of(motion: str) -> int:
 
 def elementary(motion: str, amount: Any) -> Floats:
     """The transform (…, 4, 4) that moves along or turns about one axis by amount (…) [m or rad]."""
-    amount = np.asarray(amount)
-    axis, turns = np.full(amount.size, axis_of(motion)), np.full(amount.size, motion[0] == "r")
-    return mixed(axis, turns, amount.ravel()).reshape(*amount.shape, 4, 4)
+    amount, axis = np.asarray(amount), axis_of(motion)
+    out = np.zeros((*amount.shape, 4, 4), dtype=np.result_type(amount, float))
+    for k in range(4):
+        out[..., k, k] = 1.0
+    if motion[0] == "t":
+        out[..., axis, 3] = amount
+        return out
+    a, b = (axis + 1) % 3, (axis + 2) % 3
+    out[..., a, a] = out[..., b, b] = np.cos(amount)
+    out[..., b, a] = np.sin(amount)
+    out[..., a, b] = -out[..., b, a]
+    return out
 
 
 def mixed(axis: NDArray[np.intp], turns: NDArray[np.bool_], amount: Floats) -> Floats:

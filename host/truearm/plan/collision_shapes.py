@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.model.chain import Chain, forward, joint_frames
+from truearm.model.chain import Chain, joint_and_end_frames
 from truearm.model.workspace import Capsules
 from truearm.plan.arm_capsules import along_joints
 from truearm.types import Floats, Rig
@@ -64,18 +64,17 @@ def make_shapes(chain: Chain, params: Floats, rig: Rig, sizes: Sizes, links: Cap
 def clear(shapes: Shapes, q: Floats, mounted: Mounted | None) -> NDArray[np.bool_]:
     """Whether nothing touches at joints q (n, j), with the bar on as ``mounted`` or off."""
     sizes, joint, radius = shapes.sizes, np.array(shapes.links.joint), shapes.links.radius
-    ends = link_ends(shapes, q)
-    pose = forward(shapes.chain, shapes.params, q)
+    ends, pose = link_ends_and_pose(shapes, q)
     spheres = shapes.p_spheres @ pose[:, :3, :3].swapaxes(1, 2) + pose[:, None, :3, 3]
     moved = joint >= UPPER_ARM
     good = (ends[:, moved][..., 2].min(axis=2) > sizes.table + radius[moved]).all(axis=1)
     good &= (spheres[..., 2] > sizes.table + sizes.stud).all(axis=1)
     good &= _arm_is_clear_of_itself(shapes, ends, pose, spheres)
-    for chuck in shapes.p_posts:
-        post = _foot(chuck, sizes), chuck
-        good &= (_from(ends[:, moved], *post) > radius[moved] + sizes.post).all(axis=1)
-        studs = segment_distance(pose[:, None, :3, 3], spheres, *post)
-        good &= (studs > sizes.stud + sizes.post).all(axis=1)
+    tops, feet = shapes.p_posts, np.array([_foot(chuck, sizes) for chuck in shapes.p_posts]).reshape(-1, 3)
+    apart = _from(ends[:, moved, None], feet, tops)
+    good &= (apart > radius[moved][:, None] + sizes.post).all(axis=(1, 2))
+    studs = segment_distance(pose[:, None, None, :3, 3], spheres[:, :, None], feet, tops)
+    good &= (studs > sizes.stud + sizes.post).all(axis=(1, 2))
     if mounted is not None:
         good &= _bar_is_clear(shapes, ends, pose, mounted)
     return np.asarray(good)
@@ -83,24 +82,27 @@ def clear(shapes: Shapes, q: Floats, mounted: Mounted | None) -> NDArray[np.bool
 
 def link_ends(shapes: Shapes, q: Floats) -> Floats:
     """(n, m, 2, 3) ends of the arm's capsules in the base frame."""
-    frames = joint_frames(shapes.chain, shapes.params, q)
+    return link_ends_and_pose(shapes, q)[0]
+
+
+def link_ends_and_pose(shapes: Shapes, q: Floats) -> tuple[Floats, Floats]:
+    """What ``link_ends`` says, and the pose (n, 4, 4) of the end."""
+    frames, pose = joint_and_end_frames(shapes.chain, shapes.params, q)
     fixed = np.broadcast_to(np.eye(4), (len(q), 1, 4, 4))
     mine = np.concatenate([fixed, frames], axis=1)[:, shapes.links.joint]
-    return np.asarray(shapes.links.ends @ mine[..., :3, :3].swapaxes(-1, -2) + mine[..., None, :3, 3])
+    return np.asarray(shapes.links.ends @ mine[..., :3, :3].swapaxes(-1, -2) + mine[..., None, :3, 3]), pose
 
 
 def _arm_is_clear_of_itself(shapes: Shapes, ends: Floats, pose: Floats, spheres: Floats) -> NDArray[np.bool_]:
     """The tool against all that lies before the forearm: column, shoulder, upper arm."""
     joint, radius = np.array(shapes.links.joint), shapes.links.radius
-    good = np.ones(len(ends), dtype=bool)
-    before = joint <= len(shapes.chain.joints) - BEFORE_FOREARM
-    for k in np.flatnonzero(joint >= tool_joint(shapes)):
-        apart = _from(ends[:, before], ends[:, k, None, 0], ends[:, k, None, 1])
-        good &= (apart > radius[before] + radius[k]).all(axis=1)
-    for s in range(spheres.shape[1]):
-        apart = _from(ends[:, before], pose[:, None, :3, 3], spheres[:, s, None])
-        good &= (apart > radius[before] + shapes.sizes.stud).all(axis=1)
-    return good
+    before, tool = joint <= len(shapes.chain.joints) - BEFORE_FOREARM, joint >= tool_joint(shapes)
+    flange = np.broadcast_to(pose[:, None, :3, 3], spheres.shape)
+    starts = np.concatenate([ends[:, tool, 0], flange], axis=1)
+    stops = np.concatenate([ends[:, tool, 1], spheres], axis=1)
+    thick = np.concatenate([radius[tool], np.full(spheres.shape[1], shapes.sizes.stud)])
+    apart = _from(ends[:, before, None], starts[:, None], stops[:, None])
+    return np.asarray((apart > radius[before][:, None] + thick).all(axis=(1, 2)))
 
 
 def _bar_is_clear(shapes: Shapes, ends: Floats, pose: Floats, mounted: Mounted) -> NDArray[np.bool_]:
@@ -149,7 +151,7 @@ def _foot(chuck: Floats, sizes: Sizes) -> Floats:
 
 
 def _from(ends: Floats, start: Floats, end: Floats) -> Floats:
-    """(n, m) distances of segments with ends (n, m, 2, 3) from another one."""
+    """(…) distances of segments with ends (…, 2, 3) from others."""
     return segment_distance(ends[..., 0, :], ends[..., 1, :], start, end)
 
 
