@@ -1,17 +1,20 @@
 """What was mounted at each dwell of a ball-bar session, from all that speaks of it, as a probability.
 
 The hidden state of a dwell is a pairing of the rig (bar, chuck, sphere), or something that the rig does not have. It changes as operators change
-it: mostly where the plan asks for it, now and then not at all, too late, or to something else (``transition``). What was typed is a witness of what is
-mounted from then on, wrong once in a while (TYPED). The reading is the other witness: what the sensor shows against what each pairing predicts; a
+it: mostly where the plan asks for it, now and then not at all, too late, or to something else, mostly with one wrong part (``transition``). What was typed
+is a witness of what is mounted from then on, wrong once in a while (TYPED), but not where it repeats the plan: Enter confirms what was asked for, whatever is in hand. The reading is the other witness: what the sensor shows against what each pairing predicts; a
 sensor beyond its stroke speaks against every pairing that should be within it. One dwell cannot decide, with a nominal robot another pairing often
 fits as well. Runs of dwells can, which is what the forward-backward algorithm of a hidden Markov model weighs (Rabiner 1989, Proc. IEEE 77, III-B).
 
 The nominal robot predicts to some millimetres or centimetres, with errors that neighbouring poses share. So the robot is fitted meanwhile: its
-parameters, with a Gaussian prior about the nominal ones (the weak one, or the wide one where the dwells do not fit it), linearised, from the dwells by the probability of their pairing. A dwell is judged by the
+parameters, with a Gaussian prior about the nominal ones, linearised, from the dwells by the probability of their pairing. A dwell is judged by the
 fit without the run that it belongs to, else a wrong run would confirm itself; within a run each dwell is judged given the one before, since a
 prediction that is off by a common amount still predicts the difference. The covariance of that fit is the uncertainty of its prediction, widened where
 the usual misfit is larger. Fit and judgement alternate, with a noise that falls from NOISE's first to its last value, so that what is still labelled
 wrongly cannot bend the first fits (deterministic annealing).
+
+How far off the robot is nobody knows: there are two priors, the weak and the wide one. Each fit predicts dwells that it has not seen, and the product of
+these densities over the session is its evidence (the pseudo-marginal likelihood: Geisser & Eddy 1979, JASA 74, 153). The labels of both count by their evidence.
 """
 
 from __future__ import annotations
@@ -19,7 +22,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
-from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -42,7 +44,10 @@ FORGOTTEN = 0.05  # the old one stays
 PUT_RIGHT = 0.1  # at a dwell where the plan asks for nothing new, what is not as planned is mounted as planned
 UNASKED = 2e-3  # something else, at any dwell
 FOREIGN = 1e-3  # something that the rig does not have
-TYPED = 20.0  # how much likelier a pairing is named when it is mounted than when it is not
+ANOTHER_PART = 0.1  # what is mounted wrongly differs in one part, and in each further one so often
+TYPED = (
+    20.0  # how much likelier a pairing that the plan does not ask for is named when it is mounted than when it is not
+)
 
 NOISE = (
     5e-3,
@@ -65,7 +70,6 @@ LOST = 0.02  # a sensor whose bar is within its stroke is beyond it all the same
 # reserve (22 mm), the bar would leave its stroke.
 DIFFUSE = 0.02
 MOST_PAIRINGS = 150
-CONSISTENT = 1.2  # a fit that misses by no more than so much of what it claims needs no wider prior
 MOST_SUSPECT, WIDENED = 8, 2.0  # runs left out where the fit misses by so much more than it claims
 
 SURE = 0.998  # the least probability of a label that is used by the evidence alone
@@ -123,14 +127,12 @@ def mountings(chain: Chain, rig: Rig, readings: Readings, words: Words, free: Ma
     """
     pairings = candidates(rig, words)
     transitions, told = _course(words, pairings)
-    found = list[tuple[float, Floats]]()
-    for prior in (weak_prior(chain), wide_prior(chain)):
-        fit = _Fit(chain, rig, readings, [pairings] * len(readings.q), free, prior)
-        probability = _annealed(fit, transitions, told)
-        found.append((fit.widened, probability))
-        if fit.widened < CONSISTENT:
-            break
-    return Mountings(pairings, min(found, key=itemgetter(0))[1])
+    fits = (
+        _Fit(chain, rig, readings, [pairings] * len(readings.q), free, prior)
+        for prior in (weak_prior(chain), wide_prior(chain))
+    )
+    probabilities, evidences = zip(*(_annealed(fit, transitions, told) for fit in fits), strict=True)
+    return Mountings(pairings, np.average(probabilities, axis=0, weights=special.softmax(evidences)))
 
 
 def label_support(chain: Chain, rig: Rig, readings: Readings, labels: Sequence[Pairing], free: Mask) -> Floats:
@@ -145,7 +147,8 @@ def label_support(chain: Chain, rig: Rig, readings: Readings, labels: Sequence[P
     # where nothing is wrong nothing bends the first fit
     for prior, noise in ((weak, NOISE[-3:]), (wide, NOISE[-3:]), (weak, NOISE), (wide, NOISE)):
         fit = _Fit(chain, rig, readings, [[label] for label in labels], free, prior)
-        support = _annealed(fit, transitions, told, noise)[:, 0]
+        probability, _ = _annealed(fit, transitions, told, noise)
+        support = probability[:, 0]
         if fit.widened < WIDENED and (support[readings.read] >= SETTLED).all():
             break
     return support
@@ -160,46 +163,61 @@ def candidates(rig: Rig, words: Words) -> tuple[Pairing, ...]:
     return tuple(pairing for pairing in every if pairing in named)
 
 
-def _annealed(fit: _Fit, transitions: Sequence[Floats], told: Floats, noise: Sequence[float] = NOISE) -> Floats:
-    """(n, k + 1) probabilities of the states, the fit and the labels settled together under a noise [m] that falls."""
+def _annealed(
+    fit: _Fit, transitions: Sequence[Floats], told: Floats, noise: Sequence[float] = NOISE
+) -> tuple[Floats, float]:
+    """(n, k + 1) probabilities of the states, the fit and the labels settled together under a noise [m] that falls, and their evidence."""
     nothing = np.zeros_like(told)
-    probability = posterior(transitions, told, nothing, nothing)
+    probability, evidence = posterior(transitions, told, nothing, nothing)
     if not fit.readings.read.any():
-        return probability
+        return probability, evidence
     for fit.noise in noise:
         seen = fit.judge(probability)
-        probability = posterior(transitions, told, *fit.densities(seen))
+        probability, evidence = posterior(transitions, told, *fit.densities(seen))
         fit.move(probability, seen)
     for _ in range(MOST_SUSPECT):
         seen = fit.judge(probability)
-        probability = posterior(transitions, told, *fit.densities(seen))
+        probability, evidence = posterior(transitions, told, *fit.densities(seen))
         if not fit.suspect(probability, seen):
             break
         fit.move(probability, seen)
-    return probability
+    return probability, evidence
 
 
 def _course(words: Words, pairings: Sequence[Pairing]) -> tuple[list[Floats], Floats]:
     """The transition to each dwell, the first from anything, and (n, k + 1) what the operator's words add to the log-likelihood."""
     number = {pairing: i for i, pairing in enumerate(pairings)}
     told = np.zeros((len(words.planned), len(pairings) + 1))
+    wrong = mistakes(pairings)
     transitions = []
     wanted: list[int] = []
     follows_words = not any(words.planned)
     for i, (planned, typed) in enumerate(zip(words.planned, words.typed, strict=True)):
         said = [number[pairing] for pairing in typed if pairing in number][-1:]
-        told[i, said] += np.log(TYPED)
         now = said if follows_words else [number[pairing] for pairing in planned if pairing in number]
+        if follows_words or not set(said) <= set(
+            now
+        ):  # who has a wrong part in hand confirms what was asked for all the same
+            told[i, said] += np.log(TYPED)
         asked = bool(now) and set(now) != set(wanted)
         wanted = now or wanted
-        transitions.append(transition(len(pairings), wanted, asked))
+        transitions.append(transition(wrong, wanted, asked))
     transitions[0][:] = transitions[0][:-1].mean(axis=0)  # what was mounted before the first dwell is of the rig
     return transitions, told
 
 
-def transition(k: int, wanted: Sequence[int], asked: bool) -> Floats:
+def mistakes(pairings: Sequence[Pairing]) -> Floats:
+    """(k, k) how probable it is that each pairing is mounted by mistake in place of each that is wanted (row)."""
+    parts = np.array(pairings)
+    differing = (parts[:, None] != parts).sum(axis=2)
+    share = np.where(differing > 0, ANOTHER_PART ** (differing - 1.0), 0.0)
+    return np.asarray(share / np.maximum(share.sum(axis=1, keepdims=True), ANOTHER_PART**2))
+
+
+def transition(wrong: Floats, wanted: Sequence[int], asked: bool) -> Floats:
     """(k + 1, k + 1) from what was mounted to what is, where ``wanted`` are the pairings that the plan may want and ``asked``
-    says whether it wants them from this dwell on."""
+    says whether it wants them from this dwell on; ``wrong`` (k, k): ``mistakes``."""
+    k = len(wrong)
     out = np.full((k + 1, k + 1), UNASKED / k)
     out[:, k] = FOREIGN
     stay, goal = np.arange(k + 1), np.array(wanted, dtype=np.intp)
@@ -208,7 +226,7 @@ def transition(k: int, wanted: Sequence[int], asked: bool) -> Floats:
     elif asked:
         out[:, goal] += DONE / goal.size
         out[stay, stay] += FORGOTTEN
-        out[:, :k] += (1.0 - DONE - FORGOTTEN) / k
+        out[:, :k] += (1.0 - DONE - FORGOTTEN) * wrong[goal].mean(axis=0)
     else:
         right = np.isin(stay, goal)
         out[stay, stay] += np.where(right, 1.0, 1.0 - PUT_RIGHT)
@@ -216,8 +234,8 @@ def transition(k: int, wanted: Sequence[int], asked: bool) -> Floats:
     return np.asarray(out / out.sum(axis=1, keepdims=True))
 
 
-def posterior(transitions: Sequence[Floats], told: Floats, came: Floats, stayed: Floats) -> Floats:
-    """(n, s) probability of each state at each dwell, by the forward-backward algorithm.
+def posterior(transitions: Sequence[Floats], told: Floats, came: Floats, stayed: Floats) -> tuple[Floats, float]:
+    """(n, s) probability of each state at each dwell, by the forward-backward algorithm, and the evidence: the log-likelihood of all dwells.
 
     ``transitions`` (s, s) to each dwell, of the first the mean over all states; ``told`` (n, s) log-likelihoods of the words; ``came`` (n, s) those of
     the readings where another state was before, ``stayed`` where the same was.
@@ -225,21 +243,23 @@ def posterior(transitions: Sequence[Floats], told: Floats, came: Floats, stayed:
     top = np.maximum(came, stayed).max(axis=1, keepdims=True)
     came, stayed = np.exp(came - top + told), np.exp(stayed - top + told)
     n, states = came.shape
-    forward, backward = np.empty_like(came), np.ones_like(came)
+    forward, backward, scale = np.empty_like(came), np.ones_like(came), np.empty(n)
     forward[0] = transitions[0].mean(axis=0) * came[0]
-    forward[0] /= forward[0].sum()
+    scale[0] = forward[0].sum()
+    forward[0] /= scale[0]
     steps = [transitions[0]]
     for i in range(1, n):
         step = transitions[i] * came[i]
         step[range(states), range(states)] = transitions[i].diagonal() * stayed[i]
         steps.append(step)
         forward[i] = forward[i - 1] @ step
-        forward[i] /= forward[i].sum()
+        scale[i] = forward[i].sum()
+        forward[i] /= scale[i]
     for i in range(n - 2, -1, -1):
         backward[i] = steps[i + 1] @ backward[i + 1]
         backward[i] /= backward[i].sum()
     both = forward * backward
-    return np.asarray(both / both.sum(axis=1, keepdims=True))
+    return np.asarray(both / both.sum(axis=1, keepdims=True)), float(np.log(scale).sum() + top.sum())
 
 
 class _Seen(NamedTuple):
