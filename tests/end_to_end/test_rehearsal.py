@@ -1,6 +1,7 @@
-"""The way from a rig to a validated calibration by commands alone, for the arms that people have (docs/rehearsal.md)."""
+"""The way from an empty folder to a validated calibration by commands alone, for the arms that people have (docs/rehearsal.md)."""
 
 import json
+import re
 import resource
 import time
 from pathlib import Path
@@ -9,6 +10,7 @@ import pytest
 from scipy.stats import chi2
 
 from truearm.cli.main import main
+from truearm.files.plan_file import read_plan
 
 PANDA_URDF = Path(__file__).parents[1] / "data" / "mukca" / "panda.urdf"
 PANDA_BRANCH = "--branch=-150:150,-95:95,-80:80,-165:-25,-150:150,25:165,-160:160"
@@ -40,22 +42,26 @@ def test_an_arm_is_rehearsed_by_commands_alone(arm, tmp_path, monkeypatch, capsy
         assert main([str(argument) for argument in arguments]) == 0
         return capsys.readouterr().out
 
-    fast = ["simulate", "--fast", "--model", *model]
-    run(*fast, *branch, "--poses", 9, "--out", "rehearsal")
-    rig, known = "rehearsal/rig.toml", ["--model", *model]
+    run("init", "cell", "--model", *model, "--minutes", 0)
+    monkeypatch.chdir(tmp_path / "cell")
     for out, n, seed in (("plan.csv", poses, 0), ("check.csv", check, 5)):
         budget = ["--poses", n, "--candidates", candidates, "--seed", seed]
-        run("plan", "ballbar", *known, *branch, "--rig", rig, *budget, "--out", out)
+        run("plan", "ballbar", *branch, *budget, "--out", out)
     begun = cpu_s()
-    run(*fast, "--plan", "plan.csv", "--rig", rig, "--out", "first", "--truth-out", "truth.json", "--seed", 1)
-    run(*fast, "--plan", "check.csv", "--rig", rig, "--out", "second", "--seed", 2, "--truth-seed", 1)
-    run("identify", "first/session.mcap", *known, "--out", "result.json")
+    run("simulate", "--fast", "--out", "first", "--truth-out", "truth.json", "--seed", 1)
+    run("simulate", "--fast", "--plan", "check.csv", "--out", "second", "--seed", 2, "--truth-seed", 1)
+    confirmed = re.search(r"(\d+) mounted", run("inspect", "first/session.mcap"))
+    run("identify", "first/session.mcap", "--out", "result.json")
     Path("targets.csv").write_text("name,x_mm,y_mm,z_mm\na,400,50,350\n")
-    in_file = known if model is URDF else []
-    run("correct", "result.json", "targets.csv", *in_file, "--out", "corrected.csv")
-    verdict = json.loads(run("validate", "result.json", "second/session.mcap", *in_file, "--json"))
+    run("correct", "result.json", "targets.csv", "--out", "corrected.csv")
+    verdict = json.loads(run("validate", "result.json", "second/session.mcap", "--json"))
     spent = cpu_s() - begun
 
+    plan = read_plan(Path("plan.csv"))
+    assert confirmed is not None
+    assert int(confirmed[1]) >= len(
+        set(zip(plan.bar, plan.chuck, plan.sphere, strict=True))
+    )  # the operator says what he mounts
     result = json.loads(Path("result.json").read_text())
     assert result["n_observations"] == poses  # no dwell was lost
     assert verdict["rows"] == check

@@ -121,6 +121,7 @@ def record_virtually(
     from truearm.record.recorder import Hooks, RecordOptions, record
     from truearm.record.session_writer import SessionWriter
     from truearm.workflows.record import plan_rows
+    from truearm_sim.confirming import Confirming
     from truearm_sim.lab import STEP_NS, Lab
 
     lab = Lab(world, box, seed, STEP_NS if step_ns is None else step_ns)
@@ -133,7 +134,7 @@ def record_virtually(
             lab.clock,
             robot=lab.robot_link,
             options=RecordOptions(plan=plan_rows(plan), rig_toml=(out / "rig.toml").read_bytes(), osr=osr),
-            hooks=Hooks(interrupted=interrupted, progress=progress),
+            hooks=Hooks(interrupted=interrupted, progress=progress, operator=Confirming(lab)),
         )
     if summary.reason == "interrupted":
         raise KeyboardInterrupt
