@@ -100,7 +100,7 @@ def identify(
     joint_laws: Annotated[
         LawMode,
         typer.Option(
-            help="Fit error curves and sag of the joints too, as far as the evidence in the rows carries them: auto (both), curve or sag."
+            help="Fit error curves and sag of the joints too, as far as the evidence in the rows carries them: curve, sag or both (auto, where geometry and declared noise do not explain the residuals)."
         ),
     ] = LawMode.NONE,
     allow: Annotated[

@@ -77,10 +77,10 @@ def with_joint_laws(
 ) -> tuple[Chain, Estimate]:
     """Return the robot with the laws that the evidence carries, and the estimate with their parameters.
 
-    Both are those that were given where nothing was asked for, where the rows cannot show laws and where no law pays;
-    ``Estimate.joint_laws`` says which.
+    Both are those that were given where nothing was asked for, where ``auto`` has nothing to do, where the rows cannot show laws and where no law pays;
+    ``Estimate.joint_laws`` says which, None in the first two cases.
     """
-    if request.mode is LawMode.NONE:
+    if request.mode is LawMode.NONE or (request.mode is LawMode.AUTO and _nothing_to_explain(estimate)):
         return chain, estimate
     gravity = request.gravity or DOWN
     laws, reasons = candidates(chain, table.q[estimate.fitted], request.mode, gravity)
@@ -118,9 +118,20 @@ def with_joint_laws(
     return with_laws(chain, kept), replace(best.estimate, joint_laws=report)
 
 
+def _nothing_to_explain(estimate: Estimate) -> bool:
+    """Whether the declared noise explains the residuals, or the fit is none that laws could be added to."""
+    low, high = estimate.chi2_band
+    explained = low <= estimate.chi2_reduced <= high
+    return bool(explained or estimate.unusable or estimate.status != "converged" or not _takes_laws(estimate))
+
+
+def _takes_laws(estimate: Estimate) -> bool:
+    return SOLVERS[estimate.solver].has_loss and estimate.loss == Loss.LINEAR
+
+
 def _why_none(estimate: Estimate) -> str:
     """Why no laws are tried at all; "" where they are."""
-    if not SOLVERS[estimate.solver].has_loss or estimate.loss != Loss.LINEAR:
+    if not _takes_laws(estimate):
         return f"joint laws are fitted with the solvers lm and map and the linear loss, not with {estimate.solver} and {estimate.loss}"
     if not estimate.chi2_freedom >= LEAST_FREEDOM:
         return f"{estimate.n_observations} rows are too few: {LEAST_FREEDOM} degrees of freedom beyond the geometry are needed"

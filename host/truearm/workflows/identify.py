@@ -83,8 +83,8 @@ class IdentifyOptions:
     leave_out : tuple of str
         Rows that are neither fitted nor judged, as ``"120:140"``.
     joint_laws : str
-        "none", "curve" (error curves of the joints), "sag" (joints that give way to gravity) or "auto" (both); each law
-        enters if the evidence in the fitted rows carries it.
+        "none", "curve" (error curves of the joints), "sag" (joints that give way to gravity) or "auto" (both, where geometry and declared noise do not
+        explain the residuals); each law enters if the evidence in the fitted rows carries it.
 
     Raises
     ------
@@ -294,9 +294,9 @@ def identified(
     )
     request = LawRequest(LawMode(options.joint_laws), sigma, tuple(map(parse_effect, options.allow)), robot.gravity)
     chosen = with_frames(chosen, chain, rig, fitted, selection.free, estimate.value)
-    chain, estimate = with_joint_laws(chain, rig, table, estimate, request)
     others = _other_robots() if doubtful(estimate) else {}
-    estimate = diagnosed(estimate, robot.chain, rig, table, selection.free, others)
+    estimate = diagnosed(estimate, chain, rig, table, selection.free, others)
+    chain, estimate = with_joint_laws(chain, rig, table, estimate, request)
     if estimate.rank == 0 and estimate.free[: estimate.n_robot_parameters].any():
         raise ProblemError(
             "these observations determine nothing of the robot: each fits unknowns of the rig whatever it says"

@@ -83,7 +83,7 @@ def _method(found: Identification, options: IdentifyOptions) -> tuple[tuple[str,
     held_out = ", ".join(found.document.get("held_out_by", ())) or "nothing"
     return (
         ("solver", f"{e.solver}, {e.loss} loss, prior {found.prior}, joint laws {options.joint_laws}"),
-        ("parameters", f"{int(e.free[: e.n_robot_parameters].sum())} of the robot identified, rank {e.rank}"),
+        ("parameters", f"{found.document['n_free']} of the robot identified, rank {e.rank}"),
         ("observations", f"{e.n_observations} fitted; held out: {held_out}"),
     )
 
