@@ -12,6 +12,7 @@ from truearm.model.chain import (
     Joint,
     Parameter,
     along,
+    end_and_jacobian,
     forward,
     joint_frames,
     joint_jacobian,
@@ -233,6 +234,16 @@ def test_joint_jacobian_is_the_motion_of_the_end():
         spin = rate[:3, :3] @ forward(chain, chain.params_nominal, q)[:3, :3].T
         np.testing.assert_allclose(jac[:3, i], rate[:3, 3], atol=1e-14)
         np.testing.assert_allclose(jac[3:, i], [spin[2, 1], spin[0, 2], spin[1, 0]], atol=1e-14)
+
+
+@pytest.mark.parametrize("name", ["scara", "ur5e", "panda"])
+def test_end_and_jacobian_are_both_at_once(name):
+    chain = scara() if name == "scara" else builtin_robot(name).chain
+    params = chain.params_nominal + 0.01
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, (7, len(chain.joints)))
+    pose, jac = end_and_jacobian(chain, params, q)
+    np.testing.assert_allclose(pose, forward(chain, params, q), atol=1e-14)
+    np.testing.assert_allclose(jac, joint_jacobian(chain, params, q), atol=1e-14)
 
 
 def test_joint_frames_lie_on_the_way_to_the_end():

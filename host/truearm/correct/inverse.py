@@ -14,13 +14,13 @@ count in units of LEVER there, so that a turn of the wrist and a motion of the a
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from truearm.model.chain import Chain, forward, joint_jacobian
+from truearm.model.chain import Chain, end_and_jacobian, forward, joint_jacobian
 from truearm.model.poses import apart
 from truearm.types import Floats
 
@@ -37,6 +37,9 @@ PASSES = 6  # of going on from the solution before, whose configuration may be n
 EDGE = 0.01  # rad beyond a quarter turn: an axis at 0 stands there to the digits of the program's numbers
 SAME = 1e-6  # rad, m between solutions
 ROOM = 0.05  # rad, m: what a correction moves a joint by, as a rule
+PART = 2_000  # targets whose solutions are compared at once
+CELL = 0.1  # LEVERs and of axes: targets in one cell begin at each other's solutions
+NEXT = 0.5  # rad, m from where the robot comes: a nearer solution may have been missed
 SINGULAR = 0.1  # twice the margin of corrections
 CHUNK = 20_000  # targets solved at once: Jacobians of 10 MB
 
@@ -69,21 +72,29 @@ def inverse(chain: Chain, params: Floats, targets: Floats, q_start: Floats, orie
 def _inverse(chain: Chain, params: Floats, targets: Floats, q_start: Floats, oriented: bool) -> Inverse:
     q = np.array(q_start, dtype=float)
     damping = np.full(len(q), DAMPING_START)
-    error = _error(chain, params, targets, q, oriented)
+    error, jac = _error_and_jacobian(chain, params, targets, q, oriented)
     size = np.linalg.norm(error, axis=-1)
     for _ in range(MAX_STEPS):
         at = np.flatnonzero((size > TOLERANCE) & (damping < DAMPING_MOST))
         if not at.size:
             break
-        step = _step(jacobian(chain, params, q[at], oriented), error[at], damping[at])
-        there = q[at] + step
-        new = _error(chain, params, targets[at], there, oriented)
+        there = q[at] + _step(jac[at], error[at], damping[at])
+        new, new_jac = _error_and_jacobian(chain, params, targets[at], there, oriented)
         new_size = np.linalg.norm(new, axis=-1)
         better = new_size < size[at]
         damping[at] = np.where(better, np.maximum(0.1 * damping[at], DAMPING_LEAST), 10.0 * damping[at])
         taken = at[better]
-        q[taken], error[taken], size[taken] = there[better], new[better], new_size[better]
-    return Inverse(q, size < GOOD, singular_value(chain, params, q, oriented))
+        q[taken], error[taken], size[taken], jac[taken] = there[better], new[better], new_size[better], new_jac[better]
+    return Inverse(q, size < GOOD, np.asarray(np.linalg.svd(jac, compute_uv=False)[..., -1]))
+
+
+def _error_and_jacobian(
+    chain: Chain, params: Floats, targets: Floats, q: Floats, oriented: bool
+) -> tuple[Floats, Floats]:
+    """What leads to the targets (n, 6), and ``jacobian``."""
+    pose, jac = end_and_jacobian(chain, params, q)
+    jac[:, :3] /= LEVER
+    return scaled(apart(targets, pose), oriented), jac if oriented else jac[:, :3]
 
 
 def jacobian(chain: Chain, params: Floats, q: Floats, oriented: bool = True) -> Floats:
@@ -102,10 +113,6 @@ def scaled(error: Floats, oriented: bool = True) -> Floats:
     """A difference (n, 6) as ``jacobian`` has its rows."""
     error = np.concatenate([error[..., :3] / LEVER, error[..., 3:]], axis=-1)
     return error if oriented else error[..., :3]
-
-
-def _error(chain: Chain, params: Floats, targets: Floats, q: Floats, oriented: bool) -> Floats:
-    return scaled(apart(targets, forward(chain, params, q)), oriented)
 
 
 def _step(jac: Floats, error: Floats, damping: Floats) -> Floats:
@@ -131,27 +138,104 @@ def search(
     (n, j), NaN where it does not matter, is stronger: the quarter turn that a reading shall lie in, as ⌊q/90°⌋. Where
     no target is reached, what came nearest is returned.
     """
-    lower, upper = _sampled_range(chain)
-    q_seeds = np.random.default_rng(0).uniform(lower, upper, (N_SAMPLES, len(lower)))
-    tree = KDTree(_features(forward(chain, params, q_seeds), oriented))
-    parts = [targets[at : at + CHUNK // N_STARTS] for at in range(0, max(len(targets), 1), CHUNK // N_STARTS)]
-    near_by = (q_seeds[tree.query(_features(part, oriented), k=N_NEAR)[1]] for part in parts)
-    starts = np.concatenate([_unlike(q) for q in near_by])
-    n, k, j = starts.shape
-    found = inverse(chain, params, np.repeat(targets, k, axis=0), starts.reshape(n * k, j), oriented)
-    stock = Inverse(found.q.reshape(n, k, j), found.reached.reshape(n, k), found.singular_value.reshape(n, k))
+    stock, (lower, upper) = _solutions(chain, params, targets, oriented), _sampled_range(chain)
+    n, _, j = stock.q.shape
     first = 0.5 * (lower + upper) if home is None else home
     asked = np.full((n, j), np.nan) if quadrants is None else quadrants
     begun = Origins(np.full(n, -1), np.full((n, j), np.nan)) if origins is None else origins
     chosen, near = _chosen(chain, params, stock, first, asked, oriented, begun)
     for _ in range(PASSES if oriented else 0):  # without orientation the joints are ours to choose
-        went_on = inverse(chain, params, targets, near, oriented)
+        far = np.flatnonzero(~chosen.reached | (np.abs(chosen.q - near).max(axis=-1) > NEXT))
+        if not far.size:
+            break
+        went_on = Inverse(near.copy(), np.zeros(n, dtype=bool), np.zeros(n))
+        for part, of_far in zip(went_on, inverse(chain, params, targets[far], near[far]), strict=True):
+            part[far] = of_far
         stock = Inverse(*(np.concatenate([a, b[:, None]], axis=1) for a, b in zip(stock, went_on, strict=True)))
         near_before = near
         chosen, near = _chosen(chain, params, stock, first, asked, oriented, begun)
         if np.abs(near - near_before).max(initial=0.0) < SAME:
             break
     return chosen
+
+
+def _solutions(chain: Chain, params: Floats, targets: Floats, oriented: bool) -> Inverse:
+    """Solutions (n, k) for targets, whatever the limits; those of targets near another begin at that one's."""
+    lower, upper = _sampled_range(chain)
+    q_seeds = np.random.default_rng(0).uniform(lower, upper, (N_SAMPLES, len(lower)))
+    tree = KDTree(_features(forward(chain, params, q_seeds), oriented))
+
+    def searched(rows: NDArray[np.int_]) -> Inverse:
+        parts = []
+        for at in range(0, max(len(rows), 1), CHUNK // N_STARTS):
+            some = targets[rows[at : at + CHUNK // N_STARTS]]
+            starts = _unlike(q_seeds[tree.query(_features(some, oriented), k=N_NEAR)[1]])
+            found = inverse(chain, params, np.repeat(some, N_STARTS, axis=0), starts.reshape(-1, len(lower)), oriented)
+            shape = (len(some), N_STARTS)
+            of_each = Inverse(
+                found.q.reshape(*shape, len(lower)), found.reached.reshape(shape), found.singular_value.reshape(shape)
+            )
+            parts.append(_distinct(chain, params, of_each) if oriented else of_each)
+        return _stacked(parts)
+
+    if not oriented or not targets.size:
+        return searched(np.arange(len(targets)))
+    cells = np.floor(_features(targets, oriented) / CELL).astype(int)
+    _, leaders, cell_of = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    led = searched(leaders)
+    cell_of = cell_of.reshape(-1)
+    stock, order = [led], [leaders]
+    others = np.setdiff1d(np.arange(len(targets)), leaders)
+    for at in range(0, len(others), PART):
+        rows = others[at : at + PART]
+        begin = _rows(led, cell_of[rows])
+        which, slot = np.nonzero(begin.reached)
+        near = Inverse(begin.q.copy(), np.zeros_like(begin.reached), begin.singular_value.copy())
+        for part, found in zip(near, inverse(chain, params, targets[rows[which]], begin.q[which, slot]), strict=True):
+            part[which, slot] = found
+        near = _distinct(chain, params, near)
+        # on the way a solution may be lost: one that joins another, or begins between the two targets
+        lost = near.reached.sum(axis=1) < begin.reached.sum(axis=1)
+        lost |= np.where(begin.reached, begin.singular_value, np.inf).min(axis=1) < SINGULAR
+        stock += [_rows(near, ~lost), searched(rows[lost])]
+        order += [rows[~lost], rows[lost]]
+    back = np.argsort(np.concatenate(order))
+    return _rows(_stacked(stock), back)
+
+
+def _rows(of: Inverse, rows: NDArray[Any]) -> Inverse:
+    return Inverse(of.q[rows], of.reached[rows], of.singular_value[rows])
+
+
+def _distinct(chain: Chain, params: Floats, found: Inverse) -> Inverse:
+    """Of solutions (n, k) those that were reached, each once: whole turns of a joint are no other solution. At least one of each target."""
+    turn = 2.0 * np.pi / np.abs(chain.law.gain.of(params))
+    same = np.broadcast_to(found.reached[:, None], (*found.reached.shape, found.reached.shape[1]))
+    for i, joint in enumerate(chain.joints):
+        difference = found.q[:, :, None, i] - found.q[:, None, :, i]
+        if joint.kind == "revolute":
+            difference -= turn[i] * np.round(difference / turn[i])
+        same = same & (np.abs(difference) < SAME)
+    again = np.tril(same, -1).any(axis=-1)
+    last = np.argsort(again | ~found.reached, axis=1, kind="stable")
+    kept = found.reached & ~again
+    width = max(1, int(kept.sum(axis=1).max(initial=1)))
+    rows = np.arange(len(last))[:, None]
+    return Inverse(
+        found.q[rows, last[:, :width]], kept[rows, last[:, :width]], found.singular_value[rows, last[:, :width]]
+    )
+
+
+def _stacked(parts: list[Inverse]) -> Inverse:
+    """Solutions of several sets of targets, as many a target as the one with most has."""
+    width = max(part.q.shape[1] for part in parts)
+    wide = [
+        Inverse(*(np.concatenate([of, np.repeat(of[:, :1], width - of.shape[1], axis=1)], axis=1) for of in part))
+        for part in parts
+    ]
+    for part, before in zip(wide, parts, strict=True):
+        part.reached[:, before.q.shape[1] :] = False
+    return Inverse(*(np.concatenate(column) for column in zip(*wide, strict=True)))
 
 
 def _chosen(
@@ -162,6 +246,7 @@ def _chosen(
     good, margin = np.zeros(len(asked), dtype=bool), np.zeros(len(asked))
     here = first
     given: NDArray[np.bool_] = np.asarray(np.isfinite(origins.q).all(axis=1))
+    middle, free = 0.5 * np.pi * (asked + 0.5), np.isnan(asked)
     for i in _followed(origins.target):
         before = origins.target[i]
         if given[i]:
@@ -169,14 +254,13 @@ def _chosen(
         elif before >= 0 and good[before]:
             here = chosen[before]
         near[i] = here
-        q, reached, singular = (part[i] for part in stock)
-        q = turned(chain, params, q, np.where(np.isnan(asked[i]), here, 0.5 * np.pi * (asked[i] + 0.5)))
-        usable = reached & within(chain, q)
+        q = turned(chain, params, stock.q[i], np.where(free[i], here, middle[i]))
+        usable = stock.reached[i] & within(chain, q)
         far = np.abs(q - here).max(axis=-1) + 1e3 * _misplaced(q, asked[i]) + 1e6 * ~usable
         if not oriented:  # then joints at a limit or a singularity are the worse choice
-            far += 1e2 * (~within(chain, q, ROOM) | (singular < SINGULAR))
+            far += 1e2 * (~within(chain, q, ROOM) | (stock.singular_value[i] < SINGULAR))
         best = int(np.argmin(far))
-        chosen[i], good[i], margin[i] = q[best], usable[best], singular[best]
+        chosen[i], good[i], margin[i] = q[best], usable[best], stock.singular_value[i, best]
         here = q[best] if usable[best] else here
     return Inverse(chosen, good, margin), near
 
@@ -199,11 +283,10 @@ def _followed(origin: NDArray[np.int_]) -> list[int]:
 def turned(chain: Chain, params: Floats, q: Floats, near: Floats) -> Floats:
     """Joint readings (…, j) by whole turns of the joint as near to ``near`` (j,) as the limits allow."""
     turn, law = 2.0 * np.pi / np.abs(chain.law.gain.of(params)), chain.law
-    turns = np.zeros(np.broadcast_shapes(q.shape, near.shape))
-    for i, joint in enumerate(chain.joints):
-        if joint.kind == "revolute":
-            least, most = (np.ceil((joint.lower - q[..., i]) / turn[i]), np.floor((joint.upper - q[..., i]) / turn[i]))
-            turns[..., i] = np.clip(np.round((near[i] - q[..., i]) / turn[i]), least, most)
+    lower, upper = limits_of(chain)
+    turning = np.array([joint.kind == "revolute" for joint in chain.joints])
+    turns = np.clip(np.round((near - q) / turn), np.ceil((lower - q) / turn), np.floor((upper - q) / turn))
+    turns = np.where(turning, turns, 0.0)
     there = q + turn * turns
     if law.affine or not turns.any():
         return there
@@ -213,8 +296,13 @@ def turned(chain: Chain, params: Floats, q: Floats, near: Floats) -> Floats:
 
 def within(chain: Chain, q: Floats, room: float = 0.0) -> NDArray[np.bool_]:
     """(…,) whether joint readings (…, j) lie within the limits, by ``room`` [rad, m]."""
-    lower, upper = (np.array([getattr(joint, end) for joint in chain.joints]) for end in ("lower", "upper"))
+    lower, upper = limits_of(chain)
     return np.asarray(((q >= lower + room) & (q <= upper - room)).all(axis=-1))
+
+
+def limits_of(chain: Chain) -> tuple[Floats, Floats]:
+    """The joints' limits (j,) [rad or m]; infinite where there is none."""
+    return np.array([joint.lower for joint in chain.joints]), np.array([joint.upper for joint in chain.joints])
 
 
 def _sampled_range(chain: Chain) -> tuple[Floats, Floats]:

@@ -217,6 +217,40 @@ def joint_jacobian(chain: Chain, params: Floats, q: Floats) -> Floats:
     return jac if by_joints.ndim == 2 else np.asarray(jac @ chain.law.by_joints(params, q))
 
 
+def end_and_jacobian(chain: Chain, params: Floats, q: Floats) -> tuple[Floats, Floats]:
+    """``forward`` (n, 4, 4) and ``joint_jacobian`` (n, 6, j) at once, for joint readings q (n, j).
+
+    Numbers of one axis lie together: a third of the time of the two, which is most of an inverse's.
+    """
+    params, q = _checked(chain, params, q)
+    links, law, n = folded(chain, params).transforms, chain.law.at(params, flat(q)), len(q)
+    cos, sin = cos_sin(law.angles)
+    axes = np.repeat(links[0][:3, :3].T, n).reshape(3, 3, n)  # the frame's axes, its origin
+    origin = np.repeat(links[0][:3, 3], n).reshape(3, n)
+    lines, points = np.empty((len(chain.joints), 3, n)), np.empty((len(chain.joints), 3, n))
+    for i, motion in enumerate(chain.motions):
+        k = axis_of(motion)
+        if motion[0] == "t":
+            origin = origin + law.angles[i] * axes[k]
+        else:
+            a, b = (k + 1) % 3, (k + 2) % 3
+            axes[a], axes[b] = cos[i] * axes[a] + sin[i] * axes[b], cos[i] * axes[b] - sin[i] * axes[a]
+        lines[i], points[i] = axes[k], origin
+        carried = (links[i + 1][:3].T @ axes.reshape(3, -1)).reshape(4, 3, n)
+        axes, origin = carried[:3], origin + carried[3]
+    jac = np.zeros((len(chain.joints), 6, n))
+    for i, motion in enumerate(chain.motions):
+        if motion[0] == "t":
+            jac[i, :3] = lines[i]
+        else:
+            jac[i, :3], jac[i, 3:] = cross(lines[i], origin - points[i]), lines[i]
+    pose = np.zeros((n, 4, 4))
+    pose[:, :3, :3], pose[:, :3, 3], pose[:, 3, 3] = axes.T, origin.T, 1.0
+    if law.by_joints.ndim == 2:
+        return pose, np.ascontiguousarray((jac * law.by_joints[:, None]).transpose(2, 1, 0))
+    return pose, np.asarray(jac.transpose(2, 1, 0) @ chain.law.by_joints(params, q))
+
+
 def point_forward(chain: Chain, params: Floats, q: Floats, p_end_point: Floats) -> Floats:
     """A point of the end in the base frame, (…, 3); p_end_point is (3,) or (…, 3) in the end frame."""
     q = np.asarray(q)
