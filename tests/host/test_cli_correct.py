@@ -282,6 +282,9 @@ def test_a_move_that_cannot_be_corrected_refuses_the_program(bench, tmp_path, ca
     assert f"line {line}: grip(3): grip is not defined in this file; it may move the robot" in err
     assert err.rstrip().endswith("cannot be corrected, so nothing was written")
     assert not (tmp_path / "o.script").exists()
+    code, said, _ = run(capsys, *given, tmp_path / "o.script", "--json")
+    document = json.loads(said)
+    assert (code, document["out"], [one["line"] for one in document["refused"]]) == (2, None, [line])
     code, said, err = run(capsys, *given, tmp_path / "o.script", "--partial", "--mark")
     assert code == 0, err
     assert said.index("1 move not corrected") < said.index("RMS")

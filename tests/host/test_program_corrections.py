@@ -22,6 +22,7 @@ from truearm.correct.joint_moves import JointMoves
 from truearm.correct.model_pair import ModelPair
 from truearm.model.chain import forward
 from truearm.model.poses import apart
+from truearm.workflows import correct_program as correct_program_module
 from truearm.workflows.correct_program import (
     CalibrationFrames,
     HowCorrected,
@@ -58,11 +59,15 @@ def program(*lines):
 
 def corrected(tmp_path, text, **options):
     """The corrected text. Raises ProgramRefused."""
+    return outcome(tmp_path, text, **options).text.decode("latin-1")
+
+
+def outcome(tmp_path, text, **options):
     path = Path(tmp_path) / ("p.mod" if text.startswith("MODULE") else "p.script")
     path.write_text(text)
     how = HowCorrected(ModelPair(CHAIN, DESIGN, TRUTH), "newton", 1, options.pop("home", Q[0]), MARGIN)
     given = {"joint_moves": JointMoves.CORRECT, **({} if path.suffix == ".mod" else {"tool": TOOLS[0]}), **options}
-    return correct_program(path, how, HERE, ProgramOptions(**given)).text.decode("latin-1")
+    return correct_program(path, how, HERE, ProgramOptions(**given))
 
 
 def driven(text):
@@ -200,6 +205,25 @@ def test_one_point_under_two_tools_is_split(tmp_path):
     assert [(one.line, one.remedy) for one in caught.value.refused] == [(5, "split")]
     assert "than line 3 does" in caught.value.refused[0].why
     assert misses(text, corrected(tmp_path, text, split=True)).max() < 1e-6
+
+
+def test_thousands_of_straight_moves_are_driven(tmp_path, monkeypatch):
+    """The longest among 6,001 bends most; of more than are driven the number is said."""
+    near = POSES[1].copy()
+    near[:3, 3] += [0.0, 0.02, 0.01]
+    lines = [
+        f"A = {six(POSES[1])}",
+        f"B = {six(near)}",
+        "movej(A)",
+        *3000 * ("movel(B)", "movel(A)"),
+        f"movel({six(POSES[5])})",
+    ]
+    moves = outcome(tmp_path, program(*lines)).moves
+    assert (len(moves.places), moves.unchecked) == (6001, 0)
+    assert moves.places[int(np.argmax(moves.found.deviation))] == "line 6005"
+    assert moves.found.deviation[:-1].max() < moves.found.deviation[-1]
+    monkeypatch.setattr(correct_program_module, "MOST_MOVES", 6000)
+    assert outcome(tmp_path, program(*lines)).moves.unchecked == 6001
 
 
 # programs from a grammar: each statement moves, and some cannot be corrected

@@ -122,6 +122,7 @@ def correct(
     from truearm.workflows.calibration import read_calibration
     from truearm.workflows.correct import CorrectFiles, CorrectOptions, correct_file
     from truearm.workflows.correct_program import ProgramOptions, ProgramRefused
+    from truearm.workflows.correction_findings import refusal_of
 
     if mark and not partial:
         raise InputError("--mark marks what --partial leaves uncorrected; give --partial too")
@@ -156,6 +157,8 @@ def correct(
     try:
         found = correct_file(calibration, files, options)
     except ProgramRefused as exc:
+        if as_json:
+            print_json(refusal_of(calibration, exc.refused))
         for line in refused_lines(exc.refused):
             typer.echo(line, err=True)
         raise

@@ -41,15 +41,16 @@ def straight_moves(pair: ModelPair, q_start: Floats, told: Floats, tool: Floats)
     begin = believed(pair, q_start) @ tool
     way = apart(told @ tool, begin)
     back = inverted(tool)
-    q, places = [np.asarray(q_start, dtype=float)], [_tool_points(pair, q_start, tool)]
+    q, places = np.asarray(q_start, dtype=float), [_tool_points(pair, q_start, tool)]
+    singular, limits = singular_value(pair.chain, pair.nominal, q), limit_margins(pair.chain, q)
     drivable = np.ones(len(told), dtype=bool)
     for share in np.linspace(0.0, 1.0, SAMPLES + 2)[1:]:
-        found = inverse(pair.chain, pair.nominal, moved(begin, share * way) @ back, q[-1])
-        drivable &= found.reached & (np.abs(found.q - q[-1]).max(axis=-1) < JUMP)
-        q.append(found.q)
-        places.append(_tool_points(pair, found.q, tool))
-    singular = np.min([singular_value(pair.chain, pair.nominal, one) for one in q], axis=0)
-    limits = np.min([limit_margins(pair.chain, one) for one in q], axis=0)
+        found = inverse(pair.chain, pair.nominal, moved(begin, share * way) @ back, q)
+        drivable &= found.reached & (np.abs(found.q - q).max(axis=-1) < JUMP)
+        q = found.q
+        singular = np.minimum(singular, found.singular_value)
+        limits = np.minimum(limits, limit_margins(pair.chain, q))
+        places.append(_tool_points(pair, q, tool))
     return StraightMoves(_deviation(np.array(places)), singular, limits, drivable & (limits >= 0.0).all(axis=1))
 
 

@@ -46,7 +46,7 @@ from truearm.workflows.correction_findings import CorrectedMoves, CorrectedTarge
 
 N_READINGS = 6  # of a program's joint readings
 NEAR = 0.3  # rad, m from joints that a program gives to those of the target: farther ones are searched for
-MOST_MOVES = 5_000  # straight moves that are driven: about 0.2 ms each
+MOST_MOVES = 20_000  # straight moves that are driven: about 0.14 ms each
 Six = tuple[float, float, float, float, float, float]
 
 SEARCHED = (

@@ -174,12 +174,7 @@ def document_of(
 ) -> dict[str, Any]:
     """The findings and warnings as JSON (docs/target-format.md)."""
     return {
-        "format": FORMAT,
-        "format_version": FORMAT_VERSION,
-        "robot": calibration.chain.name,
-        "base_frame": calibration.chain.base_frame,
-        "end_frame": calibration.chain.end_frame,
-        "out": out,
+        **_head(calibration, out),
         "coverage_factor": COVERAGE,
         "unexplained_mm": float(MM.of(found.unexplained[0])),
         "unexplained_mrad": float(MRAD.of(found.unexplained[1])),
@@ -189,6 +184,17 @@ def document_of(
         "targets": _target_entries(found, calibration.joint_units),
         "moves": _move_entries(found.moves, calibration.joint_units),
     }
+
+
+def refusal_of(calibration: Calibration, refused: Sequence[Refused]) -> dict[str, Any]:
+    """The document of a program of which nothing was written."""
+    return {**_head(calibration, None), "refused": [one._asdict() for one in refused]}
+
+
+def _head(calibration: Calibration, out: str | None) -> dict[str, Any]:
+    chain = calibration.chain
+    frames = {"robot": chain.name, "base_frame": chain.base_frame, "end_frame": chain.end_frame}
+    return {"format": FORMAT, "format_version": FORMAT_VERSION, **frames, "out": out}
 
 
 def _target_entries(found: Findings, units: Sequence[str]) -> list[dict[str, Any]]:
