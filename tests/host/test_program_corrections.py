@@ -373,6 +373,22 @@ def test_the_true_arm_goes_where_a_perfect_one_would_in_rapid(tmp_path, form):
     assert misses(text, corrected(tmp_path, text)).max() < 1e-6
 
 
+def test_configurations_that_are_not_watched_do_not_count(tmp_path):
+    """After ConfL\\Off and ConfJ\\Off the wrist stays as it is, whatever the data of the target say."""
+    joints = f"[[{','.join(f'{value:.12f}' for value in np.rad2deg(flipped(Q[1])))}],{FREE}]"
+    far = flipped(Q[2])
+    assert (np.floor(far / (0.5 * np.pi)) != np.floor(Q[2] / (0.5 * np.pi)))[[3, 5]].all()
+    main = [
+        "ConfL\\Off;",
+        "ConfJ\\Off;",
+        f"MoveAbsJ {joints}\\NoEOffs,v100,fine,t0;",
+        f"MoveL {robtarget(2)},v100,fine,t0;",
+        f"MoveJ {robtarget(3)},v100,fine,t0;",
+    ]
+    text = module([], main)
+    assert misses(text, corrected(tmp_path, text, home=None)).max() < 1e-6
+
+
 def test_an_orientation_from_angles_is_split(tmp_path):
     z, y, x = Rotation.from_matrix(POSES[1][:3, :3]).as_euler("ZYX", degrees=True)
     data = [f"VAR robtarget now:={robtarget(1)};"]

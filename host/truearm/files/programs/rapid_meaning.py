@@ -38,6 +38,7 @@ from truearm.files.programs.values import (
 from truearm.units import MM
 
 DISPLACED = "program displacement"
+CONFIGURATIONS = ("confj", "confl")  # whether they are watched in joint moves, and in the others
 
 
 class Move(NamedTuple):
@@ -71,6 +72,7 @@ MOVES: Mapping[str, Move] = {
 }
 _LINEAR = ("movel", "triggl", "searchl", "arcl", "arcmovel", "spotl", "spotml", "paintl", "displ", "capl", "nutl")
 STRAIGHT = frozenset(name for name in MOVES if name.startswith(_LINEAR))
+BY_JOINTS = frozenset(name for name in MOVES if "j" in name.removeprefix("moveabsj"))
 AIMLESS = words(
     """
     calibj calibl contactl cssdeactmovel egmmovec egmmovel egmrunjoint egmrunpose fcact fcpress1lstart fcpressc fcpressend
@@ -84,8 +86,8 @@ QUIET = words(
     camflush camgetparameter camgetresult camloadjob camreqimage camsetexposure camsetparameter camsetprogrammode
     camsetrunmode camstartloadjob camwaitloadjob cancelload capaptrsetup capaptrsetupai capaptrsetupao
     capaptrsetuppers capcondsetdo capequidist capnoprocess caprefresh capsetstopmode capweavesync checkprogref
-    cirpathmode clear cleariobuff clearpath clearrawbytes clkreset clkstart clkstop close closedir comment confj
-    confl consolewrite copyfile copyrawbytes cornerpathwarning corrclear corrcon corrdiscon corrwrite cssact
+    cirpathmode clear cleariobuff clearpath clearrawbytes clkreset clkstart clkstop close closedir comment
+    consolewrite copyfile copyrawbytes cornerpathwarning corrclear corrcon corrdiscon corrwrite cssact
     cssdeact deacteventbuffer deactunit decr ditheract ditherdeact dropsensor dropwobj egmactjoint egmactmove
     egmactpose egmgetid egmreset egmsetupai egmsetupao egmsetupgi egmsetupltapp egmsetupuc egmstop egmstreamstart
     egmstreamstop erasemodule errlog errraise errwrite exitcycle fccalib fcdeact fcloadid fitcircle getdataval
@@ -144,7 +146,7 @@ BY_NAME = words("callbyvar setalldataval setdataval")
 SEARCHES = words("searchc searchj searchl")
 READING = words(
     """
-    accset clkreset clkstart clkstop confj confl errlog errwrite gripload idisable ienable invertdo isignaldi itimer iwatch motionsup pulsedo reset save set setao setdo
+    accset clkreset clkstart clkstop errlog errwrite gripload idisable ienable invertdo isignaldi itimer iwatch motionsup pulsedo reset save set setao setdo
     setgo singarea socketsend softact stop tpwrite triggequip triggio triggint uimsgwrite uishow velset waitai waitdi waitdo waitgi waittime waituntil worldacclim
     write writebin writestrbin
     """
@@ -206,6 +208,9 @@ class Rapid:
         if name in ("pdispoff", "eoffsoff"):
             flow.set(DISPLACED, (NOWHERE,), "global")
             return ()
+        if name in CONFIGURATIONS:
+            flow.set(name, (Truth("off" not in named),), "global")
+            return ()
         if name == PASSED:
             return arguments[0]
         if name == "offs" and len(arguments) == 4:
@@ -252,14 +257,17 @@ class Rapid:
         objects = tuple(NOWHERE if value in absent else _object(value, at) for value in given)
         displaced = flow.get(DISPLACED) or (NOWHERE,)
         objects = tuple(value for value in displaced if isinstance(value, Unknown)) + objects
+        free = Truth(False) in (flow.get(CONFIGURATIONS[name not in BY_JOINTS]) or ())
         targets = [
-            (tuple(self._beside(_target(value, at), at) for value in arguments[k]), call.arguments[k])
+            (tuple(self._beside(_target(value, at), at, free) for value in arguments[k]), call.arguments[k])
             for k in move.targets
         ]
         flow.goes_to(call, targets, tools, objects, straight=name in STRAIGHT)
 
-    def _beside(self, target: Value, at: int) -> Value:
-        """A target, unless one of its external axes may move the robot's base."""
+    def _beside(self, target: Value, at: int, free: bool) -> Value:
+        """A target, unless one of its external axes may move the robot's base; ``free``: in any configuration."""
+        if isinstance(target, Pose) and free:
+            target = target._replace(free=True)
         like = target.like if isinstance(target, Pose) else None
         if like is None or like.text.replace(" ", "").endswith(NO_AXES):
             return target
@@ -287,6 +295,8 @@ def analyse(source: Source, modules: Sequence[Module], frames: Mapping[str, Pose
     flow = Flow(source, Rapid(fields, frozenset(name.lower() for name in harmless)), routines)
     for name, pose in {_TOOL: NOWHERE, _OBJECT: NOWHERE, DISPLACED: NOWHERE, **frames}.items():
         flow.environment.set((0, name), (pose,))
+    for name in CONFIGURATIONS:
+        flow.environment.set((0, name), (Truth(True),))
     begin: dict[str, Values] = {}
     for module in modules:
         for datum in module.data:
@@ -338,8 +348,12 @@ MAX_ROUNDS = 4
 
 
 def _assigned_elsewhere(modules: Sequence[Module]) -> tuple[str, ...]:
-    """Data that keep what one routine or run gave them for the next, in the order of the text; so does the displacement."""
-    return (*(datum.name for module in modules for datum in module.data if datum.kind != "const"), DISPLACED)
+    """Data that keep what one routine or run gave them for the next, in the order of the text; so do the displacement and what is watched."""
+    return (
+        *(datum.name for module in modules for datum in module.data if datum.kind != "const"),
+        DISPLACED,
+        *CONFIGURATIONS,
+    )
 
 
 def _target(value: Value, at: int) -> Value:

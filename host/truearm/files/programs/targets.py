@@ -183,7 +183,9 @@ def _split(goal: Goal, motion: Motion) -> PoseTarget | None:
 
 def _same(a: Goal, b: Goal) -> bool:
     """Whether two goals ask the same of a literal."""
-    return (a.target, a.tool, a.frame) == (b.target, b.tool, b.frame)
+    assert isinstance(a.target, Pose)
+    assert isinstance(b.target, Pose)
+    return (a.target.factors, a.tool, a.frame) == (b.target.factors, b.tool, b.frame)
 
 
 def _candidates(goal: Goal, fixtures: set[int]) -> list[Taught]:
@@ -322,8 +324,8 @@ def nears_of(targets: Sequence[PoseTarget], n_joints: int) -> Floats:
 def quarters_of(targets: Sequence[PoseTarget], n_joints: int) -> Floats:
     """(n, j) the quarter turns of axes 1, 4 and 6 by the configurations of robtargets, NaN elsewhere."""
     out = np.full((len(targets), n_joints), np.nan)
-    likes = [(i, one.goal.target.like) for i, one in enumerate(targets) if isinstance(one.goal.target, Pose)]
-    known = [(i, like) for i, like in likes if like is not None]
+    poses = [(i, one.goal.target) for i, one in enumerate(targets)]
+    known = [(i, pose.like) for i, pose in poses if isinstance(pose, Pose) and not pose.free and pose.like is not None]
     if known and n_joints == 6:
         rows = np.array([i for i, _ in known])
         out[rows[:, None], QUARTERS] = values_of([like for _, like in known])[:, 7:10]

@@ -60,10 +60,11 @@ class Factor(NamedTuple):
 
 
 class Pose(NamedTuple):
-    """A product of poses. ``like``: the robtarget whose configuration and external axes it has."""
+    """A product of poses. ``like``: the robtarget whose configuration and external axes it has; ``free``: the controller goes there in any configuration."""
 
     factors: tuple[Factor, ...]
     like: Taught | None = None
+    free: bool = False
 
 
 class Solved(NamedTuple):
