@@ -99,7 +99,8 @@ SIO_GPIO_IN = 0xD0000004
 SIO_GPIO_OUT_SET = 0xD0000014
 SIO_GPIO_OUT_CLR = 0xD0000018
 
-# a register's address plus this: what is written there clears bits
+# a register's address plus this: what is written there sets or clears bits
+SET = 0x2000
 CLEAR = 0x3000
 
 # USB: buffer control of the endpoint on which MicroPython's CDC sends (2 IN); the bit says that a packet waits for the host

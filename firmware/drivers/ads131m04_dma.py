@@ -1,20 +1,21 @@
-"""Samples of an ADS131M04, read and stamped by hardware alone: a PIO state machine and three DMA channels, no interrupt, no callback.
+"""Samples of an ADS131M04, read and stamped by hardware alone: two PIO state machines and three DMA channels, no interrupt, no callback.
 
-The state machine waits for DRDY to fall, pushes the number of the conversion, and clocks the frame in: six words of 24 bits, pushed
-one by one. DIN stays low (the command NULL). The DMA channels go round for ever, each started by the one before:
+Both machines wait for DRDY to fall. The counter pushes the number of the conversion; the reader clocks the frame in: six words of 24 bits,
+pushed one by one. DIN stays low (the command NULL). The DMA channels go round for ever, each started by the one before:
 
-    number  RX FIFO → survey word LATEST    1 transfer, paced by the FIFO   a conversion has ended
-    stamp   TIMERAWL → ring of stamps       1 transfer, at once             the time of that
-    frame   RX FIFO → ring of frames        6 transfers, paced by the FIFO  its data
+    number  counter's RX FIFO → survey word LATEST    1 transfer, paced by the FIFO   a conversion has ended
+    stamp   TIMERAWL → ring of stamps                 1 transfer, at once             the time of that
+    frame   reader's RX FIFO → ring of frames         6 transfers, paced by the FIFO  its data
 
 so number, stamp and frame of a conversion cannot come apart, whatever is late; every start reloads the transfer count, so nothing
 counts out. The rings are the DMA's own (write addresses that wrap at a power of two), the number is 32 bit and never stops.
 
-Why it is right on the chip. A FIFO's request goes to one running channel at a time; a channel that is started makes its own
-handshake for it (RP2040 datasheet 2.5.3), as in every pair of channels that take turns. The edge is seen after 2 cycles of
+Why it is right on the chip. Each request (DREQ) paces one channel, as the RP2040's datasheet wants it (2.5.3: channels should not share one).
+Both machines are switched on in one write and look at the pin through the same synchroniser, so they see the same edges; neither is busy
+when the next one comes. The edge is seen after 2 cycles of
 synchroniser and at most 1 of the wait; mov and push take 2, the two transfers some 10 cycles each, more only while the CPU holds
 the bus of the same peripheral: the stamp is within 0.3 µs of the edge. The first word of data comes 2.7 µs later, so the channel `frame` is
-running by then; if it were not, four words fit the FIFO and the state machine would wait with SCLK low. SCLK (8.9 MHz) is high for 64
+running by then; if it were not, four words fit the FIFO and the reader would wait with SCLK low. SCLK (8.9 MHz) is high for 64
 ns and low for 48; DOUT is valid 20 ns after the rising edge and is read as it was 48 ns after it (64 less the two cycles of the
 synchroniser), so pins and wires may take 28 ns. CS falls 64 ns before SCLK rises first and stays high for more than 40 ns. A frame takes
 17 µs, more than half of the shortest period (30.72 µs) but never into the next conversion.
@@ -74,8 +75,23 @@ def _time(timer: ptr32) -> int:
     return timer[0] & 0x3FFFFFFF
 
 
+def counter_program(rp2):
+    """The counter. in_base is DRDY; X: minus the number of the next conversion, less one."""
+
+    @rp2.asm_pio()
+    def numbers():
+        label("next")
+        wait(1, pin, 0)
+        wait(0, pin, 0)
+        mov(isr, invert(x))
+        push()
+        jmp(x_dec, "next")  # from 0 it falls through to the same place
+
+    return numbers
+
+
 def program(rp2):
-    """The state machine's program. in_base is DOUT, DRDY four pins above; side-set CS, SCLK; OSR holds 143, X counts down."""
+    """The reader. in_base is DOUT, DRDY four pins above; side-set CS, SCLK; OSR holds 143."""
 
     @rp2.asm_pio(
         sideset_init=(rp2.PIO.OUT_HIGH, rp2.PIO.OUT_LOW),
@@ -84,32 +100,31 @@ def program(rp2):
         push_thresh=24,
     )
     def frames():
-        label("next")
+        wrap_target()
         wait(1, pin, 4).side(1)
-        wait(0, pin, 4).side(1)
-        mov(isr, invert(x)).side(1)
-        push().side(1)
+        wait(0, pin, 4).side(1)[2]  # the counter's push comes first
         mov(y, osr).side(0)[7]
         label("bit")
         nop().side(2)[7]
         in_(pins, 1).side(0)[4]
         jmp(y_dec, "bit").side(0)
-        jmp(x_dec, "next").side(1)[3]  # from 0 it falls through to the same place
+        nop().side(1)[3]
+        wrap()
 
     return frames
 
 
-# instructions that the CPU gives to the state machine; 0x0800 is CS high, SCLK low in its side-set bits
+# instructions that the CPU gives to the state machines; 0x0800 is CS high, SCLK low in the reader's side-set bits
 _PULL = 0x80A0 | 0x0800  # pull(block)
-_X_TO_1 = 0xE021 | 0x0800  # set(x, 1)
-_INVERT_X = 0xA029 | 0x0800  # mov(x, invert(x)): the first number is 1
+_X_TO_1 = 0xE021  # set(x, 1)
+_INVERT_X = 0xA029  # mov(x, invert(x)): the first number is 1
 
 
 class Adc:
     """The source of stream 0 (box.py says what a source is). Pins: DOUT, CS, SCLK, DIN, DRDY, SYNC, CLKIN.
 
-    Takes one state machine, eleven instructions, three DMA channels, a PWM slice and 32 KiB. Raises ValueError if the pins do not
-    suit the state machine: CS and SCLK in a row, DRDY four above DOUT.
+    Takes two state machines of one block, this one and the next, 12 instructions, three DMA channels, a PWM slice and 32 KiB. Raises ValueError if
+    the pins do not suit the reader: CS and SCLK in a row, DRDY four above DOUT.
     """
 
     channels = CHANNELS
@@ -135,7 +150,7 @@ class Adc:
         self.registers = Registers(bus, select, self._sync, self._wait)
         self._din = machine.Pin(din)
         self._selects = (chip.IO_BANK0 + 8 * cs + 4, chip.IO_BANK0 + 8 * sclk + 4)
-        self._state_machine(rp2, state_machine, dout, cs)
+        self._state_machines(rp2, state_machine, dout, cs, drdy)
         self._rings(rp2, state_machine)
         self._index = bytearray(8)
         self._lost = 0
@@ -153,18 +168,23 @@ class Adc:
         poke(registers + chip.PWM_TOP, chip.CONVERTER_DIVIDER - 1)
         poke(registers + chip.PWM_CC, chip.CONVERTER_DIVIDER // 2 << (16 if pin & 1 else 0))
 
-    def _state_machine(self, rp2, number, dout, cs):
-        chip, block = self._chip, number // 4
-        Pin = self._machine.Pin
-        self._sm = rp2.StateMachine(number, program(rp2), freq=chip.CLOCK_HZ, in_base=Pin(dout), sideset_base=Pin(cs))
+    def _state_machines(self, rp2, number, dout, cs, drdy):
+        chip, block, index = self._chip, number // 4, number % 4
+        Pin, clock = self._machine.Pin, self._chip.CLOCK_HZ
+        self._reader = rp2.StateMachine(number, program(rp2), freq=clock, in_base=Pin(dout), sideset_base=Pin(cs))
+        self._counter = rp2.StateMachine(number + 1, counter_program(rp2), freq=clock, in_base=Pin(drdy))
         self._mux(chip.FUNCTION_SIO)
         self._pio_function = chip.FUNCTION_PIO[block]
         base = chip.PIO[block]
-        self._rx = base + chip.PIO_RXF + 4 * (number % 4)
-        self._tx = base + chip.PIO_TXF + 4 * (number % 4)
-        self._instruction = base + chip.PIO_SM_INSTR + chip.PIO_SM_STRIDE * (number % 4)
+        self._switch_on = base + chip.PIO_CTRL + chip.SET
+        self._switch_off = base + chip.PIO_CTRL + chip.CLEAR
+        self._enable = 3 << index
+        self._rx = (base + chip.PIO_RXF + 4 * index, base + chip.PIO_RXF + 4 * (index + 1))
+        self._tx = base + chip.PIO_TXF + 4 * index
+        instruction = base + chip.PIO_SM_INSTR + chip.PIO_SM_STRIDE * index
+        self._instructions = (instruction, instruction + chip.PIO_SM_STRIDE)
         self._levels = base + chip.PIO_FLEVEL
-        self._level_bits = 0xF << 4 << 8 * (number % 4)
+        self._level_bits = (0xF << 4 << 8 * index, 0xF << 4 << 8 * (index + 1))
 
     def _rings(self, rp2, number):
         """Two aligned rings in one buffer, and what the three channels do."""
@@ -178,7 +198,7 @@ class Adc:
         self._dma = [rp2.DMA() for _ in range(3)]
         number_dma, stamp_dma, frame_dma = self._dma
         request = chip.DREQ_PIO_RX + chip.DREQ_PIO_STRIDE * (number // 4) + number % 4
-        paced = {"size": 2, "inc_read": False, "treq_sel": request, "irq_quiet": True}
+        paced = {"size": 2, "inc_read": False, "treq_sel": request + 1, "irq_quiet": True}
         ring = {"ring_sel": True, "irq_quiet": True, "size": 2, "inc_read": False}
         controls = (
             number_dma.pack_ctrl(inc_write=False, chain_to=stamp_dma.channel, **paced),
@@ -186,9 +206,9 @@ class Adc:
             frame_dma.pack_ctrl(treq_sel=request, ring_size=14, chain_to=number_dma.channel, **ring),
         )
         self._setups = (
-            array("I", (self._rx, address(self._survey), 1, controls[0])),
+            array("I", (self._rx[1], address(self._survey), 1, controls[0])),
             array("I", (self._timer, self._stamps + 4, 1, controls[1])),
-            array("I", (self._rx, self._ring + RECORD, 6, controls[2])),
+            array("I", (self._rx[0], self._ring + RECORD, 6, controls[2])),
         )
         self._bases = tuple([chip.DMA + chip.DMA_STRIDE * dma.channel for dma in self._dma])
         self._all = 0
@@ -299,7 +319,6 @@ class Adc:
 
     def _recover(self):
         self._resets = (self._resets + 1) & COUNTER
-        self._survey[EVENTS] = (self._survey[EVENTS] + 1) & COUNTER
         self._halt()
         self._run()
 
@@ -326,18 +345,20 @@ class Adc:
         for k in range(3):
             arm(self._bases[k], self._setups[k])
         poke(chip.DMA_MULTI_CHAN_TRIGGER, self._first)
-        self._sm.restart()
+        self._reader.restart()
+        self._counter.restart()
         poke(self._tx, BITS)
-        poke(self._instruction, _PULL)
-        poke(self._instruction, _X_TO_1)
-        poke(self._instruction, _INVERT_X)
+        poke(self._instructions[0], _PULL)
+        poke(self._instructions[1], _X_TO_1)
+        poke(self._instructions[1], _INVERT_X)
         self._din.off()
         self._mux(self._pio_function)
-        self._sm.active(1)
+        poke(self._switch_on, self._enable)
 
     def _halt(self):
         chip = self._chip
-        self._sm.active(0)
+        poke(self._switch_off, self._enable)
         self._mux(chip.FUNCTION_SIO)
         halt(chip, self._bases, self._setups, self._all)
-        drain(self._rx, self._levels, self._level_bits)
+        for k in range(2):
+            drain(self._rx[k], self._levels, self._level_bits[k])

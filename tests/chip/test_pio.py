@@ -15,13 +15,14 @@ import pytest
 
 from truearm_sim import node
 
+from .bench import run_steps
 from .pio_assembler import Assembler, Program
 from .pio_reference import Block
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "firmware"))
 
-from drivers import magnetostrictive, triggers  # noqa: E402
+from drivers import ads131m04_dma, magnetostrictive, triggers  # noqa: E402
 
 BENCH = Path(__file__).with_name("pio_bench.mjs")
 TICK = 8.0  # ns
@@ -70,7 +71,25 @@ def test_both_blocks_have_room_for_the_programs():
         magnetostrictive.counter_program(Assembler).words
     )
     assert magnetic <= 32
-    assert len(triggers.program(Assembler).words) <= 32 - 16  # the converter's program may have half of its block
+    converter = len(ads131m04_dma.program(Assembler).words) + len(ads131m04_dma.counter_program(Assembler).words)
+    assert converter + len(triggers.program(Assembler).words) <= 32
+
+
+def test_each_request_paces_one_dma_channel():
+    """RP2040 datasheet, 2.5.3: channels should not share a DREQ. Every channel that a driver sets up, by its control word."""
+    script = """
+from board import CONVERTER_MACHINE, CONVERTER_PINS, HEAD_BLOCK, HEAD_PINS, TRIGGER_MACHINE, TRIGGER_PINS
+from drivers.ads131m04_dma import Adc
+from drivers.magnetostrictive import Magnetostrictive
+from drivers.triggers import Triggers
+sources = (Triggers(machine, rp2, chip, TRIGGER_PINS, TRIGGER_MACHINE), Adc(machine, rp2, chip, CONVERTER_PINS, CONVERTER_MACHINE), Magnetostrictive(machine, rp2, chip, HEAD_PINS, HEAD_BLOCK))
+print([setup[3] >> 15 & 63 for source in sources for setup in source._setups])
+"""
+    (step,) = run_steps([{"script": script}])
+    (requests,) = step["out"]
+    paced = [request for request in requests if request != 63]  # 63 is none: as fast as it goes
+    assert len(requests) == 9
+    assert len(set(paced)) == len(paced) == 6
 
 
 # -- the magnetostrictive programs against random flights
