@@ -48,7 +48,7 @@ HEAD_PINS = (2, 3)  # interrogation, stop
 TRIGGER_PINS = 6  # and 7, inputs; 8, output
 LVDT_PINS = (10, 12, 14)  # excitation, clocks of the secondary's and the primary's demodulator
 LED_PIN = 25
-CONVERTER_MACHINE = 0  # state machine of PIO 0; the triggers' is there too
+CONVERTER_MACHINE = 0  # and 1, state machines of PIO 0; the triggers' is there too
 TRIGGER_MACHINE = 2
 HEAD_BLOCK = 1  # the head takes three machines of PIO 1
 RAIL_5V_ADC = 1  # GP27, behind a divider by three
@@ -56,6 +56,8 @@ TEMPERATURE_ADC = 4
 TX_MAX = 256  # bytes that fit MicroPython's FIFO; its packet buffer of 64 is free too when the endpoint rests
 IDLE_MS = 2  # a block of 13 samples takes 3.2 ms at 4 kHz
 RING_SLOTS = 200  # blocks: 2 s of both streams at 1 kHz, 78 and 20 blocks a second
+
+WRONG_CLOCK = "the system clock is %d Hz; the box counts times of flight and makes the converter's clock with %d Hz. Look for machine.freq() in boot.py"
 
 POWER = 1
 WATCHDOG = 2
@@ -91,6 +93,8 @@ class Board:
     error_path = "last_error.txt"
 
     def __init__(self):
+        if machine.freq() != chip.CLOCK_HZ:
+            raise RuntimeError(WRONG_CLOCK % (machine.freq(), chip.CLOCK_HZ))
         self._led = machine.Pin(LED_PIN, machine.Pin.OUT)
         self.uid = machine.unique_id()
         self.boot_id = os.urandom(4)

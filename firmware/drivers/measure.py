@@ -12,16 +12,20 @@ NV_PER_COUNT_NUM, NV_PER_COUNT_DEN = 1200000000, 1 << 23  # 1.2 V / 2^23
 
 
 def converter(adc, channels, sleep_ms, feed):
-    """converter_id, excitation [uV], noise_0 … noise_3 [nV RMS]; what cannot be measured is left out."""
+    """converter_id, excitation [uV], noise_0 … noise_3 [nV RMS]; what cannot be measured is left out.
+
+    The excitation is of the channel by which another is divided; a box without such a one has no LVDT that could be tested.
+    """
     found = {"converter_id": max(0, adc.registers.read(0))}
     samples = _run(adc, True, sleep_ms, feed)
     if samples:
         for channel in range(4):
             found["noise_%d" % channel] = _spread(samples[channel]) * NV_PER_COUNT_NUM // NV_PER_COUNT_DEN
     names = [channel["name"] for channel in channels]
-    samples = _run(adc, False, sleep_ms, feed) if "excitation" in names else None
+    drives = [channel["over"] for channel in channels if channel.get("over") in names]
+    samples = _run(adc, False, sleep_ms, feed) if drives else None
     if samples:
-        values = samples[names.index("excitation")]
+        values = samples[names.index(drives[0])]
         found["excitation"] = sum(values) // len(values) * (NV_PER_COUNT_NUM // 1000) // NV_PER_COUNT_DEN
     return found
 

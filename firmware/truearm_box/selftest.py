@@ -1,7 +1,7 @@
 """What the board measured in its self-test, judged.
 
 converter_id        the ADS131M04's ID register, 24xx
-excitation          µV on the converter's channel of that name: the conditioner is alive
+excitation          µV on the channel by which another one is divided: the current of the LVDT's primary, demodulated (docs/hardware.md)
 noise_0 … noise_3   nV RMS with the inputs shorted, at gain 1 and osr 4096: about 3000 by the datasheet; 0 is no converter at work
 stops               of 16 interrogations
 rail_5v             mV; USB allows 4.4 to 5.5 V
@@ -10,7 +10,7 @@ temperature         thousandths of a degree Celsius
 
 LIMITS = {  # name: unit, low, high
     "converter_id": ("", 0x2400, 0x24FF),
-    "excitation": ("uV", 100000, 1200000),
+    "excitation": ("uV", 50000, 1200000),
     "noise_0": ("nV", 1, 20000),
     "noise_1": ("nV", 1, 20000),
     "noise_2": ("nV", 1, 20000),
@@ -18,6 +18,18 @@ LIMITS = {  # name: unit, low, high
     "stops": ("", 15, 16),
     "rail_5v": ("mV", 4400, 5500),
     "temperature": ("mdegC", -20000, 70000),
+}
+
+WORDS = {
+    "converter_id": "the converter's ID register",
+    "excitation": "the current of the LVDT's primary",
+    "noise_0": "the noise of input 0, shorted",
+    "noise_1": "the noise of input 1, shorted",
+    "noise_2": "the noise of input 2, shorted",
+    "noise_3": "the noise of input 3, shorted",
+    "stops": "stop pulses of 16 interrogations",
+    "rail_5v": "the supply of 5 V",
+    "temperature": "the chip's temperature",
 }
 
 
@@ -37,5 +49,6 @@ def failure(results):
     for name in sorted(results):
         r = results[name]
         if not r["ok"]:
-            bad.append("%s is %d %s, not %d to %d" % (name, r["value"], r["unit"], r["low"], r["high"]))
+            what = "%s: %d %s" % (WORDS[name], r["value"], r["unit"])
+            bad.append("%s (must be %d to %d)" % (what.strip(), r["low"], r["high"]))
     return "self-test: " + "; ".join(bad) if bad else None

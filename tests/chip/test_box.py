@@ -37,7 +37,7 @@ from truearm_wire.messages import (
     names,
 )
 
-from .conftest import MS, document, ident
+from .conftest import MS, Counting, document, ident
 
 S = 1_000_000
 PERIOD_NS = 983_040
@@ -92,6 +92,22 @@ def test_its_self_test_measures_every_part(power_on):
     assert results["stops"] == {"ok": 1, "value": 16, "unit": "", "low": 15, "high": 16}
     assert results["rail_5v"]["ok"] == 1
     assert abs(results["temperature"]["value"] - 24_500) < 470
+
+
+def test_a_box_without_an_lvdt_passes_its_self_test(power_on):
+    """Line only: no channel is divided by another, so nothing is asked of a primary that is not there. With ``over`` it is missed."""
+
+    class Nothing(Counting):
+        def counts(self, k0, k1, start_ns, period_ns):
+            return np.random.default_rng(k0).integers(-20, 20, (k1 - k0, 4)).astype(np.int32)
+
+    chip = power_on(signals=Nothing())
+    assert "fault" not in ident(chip.boot())
+    assert "excitation" not in cbor2.loads(document(chip.ask(SELF_TEST, ms=1500), 64))
+    config = chip.config()
+    config["channels"][0]["over"] = config["channels"][3]["name"]
+    chip.put_config(config)
+    assert cbor2.loads(document(chip.ask(SELF_TEST, ms=1500), 64))["excitation"]["ok"] == 0
 
 
 def test_it_streams_both_sources_without_a_gap(power_on):
@@ -345,3 +361,14 @@ def rubbish(rng) -> tuple[bytes, int | None]:
     req_id = rng.randrange(1, 2**28)
     readable = None not in arguments  # the protocol has no null: what holds one is no command
     return frame.frame(cbor2.dumps([number, req_id, *arguments])), req_id if readable and 48 <= number < 64 else None
+
+
+def test_a_board_with_another_clock_is_refused(power_on, tmp_path):
+    """A boot.py that overclocks the chip: the firmware does not start, the reason stands at the prompt."""
+    make_flash(tmp_path / STORE, {"boot.py": b"import machine; machine.freq(133000000)"})
+    chip = power_on()
+    said = chip.give(int(3.2 * S))
+    assert b"the system clock is 133000000 Hz" in said
+    assert not [
+        f for f in chip.hear(100 * MS, rx=command(SYNC_REQUEST, 70)) if isinstance(f, list) and f[0] == SYNC_REPLY
+    ]

@@ -329,11 +329,11 @@ def test_self_test_of_a_healthy_box(bench):
 @pytest.mark.parametrize(
     ("name", "value", "text"),
     [
-        ("converter_id", 0xFFFF, "converter_id is 65535"),
-        ("excitation", 900, "excitation is 900 uV"),
-        ("noise_2", 0, "noise_2 is 0 nV"),
-        ("stops", 3, "stops is 3"),
-        ("rail_5v", 4300, "rail_5v is 4300 mV, not 4400 to 5500"),
+        ("converter_id", 0xFFFF, "the converter's ID register: 65535 (must be 9216 to 9471)"),
+        ("excitation", 900, "the current of the LVDT's primary: 900 uV"),
+        ("noise_2", 0, "the noise of input 2, shorted: 0 nV"),
+        ("stops", 3, "stop pulses of 16 interrogations: 3 (must be 15 to 16)"),
+        ("rail_5v", 4300, "the supply of 5 V: 4300 mV (must be 4400 to 5500)"),
     ],
 )
 def test_an_injured_box_says_so_at_boot_and_on_command(name, value, text):

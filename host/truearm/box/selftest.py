@@ -49,9 +49,10 @@ _ITEMS = {
         (0x2400, 0x24FF), shown_as="#x",
     ),
     "excitation": _Item(
-        "excitation of the LVDT conditioner",
-        "check the conditioner's supply and the wire to the converter's input of that name",
-        (200_000, 1_100_000), "mV", 1000, ".1f",
+        "current of the LVDT's primary",
+        "check the LVDT's plug, primary and supply (docs/hardware.md, first power-up); "
+        "without an LVDT no channel of the configuration may have over",
+        (60_000, 1_100_000), "mV", 1000, ".1f",
     ),
     "noise_0": _NOISE, "noise_1": _NOISE, "noise_2": _NOISE, "noise_3": _NOISE,
     "stops": _Item(
