@@ -342,6 +342,26 @@ def test_pages_about_the_code_name_what_exists(page):
     assert not missing_files(text)
 
 
+DECISIONS = sorted((ROOT / "docs" / "decisions").glob("0*.md"))
+OF_RAPID = {"MoveL", "CalcRobT"}  # words of a robot's language that a decision quotes
+
+
+@pytest.mark.parametrize("page", DECISIONS, ids=lambda p: p.stem)
+def test_decisions_name_what_exists(page):
+    """Functions and classes, and files by the end of their paths."""
+    text = prose(page.read_text(encoding="utf-8"))
+    assert not missing_names(text, defined_names()) - OF_RAPID
+    files = {str(p) for folder in (*SOURCES, ROOT / "tests", ROOT / "hardware") for p in folder.rglob("*.py")}
+    named = re.findall(r"`([\w/]*\w\.py)`", text)
+    assert not [name for name in named if not any(path.endswith(f"/{name}") for path in files)]
+
+
+def test_every_decision_has_a_number_of_its_own():
+    numbers = [page.name[:4] for page in DECISIONS]
+    assert len(set(numbers)) == len(numbers)
+    assert all(page.read_text(encoding="utf-8").startswith(f"# {int(page.name[:4])}. ") for page in DECISIONS)
+
+
 def test_the_check_of_the_page_finds_what_is_gone():
     known = defined_names()
     page = "`Box.step()` `Box.nothing()` `session.observations.survey()` `session.hull.survey()` `gone()` `Gone` `session/gone.py`"
