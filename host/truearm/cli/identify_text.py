@@ -362,10 +362,12 @@ def held_out_notes(document: Document) -> list[str]:
     """What the held-out error does not say by itself."""
     held_out, notes = document["held_out"], []
     if held_out and held_out["n_settled"]:
-        notes.append(f"{held_out['n_settled']} unknowns of the rig were settled on the held-out rows themselves.")
+        notes.append(
+            f"{counted(held_out['n_settled'], 'unknown of the rig was', 'unknowns of the rig were')} settled on the held-out rows themselves."
+        )
     if held_out and held_out["n_left_out"]:
         notes.append(
-            f"{held_out['n_left_out']} held-out rows are not judged: they fit such unknowns whatever they say."
+            f"{counted(held_out['n_left_out'], 'held-out row is', 'held-out rows are')} not judged: every value fits such unknowns."
         )
     if held_out is None and document["held_out_by"]:
         notes.append(

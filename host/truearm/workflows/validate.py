@@ -425,11 +425,15 @@ def validation_lines(document: Mapping[str, Any]) -> list[str]:
         )
     lines += systematic_sentences(document)
     if document["settled"]:
-        lines.append(f"{document['settled']} unknowns of the rig were settled on these rows, without and with alike.")
+        lines.append(
+            f"{counted(document['settled'], 'unknown of the rig was', 'unknowns of the rig were')} settled on these rows, without and with alike."
+        )
     if document["kept"]:
         lines.append(f"{counted(document['kept'], 'unknown')} of the rig held as identified.")
     if document["left_out"]:
-        lines.append(f"{document['left_out']} rows are not judged: they fit such unknowns whatever they say.")
+        lines.append(
+            f"{counted(document['left_out'], 'row is', 'rows are')} not judged: every value fits such unknowns."
+        )
     return [*lines, one_line(document["verdict"])]
 
 
