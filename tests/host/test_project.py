@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from session_stream import RIG, session
 
-from truearm.files.project_file import FILE, Project, find_project, format_project, read_project
+from truearm.files.project_file import Project, format_project, read_project
+from truearm.files.project_folder import FILE, find_project
 from truearm.files.rig_file import read_rig, write_rig
 from truearm.model.builtin import builtin_names
 from truearm.model.robot import builtin_robot

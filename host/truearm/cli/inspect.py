@@ -7,7 +7,6 @@ import typer
 from truearm.cli.options import AllowDamagedOption, JsonOption, SessionArgument
 from truearm.cli.output import print_json, print_lines
 from truearm.text import one_line
-from truearm.workflows.session_parts import session_parts
 
 
 def inspect(
@@ -22,6 +21,7 @@ def inspect(
     from truearm.cli.inspect_text import lines
     from truearm.session.session_file import open_session
     from truearm.workflows.inspect import describe
+    from truearm.workflows.session_parts import session_parts
 
     first, *more = [describe(open_session(part, allow_damaged)) for part in session_parts(session)]
     if as_json:

@@ -7,13 +7,16 @@ import os
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 from typer.core import TyperCommand
 
 from truearm.errors import InputError
-from truearm.files.project_file import Project, find_project, read_project
+from truearm.files.project_folder import find_project
+
+if TYPE_CHECKING:
+    from truearm.files.project_file import Project
 
 Answer = Callable[[], Any]  # what an option would have been given; None: nothing
 
@@ -66,6 +69,8 @@ def defaults(folder: Path) -> dict[str, Any]:
     file = find_project(folder)
     if file is None:
         return {}
+    from truearm.files.project_file import read_project
+
     return _answers(read_project(file), file.parent, folder)
 
 

@@ -22,7 +22,7 @@ from truearm.cli.options import (
     rigs_of,
 )
 from truearm.cli.output import warn
-from truearm.files.project_file import Project, find_project, read_project
+from truearm.files.project_folder import find_project
 
 
 def report(
@@ -54,6 +54,7 @@ def report(
     Example:
       truearm report result.json session.mcap --serial 2019-7 --operator "A. Smith" --out report.html
     """
+    from truearm.files.project_file import Project, read_project
     from truearm.files.robot_file import RobotChoice
     from truearm.workflows.identify import IdentifyFiles
     from truearm.workflows.inputs import Sources

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, assert_never
 from truearm.cli.options import JsonOption
 from truearm.cli.output import print_json, print_lines
 from truearm.errors import InputError
-from truearm.files.project_file import FILE, find_project
+from truearm.files.project_folder import FILE, find_project
 
 if TYPE_CHECKING:
     from truearm.workflows.project import ProjectState

@@ -12,10 +12,8 @@ from truearm.errors import InputError
 from truearm.files.disk import parse_toml, read_text
 from truearm.schema import Key, Table, Text, read
 
-FILE = "truearm.toml"
 FIRST_LINE = "# A truearm project (docs/project.md)"
 MAX_BYTES = 2**16
-MAX_LEVELS = 64  # of folders above the working one
 
 _LINE = Text(longest=400, one_line=True)
 
@@ -45,14 +43,6 @@ class Project:
 
 KEYS = tuple(Key(name, _LINE, optional=name != "model") for name in Project.__dataclass_fields__)
 PROJECT = Table(KEYS, Project)
-
-
-def find_project(start: Path) -> Path | None:
-    """The nearest truearm.toml in ``start`` or above it; None where there is none."""
-    for folder in [start, *start.parents][:MAX_LEVELS]:
-        if (folder / FILE).is_file():
-            return folder / FILE
-    return None
 
 
 def read_project(path: Path) -> Project:

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from truearm.errors import InputError, TruearmError
 from truearm.files.disk import write_atomic
-from truearm.files.project_file import FILE, Project, format_project, read_project
+from truearm.files.project_file import Project, format_project, read_project
+from truearm.files.project_folder import FILE
 from truearm.units import MM
 from truearm.workflows.session_observations import Say, silent
 
