@@ -26,12 +26,11 @@ class Within:
         """Raise InputError."""
         several = isinstance(value, Iterable)
         if not all(math.isfinite(one) and self.least <= one <= self.most for one in (value if several else (value,))):
-            what = "numbers" if several else "a number"
             low, high = (f"{end:g}" if math.isfinite(end) else "" for end in (self.least, self.most))
-            wanted = (
-                f"from {low} to {high}" if low and high else f"of {low} or more" if low else "not infinite, not NaN"
-            )
-            raise InputError(Argument(name), f": must be {what} {wanted}, is {value}")
+            wanted = f" from {low} to {high}" if low and high else f" of {low} or more" if low else ""
+            finite = "" if wanted else "finite "
+            what = f"{finite}numbers" if several else f"a {finite}number"
+            raise InputError(Argument(name), f": must be {what}{wanted}, is {value}")
 
 
 @dataclass(frozen=True)
