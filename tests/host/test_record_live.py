@@ -151,7 +151,7 @@ class TestThePlan:
         session.run(2.5)
         session.run(0.5, q_speed=1.0)
         assert (session.state.session_progress.taken, session.state.session_progress.unplanned) == (0, 1)
-        assert "a stop beside the plan" in session.said[-1]
+        assert "stop not in the plan" in session.said[-1]
         assert "pose" not in session.events("dwell")[0]
 
     def test_a_pairing_is_asked_for_and_confirmed(self):
@@ -168,11 +168,22 @@ class TestThePlan:
 
     def test_gone_on_without_a_confirmation(self):
         session = Session(plan(*PAIRS))
+        session.state.command("1")
         session.run(2.5)
         for _ in range(2):
             session.dwell()
         (warning,) = (text for text in session.said if text.startswith("contradiction"))
         assert warning == "contradiction: pose 2 is planned with bar b61; confirmed is bar b46, chuck c1, sphere s1"
+
+    def test_where_nobody_confirms_anything_nothing_is_contradicted(self):
+        """The plan alone says what is mounted, and ``identify`` takes it; the view goes on asking."""
+        session = Session(plan(*PAIRS))
+        session.run(2.5)
+        for _ in range(2):
+            session.dwell()
+        assert session.state.contradictions == 0
+        assert not [text for text in session.said if text.startswith("contradiction")]
+        assert session.row("change").alarm
 
     def test_without_a_robot_they_come_in_order(self):
         session = Session(plan(*PAIRS), robot=False)

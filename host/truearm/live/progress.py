@@ -19,7 +19,7 @@ TOLERANCE = np.pi / 180.0  # rad or m, as sync.dwell has it
 class SessionProgress:
     """``rows`` is the plan as ``/plan`` has it, [] without one; ``mounted`` what is mounted as far as anybody said or the plan begins.
 
-    ``done``: rows whose dwell was taken; ``unplanned``: dwells beside the plan, or without one. ``next``: the row that is awaited.
+    ``confirmed``: whether anybody said it. ``done``: rows whose dwell was taken; ``unplanned``: dwells that are not in the plan, or without one. ``next``: the row that is awaited.
     """
 
     rows: Sequence[Mapping[str, Any]] = ()
@@ -28,8 +28,10 @@ class SessionProgress:
     unplanned: int = 0
     lines: int = 0
     next: int = 0
+    confirmed: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
+        self.confirmed = bool(self.mounted)
         self._dwells = [k for k, row in enumerate(self.rows) if row.get("move", Move.DWELL) == Move.DWELL]
         self._q = np.array([self.rows[k]["q"] for k in self._dwells])
         if not self.mounted and self.rows:
@@ -77,6 +79,7 @@ class SessionProgress:
 
     def mount(self, pairing: Mapping[str, str]) -> None:
         """It is said to be mounted from now on; a bar and a line exclude each other."""
+        self.confirmed = True
         other = LINE_MOUNTED if "bar" in pairing else BAR_MOUNTED if "line" in pairing else ()
         self.mounted = {k: v for k, v in self.mounted.items() if k not in other} | dict(pairing)
 

@@ -170,9 +170,9 @@ class LiveState:
         self._pose = pose
         self._label = f"dwell {session_progress.taken}" + (f" (pose {pose})" if pose is not None else "")
         if pose is None and session_progress.rows:
-            self._label = "a stop beside the plan"
+            self._label = "stop not in the plan"
         other = [key for key in BAR_MOUNTED if row.get(key) and row[key] != session_progress.mounted.get(key)]
-        if other:
+        if other and session_progress.confirmed:  # where nobody ever said what is mounted the plan stands alone
             planned = ", ".join(f"{key} {row[key]}" for key in other)
             self.contradictions += 1
             self.said.append(
@@ -205,7 +205,7 @@ class LiveState:
             return
         row = self.session_progress.drive(self._dwells.q if self._with_robot else None)
         length, speed = stroke
-        where = "a way beside the plan"
+        where = "line not in the plan"
         if row is not None or not self.session_progress.rows:
             where = f"line {self.session_progress.lines}" + (f" (row {row})" if row is not None else "")
         self.last = f"{where}: {MM.text(length, '.1f')} at {MM_S.text(speed, '.1f')}"
@@ -381,7 +381,7 @@ class LiveState:
             else f"{session_progress.taken}"
         ]
         if session_progress.planned and session_progress.unplanned:
-            parts.append(f"{session_progress.unplanned} beside the plan")
+            parts.append(f"{session_progress.unplanned} not in the plan")
         if session_progress.lines or session_progress.planned_lines:
             parts.append(
                 f"lines {session_progress.lines}"
