@@ -75,7 +75,7 @@ MOST_SUSPECT, WIDENED = 8, 2.0  # runs left out where the fit misses by so much 
 SURE = 0.998  # the least probability of a label that is used by the evidence alone
 SETTLED = 0.9  # where all labels have so much, the fit to them is not tried again
 FITS = 0.999  # where a label that plan and operator agree on has less, all evidence is asked
-BORNE_OUT = 0.97  # the least probability of such a label, by all evidence
+BORNE_OUT = 0.97  # the least probability of such a label, by all evidence, if the readings lower it
 
 
 @dataclass(frozen=True)
@@ -107,10 +107,12 @@ class Words:
 
 @dataclass(frozen=True)
 class Mountings:
-    """``probability`` (n, k + 1) of each of the k ``pairings`` at each dwell, the last column that of none of them."""
+    """``probability`` (n, k + 1) of each of the k ``pairings`` at each dwell, the last column that of none of them; ``by_words``: by
+    plan and words without the readings."""
 
     pairings: tuple[Pairing, ...]
     probability: Floats
+    by_words: Floats
 
     def sure(self) -> list[Pairing | None]:
         """The pairing of each dwell, None where none is as probable as SURE."""
@@ -118,6 +120,13 @@ class Mountings:
         return [
             self.pairings[k] if p[k] >= SURE else None for k, p in zip(best.tolist(), self.probability, strict=True)
         ]
+
+    def bears_out(self, dwell: int, label: Pairing) -> bool:
+        """Whether a label that plan and operator agree on stands: it is sure enough, or the readings do not speak against it."""
+        if label not in self.pairings:
+            return False
+        k = self.pairings.index(label)
+        return bool(self.probability[dwell, k] >= min(BORNE_OUT, self.by_words[dwell, k]))
 
 
 def mountings(chain: Chain, rig: Rig, readings: Readings, words: Words, free: Mask) -> Mountings:
@@ -132,7 +141,8 @@ def mountings(chain: Chain, rig: Rig, readings: Readings, words: Words, free: Ma
         for prior in (weak_prior(chain), wide_prior(chain))
     )
     probabilities, evidences = zip(*(_annealed(fit, transitions, told) for fit in fits), strict=True)
-    return Mountings(pairings, np.average(probabilities, axis=0, weights=special.softmax(evidences)))
+    by_words, _ = posterior(transitions, told, np.zeros_like(told), np.zeros_like(told))
+    return Mountings(pairings, np.average(probabilities, axis=0, weights=special.softmax(evidences)), by_words)
 
 
 def label_support(chain: Chain, rig: Rig, readings: Readings, labels: Sequence[Pairing], free: Mask) -> Floats:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import Argument, InputError, RigError, SessionError
-from truearm.estimate.mountings import BORNE_OUT, FITS, SURE, Mountings, Readings, Words, label_support, mountings
+from truearm.estimate.mountings import FITS, SURE, Mountings, Readings, Words, label_support, mountings
 from truearm.files.labels_file import Decision, no_labels, read_labels, with_decision, write_labels
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import RobotChoice, load_robot
@@ -317,7 +317,6 @@ def borne_out_rows(robot: Robot, rig: Rig, result: SyncResult) -> NDArray[np.boo
         return out
     good, said, every = _of_survey(rig, result.survey)
     found = _evidence(robot, rig, every, said)
-    number = {pairing: k for k, pairing in enumerate(found.pairings)}
     for row, (i, label) in enumerate(zip(used, labels, strict=True)):
-        out[row] = label in number and found.probability[good.index(i), number[label]] >= BORNE_OUT
+        out[row] = found.bears_out(good.index(i), label)
     return out
