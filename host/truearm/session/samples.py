@@ -119,7 +119,7 @@ def out_of_travel(extension: Floats, bar: BallBar) -> NDArray[np.bool_]:
 
 # --------------------------------------------------------------------------------------- samples of channels and dwells
 
-MOST_KEPT_BYTES = 64 << 20  # an hour and a half at 2 kHz; of more a session is read again
+MOST_KEPT_BYTES = 64 << 20  # three to four hours at 2 kHz; of more a session is read again
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,10 +247,10 @@ class ChannelSamples:
             place = columns_in(one.ident, [self._channel])
             if place is None:
                 self._lacking = self._lacking or one.ident
-            elif self._left >= 0 and place[0].id == one.stream.id:
-                if len(one):
-                    self._kept.append(_Kept.of(of_channels(one, place[1])))
-                self._left -= 4 * int(one.n.sum()) + 18 * len(one)
+            elif self._left >= 0 and place[0].id == one.stream.id and len(one):
+                kept = _Kept.of(of_channels(one, place[1]))
+                self._kept.append(kept)
+                self._left -= kept.rest.nbytes + kept.blocks.t0_us.nbytes
         if self._left < 0:
             self._kept = []
 
