@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from puma_bench import CHAIN, CHUCKS, DESIGN, FREE, PAIRS, RIG, SIGMA, TRUTH, lengths, random_poses, random_table, table
 
+import truearm
 from truearm.errors import ProblemError
 from truearm.estimate.effects import error_columns
 from truearm.estimate.identify import SolverOptions, identify
@@ -101,6 +102,43 @@ def test_clean_worlds_give_no_finding():
     """By the family-wise level each gives one with probability 1e-3 at most."""
     for seed in range(8):
         assert worlds.identified(worlds.clean(worlds.plan(), np.random.default_rng(seed))).systematic is None
+
+
+def test_few_clean_rows_give_no_finding_by_default():
+    """With 40 of 360 rows the default prior tells many parameters; it is far from the true ones, which is nothing that is off."""
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        rows = worlds.clean(worlds.plan(), rng).select(np.sort(rng.choice(360, 40, replace=False)))
+        found = truearm.identify(truearm.load_robot("puma560"), rows, worlds.RIG)
+        assert found.document["defaults"]["believed"]
+        assert found.document["systematic"] == []
+
+
+def test_a_second_finding_counts_what_is_known_of_the_rig():
+    """Chucks known to 0.2 mm, one of which slips by 0.5 mm, and a bar 0.4 mm wrong: both are named, once each, and a refit agrees."""
+    chucks = {name: replace(chuck, sigma=0.2e-3) for name, chuck in worlds.RIG.chucks.items()}
+    rig = replace(worlds.RIG, chucks=chucks)
+    for seed in range(2):
+        rows, (chuck, at) = worlds.slipped(worlds.plan(), np.random.default_rng(seed), 0.5e-3)
+        rows = replace(rows, value=rows.value + 0.4e-3)
+        before = identify(CHAIN, rig, rows, free=FREE, prefer=FREE)
+        slip, bar = findings(before)
+        assert (slip.effect.what, str(bar.effect)) == (f"chuck.{chuck}", "bar.bar46.zero")
+        assert abs(slip.rows[0] - at) <= 15
+        options = SolverOptions(effects=(slip.effect, bar.effect))
+        after = identify(CHAIN, rig, rows, free=FREE, prefer=FREE, options=options)
+        assert after.chi2_reduced == pytest.approx(before.systematic.chi2_reduced, rel=0.02)
+
+
+def test_a_size_that_the_rows_do_not_tell_is_none():
+    """One mount, then the fixture moves: three of the base's six numbers could be that."""
+    plan, off = worlds.plan(), np.zeros((360, 3))
+    off[:60] = (3e-3, -2e-3, 1e-3)
+    length = worlds.lengths(plan, off) + SIGMA * np.random.default_rng(3).normal(size=360)
+    found = findings(worlds.identified(worlds.table(plan, length)))[0]
+    assert (found.effect.what, found.freedom) == ("base", 3)
+    assert np.isnan(found.size)
+    assert np.isnan(found.sigma)
 
 
 def test_a_slipped_chuck_is_named_with_its_row():

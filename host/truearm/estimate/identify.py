@@ -158,7 +158,7 @@ def identify(
     chi2, freedom = fit_quality.reduced * fit_quality.freedom, fit_quality.freedom
     explained = not fit_quality.reduced > fit_quality.band[1]
     taken = only(problem, found.weight > 0.0)
-    wrong = systematic_errors(taken, x, columns, Fitted.of(information), FitChi2(chi2, freedom, explained), how)
+    wrong = systematic_errors(taken, x, columns, Fitted.of(data), FitChi2(chi2, freedom, explained), how)
     if wrong is not None:
         wrong = replace(wrong, moves=moves(chain, x, x + wrong.shift, table.q[fitted]))
     pose = poses(table.select(fitted))

@@ -1,7 +1,7 @@
 """Systematic errors in the residuals of a finished fit: what was off, from which row on, by how much.
 
 **Score test.** Let e (m,) be the whitened residuals, J their derivatives by all free parameters and Q an orthonormal basis
-of J's columns, the prior being rows of their own. A thing that is off has the whitened derivatives C (m, d): a chuck's
+of J's columns; what is known of the rig are rows of their own. What a prior says of the robot is not among them: a false one would be found as something that is off. A thing that is off has the whitened derivatives C (m, d): a chuck's
 coordinates, a bar's zero, a joint's reading, a motion of the base, each times a profile over the rows. With C⊥ = (I − QQᵀ)C,
 
     V = C⊥ᵀC⊥ = CᵀC − (QᵀC)ᵀ(QᵀC) ,  β̂ = V⁺ Cᵀe⊥ ,  drop of χ² = eᵀC⊥ V⁺ C⊥ᵀe ~ χ²(rank V) without the error.
@@ -101,7 +101,7 @@ class FitChi2(NamedTuple):
 
 
 class Fitted(NamedTuple):
-    """What the parameters follow: columns S (k, r) with S Sᵀ their covariance, priors included, and the step that is left along them (r,)."""
+    """What the parameters follow: columns S (k, r) with S Sᵀ their covariance, what is known of the rig included, and the step that is left along them (r,)."""
 
     root: Floats
     left: Floats
@@ -113,9 +113,9 @@ class Fitted(NamedTuple):
 
 
 class _Whitened(NamedTuple):
-    """The rows' m scalar residuals in the order of measurement, the parameters' part taken off."""
+    """The rows' m scalar residuals in the order of measurement, the parameters' part taken off; knowledge of the parameters follows."""
 
-    row: Indices  # (m,) of the n fitted rows
+    row: Indices  # (m,) of the n fitted rows, n for knowledge
     basis: Floats  # (m, r) Q
     residual: Floats  # (m,) e⊥
     errors: Floats  # (m, c) whitened ``error_columns``
@@ -181,7 +181,7 @@ def systematic_errors(
     described, part = _described(found, rivals, problem.errors, first, how, state, families)
     shift = np.zeros(x.size)
     shift[columns] = -fit.root @ part
-    before, after = (_held_out(of, _stretches(how))[_judging(rows)].sum() for of in (first, rows))
+    before, after = (_held_out(of, _stretches(how))[_judging(rows, how)].sum() for of in (first, rows))
     ratio = math.sqrt(after / before) if before > 0.0 else math.nan
     return SystematicErrors(described, state.chi2 / max(state.freedom, 1.0), shift, held_out_ratio=ratio)
 
@@ -218,7 +218,29 @@ def _whitened(problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Fitt
     jac, errors = (np.concatenate([np.concatenate(list(part[i])) for part in parts])[order] for i in (1, 2))
     basis = jac @ fit.root
     residual = errors[:, -1] - basis @ fit.left
-    return _Whitened(row[order], basis, residual, errors[:, :-1])
+    if not np.isfinite(residual).all() or not np.isfinite(basis).all():
+        return _Whitened(row[order], basis, np.full(residual.size, np.nan), errors[:, :-1])
+    known, off = _knowledge(basis, residual)
+    # Where the data hardly tell something, S has lost digits; a row that alone tells it must have no residual left at all.
+    whole, residual = np.concatenate([basis, known]), np.concatenate([residual, off])
+    whole = scipy.linalg.solve_triangular(np.linalg.cholesky(whole.T @ whole), whole.T, lower=True).T
+    return _Whitened(
+        np.concatenate([row[order], np.full(off.size, problem.n_rows)]),
+        whole,
+        residual - whole @ (whole.T @ residual),
+        np.concatenate([errors[:, :-1], np.zeros((off.size, errors.shape[1] - 1))]),
+    )
+
+
+def _knowledge(basis: Floats, residual: Floats) -> tuple[Floats, Floats]:
+    """Rows (k, r) that make a basis (m, r) orthonormal, and their residuals (k,), to which it is then orthogonal.
+
+    Nothing that is off enters them, so all that counts of what is known of the parameters is how much it holds them.
+    """
+    values, vectors = np.linalg.eigh(np.eye(basis.shape[1]) - basis.T @ basis)
+    some = values > SEEN
+    root, along = np.sqrt(values[some]), vectors[:, some].T
+    return root[:, None] * along, -(along @ (basis.T @ residual)) / root
 
 
 def _families(causes: Sequence[Cause], errors: Errors, rows: _Whitened, how: Measured) -> Iterator[_Family]:
@@ -373,9 +395,9 @@ def _span(family: _Family, at: int, how: Measured) -> tuple[int, int]:
 
 
 def _profile(family: _Family, at: int, how: Measured) -> Floats:
-    """(n,) of the fitted rows."""
+    """(n + 1,) of the fitted rows, and 0 of knowledge."""
     first, last = _span(family, at, how)
-    return profile(Effect("", first, last, family.drift), how.table)[how.row]
+    return np.append(profile(Effect("", first, last, family.drift), how.table)[how.row], 0.0)
 
 
 def _effect_columns(best: _Best, errors: Errors, rows: _Whitened, how: Measured) -> Floats:
@@ -403,8 +425,8 @@ def _directions(by: Floats, basis: Floats) -> Floats:
 
 def _survives(best: _Best, added: Floats, rows: _Whitened, more: _Whitened, how: Measured, log_families: float) -> bool:
     """Whether a finding stands where the noise is unknown: by pose, and on rows that were held out."""
-    scores = np.zeros((int(how.pose.max()) + 1, added.shape[1]))
-    np.add.at(scores, how.pose[rows.row], added * more.residual[:, None])
+    scores, mine = np.zeros((int(how.pose.max()) + 1, added.shape[1])), rows.row < how.row.size
+    np.add.at(scores, how.pose[rows.row[mine]], (added * more.residual[:, None])[mine])
     found = added.T @ rows.residual
     if best.family.cause is not None:
         values, vectors = np.linalg.eigh(scores.T @ scores)
@@ -416,7 +438,7 @@ def _survives(best: _Best, added: Floats, rows: _Whitened, more: _Whitened, how:
             return False
     variance = float(more.residual @ more.residual) / max(more.residual.size - more.basis.shape[1], 1)
     gain = _held_out(rows, _stretches(how)) - _held_out(more, _stretches(how))
-    return bool(gain[_judging(more)].sum() > LOWER * variance)
+    return bool(gain[_judging(more, how)].sum() > LOWER * variance)
 
 
 def _stretches(how: Measured) -> Indices:
@@ -424,14 +446,14 @@ def _stretches(how: Measured) -> Indices:
     return np.asarray((np.arange(how.row.size) * STRETCHES) // how.row.size)
 
 
-def _judging(rows: _Whitened) -> NDArray[np.bool_]:
-    """(m,) all but the rows of blocks, which were left out."""
-    return np.asarray((rows.basis**2).sum(axis=1) < 1.0 - SEEN)
+def _judging(rows: _Whitened, how: Measured) -> NDArray[np.bool_]:
+    """(m,) all but the rows of blocks, which were left out, and knowledge."""
+    return np.asarray(((rows.basis**2).sum(axis=1) < 1.0 - SEEN) & (rows.row < how.row.size))
 
 
 def _held_out(rows: _Whitened, stretch: Indices) -> Floats:
     """(m,) squared residuals of each row by the fit without its fold, linearised: (I − Q_F Q_Fᵀ)⁻¹ e_F."""
-    out, fold = np.empty(rows.row.size), stretch[rows.row] % FOLDS
+    out, fold = np.zeros(rows.row.size), np.append(stretch % FOLDS, FOLDS)[rows.row]  # knowledge is held out of none
     for number in range(FOLDS):
         mine = fold == number
         q, e = rows.basis[mine], rows.residual[mine]
@@ -486,8 +508,10 @@ def _off_by(
     value = np.where(unseen, math.nan, value * weak)
     sigma = np.where(unseen, math.nan, weak * np.sqrt(np.diag(covariance)))
     alike = np.array([unit == units[0] for unit in units]) & ~unseen
+    off_by = tuple(map(OffBy, numbers, units, value.tolist(), sigma.tolist()))
+    if not alike.any():
+        return off_by, units[0], math.nan, math.nan
     size = float(np.linalg.norm(value[alike]))
     along = value[alike] / size if size > 0.0 else np.zeros(int(alike.sum()))
     spread = (covariance * np.outer(weak, weak))[np.ix_(alike, alike)]
-    off_by = tuple(map(OffBy, numbers, units, value.tolist(), sigma.tolist()))
     return off_by, units[0], size, math.sqrt(float(along @ spread @ along))

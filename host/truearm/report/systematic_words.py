@@ -72,5 +72,5 @@ def _what(entry: Mapping[str, Any]) -> str:
 def _size(entry: Mapping[str, Any]) -> str:
     unit = UNITS[entry["unit"]]
     if entry["size"] is None or entry["sigma"] is None:
-        return "an amount that is not seen"
+        return "an amount that these rows do not tell"
     return f"{unit.scale.text(entry['size'], '.3g')} (σ {unit.scale.text(entry['sigma'], '.1g')})"
