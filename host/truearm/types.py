@@ -549,6 +549,7 @@ class WrongInput(StrEnum):
     JOINTS = "joints"
     LABELS = "labels"
     SET_UP = "set-up"
+    HELD = "held parameters"  # no mistake: few were freed
 
 
 class Unusable(StrEnum):

@@ -14,8 +14,9 @@ from ur10_bench import RIG as UR10_RIG
 from ur10_bench import ROBOT as UR10
 from ur10_bench import tracked
 
+from truearm.estimate import wrong_inputs
 from truearm.estimate.identify import SolverOptions, identify
-from truearm.estimate.wrong_inputs import Candidate, diagnosed, doubtful, explanations_of
+from truearm.estimate.wrong_inputs import Candidate, absurd, diagnosed, explanations_of
 from truearm.model.builtin import builtin_names
 from truearm.model.robot import builtin_robot
 from truearm.types import ObservationTable, Unusable, WrongInput
@@ -135,8 +136,38 @@ def test_half_a_mount_with_a_wrong_name_is_named_row_by_row(seed):
 def test_a_clean_session_is_not_doubted():
     """So nothing is tried: the rate of false alarms on data that fit is that of a fit whose RMS is twelve times its noise."""
     estimate = found(session())
-    assert not doubtful(estimate)
+    assert not absurd(estimate)
     assert (estimate.explanations, estimate.unusable) == ((), None)
+
+
+@pytest.mark.parametrize("pattern", ["offset", "gain"])
+def test_few_free_parameters_are_no_mistake(pattern):
+    """Only joint offsets, or gains: what the others would explain is said, and the fit is what was asked for. Degrees as radians are still named."""
+    free = np.array([name.endswith(f".{pattern}") for name in PUMA.chain.parameter_names])
+    estimate = identify(PUMA.chain, worlds.RIG, session(), free=free)
+    assert absurd(estimate)
+    estimate = diagnosed(estimate, PUMA.chain, worlds.RIG, session(), free, ROBOTS, PUMA.free)
+    (held,) = estimate.explanations
+    assert held.what is WrongInput.HELD
+    assert "are held: link1.x, link1.y" in held.text
+    assert held.rms["m"] < 1.5 * SIGMA
+    assert estimate.unusable is None
+    wrong = replace(session(), q=np.degrees(session().q))
+    estimate = identify(PUMA.chain, worlds.RIG, wrong, free=free)
+    estimate = diagnosed(estimate, PUMA.chain, worlds.RIG, wrong, free, ROBOTS, PUMA.free)
+    assert estimate.explanations[0].text == "the joint readings are in degrees, not in radians"
+    assert estimate.unusable
+
+
+def test_a_base_that_stands_elsewhere_asks_for_labels_alone(monkeypatch):
+    """The robot stands 0.3 m beside where its file has it: the fit is good, so units, joints and robots are not tried."""
+    monkeypatch.setattr(wrong_inputs, "explanations_of", None)
+    chucks = {
+        name: replace(chuck, xyz=tuple(np.add(chuck.xyz, (0.3, 0.0, 0.0)))) for name, chuck in worlds.RIG.chucks.items()
+    }
+    estimate = found(session(), rig=replace(worlds.RIG, chucks=chucks))
+    assert not absurd(estimate)
+    assert (estimate.relabelling_search, estimate.explanations, estimate.unusable) == ("done", (), None)
 
 
 @pytest.mark.parametrize("worlds_tried", [1, pytest.param(40, marks=pytest.mark.soak)])
@@ -149,7 +180,7 @@ def test_right_inputs_of_a_bad_robot_are_not_explained_away(worlds_tried):
         wave = rng.normal(size=6) * 0.01 * np.sin(plan.q * rng.integers(2, 5, size=6) + rng.uniform(0, 6, 6))
         length = worlds.lengths(plan, q_off=wave) + SIGMA * rng.normal(size=len(plan))
         estimate = found(worlds.table(plan, length))
-        assert doubtful(estimate)
+        assert absurd(estimate)
         alarms += bool(estimate.explanations)
     assert alarms == 0
 

@@ -7,7 +7,8 @@ converge, was rarely made so. Tried are what goes wrong in a lab:
 - joints: two exchanged, their order turned round or shifted, the signs of any of them;
 - robot: the other built-in ones with as many joints;
 - labels: names exchanged, renamed in a circle, or wrong in some groups of rows (``label_search``);
-- set-up: the first or the last rows belong to another one.
+- set-up: the first or the last rows belong to another one;
+- held parameters: few were freed, and those that the robot has free by default explain the rest, were it by less. Then the inputs are right and the fit is what was asked for.
 
 Each reading is fitted to the same few rows under the same wide prior (``trial_fit``). One explains the observations if it brings χ²
 down by HUNDREDFOLD (the RMS tenfold), leaves residuals within a drawing's tolerances and the robot within STRAYED tolerances of a hand, and this is beyond chance: if all readings were as wrong as the given one, their mean
@@ -61,6 +62,7 @@ MOST_ROWS = 200
 FEW_ROWS = 60  # enough to order arrangements of joints
 LEAST_ROWS = 5  # of another set-up
 MOST_NAMED = 3
+MOST_HELD = 6  # names of parameters
 STRAYED = 5.0  # tolerances of a hand: the paper's PUMA strays by 1.3
 MOST_FITTED = 4  # of the orders and signs of joints, those with the least residuals before the robot is fitted
 AS_LIKELY = 4.0  # χ² of explanations that are named beside the best
@@ -98,20 +100,31 @@ def diagnosed(
     table: ObservationTable,
     free: Mask,
     robots: Mapping[str, Candidate] | None = None,
+    usual: Mask | None = None,
 ) -> Estimate:
     """The estimate with what explains it if it is doubtful, and why it is not usable if it is not.
 
-    ``free`` (p,) is what was asked to be identified, before anything was held by default; ``robots`` are others to try.
+    ``free`` (p,) is what was asked to be identified, before anything was held by default, ``usual`` (p,) what the robot has free
+    unless something else is asked for; ``robots`` are others to try.
     """
-    if not doubtful(estimate):
+    if absurd(estimate):
+        explanations, labels = explanations_of(chain, rig, table, estimate.fitted, free, robots or {}, usual)
+    elif _elsewhere(estimate):
+        explanations, labels = _turned_about(chain, rig, table, estimate.fitted, free)
+    else:
         return estimate
-    explanations, labels = explanations_of(chain, rig, table, estimate.fitted, free, robots or {})
     estimate = replace(estimate, relabellings=labels.found, relabelling_search=labels.status, explanations=explanations)
     return replace(estimate, unusable=_unusable(estimate))
 
 
 def explanations_of(
-    chain: Chain, rig: Rigs, table: ObservationTable, rows: Mask, free: Mask, robots: Mapping[str, Candidate]
+    chain: Chain,
+    rig: Rigs,
+    table: ObservationTable,
+    rows: Mask,
+    free: Mask,
+    robots: Mapping[str, Candidate],
+    usual: Mask | None = None,
 ) -> tuple[tuple[Explanation, ...], Search]:
     """What explains the ``rows`` (n,) of a table better than the inputs as given, the most probable first; and the labels."""
     n = int(rows.sum())
@@ -121,6 +134,14 @@ def explanations_of(
     if before is None or before.freedom < 1.0:
         return (), labels
     found: list[_Found] = []
+    if usual is not None and (usual & ~free).any():
+        # Few parameters do not show which reading is right: all are judged by what the robot has free.
+        held, free = usual & ~free, usual | free
+        freed = _Reading(_held(chain, held), chain, rig, given, free)
+        found += _explaining(WrongInput.HELD, [freed], before, 1.0)
+        before = tried(chain, rig, given, free)
+        if found or before is None or before.freedom < 1.0:
+            return _ranked(found), labels
     sorts: tuple[tuple[WrongInput, Callable[[], Iterator[_Reading]]], ...] = (
         (WrongInput.UNITS, lambda: _units(chain, rig, given, free)),
         (WrongInput.ROBOT, lambda: _robots(chain, rig, given, robots)),
@@ -136,12 +157,17 @@ def explanations_of(
     return _ranked(found), labels
 
 
-def doubtful(estimate: Estimate) -> bool:
-    """Whether right inputs hardly leave such a fit.
+def _turned_about(
+    chain: Chain, rig: Rigs, table: ObservationTable, rows: Mask, free: Mask
+) -> tuple[tuple[Explanation, ...], Search]:
+    """Labels by which base and tool stand where they were described, of a fit that leaves nothing to explain but that they do not."""
+    labels = relabellings(chain, rig, table, rows, free)
+    return _ranked(list(_by_labels(labels, table, int(rows.sum())))), labels
 
-    It has not converged, its residuals are beyond a drawing's tolerances, or a parameter went far from where it was described.
-    """
-    return _unconverged(estimate) or _beyond(estimate, "weak_sigma") or _elsewhere(estimate)
+
+def absurd(estimate: Estimate) -> bool:
+    """Whether right inputs hardly leave such a fit: it has not converged, or its residuals are beyond a drawing's tolerances."""
+    return _unconverged(estimate) or _beyond(estimate, "weak_sigma")
 
 
 def _elsewhere(estimate: Estimate) -> bool:
@@ -154,6 +180,8 @@ def _elsewhere(estimate: Estimate) -> bool:
 def _unusable(estimate: Estimate) -> Unusable | None:
     if _unconverged(estimate):
         return Unusable.NOT_CONVERGED
+    if any(one.what is WrongInput.HELD for one in estimate.explanations):
+        return None
     if estimate.explanations and _beyond(estimate, "weak_sigma"):
         return Unusable.WRONG_INPUTS
     return Unusable.RESIDUALS if _beyond(estimate, "wide_sigma") else None
@@ -178,15 +206,17 @@ def _thin(n: int, most: int = MOST_ROWS) -> NDArray[np.intp]:
     return np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.intp))
 
 
-def _explaining(what: WrongInput, readings: Sequence[_Reading], before: Trial) -> Iterator[_Found]:
-    """Those readings that explain the observations."""
+def _explaining(
+    what: WrongInput, readings: Sequence[_Reading], before: Trial, ratio: float = HUNDREDFOLD
+) -> Iterator[_Found]:
+    """Those readings that explain the observations and bring χ² below ``ratio`` of what it was."""
     for one in readings:
         after = tried(one.chain, one.rig, one.table, one.free)
-        if after is not None and _explains(before, after, len(readings)):
+        if after is not None and _explains(before, after, len(readings), ratio):
             yield _found(what, one.text, len(one.table), before, after, len(readings))
 
 
-def _explains(before: Trial, after: Trial, count: int) -> bool:
+def _explains(before: Trial, after: Trial, count: int, least: float = HUNDREDFOLD) -> bool:
     """Better by far, beyond chance, no longer absurd, and by about the robot that was described.
 
     A reading that makes everything small explains nothing, nor does one to which the robot must shrink.
@@ -196,7 +226,7 @@ def _explains(before: Trial, after: Trial, count: int) -> bool:
     return (
         fits
         and after.strayed < STRAYED
-        and ratio < HUNDREDFOLD
+        and ratio < least
         and log_chance(ratio, after.freedom) + math.log(count) < math.log(LEVEL)
     )
 
@@ -221,6 +251,14 @@ def _ranked(found: Sequence[_Found]) -> tuple[Explanation, ...]:
         beside = [of for of in beside if of.explanation.what is not WrongInput.SET_UP]
     ranked = sorted({id(of): of for of in (best, *beside)}.values(), key=lambda of: of.score)
     return tuple(of.explanation for of in ranked[:MOST_NAMED])
+
+
+def _held(chain: Chain, held: Mask) -> str:
+    """Which parameters (p,) are held."""
+    names = [name for name, one in zip(chain.parameter_names, held, strict=True) if one]
+    more = f" and {len(names) - MOST_HELD} more" if len(names) > MOST_HELD else ""
+    are = "is" if len(names) == 1 else "are"
+    return f"{counted(len(names), 'parameter')} that the robot has free by default {are} held: {', '.join(names[:MOST_HELD])}{more}"
 
 
 def _units(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask) -> Iterator[_Reading]:

@@ -21,7 +21,7 @@ from truearm.estimate.prediction import predicted_point_error
 from truearm.estimate.prior import free_without_gains, prior_named
 from truearm.estimate.problem import Rigs
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
-from truearm.estimate.wrong_inputs import Candidate, diagnosed, doubtful
+from truearm.estimate.wrong_inputs import Candidate, absurd, diagnosed
 from truearm.files.observation_table import looks_like_table, write_table
 from truearm.files.result_file import (
     Input,
@@ -294,8 +294,8 @@ def identified(
     )
     request = LawRequest(LawMode(options.joint_laws), sigma, tuple(map(parse_effect, options.allow)), robot.gravity)
     chosen = with_frames(chosen, chain, rig, fitted, selection.free, estimate.value)
-    others = _other_robots() if doubtful(estimate) else {}
-    estimate = diagnosed(estimate, chain, rig, table, selection.free, others)
+    others = _other_robots() if absurd(estimate) else {}
+    estimate = diagnosed(estimate, chain, rig, table, selection.free, others, default_free(robot))
     chain, estimate = with_joint_laws(chain, rig, table, estimate, request)
     if estimate.rank == 0 and estimate.free[: estimate.n_robot_parameters].any():
         raise ProblemError(
