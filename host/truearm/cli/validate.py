@@ -30,7 +30,8 @@ def validate(
     keep_rig: Annotated[
         bool,
         typer.Option(
-            "--keep-rig", help="Hold what the identification found of the rig: trackers, targets, chucks, bars."
+            "--keep-rig",
+            help="Hold what the identification found of the rig: trackers, targets, chucks, bars, and what --allow found in all rows.",
         ),
     ] = False,
     as_json: JsonOption = False,

@@ -19,7 +19,7 @@ tested for systematic errors as those of any other (``systematic``).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from truearm.estimate.effects import Circumstances, modelled_effects
 from truearm.estimate.fit import fit
 from truearm.estimate.information import RANK_TOLERANCE, fold, half, observe, seen, spectrum, with_prior
 from truearm.estimate.lm import DAMPING_START
@@ -39,7 +40,7 @@ from truearm.estimate.uncertainty import covariance_root
 from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.kinds.group import unit_columns
 from truearm.model.chain import Chain
-from truearm.types import Floats, ObservationTable, Residuals, SystematicErrors
+from truearm.types import Effect, Floats, ObservationTable, Residuals, SystematicErrors
 
 NOTHING: Mapping[str, float] = MappingProxyType({})
 LEVEL = 0.99  # of consistent sessions that are called so
@@ -79,14 +80,20 @@ def judge(
     params: Floats,
     kept: Mapping[str, float] = NOTHING,
     place: NDArray[np.bool_] | None = None,
+    allowed: Sequence[Effect] = (),
 ) -> Judgement:
     """Judge the robot with parameters (p,) by a table. Raises ProblemError as ``build_problem``.
 
     kept : values of the rig's unknowns that are held and not settled, by name; others are passed over.
+    allowed : systematic errors in all rows that the identification estimated; of them those that are kept are parameters here too.
     place : (p,) parameters of the robot that are fitted to these rows as the rig's unknowns are: where base and tool stand.
     """
     # The known distance between sockets must not help to place them: the error is the spread about each socket.
-    problem = without_knowledge(build_problem(chain, rig, table))
+    plain = build_problem(chain, rig, table)
+    things = {cause.name: cause for cause in plain.causes}
+    mine = [one for one in allowed if one.what in things and set(things[one.what].numbers) <= set(kept)]
+    effects = modelled_effects(plain.causes, mine, Circumstances.of(table))
+    problem = without_knowledge(build_problem(chain, rig, table, None, effects) if effects else plain)
     p = problem.n_robot
     values = [kept.get(name, start) for name, start in zip(problem.names[p:], problem.start[p:], strict=True)]
     x = np.concatenate([params, values])

@@ -30,10 +30,11 @@ from truearm.kinds.registry import regions as regions_of_kinds
 from truearm.model.chain import forward
 from truearm.report.systematic_words import systematic_sentences
 from truearm.text import counted, one_line
-from truearm.types import Figures, Floats, ObservationTable, rms
+from truearm.types import Effect, Figures, Floats, ObservationTable, rms
 from truearm.units import MM, SUFFIXES, UNITS, Scale, key, title
 from truearm.workflows.calibration import Calibration, covariance_of, read_calibration, unseen_of
 from truearm.workflows.inputs import Sources, check_files, hashed_inputs, observed
+from truearm.workflows.selection import parse_effect
 from truearm.workflows.session_parts import with_parts
 
 Mask = NDArray[np.bool_]
@@ -129,13 +130,16 @@ def validated(
     """
     chain, stored = calibration.chain, calibration.stored
     kept = _identified_rig(calibration) if keep_rig else {}
-    raw, after = (judge(chain, rig, table, p, kept) for p in (calibration.nominal, calibration.identified))
+    allowed = _allowed(calibration) if keep_rig else ()
+    raw, after = (
+        judge(chain, rig, table, p, kept, None, allowed) for p in (calibration.nominal, calibration.identified)
+    )
     n_settled, n_kept = int(after.settled.sum()), len(after.identified) - len(calibration.nominal)
     if keep_rig and n_settled and not n_kept:
         names = [name for name, settled in zip(after.problem.names, after.settled, strict=True) if settled]
         text = f": the result identified no unknown of this rig, as {names[0]}; use the names of its rig"
         raise InputError(Argument("keep_rig"), text)
-    before = _placed(calibration, rig, table, raw, kept)
+    before = _placed(calibration, rig, table, raw, kept, allowed)
     judging = before.judging & after.judging
     if not judging.any():
         raise InputError("no row can judge: each fits unknowns of the rig whatever it says; measure more there")
@@ -195,15 +199,32 @@ def _identified_rig(calibration: Calibration) -> dict[str, float]:
     return {name: of.value for name, of in calibration.parameters.items() if of.of == "rig" and math.isfinite(of.value)}
 
 
+def _allowed(calibration: Calibration) -> tuple[Effect, ...]:
+    """The systematic errors that the identification estimated in all rows: what a thing of the rig was off by stays so.
+
+    A slip or a drift within that session says nothing of another one.
+    """
+    made_with = calibration.stored.document.get("made_with")
+    texts = made_with.get("allow") if isinstance(made_with, dict) else None
+    if not (isinstance(texts, list | tuple) and all(isinstance(text, str) for text in texts)):
+        return ()
+    return tuple(one for one in map(parse_effect, texts) if one == Effect(one.what))
+
+
 def _placed(
-    calibration: Calibration, rig: Rigs, table: ObservationTable, raw: Judgement, kept: Mapping[str, float]
+    calibration: Calibration,
+    rig: Rigs,
+    table: ObservationTable,
+    raw: Judgement,
+    kept: Mapping[str, float],
+    allowed: Sequence[Effect],
 ) -> Judgement:
     """The robot as described, once base and tool are placed on the rows; as it is where fewer rows could judge then."""
     chain, stored = calibration.chain, calibration.stored
     place = mounting(chain, calibration.nominal).either & stored.free[stored.of_robot]
     if not place.any():
         return raw
-    found = judge(chain, rig, table, calibration.nominal, kept, place)
+    found = judge(chain, rig, table, calibration.nominal, kept, place, allowed)
     return raw if (raw.judging & ~found.judging).any() else found
 
 
