@@ -207,6 +207,15 @@ def test_one_point_under_two_tools_is_split(tmp_path):
     assert misses(text, corrected(tmp_path, text, split=True)).max() < 1e-6
 
 
+def test_a_move_that_needs_several_values_has_no_remedy(tmp_path):
+    """One move under two tools, whichever was set: numbers of its own would not help."""
+    text = program("if random() > 0.5:", f"set_tcp(p{written(TOOLS[1])})", "end", f"W = {six(POSES[1])}", "movej(W)")
+    with pytest.raises(ProgramRefused) as caught:
+        corrected(tmp_path, text)
+    assert {(one.line, one.remedy) for one in caught.value.refused} == {(6, "")}
+    assert "its tool, frame or offset differs from run to run" in caught.value.refused[0].why
+
+
 def test_thousands_of_straight_moves_are_driven(tmp_path, monkeypatch):
     """The longest among 6,001 bends most; of more than are driven the number is said."""
     near = POSES[1].copy()

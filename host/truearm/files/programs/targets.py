@@ -152,14 +152,17 @@ def _assigned(
                 break
             taken = holder if taken is None else taken
         else:
-            chosen[i] = _split(goal, motion) if split else None
+            own = _split(goal, motion)
+            chosen[i] = own if split else None
             if chosen[i] is None:
                 why = "its target is not written as plain numbers in one place"
                 if taken is not None:
                     line = program.source.line
                     shared, other = line(candidates[i][0].start), line(motions[taken].start)
                     why = f"it needs other numbers in the target of line {shared} than line {other} does"
-                refuse(motion, why, "" if split else "split")
+                    if motions[taken] is motion:
+                        why = f"its tool, frame or offset differs from run to run; each needs other numbers in the target of line {shared}"
+                refuse(motion, why, "" if own is None else "split")
     unique: dict[object, int] = {}
     index: list[int | None] = []
     poses: list[PoseTarget] = []
@@ -268,6 +271,8 @@ def poses_of(targets: Sequence[PoseTarget], known: LiteralPoses | None = None) -
 
 def _products(poses: Sequence[Pose], literals: LiteralPoses) -> Floats:
     """(n, 4, 4) of poses, many of which are one literal or the same object."""
+    if poses and all(pose is poses[0] for pose in poses):  # as tools and frames mostly are
+        return np.broadcast_to(matrix_of(poses[0], literals), (len(poses), 4, 4))
     out = np.empty((len(poses), 4, 4))
     rows: list[tuple[int, int]] = []
     known: dict[int, Floats] = {}
