@@ -78,7 +78,10 @@ def driven(text):
 
 def misses(text, after):
     """(n, 2) [m, rad] how far the true arm's tool ends each move from where a perfect arm's would."""
-    asked, done = driven(text), driven(after)
+    return missed(driven(text), driven(after))
+
+
+def missed(asked, done):
     assert [move.kind for move in asked] == [move.kind for move in done]
     q = np.array([move.q for move in done])
     tools = np.linalg.inv(forward(CHAIN, DESIGN, q)) @ np.array([move.pose for move in done])
@@ -280,6 +283,22 @@ def test_no_move_is_left_uncorrected_in_silence(tmp_path, text, split):
         assert all(one.why and text.splitlines()[one.line - 1].strip() for one in refused)
     else:
         assert misses(text, after).max() < 1e-6
+
+
+@settings(max_examples=15, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(statements(), st.booleans())
+def test_in_part_all_else_is_corrected(tmp_path, text, split):
+    """With ``partial`` each line that is not named as uncorrected has all its moves of the true arm end where they should."""
+    done = outcome(tmp_path, text, split=split, partial=True)
+    asked, corrected_ones = (Controller(CHAIN, DESIGN, Q[0]) for _ in range(2))
+    try:
+        lines = run_urscript(text, asked).lines
+        run_urscript(done.text.decode("latin-1"), corrected_ones)
+    except ProgramFault:
+        assume(False)  # a name that has no value yet
+    assume(len(asked.moves) == len(corrected_ones.moves))
+    wrong = (missed(asked.moves, corrected_ones.moves) > 1e-6).any(axis=1)
+    assert {line for line, is_wrong in zip(lines, wrong, strict=True) if is_wrong} <= {one.line for one in done.refused}
 
 
 # RAPID

@@ -92,6 +92,7 @@ class Machine:
     def __init__(self, controller):
         self.controller, self.routines = controller, {}
         self.scopes = [{}]  # the program's, then one for each call
+        self.lines = []  # of the statements that moved, a line a move
 
     @property
     def variables(self):
@@ -105,6 +106,7 @@ class Machine:
                 i = self._statement(lines, i)
             except ProgramFault as exc:
                 raise exc if "line" in str(exc) else ProgramFault(f"line {number}: {exc}") from exc
+            self.lines += [number] * (len(self.controller.moves) - len(self.lines))
 
     def _statement(self, lines, i):
         """Execute what begins at a line; the line after it."""
