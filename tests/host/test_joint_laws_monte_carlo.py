@@ -127,13 +127,13 @@ def null_ratios(seeds, n, mode):
 
 
 @pytest.mark.soak
-@pytest.mark.parametrize("several", [1, 3])
-def test_predicted_points_are_covered(several):
-    """k = 2 of 0.954 due; variances that are held at their optimum cost some of it."""
+@pytest.mark.parametrize(("several", "low", "high"), [(1, 0.90, 0.98), (3, 0.92, 0.99)])
+def test_predicted_points_are_covered(several, low, high):
+    """k = 2 of 0.954 due; variances that are held at their optimum cost some of it, and what is shared by three points of a pose widens the band."""
     found = covered_worlds(range(WORLDS), 400, several)
     inside, nees, outside, _ = found.mean(axis=0)
-    assert 0.90 <= inside <= 0.98
-    assert 0.90 <= outside <= 0.98
+    assert low <= inside <= high
+    assert low <= outside <= high
     assert found[:, [0, 2]].min() >= 0.75
     assert nees <= 1.5
 
