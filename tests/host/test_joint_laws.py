@@ -200,6 +200,15 @@ def test_the_covariance_covers_points_that_were_not_measured(learned_arm):
     assert np.mean(np.abs(lin.residual) < 2.0 * sigma) > 0.85
 
 
+def test_a_few_poses_that_come_twice_say_nothing_of_what_rows_of_a_pose_share(learned_arm):
+    found, _ = learned_arm
+    rng, table = np.random.default_rng(11), found.table.select(found.estimate.fitted)
+    rows = np.concatenate([np.arange(120), rng.integers(120, size=4)])
+    twice = identified_with(table.select(rows), np.zeros(rows.size, dtype=bool), "sag")
+    assert twice.estimate.joint_laws.kept
+    assert twice.estimate.pose_error is None
+
+
 def test_the_result_file_brings_the_laws_back(learned_arm):
     found, _ = learned_arm
     text = format_document(found.document)

@@ -24,6 +24,7 @@ from truearm.estimate.law_rows import law_rows
 from truearm.estimate.law_systematic import law_systematic
 from truearm.estimate.mean_error import mean_errors
 from truearm.estimate.measured_order import measured_order, poses
+from truearm.estimate.pose_effect import LEAST_SHARE
 from truearm.estimate.pose_noise import PoseNoise
 from truearm.estimate.problem import Rigs, build_problem
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss
@@ -238,9 +239,11 @@ class _Work:
 
 
 def _pose_error(of: LawProblem, noise: PoseNoise) -> PoseError | None:
-    """What the rows of a pose share, where there are poses of several rows."""
-    several = int((np.bincount(of.pose) > 1).sum())
-    return PoseError(math.sqrt(noise.shared), noise.sensor, several) if several and noise.shared else None
+    """What the rows of a pose share, where as many rows as for a fit without laws share theirs."""
+    count = np.bincount(of.pose)
+    if not noise.shared or count[count > 1].sum() < max(LEAST_SHARE * of.pose.size, 1.0):
+        return None
+    return PoseError(math.sqrt(noise.shared), noise.sensor, int((count > 1).sum()))
 
 
 def _step(name: str, estimate: Estimate) -> LawStep:
