@@ -13,8 +13,9 @@ import os
 from . import config
 from .ident import ERROR_MAX, plain
 
-# characters of a configuration's JSON; more would not fit the heap next to the ring, several times over
+# bytes of a configuration's JSON; more would not fit the heap next to the ring, several times over
 SIZE_MAX = 8000
+END = 100  # bytes in which a file has to end
 
 
 def load(path, try_out):
@@ -33,14 +34,15 @@ def load(path, try_out):
 
 def _read(path, try_out):
     try:
-        with open(path) as f:
-            text = f.read(SIZE_MAX + 1)
-        if len(text) > SIZE_MAX:
-            raise ValueError("it is longer than %d characters" % SIZE_MAX)
-        if text.strip()[-1:] != "}":  # MicroPython takes a table that breaks off for a whole one
-            raise ValueError("it is no table, or breaks off")
-        found = config.check(config.completed(json.loads(text)))
-        text = None  # a quarter of what is left of the heap goes into trying out
+        size = os.stat(path)[6]
+        if size > SIZE_MAX:
+            raise ValueError("it is longer than %d bytes" % SIZE_MAX)
+        with open(path, "rb") as f:  # as a stream: a heap that holds the firmware's code may have no 8 kB in one piece
+            f.seek(max(0, size - END))
+            if f.read().strip()[-1:] != b"}":  # MicroPython takes a table that breaks off for a whole one
+                raise ValueError("it is no table, or breaks off")
+            f.seek(0)
+            found = config.check(config.completed(json.load(f)))
         try_out(found)
         return found, None
     except OSError:
