@@ -32,6 +32,7 @@ from machine import mem16, mem32
 from chips import rp2040 as chip
 from drivers import measure
 from drivers.ads131m04_dma import Adc
+from drivers.ds18b20 import Thermometers
 from drivers.lvdt import Excitation
 from drivers.magnetostrictive import Magnetostrictive
 from drivers.triggers import Triggers
@@ -46,11 +47,13 @@ BOOT_WINDOW_MS = 2000
 CONVERTER_PINS = (16, 17, 18, 19, 20, 21, 22)  # DOUT, CS, SCLK, DIN, DRDY, SYNC/RESET, CLKIN
 HEAD_PINS = (2, 3)  # interrogation, stop
 TRIGGER_PINS = 6  # and 7, inputs; 8, output
+THERMOMETER_PIN = 9
 LVDT_PINS = (10, 12, 14)  # excitation, clocks of the secondary's and the primary's demodulator
 LED_PIN = 25
 CONVERTER_MACHINE = 0  # and 1, state machines of PIO 0; the triggers' is there too
 TRIGGER_MACHINE = 2
 HEAD_BLOCK = 1  # the head takes three machines of PIO 1
+THERMOMETER_MACHINE = 7  # the fourth
 RAIL_5V_ADC = 1  # GP27, behind a divider by three
 TEMPERATURE_ADC = 4
 TX_MAX = 256  # bytes that fit MicroPython's FIFO; its packet buffer of 64 is free too when the endpoint rests
@@ -103,6 +106,7 @@ class Board:
         self._triggers = Triggers(machine, rp2, chip, TRIGGER_PINS, TRIGGER_MACHINE)
         self.adc = Adc(machine, rp2, chip, CONVERTER_PINS, CONVERTER_MACHINE)
         self.mag = Magnetostrictive(machine, rp2, chip, HEAD_PINS, HEAD_BLOCK)
+        self.thermometers = Thermometers(machine, rp2, chip, THERMOMETER_PIN, THERMOMETER_MACHINE)
         Excitation(machine, chip, LVDT_PINS)
         self.edge = self._triggers.edge
         self.output = self._triggers.output
@@ -264,5 +268,6 @@ class Board:
         self.adc.stop()  # whoever is at the prompt may free the buffers that DMA writes into
         self.mag.halt()
         self._triggers.stop()
+        self.thermometers.stop()
         self._led.off()
         micropython.kbd_intr(3)

@@ -96,6 +96,8 @@ golden("heartbeat-1.0", array(18, u32(10), u32(0xDEADBEEF), u64(10**9), *BEAT))
 golden(
     "heartbeat-cold", array(18, u32(10), u32(1), u64(10**6), 1, 0, 0, 0, 0, 0, 0, 70000, -5250, 2, 0, *[0] * APPENDED)
 )
+golden("temperature", array(20, u32(14), u64(5_000_000_123), 0, 20_062))
+golden("temperature-cold", array(20, u32(15), u64(2**32 - 1), 3, -40_000))
 golden("ident-page", array(19, u32(0), 0, 0, 1, cbor2.dumps(IDENT_DOCUMENT[:200])))
 golden("ident-full-page", array(19, u32(1), 2**30 - 1, 31, 32, cbor2.dumps(bytes(range(200)))))
 golden("sync-request", array(32, 5))

@@ -11,6 +11,7 @@
                               finishes the frame whose payload is buf[at + HEAD:end], as frame.close does, with the time now in the 8 bytes
                               at place, and sends it, with as little between as it can. 0: the link takes nothing, nothing was changed
     adc, mag                  the sources of samples, see below
+    thermometers              the thermometers' bus, see below
     configure(settings)       the configuration (config.DEFAULT shows one) is in force from now on: gains, blanking and time-out, the
                               watchdog. At boot and whenever it changed, never while sampling
     edge(edge) → bool         if a trigger edge waits: line, rising, stamp (1, 1, 4 bytes) to edge. Lines 0 and 1 are the inputs, 2 is
@@ -40,6 +41,13 @@ A source samples by itself, in hardware, into a buffer of its own:
     crc_errors, resets        counters since boot that wrap at 2^30 (adc: frames with a wrong CRC, resets of the converter by itself)
     missing                   the same (mag: samples without a stop, which are 0)
 
+The thermometers' bus is never waited for:
+
+    uids                      tuple of addresses (8 bytes each) of the thermometers that were found at boot
+    begin(uid)                begin to read the one of this address; None: tell all to convert
+    step() → state            do a little of it: 0 there is more to do, 1 it is done, 2 it failed: no answer, or a wrong one
+    mdegc                     what was read, thousandths of a degree Celsius
+
 None of them may allocate but configure, self_test, output, console, reset, to_repl and boot_loader.
 
 Functions of the way of samples that need many words are native code (`micropython.native`): MicroPython takes the frame of a bytecode
@@ -63,6 +71,7 @@ from .ring import Events, Ring
 from .settings import Settings
 from .storage import keep_error
 from .stream import Streams
+from .temperatures import Temperatures
 from .toggle import Toggle
 
 EDGES_A_STEP = 8  # a line that nobody terminated may have edges faster than they can be handled
@@ -74,8 +83,9 @@ class Box:
         self._ring = Ring(board.ring_slots)
         self.link = Link(board)
         self.streams = Streams(board, self._ring)
-        self.settings = Settings(board)
-        self.health = Health(board)  # from here on memory is collected by call alone
+        self.temperatures = Temperatures(board)
+        self.settings = Settings(board, self.temperatures)
+        self.health = Health(board, self.temperatures)  # from here on memory is collected by call alone
         self.commands = Commands(board, self.link, self.streams, self.health, self.settings)
         self._splitter = Splitter()
         self._rx = bytearray(64)
@@ -102,6 +112,8 @@ class Box:
         if self.toggle.step(self.streams.running, self.settings.trigger_ms):
             busy = True
         if self._keep_edges():
+            busy = True
+        if self.temperatures.step(start):
             busy = True
         if self.link.pump():
             busy = True
@@ -130,6 +142,9 @@ class Box:
             return True
         if self._events.used:
             self._send_event()
+            return True
+        if self.temperatures.ready:
+            self.temperatures.send(self.link)
             return True
         if self.health.due():
             bad = self._splitter.bad_frames + self.commands.bad

@@ -13,6 +13,7 @@ PERIOD_MIN_NS = 100000
 PERIOD_MAX_NS = 1000000000
 TRIGGER_MIN_MS = 10
 TRIGGER_MAX_MS = 16000  # a 65536th part of it, times 65535, is a small integer
+THERMOMETERS = 4  # that a configuration can name
 REARM_NS = 10000  # between the time-out and the next interrogation
 DEFAULT = {
     "version": VERSION,
@@ -67,6 +68,7 @@ def check(config):
     if not isinstance(debounce, list) or len(debounce) != 2 or not all(_within(us, 0, 1000000) for us in debounce):
         raise ValueError("debounce_us is two times of 0 to 1000000")
     _check_trigger(config.get("trigger_ms", DEFAULT["trigger_ms"]))
+    _check_thermometers(config.get("thermometers", {}))
     if config.get("watchdog_ms") != 0 and not _within(config.get("watchdog_ms"), 100, 8000):
         raise ValueError("watchdog_ms is 0 or 100 to 8000")
     return config
@@ -134,6 +136,18 @@ def _check_trigger(limits):
         raise ValueError(
             "trigger_ms is [0, 0] or two times, %d to %d, the second longer" % (TRIGGER_MIN_MS, TRIGGER_MAX_MS)
         )
+
+
+def _check_thermometers(named):
+    if not isinstance(named, dict) or len(named) > THERMOMETERS:
+        raise ValueError("thermometers is a table of at most %d" % THERMOMETERS)
+    for name, uid in named.items():
+        if not 1 <= len(name) <= 32:
+            raise ValueError("a thermometer's name has 1 to 32 characters")
+        if not isinstance(uid, str) or len(uid) != 16 or any([digit not in "0123456789abcdef" for digit in uid]):
+            raise ValueError("the address of thermometer %s is 16 hexadecimal digits" % name)
+    if len(set(named.values())) < len(named):
+        raise ValueError("two thermometers have the same address")
 
 
 def _check_magnetostrictive(sensor):

@@ -22,10 +22,11 @@ FAULT = 3
 
 
 class Health:
-    def __init__(self, board):
+    def __init__(self, board, temperatures):
         gc.collect()  # what booting left: 160 kB on the chip
         gc.disable()
         self._board = board
+        self.temperatures = temperatures
         self._now = bytearray(8)
         self._due = bytearray(8)
         self._time = bytearray(8)
@@ -90,6 +91,7 @@ class Health:
         link.put_int(self._board.adc.crc_errors)
         link.put_int(self._board.adc.resets)
         link.put_int(self._board.mag.missing)
+        link.put_int(self.temperatures.errors)
         link.send()
         self.loop_max_us = 0
         self.gc_max_us = 0

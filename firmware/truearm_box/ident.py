@@ -5,6 +5,7 @@ from truearm_wire.messages import STREAM_ADC, STREAM_MAG
 from truearm_wire.version import VERSION
 
 from .config import group_delay_ns
+from .temperatures import thermometers
 
 FAULT_MAX = 400  # characters
 ERROR_MAX = 600
@@ -27,6 +28,9 @@ def document(board, config, osr, mag_period_ns, fault, last_error):
     }
     if mag_period_ns:
         found["streams"].append(_mag(config["magnetostrictive"], mag_period_ns))
+    described = [{"name": name, "uid": uid} for name, uid in thermometers(config, board.thermometers.uids)]
+    if described:
+        found["thermometers"] = described
     if fault:
         found["fault"] = plain(fault, FAULT_MAX)
     if last_error:

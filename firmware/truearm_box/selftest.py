@@ -6,6 +6,7 @@ noise_0 … noise_3   nV RMS with the inputs shorted, at gain 1 and osr 4096: ab
 stops               of 16 interrogations
 rail_5v             mV; USB allows 4.4 to 5.5 V
 temperature         thousandths of a degree Celsius
+thermometers_missing  of those that the configuration names
 """
 
 LIMITS = {  # name: unit, low, high
@@ -18,6 +19,7 @@ LIMITS = {  # name: unit, low, high
     "stops": ("", 15, 16),
     "rail_5v": ("mV", 4400, 5500),
     "temperature": ("mdegC", -20000, 70000),
+    "thermometers_missing": ("", 0, 0),
 }
 
 WORDS = {
@@ -30,6 +32,7 @@ WORDS = {
     "stops": "stop pulses of 16 interrogations",
     "rail_5v": "the supply of 5 V",
     "temperature": "the chip's temperature",
+    "thermometers_missing": "thermometers of the configuration that do not answer",
 }
 
 

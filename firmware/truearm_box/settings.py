@@ -5,15 +5,16 @@ import gc
 from truearm_wire.cbor import decode, encode
 from truearm_wire.messages import PAGE_BYTES, STREAM_ADC, pages
 
-from . import config, ident, selftest, storage
+from . import config, ident, selftest, storage, temperatures
 
 PAGES_MAX = 16  # of a configuration: 3200 bytes
 ROOM = 60000  # for commands (health.py): bytes of heap that a configuration has to leave: of many small parts it may be 40 times its size
 
 
 class Settings:
-    def __init__(self, board):
+    def __init__(self, board, temperatures):
         self._board = board
+        self._temperatures = temperatures
         self._parts = []  # pages of a configuration that is being put
         self._pages = 0
         self.last_error = storage.last_error(board.error_path)
@@ -27,6 +28,7 @@ class Settings:
         self.mag_period_ns = self.config["magnetostrictive"]["period_ns"]
         self.trigger_ms = self.config.get("trigger_ms", config.DEFAULT["trigger_ms"])  # a host of 1.1 leaves it out
         self._board.configure(self.config)
+        self._temperatures.configure(self.config)
 
     def _try_out(self, found):
         """What cannot be told to the host must not stop the box from booting: raises ValueError for it."""
@@ -52,7 +54,11 @@ class Settings:
 
     def self_test(self):
         """Test the board; returns the results."""
-        results = selftest.judge(self._board.self_test(self.config))
+        measured = self._board.self_test(self.config)
+        missing = temperatures.missing(self.config, self._board.thermometers.uids)
+        if missing is not None:
+            measured["thermometers_missing"] = missing
+        results = selftest.judge(measured)
         self.test_fault = selftest.failure(results)
         return results
 

@@ -7,9 +7,10 @@
 
 import { attach as adc } from './ads131m04.mjs';
 import { attach as mag } from './magnetostrictive.mjs';
+import { attach as thermometers } from './thermometers.mjs';
 import { attach as triggers } from './triggers.mjs';
 
-const PARTS = { adc, mag, triggers }; // names in control messages
+const PARTS = { adc, mag, thermometers, triggers }; // names in control messages
 
 /** All parts as one. */
 export function attachParts(pico, signals) {

@@ -24,14 +24,17 @@ from truearm.errors import LinkError
 from .micropython import Interpreter
 
 HEAP_KIB = 237  # free heap of MicroPython 1.25 on an RP2040, for the chip's 32-bit words
-GRANT = struct.Struct(">cBHHQiBBHQHQ")
+GRANT = struct.Struct(">cBHHQiBBHQHQB")
 ANSWER = struct.Struct(">cBBHIHHBHI")
 RECORD = 20  # bytes a sample of the converter takes in a grant: stamp and four counts
 MAG_RECORD = 8  # a sample of the magnetostrictive head: stamp and ticks
 SAMPLES_MAX = 112  # of each
 RX_MAX = 512
 EDGE = 6
-EDGES_MAX = 32  # 512 + 112 * 28 + 32 * 6 bytes stay below the 4096 that a pipe passes in one piece
+EDGES_MAX = 32
+THERMOMETER = struct.Struct(">8si")
+THERMOMETERS_MAX = 8  # 512 + 112 * 28 + 32 * 6 + 8 * 12 bytes stay below the 4096 that a pipe passes in one piece
+NO_ANSWER = 0x7FFFFFFF  # of a thermometer
 
 STALL, CRASH, QUIT = 1, 2, 4
 POWER, WATCHDOG, COMMAND = 1, 2, 3
@@ -181,22 +184,29 @@ class BoxProcess:
         flags: int = 0,
         fault: int = 0,
         temperature_mdegc: int = 25000,
+        thermometers: bytes = b"",
     ) -> Answer:
         """One step. `samples` (`mag`) are records of 20 (8) bytes, the first with index `index` since the start of sampling.
 
-        ``fault`` is of the last converter sample. Raises BoxDied if the process has ended.
+        ``fault`` is of the last converter sample; ``thermometers`` are records of THERMOMETER, all of them in each grant. Raises BoxDied if the process has ended.
         """
         assert self._process.stdin is not None
         n_samples, n_mag, n_edges = len(samples) // RECORD, len(mag) // MAG_RECORD, len(edges) // EDGE
-        if max(n_samples, n_mag) > SAMPLES_MAX or len(rx) > RX_MAX or n_edges > EDGES_MAX:
+        n_thermometers = len(thermometers) // THERMOMETER.size
+        if (
+            max(n_samples, n_mag) > SAMPLES_MAX
+            or len(rx) > RX_MAX
+            or n_edges > EDGES_MAX
+            or n_thermometers > THERMOMETERS_MAX
+        ):
             raise ValueError("more than fits a grant")
-        where = (now_us, temperature_mdegc, n_edges, fault, n_samples, index, n_mag, mag_index)
+        where = (now_us, temperature_mdegc, n_edges, fault, n_samples, index, n_mag, mag_index, n_thermometers)
         head = GRANT.pack(b"G", flags, len(rx), max(0, min(tx_room, 0xFFFF)), *where)
         try:
             # two writes of at most 4096 bytes: each arrives in one piece
             os.write(self._process.stdin.fileno(), head)
-            if rx or samples or mag or edges:
-                os.write(self._process.stdin.fileno(), rx + samples + mag + edges)
+            if body := rx + samples + mag + edges + thermometers:
+                os.write(self._process.stdin.fileno(), body)
         except BrokenPipeError:
             raise BoxDied(self._last_words()) from None
         return self._answer()

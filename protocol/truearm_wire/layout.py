@@ -38,6 +38,7 @@ LAYOUT = {
         "crc_errors:counter",
         "converter_resets:counter",
         "missing_stops:counter",
+        "thermometer_errors:counter",
     ),
     19: (
         "seq:u32",
@@ -45,6 +46,12 @@ LAYOUT = {
         "page",
         "pages",
         "data",
+    ),
+    20: (
+        "seq:u32",
+        "t_us:u64",
+        "thermometer",
+        "temperature_mdegc",
     ),
     33: (
         "seq:u32",
@@ -94,4 +101,4 @@ LAYOUT = {
 }
 
 # elements at the end of a layout that minor versions appended: an older box does not send them
-APPENDED = {18: 3}
+APPENDED = {18: 4}

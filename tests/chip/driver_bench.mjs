@@ -12,6 +12,7 @@ import { Flash } from '../../hil_sim/chip/flash.mjs';
 import { attach as attachConverter } from '../../hil_sim/chip/ads131m04.mjs';
 import { attach as attachHead } from '../../hil_sim/chip/magnetostrictive.mjs';
 import { Pico } from '../../hil_sim/chip/pico.mjs';
+import { attach as attachThermometers } from '../../hil_sim/chip/thermometers.mjs';
 import { attach as attachTriggers } from '../../hil_sim/chip/triggers.mjs';
 
 const MS = 1e6;
@@ -43,7 +44,7 @@ const signals = {
     return flightPs;
   },
 };
-const parts = { adc: attachConverter(pico, signals), mag: attachHead(pico, signals), triggers: attachTriggers(pico) };
+const parts = { adc: attachConverter(pico, signals), mag: attachHead(pico, signals), thermometers: attachThermometers(pico), triggers: attachTriggers(pico) };
 pico.watchPin(OUTPUT, (level, tNs) => outputs.push([level ? 1 : 0, tNs]));
 
 function expect(text) {

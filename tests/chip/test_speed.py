@@ -6,10 +6,11 @@ import numpy as np
 
 from tests.wire_frames import command
 from truearm_sim.hardware import Edge
-from truearm_wire.messages import CONFIGURE, EVENT, IDENT, IDENTIFY, START, STOP, SYNC_REPLY, SYNC_REQUEST
+from truearm_wire.messages import CONFIGURE, EVENT, IDENT, IDENTIFY, START, STOP, SYNC_REPLY, SYNC_REQUEST, TEMPERATURE
 
 from .conftest import MS
 from .test_box import blocks, heartbeats, indices
+from .test_thermometers import there
 
 OSR = 1024  # 4069 Hz
 PERIOD_NS = 240 * OSR
@@ -17,8 +18,9 @@ RINGS_US = 1e-3 * 669 * PERIOD_NS  # what the converter's ring holds, the shorte
 
 
 def test_at_4_khz_nothing_is_lost_no_memory_is_asked_for_and_the_rings_cover_the_longest_loop(power_on, tmp_path):
-    """Both sources, trigger edges, sync requests, and the longest command that is allowed while streaming."""
+    """Both sources, trigger edges, two thermometers, sync requests, and the longest command that is allowed while streaming."""
     chip = power_on()
+    chip.hardware.control(there(20_000, -5_000)[0])
     chip.boot()
     chip.ask(CONFIGURE, 0, OSR)
     chip.ask(START, ms=10)
@@ -35,6 +37,7 @@ def test_at_4_khz_nothing_is_lost_no_memory_is_asked_for_and_the_rings_cover_the
         assert len(steps) > (10_000, 2500)[stream]
         assert (steps == (4 if stream == 0 else 1)).all()
     assert all(f[7] == 0 for f in blocks(found, 0) + blocks(found, 1))
+    assert {(f[3], f[4]) for f in found if f[0] == TEMPERATURE} == {(0, 20_000), (1, -5_000)}
     kinds = [f[0] for f in found]
     assert kinds.count(EVENT) == 50
     assert kinds.count(SYNC_REPLY) == 5

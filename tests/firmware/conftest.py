@@ -7,7 +7,7 @@ import pytest
 
 from tests.wire_frames import command, frames
 from truearm_sim import micropython
-from truearm_sim.box import BoxProcess, BoxSetup, write_flash
+from truearm_sim.box import NO_ANSWER, THERMOMETER, BoxProcess, BoxSetup, write_flash
 from truearm_wire import messages
 
 OSR = 4096
@@ -40,17 +40,23 @@ def shots(index: int, n: int, t_start_us: int = 0, missing: frozenset[int] = fro
 class Bench:
     """A box that was booted at time 0, and the shortest way to talk to it."""
 
-    def __init__(self, interpreter, flash=None, boot_id=0xDEADBEEF, **setup):
+    def __init__(self, interpreter, flash=None, boot_id=0xDEADBEEF, thermometers=(), **setup):
+        """``thermometers``: (uid, m°C) each, of which None does not answer."""
         self.box = BoxProcess(interpreter, BoxSetup(**setup), boot_id, flash=flash)
+        self.thermometers = thermometers
         self.now_us = 0
         self.index = 0
         self.req_id = 1000
-        self.boot = frames(self.box.grant(0).tx)
+        self.boot = frames(self._grant().tx)
 
     def give(self, us=1000, **grant):
         self.now_us += us
-        self.answer = self.box.grant(self.now_us, **grant)
+        self.answer = self._grant(**grant)
         return frames(self.answer.tx)
+
+    def _grant(self, **grant):
+        records = [THERMOMETER.pack(uid, NO_ANSWER if mdegc is None else mdegc) for uid, mdegc in self.thermometers]
+        return self.box.grant(self.now_us, thermometers=b"".join(records), **grant)
 
     def start(self):
         assert self.give(rx=command(49, 1, 0, OSR))[0][:1] == [64]

@@ -39,7 +39,7 @@ def assert_contiguous(blocks, start=0):
 
 def test_boot_sends_ident_and_heartbeat(bench):
     document = ident_document(bench.boot)
-    assert document["protocol"] == [1, 2]
+    assert document["protocol"] == [1, 3]
     assert document["boot_id"] == 0xDEADBEEF
     assert document["uid"] == bytes.fromhex("e6614103e7452b2f")
     stream = document["streams"][0]

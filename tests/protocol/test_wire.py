@@ -24,7 +24,19 @@ CHECK = Path(__file__).with_name("check_vectors.py")
 
 
 CONSTANTS = (
-    *("DATA", "EVENT", "HEARTBEAT", "IDENT", "SYNC_REQUEST", "SYNC_REPLY", "IDENTIFY", "CONFIGURE", "START", "STOP"),
+    *(
+        "DATA",
+        "EVENT",
+        "HEARTBEAT",
+        "IDENT",
+        "TEMPERATURE",
+        "SYNC_REQUEST",
+        "SYNC_REPLY",
+        "IDENTIFY",
+        "CONFIGURE",
+        "START",
+        "STOP",
+    ),
     *("GET_CONFIG", "PUT_CONFIG", "SELF_TEST", "TO_REPL", "RESET", "PULSE", "REPLY", "ERROR"),
 )
 
@@ -49,13 +61,13 @@ def run_check(command: list[str]) -> str:
 
 
 def test_golden_vectors_on_cpython():
-    assert run_check([sys.executable]).startswith("30 golden, 11 corrupted, 0 failed on cpython")
+    assert run_check([sys.executable]).startswith("32 golden, 11 corrupted, 0 failed on cpython")
 
 
 def test_golden_vectors_on_micropython():
     interpreter = micropython.find()
     assert interpreter is not None, "make micropython gets one"
-    assert run_check([str(interpreter.path)]).startswith("30 golden, 11 corrupted, 0 failed on micropython")
+    assert run_check([str(interpreter.path)]).startswith("32 golden, 11 corrupted, 0 failed on micropython")
 
 
 def test_every_frame_type_has_a_vector():

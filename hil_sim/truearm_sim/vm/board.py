@@ -6,9 +6,10 @@ stands still in between, so a run is deterministic, and as fast as the two proce
 thing with grants given by the wall clock. (The parent's half is truearm_sim/box.py.)
 
     grant   "G" flags  n_rx:u16  tx_room:u16  now:u64  temperature:i32  n_edges:u8  fault:u8
-            n_adc:u16  index_adc:u64  n_mag:u16  index_mag:u64
+            n_adc:u16  index_adc:u64  n_mag:u16  index_mag:u64  n_thermometers:u8
             then rx bytes, samples of the converter (stamp:u32, 4 x i32 little endian), of the magnetostrictive head (stamp:u32,
-            ticks:i32 little endian), edges (line, rising, stamp:u32); 4096 bytes at most
+            ticks:i32 little endian), edges (line, rising, stamp:u32), thermometers (uid:8, temperature:i32, 0x7fffffff: it does not
+            answer); 4096 bytes at most
     answer  "D" flags  led:u8  osr:u16  mag_period:u32  watchdog_ms:u16  rx_room:u16  starts:u8  n_tx:u16
             wake:u32, then tx bytes
 
@@ -23,17 +24,19 @@ import gc
 import json
 import sys
 
+from truearm_box.temperatures import DONE, FAILED
 from truearm_wire.fast import add, copy
 from truearm_wire.frame import close
 from truearm_wire.messages import COUNTER, FLAG_CONVERTER, FLAG_MISSING_STOP
 
-GRANT = 40
+GRANT = 41
 ANSWER = 20
 MESSAGE_MAX = 4096  # what a pipe passes in one piece
 TX_MAX = 16384
 RX_MAX = 1024
 FIFO = 512  # samples: half a second at 1 kHz
 EDGE = 6
+THERMOMETER = 12
 EDGES = 64  # that the board holds
 STAMP = 4
 TICK_NS = 8
@@ -167,6 +170,45 @@ class Source:
         return FLAG_MISSING_STOP
 
 
+class Thermometers:
+    """The bus of thermometers: each answers at once with what the parent said last."""
+
+    def __init__(self):
+        self._records = bytearray()
+        self._uid = None
+        self.uids = ()
+        self.mdegc = 0
+
+    def latch(self, body, at, n):
+        """What the parent says of n thermometers; allocates at the first grant alone."""
+        if len(self._records) != n * THERMOMETER:
+            self._found(body, at, n)
+        copy(self._records, 0, body, at, n * THERMOMETER)
+
+    def _found(self, body, at, n):
+        self._records = bytearray(n * THERMOMETER)
+        self.uids = tuple([bytes(body[at + i * THERMOMETER :][:8]) for i in range(n)])
+
+    def begin(self, uid):
+        self._uid = uid
+
+    def step(self):
+        answered = FAILED
+        for i in range(len(self.uids)):
+            at = i * THERMOMETER
+            if self._records[at + 8] == 127:
+                continue
+            if self._uid is None:
+                answered = DONE
+            elif self.uids[i] == self._uid:
+                high = self._records[at + 8]
+                self.mdegc = (high - 256 if high & 128 else high) * 16777216 + (
+                    self._records[at + 9] << 16 | self._records[at + 10] << 8 | self._records[at + 11]
+                )
+                answered = DONE
+        return answered
+
+
 class Board:
     name = "vm"
 
@@ -182,6 +224,7 @@ class Board:
         self._measured = setup["self_test"]
         self.adc = Source(4)
         self.mag = Source(1)
+        self.thermometers = Thermometers()
         self._head = bytearray(GRANT)
         self._body = bytearray(MESSAGE_MAX)
         self._rx = bytearray(RX_MAX)  # a ring, as the next
@@ -260,7 +303,8 @@ class Board:
         adc_at = n_rx
         mag_at = adc_at + n_adc * (STAMP + self.adc.sample)
         edges_at = mag_at + n_mag * (STAMP + self.mag.sample)
-        size = edges_at + head[18] * EDGE
+        thermometers_at = edges_at + head[18] * EDGE
+        size = thermometers_at + head[40] * THERMOMETER
         if size:
             self._read_exactly(self._body, size)
         self._take_rx(n_rx)
@@ -273,6 +317,8 @@ class Board:
             self.adc.crash = True
         self.adc.latch(self._body, adc_at, n_adc, head, 22, head[19])
         self.mag.latch(self._body, mag_at, n_mag, head, 32, 0)
+        if head[40]:
+            self.thermometers.latch(self._body, thermometers_at, head[40])
         return head[1] & 1
 
     def _take_rx(self, n):
