@@ -54,6 +54,9 @@ class Level:
     def flight_times(self, k0: int, k1: int, start_ns: int, period_ns: int) -> np.ndarray[Any, Any]:
         return np.full(k1 - k0, 100_000_000, dtype=np.int64)
 
+    def thermometers(self, device_us: int) -> tuple[tuple[bytes, int], ...]:
+        return ()
+
 
 @dataclass(frozen=True)
 class Run:

@@ -104,6 +104,7 @@ class ChipBox:
         }
         self._signals = boot.signals
         self.host_gone = False
+        self._told: tuple[tuple[bytes, int], ...] = ()
         self._output = False
         self._first_ns: list[int | None] = [None, None]
         self._stderr = tempfile.TemporaryFile()
@@ -122,6 +123,7 @@ class ChipBox:
         for flag, message in _FAULTS.items():
             if flags & flag:
                 self.control(message)
+        self._warm(device_us)
         head = GRANT.pack(
             b"G",
             (CLOSED if self.host_gone else 0) | (STALLED if flags & STALL else 0),
@@ -146,6 +148,14 @@ class ChipBox:
     def close(self) -> None:
         """End the emulator: the power is gone."""
         end_process(self._process, self._stderr)
+
+    def _warm(self, device_us: int) -> None:
+        """Tell the thermometers what they measure, where that has changed."""
+        now = self._signals.thermometers(device_us)
+        if now != self._told:
+            self._told = now
+            each = [{"uid": uid.hex(), "mdegc": mdegc} for uid, mdegc in now]
+            self.control({"part": "thermometers", "thermometers": each})
 
     def _answer_query(self) -> None:
         stream, n, index, t_ns, period_ns = QUERY.unpack(self._read(QUERY.size))

@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .box import Answer, BoxSetup
+from .sensors import CALIBRATED_MDEGC
 from .world import World
 
 # What a grant may do to the box besides letting it run.
 STALL, CRASH, BAD_CRC, CONVERTER_RESET = 1, 2, 4, 8
-TEMPERATURE_MDEGC = 24_500
+TEMPERATURE_MDEGC = CALIBRATED_MDEGC  # of the box, unless the world warms up
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,11 @@ class Signals:
             for begin, end in self.no_stop:
                 flights = np.where((t >= begin) & (t < end), -1, flights)
         return flights
+
+    def thermometers(self, device_us: int) -> tuple[tuple[bytes, int], ...]:
+        """Address and m°C of each thermometer on the wire, so long after boot."""
+        t = self.world.clocks.device.true(np.array([1e-9 * self.boot_device_ns + 1e-6 * device_us]))
+        return self.world.thermometers(float(t[0]))
 
 
 @dataclass(frozen=True)

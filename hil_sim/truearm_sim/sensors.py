@@ -65,6 +65,9 @@ def group_delay_ns(osr: int) -> int:
     return MODULATOR_NS * (3 * (sinc - 1) + (osr - sinc)) // 2
 
 
+CALIBRATED_MDEGC = 24_500  # of the box, when its LVDT was calibrated
+
+
 def calibration(poly: Poly = POLY, serial: str = "sim-lvdt") -> dict[str, Any]:
     """What the box's ident says of a channel, the LVDT's by default (protocol/SPEC.md §5)."""
     return {"unit": "m", "poly": [list(pair) for pair in poly], "serial": serial, "date": "2026-01-01"}

@@ -143,7 +143,7 @@ class SimulatedBox:
         sent = 0
         assert self._hardware is not None
         for answer in self._hardware.advance(
-            self.device_us(t_ns), rx, self._due_edges(t_ns), room, flags, TEMPERATURE_MDEGC
+            self.device_us(t_ns), rx, self._due_edges(t_ns), room, flags, self._temperature_mdegc(t_ns)
         ):
             self._note(answer, t_ns)
             sent += len(answer.tx)
@@ -207,6 +207,9 @@ class SimulatedBox:
         self._edges = self._edges[len(due) :]
         timed = [Edge(self._device_ns(edge.t_ns), edge.line, edge.rising) for edge in due]
         return [edge for edge in timed if edge.t_ns >= 0]
+
+    def _temperature_mdegc(self, t_ns: int) -> int:
+        return TEMPERATURE_MDEGC + round(1e3 * self._world.box_warmer(1e-9 * t_ns))
 
     def _toggled(self, t_ns: int, level: bool) -> None:
         self.output = level

@@ -60,6 +60,7 @@ class VmBox:
         """See ``Hardware``."""
         self._rx += rx
         pending = list(edges)
+        thermometers = b"".join(box.THERMOMETER.pack(*one) for one in self._signals.thermometers(device_us))
         flying = (box.FAULT_CRC if flags & BAD_CRC else 0) | (box.FAULT_RESET if flags & CONVERTER_RESET else 0)
         while True:
             adc, adc_index = _taken(self._adc, device_us, self._adc_records)
@@ -78,6 +79,7 @@ class VmBox:
                 flags=(box.STALL if flags & STALL else 0) | (box.CRASH if flags & CRASH else 0),
                 fault=flying if adc else 0,
                 temperature_mdegc=temperature_mdegc,
+                thermometers=thermometers,
             )
             flags &= STALL
             flying = 0 if adc else flying

@@ -21,13 +21,14 @@ from truearm.plan.branches import branch_of
 from truearm.plan.first_rig import bars, first_rig, triangle
 from truearm.plan.forecast import Known
 from truearm.plan.shells import plan_shells
-from truearm.types import Floats, Plan, Rig
+from truearm.types import REFERENCE_DEGC, Floats, Plan, Rig
 from truearm_sim import sensors
 from truearm_sim.arm import Arm
 from truearm_sim.clocks import Clock, Clocks, draw_clocks
 from truearm_sim.line_device import REACH, Flaws, LineDevices, Placement, place_devices, written_down
 from truearm_sim.paths import line_paths
 from truearm_sim.robot import Controller, Inputs, States, new_pairing
+from truearm_sim.thermal import Thermal
 from truearm_sim.true_robot import PAPER, moving, true_params
 
 NO_BAR = (math.nan,) * 4  # zero, gain, travel and sigma at rows of a plan with the bar off
@@ -123,6 +124,7 @@ class World:
         flaws: Flaws | None = None,
         robot_input: RobotInput | None = None,
         robot: Robot | None = None,
+        thermal: Thermal | None = None,
     ) -> None:
         """``robot``: the PUMA 560 by default. ``params`` (p,): as it truly is, default ``true_params``; ``clocks``: drawn from the seed.
 
@@ -130,6 +132,7 @@ class World:
         where lines are driven. A share ``lost_stops`` of its shots has no stop pulse. ``arm``: a stiff one by default.
         ``robot_delay_s``: how late the robot's readings are. ``flaws``: what the line device does beside what it says.
         ``robot_input``: what the box's trigger output is wired to, which then is configured to toggle; None: nothing.
+        ``thermal``: how bar and sensor warm up; None: not at all, and the box has no thermometers.
         Raises PlanError when the plan names something that the rig does not have, and for a line that cannot be driven.
         """
         robot = robot or builtin_robot(PAPER)
@@ -155,6 +158,7 @@ class World:
         self.placed = place_devices(plan, paths, self.chain, self.params, self.rig, seed)
         self.rig = written_down(self.rig, self.placed, seed)
         self._flaws = flaws or Flaws()
+        self._thermal = thermal
         self._devices: LineDevices | None = None
         if paths:
             self._devices = LineDevices(self.controller, self.chain, self.params, self.rig, self.placed, seed)
@@ -266,8 +270,29 @@ class World:
         shown_ns = device_ns - sensors.group_delay_ns(period // sensors.MODULATOR_NS)
         t = self.clocks.device.true(1e-9 * shown_ns)
         pose = self.controller.pose[self.controller.stop_index(t)]
-        extension = (self.length(t) - self._zero[pose]) / self._gain[pose]
+        longer, larger = self._warmed(t)
+        extension = (self.length(t) - self._zero[pose] * longer) / (self._gain[pose] * larger)
         return sensors.sample_counts(extension, self.seed, block, self.transverse(t))
+
+    def _warmed(self, t: Floats) -> tuple[Floats, Floats]:
+        """By what the bar's zero and its sensor's gain (m,) are multiplied at true times t (m,)."""
+        thermal = self._thermal
+        if thermal is None:
+            return np.ones(t.size), np.ones(t.size)
+        bar, sensor = (thermal.degc(name, t / self.duration) - REFERENCE_DEGC for name in ("bar", "sensor"))
+        return 1.0 + thermal.expansion * bar, 1.0 + thermal.gain_drift * sensor
+
+    def thermometers(self, t: float) -> tuple[tuple[bytes, int], ...]:
+        """Address and m°C of each thermometer on the box's wire at true time t."""
+        return self._thermal.readings(t / self.duration) if self._thermal else ()
+
+    def box_warmer(self, t: float) -> float:
+        """By how much the box is warmer at true time t than where it would be [K]."""
+        return (
+            float(self._thermal.degc("box", np.array([t / self.duration]))[0]) - REFERENCE_DEGC
+            if self._thermal
+            else 0.0
+        )
 
     def transverse(self, t: Floats) -> Floats | None:
         """The magnet before the transverse sensors (m, 2) [m] at true times t (m,), NaN out of reach; None without a line device."""
@@ -319,7 +344,7 @@ class World:
         if self._devices is not None:
             for channel, poly, letter in zip(channels[1:], sensors.TRANSVERSE_POLY, "ab", strict=False):
                 channel["calibration"] = sensors.calibration(poly, f"sim-transverse-{letter}")
-        return {
+        config: dict[str, Any] = {
             "version": 2,
             "osr": osr,
             "channels": channels,
@@ -328,3 +353,7 @@ class World:
             "trigger_ms": list(self.robot_input.trigger_ms) if self.robot_input else [0, 0],
             "watchdog_ms": 2000,
         }
+        if self._thermal:
+            channels[0]["calibration"]["temperature_mdegc"] = sensors.CALIBRATED_MDEGC
+            config["thermometers"] = self._thermal.named()
+        return config

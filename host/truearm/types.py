@@ -24,6 +24,7 @@ Residuals = Mapping[str, Floats]  # by SI unit: (n,) of rows, signed or a norm; 
 Matrix = tuple[tuple[float, ...], ...]  # rows of a small constant matrix; unlike an array it can be compared
 
 BAR_MOUNTED = ("bar", "chuck", "sphere")  # what is mounted while the ball-bar is read
+REFERENCE_DEGC = 20.0  # of lengths, ISO 1
 LINE_MOUNTED = ("line", "target")  # what is mounted while a line is driven
 
 
@@ -90,6 +91,10 @@ class BallBar:
     dwell, declared, added to what the samples say. ``zero_sigma`` [m] and ``gain_sigma`` [1]: 0 known exactly,
     finite a parameter with that prior.
 
+    ``zero`` holds at ``temperature`` [°C]; by ``expansion`` [1/K] of it the bar is longer for each kelvin that it is warmer. The gain holds at
+    ``sensor_temperature`` [°C]; by ``gain_drift`` [1/K] of it the extension is larger for the same reading for each kelvin that the sensor is
+    warmer. Both count in rows that hold these temperatures; ``expansion_sigma`` and ``gain_drift_sigma`` [1/K] as ``gain_sigma``.
+
     Examples
     --------
     >>> import truearm
@@ -104,6 +109,12 @@ class BallBar:
     sigma: Annotated[float, SIGMA]
     zero_sigma: Annotated[float, SIGMA] = 0.0
     gain_sigma: Annotated[float, SIGMA] = 0.0
+    temperature: Annotated[float, FINITE] = REFERENCE_DEGC
+    expansion: Annotated[float, FINITE] = 0.0
+    expansion_sigma: Annotated[float, SIGMA] = 0.0
+    sensor_temperature: Annotated[float, FINITE] = REFERENCE_DEGC
+    gain_drift: Annotated[float, FINITE] = 0.0
+    gain_drift_sigma: Annotated[float, SIGMA] = 0.0
 
     def __post_init__(self) -> None:
         check_fields(self)

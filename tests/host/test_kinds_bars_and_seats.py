@@ -151,3 +151,64 @@ def test_blocks_cover_every_row_once(size):
     assert sorted(np.concatenate([b.row for b in parts])) == list(range(len(t)))
     assert max(b.row.size for b in parts) <= size
     assert parts[0].take(slice(0, 1)).row.tolist() == [0]
+
+
+STEEL = BallBar(
+    "short", 0.46, 1.01, 0.075, 84e-6, expansion=11.5e-6, expansion_sigma=1e-6, gain_drift=1e-4, gain_drift_sigma=2e-5
+)
+
+
+def warmed(t, bar, sensor):
+    return replace(t, more={"bar_temperature": bar, "sensor_temperature": sensor})
+
+
+def test_a_warm_bar_reads_short_and_a_warm_sensor_in_its_proportion():
+    """Truth: d = z (1 + α ΔT) + k (1 + κ ΔT') e. Declared: z + k e of the same reading e. With the temperatures nothing is left."""
+    q, pairs = random_poses(9, np.random.default_rng(4)), all_pairs(9)
+    d = lengths(TRUTH, q, pairs)
+    bar, sensor = np.linspace(18.0, 23.0, 9), np.linspace(30.0, 20.0, 9)
+    longer, larger = 1.0 + 11.5e-6 * (bar - 20.0), 1.0 + 1e-4 * (sensor - 20.0)
+    reading = (d - 0.46 * longer) / (1.01 * larger)
+    rig = Rig(CHUCKS, SPHERES, {"short": STEEL})
+    t = table(q, 0.46 + 1.01 * reading, pairs)
+    for known, left in (
+        (warmed(t, bar, sensor), np.zeros(9)),
+        (t, t.value - d),  # nobody read them
+        (warmed(t, np.full(9, np.nan), sensor), t.value - (0.46 + (d - 0.46) / larger)),
+    ):
+        problem = build_problem(CHAIN, rig, known)
+        (block,) = blocks(problem)
+        x = np.concatenate([TRUTH, problem.start[TRUTH.size :]])
+        # some roundings of metres
+        np.testing.assert_allclose(block.evaluate(problem.chain, x).residual, left, atol=1e-14)
+    assert problem.names[-2:] == ("bar.short.expansion", "bar.short.gain_drift")
+
+
+def test_derivatives_by_expansion_and_drift():
+    rng = np.random.default_rng(5)
+    q, pairs = random_poses(12, rng), all_pairs(12)
+    t = warmed(table(q, lengths(TRUTH, q, pairs), pairs), rng.uniform(10, 30, 12), rng.uniform(10, 30, 12))
+    bar = replace(STEEL, zero_sigma=1e-4, gain_sigma=1e-3)
+    problem = build_problem(CHAIN, Rig(CHUCKS, SPHERES, {"short": bar}), t)
+    (block,) = blocks(problem)
+    x = problem.start + np.concatenate([np.zeros(TRUTH.size), [1e-4, 0.01, 3e-5, 1e-3]])
+    jac = block.evaluate(problem.chain, x).jac_params
+    for i in range(TRUTH.size, x.size):
+        h = 1e-6
+        step = h * np.eye(x.size)[i]
+        up, down = (block.evaluate(problem.chain, x + s * step).residual for s in (1, -1))
+        np.testing.assert_allclose(jac[:, i], -(up - down) / (2 * h), atol=1e-8, err_msg=problem.names[i])
+
+
+def test_a_bar_whose_rig_says_nothing_of_temperature_has_the_unknowns_that_it_had():
+    q, pairs = random_poses(9, np.random.default_rng(6)), all_pairs(9)
+    t = table(q, lengths(TRUTH, q, pairs), pairs)
+    plain = build_problem(CHAIN, Rig(CHUCKS, SPHERES, BARS), t)
+    warm = build_problem(CHAIN, Rig(CHUCKS, SPHERES, BARS), warmed(t, np.full(9, 31.0), np.full(9, 11.0)))
+    assert plain.names == warm.names
+    for problem in (plain, warm):
+        (block,) = blocks(problem)
+        np.testing.assert_array_equal(
+            block.evaluate(problem.chain, TRUTH).residual,
+            next(iter(blocks(plain))).evaluate(plain.chain, TRUTH).residual,
+        )

@@ -21,6 +21,7 @@ from truearm.box.configuration_schema import (
     MAGNETOSTRICTIVE,
     MODULATOR_NS,
     OSRS,
+    THERMOMETERS,
     Words,
     as_table,
     check,
@@ -53,7 +54,7 @@ def parse_number(text: str) -> Decimal:
 def format_config(config: Mapping[str, Any]) -> str:
     """A box's configuration as TOML. What this truearm does not know stands in comments: the box keeps it."""
     lines = ["# The configuration of a truearm box (truearm box config get, set). What is left out, the box keeps."]
-    lines += _lines(config, CONFIG, ("version", "channels", "magnetostrictive"))
+    lines += _lines(config, CONFIG, ("version", "channels", "magnetostrictive", "thermometers"))
     for channel in _channels(config):
         lines += ["", "[[channel]]", *_lines(channel, CHANNEL, ("calibration",))]
         if isinstance(channel.get("calibration"), dict):
@@ -61,6 +62,8 @@ def format_config(config: Mapping[str, Any]) -> str:
     head = config.get("magnetostrictive")
     if isinstance(head, dict):
         lines += ["", "[magnetostrictive]", *_lines(head, MAGNETOSTRICTIVE)]
+    if named := as_table(config.get("thermometers")):
+        lines += ["", "[thermometers]", *_lines(named, THERMOMETERS)]
     return "\n".join(lines) + "\n"
 
 
@@ -84,7 +87,8 @@ def flat(config: Mapping[str, Any], names: Sequence[str]) -> dict[str, str]:
     for name, channel in zip(names, _channels(config), strict=False):
         found |= _flat(f"channel.{name}.", channel, CHANNEL)
         found |= _flat(f"channel.{name}.calibration.", as_table(channel.get("calibration")), CALIBRATION)
-    return found | _flat("magnetostrictive.", as_table(config.get("magnetostrictive")), MAGNETOSTRICTIVE)
+    found |= _flat("magnetostrictive.", as_table(config.get("magnetostrictive")), MAGNETOSTRICTIVE)
+    return found | _flat("thermometers.", as_table(config.get("thermometers")), THERMOMETERS)
 
 
 def _flat(prefix: str, values: Mapping[str, Any], table: Table[Values]) -> dict[str, str]:
@@ -121,8 +125,11 @@ def with_file(config: Mapping[str, Any], text: str, name: str) -> Values:
     given = read(CONFIG, parse_toml(text, name, ConfigError, parse_float=parse_number), name, ConfigError)
     new = copy.deepcopy(dict(config))
     channels, head = given.pop("channels", ()), given.pop("magnetostrictive", {})
+    named = given.pop("thermometers", {})
     new |= given
     new.setdefault("magnetostrictive", {}).update(head)
+    if named:
+        new.setdefault("thermometers", {}).update(named)
     for index, channel in zip(_places(new, channels, name), channels, strict=True):
         target = new["channels"][index]
         target |= channel
@@ -171,6 +178,8 @@ def _place(config: Values, path: str) -> tuple[Values, Table[Values], str]:
         return config, CONFIG, name
     if prefix == "magnetostrictive":
         return config.setdefault("magnetostrictive", {}), MAGNETOSTRICTIVE, name
+    if prefix == "thermometers":
+        return config.setdefault("thermometers", {}), THERMOMETERS, name
     for index, channel in enumerate(_channels(config)):
         for called in (f"channel.{channel.get('name')}", f"channel.{index}"):
             if prefix == called:
@@ -178,7 +187,9 @@ def _place(config: Values, path: str) -> tuple[Values, Table[Values], str]:
             if prefix == called + ".calibration":
                 return channel.setdefault("calibration", {}), CALIBRATION, name
     known = ", ".join(f"channel.{n}" for n in channel_names(config))
-    raise ConfigError(f"{prefix[:60]!r} is no part of the configuration; there are magnetostrictive, {known}")
+    raise ConfigError(
+        f"{prefix[:60]!r} is no part of the configuration; there are magnetostrictive, thermometers, {known}"
+    )
 
 
 def _value(text: str, is_words: bool) -> Any:

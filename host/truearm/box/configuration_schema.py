@@ -6,6 +6,7 @@ goes from one to the other without a binary float, so nothing is lost. ``check``
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
@@ -131,6 +132,16 @@ class Words(Text):
         return wire
 
 
+@dataclass(frozen=True)
+class Address(Words):
+    """The address of a thermometer on its wire: 16 hexadecimal digits."""
+
+    def check(self, wire: Any) -> str:
+        if not isinstance(wire, str) or not re.fullmatch("[0-9a-f]{16}", wire):
+            raise SchemaError("must be 16 hexadecimal digits, small letters, in quotes")
+        return wire
+
+
 WireValue = Steps | Exact | WireList | Words
 
 
@@ -194,6 +205,13 @@ MAGNETOSTRICTIVE = Table[dict[str, Any]](
     ),
     dict,
 )
+THERMOMETERS = Table[dict[str, Any]](
+    tuple(
+        _key(name, Address(), f"on the {what}", needed=False)
+        for name, what in (("bar", "bar"), ("sensor", "bar's sensor"))
+    ),
+    dict,
+)
 CONFIG = Table[dict[str, Any]](
     (
         _key("osr", Steps(options=OSRS)),
@@ -201,6 +219,7 @@ CONFIG = Table[dict[str, Any]](
         _key("trigger_ms", _TRIGGER, "between edges of the output, shortest and longest; [0, 0]: none", needed=False),
         _key("watchdog_ms", Steps(((0, 0), (100, 8000))), "0: off"),
         Key("magnetostrictive", MAGNETOSTRICTIVE, optional=True),
+        Key("thermometers", THERMOMETERS, optional=True),
     ),
     dict,
     entries=(Entries("channel", CHANNEL, "channels"),),
@@ -227,6 +246,11 @@ def check(config: dict[str, Any]) -> dict[str, Any]:
                 if "calibration" in channel:
                     with at("calibration"):
                         _check_keys(CALIBRATION, as_table(channel["calibration"]))
+        with at("thermometers"):
+            named = as_table(config.get("thermometers"))
+            _check_keys(THERMOMETERS, named)
+            if len(set(named.values())) < len(named):
+                raise SchemaError("two have the same address")
         head = as_table(config.get("magnetostrictive"))
         with at("magnetostrictive"):
             _check_keys(MAGNETOSTRICTIVE, head)

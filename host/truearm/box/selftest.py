@@ -66,6 +66,11 @@ _ITEMS = {
         (4_500, 5_400), "V", 1000, ".2f",
     ),
     "temperature": _Item("temperature of the chip", "give the box air, or warm it", (-10_000, 60_000), "°C", 1000, ".1f"),
+    "thermometers_missing": _Item(
+        "thermometers of the configuration that do not answer",
+        "check the wires at J1 and the addresses: truearm box config get shows those that are named",
+        (0, 0),
+    ),
 }  # fmt: skip
 ALWAYS = ("converter_id", "noise_0", "noise_1", "noise_2", "noise_3", "rail_5v", "temperature")
 

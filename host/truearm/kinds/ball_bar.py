@@ -5,7 +5,8 @@ z₀ and gain k₀ make of its reading. With other zero z and gain k the same re
 
     predicted length = z₀ + k₀·(d − z)/k ,
 
-which is d itself while zero and gain are as declared. ∂d/∂x is the derivative of the sphere along the bar's direction.
+which is d itself while zero and gain are as declared. Where the table holds temperatures, z is z·(1 + α·ΔT) with the bar's expansion α, and
+k is k·(1 + κ·ΔT) with the sensor's temperature coefficient κ; ΔT are from the temperatures at which zero and gain hold. ∂d/∂x is the derivative of the sphere along the bar's direction.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from truearm.kinds.group import Group
 from truearm.kinds.kind import Kind
 from truearm.kinds.linearised import Indices, Linearised, gather, scatter, zero_columns
 from truearm.kinds.proposals import NEW, TRIAL_SIGMA, TRIES, Proposal, anywhere, trial_rows
-from truearm.kinds.quantities import LENGTH
+from truearm.kinds.quantities import BAR_TEMPERATURE, LENGTH, SENSOR_TEMPERATURE
 from truearm.kinds.rig_entries import NAME, POINT, SIZE, SPHERE, by_name
 from truearm.kinds.rig_use import RigUse, Scope, measured, sigmas, use
 from truearm.kinds.unknowns import Fault, Layout, Number, point_numbers
@@ -44,8 +45,9 @@ class BallBarRows(Group):
     length: Floats  # (n,) measured, m
     sphere: Indices  # (n, 3)
     chuck: Indices  # (n, 3)
-    scale: Indices  # (n, 2) zero and gain
+    scale: Indices  # (n, 4) zero, gain, expansion, drift of the gain
     declared: Floats  # (n, 2) zero and gain that made ``length``
+    warmer: Floats  # (n, 2) K, of bar and sensor; 0 where nobody knows
 
     def evaluate(self, chain: Chain, x: Floats) -> Linearised:
         """Residuals (n,) and their derivatives at x (P,)."""
@@ -53,26 +55,39 @@ class BallBarRows(Group):
         trace = trace_point(chain, x[:p], self.q, gather(x, self.constants, self.sphere))
         bar = trace.p_base - gather(x, self.constants, self.chuck)
         d = np.sqrt((bar * bar).sum(axis=1))
-        zero, gain = gather(x, self.constants, self.scale).T
+        zero, gain, expansion, drift = gather(x, self.constants, self.scale).T
         declared_zero, declared_gain = self.declared.T
-        ratio = declared_gain / gain
-        predicted = declared_zero + ratio * (d - zero)
+        bar_warmer, sensor_warmer = self.warmer.T
+        longer, larger = 1.0 + expansion * bar_warmer, 1.0 + drift * sensor_warmer
+        ratio = declared_gain / (gain * larger)
+        extended = ratio * (d - zero * longer)
+        predicted = declared_zero + extended
         # A sphere in the chuck's centre has no direction: such a row says nothing to first order.
         u = bar * (ratio / np.where(d > 0.0, d, 1.0))[:, None]
         derivative = along(trace, u[None])
         jac_rig = zero_columns(derivative.wrenches, x.size - p)
         scatter(jac_rig, self.sphere - p, derivative.jac_point)
         scatter(jac_rig, self.chuck - p, -u[None])
-        scatter(jac_rig, self.scale - p, np.stack([-ratio, -ratio * (d - zero) / gain], axis=1)[None])
+        of_scale = (-ratio * longer, -extended / gain, -ratio * zero * bar_warmer, -extended * sensor_warmer / larger)
+        scatter(jac_rig, self.scale - p, np.stack(of_scale, axis=1)[None])
         return Linearised(
             self.length - predicted, derivative.wrenches, derivative.twists, jac_rig, derivative.jac_joints
         )
 
 
 def bar_numbers(name: str, bar: BallBar) -> list[Number]:
-    """Zero and gain of a bar."""
+    """Zero and gain of a bar, its expansion, and the drift of its gain with temperature."""
     zero = Number(f"{name}.zero", "m", bar.zero, bar.zero_sigma)
-    return [zero, Number(f"{name}.gain", "1", bar.gain, bar.gain_sigma)]
+    gain = Number(f"{name}.gain", "1", bar.gain, bar.gain_sigma)
+    expansion = Number(f"{name}.expansion", "1/K", bar.expansion, bar.expansion_sigma)
+    return [zero, gain, expansion, Number(f"{name}.gain_drift", "1/K", bar.gain_drift, bar.gain_drift_sigma)]
+
+
+def warmer(table: ObservationTable, bars: Sequence[BallBar]) -> Floats:
+    """(n, 2) [K] by how much bar and sensor of each row are warmer than where zero and gain hold; 0 where the table does not say."""
+    holds = np.array([(bar.temperature, bar.sensor_temperature) for bar in bars]).reshape(-1, 2)
+    read = [table.column(quantity.field, np.nan) for quantity in (BAR_TEMPERATURE, SENSOR_TEMPERATURE)]
+    return np.asarray(np.nan_to_num(np.stack(read, axis=1) - holds))
 
 
 def use_rig(scope: Scope, rows: Indices) -> RigUse:
@@ -82,8 +97,10 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
     spheres = use(scope, rows, "sphere", rig.spheres, point_numbers)
     bars = use(scope, rows, "bar", rig.bars, bar_numbers, BAR_FAULTS)
     length = measured(scope, rows, LENGTH)
-    declared = np.array([[number.value for number in bar] for bar in bars.numbers])[bars.which]
-    sigma = np.array([rig.bars[str(label)].sigma for label in bars.labels])[bars.which]
+    declared = np.array([[number.value for number in bar[:2]] for bar in bars.numbers])[bars.which]
+    entries = [rig.bars[str(label)] for label in bars.labels]
+    sigma = np.array([bar.sigma for bar in entries])[bars.which]
+    of_rows = warmer(table.select(rows), [entries[k] for k in bars.which])
     variance = sigmas(scope, rows, sigma[:, None]) ** 2
 
     def make(layout: Layout) -> list[Group]:
@@ -97,6 +114,7 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
                 chuck=layout.index(chucks),
                 scale=layout.index(bars),
                 declared=declared,
+                warmer=of_rows,
                 constants=layout.constants,
             )
         ]
@@ -165,6 +183,8 @@ def _another(points: Sequence[tuple[float, float, float]]) -> Point:
 
 
 CHUCK = Entries("chuck", POINT, "chucks", by_name)
+DEGC = schema.Number("degc")
+PER_K = schema.Number("1/K")
 BAR = Entries(
     "bar",
     Table(
@@ -176,6 +196,12 @@ BAR = Entries(
             Key("sigma", SIZE),
             Key("zero_sigma", schema.sigma("m"), optional=True),
             Key("gain_sigma", schema.sigma("1"), optional=True),
+            Key("temperature", DEGC, optional=True),
+            Key("expansion", PER_K, optional=True),
+            Key("expansion_sigma", schema.sigma("1/K"), optional=True),
+            Key("sensor_temperature", DEGC, optional=True),
+            Key("gain_drift", PER_K, optional=True),
+            Key("gain_drift_sigma", schema.sigma("1/K"), optional=True),
         ),
         lambda gain=1.0, **values: BallBar(gain=gain, **values),
     ),
@@ -186,6 +212,7 @@ KIND = Kind(
     group=BallBarRows,
     use_rig=use_rig,
     needs=(*BAR_MOUNTED, LENGTH),
+    may=(BAR_TEMPERATURE, SENSOR_TEMPERATURE),
     entries=(CHUCK, SPHERE, BAR),
     point="sphere",
     labels=("chuck", "sphere"),

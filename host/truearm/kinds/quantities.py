@@ -48,6 +48,8 @@ LARGEST_TURN_NOISE = 0.1  # rad
 LENGTH = Quantity("value", ("length",), "m", positive=True)
 DISTANCE = Quantity("value", ("length",), "m")  # with a sign
 POINT = Quantity("xyz", ("x", "y", "z"), "m")
+BAR_TEMPERATURE = Quantity("bar_temperature", ("bar_temperature",), "degc")
+SENSOR_TEMPERATURE = Quantity("sensor_temperature", ("sensor_temperature",), "degc")
 SPREAD = Quantity("xyz_sigma", ("sx", "sy", "sz"), "m", LARGEST_NOISE, positive=True)
 TIME = Quantity("time", ("time",), "s", 1e11)  # by any clock, since any moment; 3000 years
 TEMPERATURE = Quantity("temperature", ("temperature",), "degc")

@@ -27,10 +27,11 @@ from truearm.record.status import Counters
 from truearm.session.box_frames import Data, Pages, data_frame, too_many, usual_data
 from truearm.session.box_ident import Ident, decode_ident
 from truearm.session.samples import shown, with_ratios
-from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, IDENT, REPLY, SYNC_REPLY
+from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, IDENT, REPLY, SYNC_REPLY, TEMPERATURE
 
 _TOPICS = {
     EVENT: "/box/event",
+    TEMPERATURE: "/box/temperature",
     HEARTBEAT: "/box/heartbeat",
     IDENT: "/box/ident",
     SYNC_REPLY: "/box/sync",

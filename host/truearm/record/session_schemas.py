@@ -39,6 +39,7 @@ _FRAMES = {
     "/box/event": (wire.EVENT,),
     "/box/heartbeat": (wire.HEARTBEAT,),
     "/box/ident": (wire.IDENT,),
+    "/box/temperature": (wire.TEMPERATURE,),
     "/box/sync": (wire.SYNC_REPLY,),
     "/box/reply": (wire.REPLY, wire.ERROR),
 }

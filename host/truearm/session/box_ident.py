@@ -21,9 +21,12 @@ import cbor2
 
 from truearm import units
 from truearm.errors import ProtocolError, SessionError
+from truearm.units import MDEGC
 
 PROTOCOL_MAJOR = 1
 MAX_STREAMS = 16
+MAX_THERMOMETERS = 64
+MAX_MDEGC = 200_000
 MAX_CHANNELS = 62  # SPEC §1: a payload of 250 bytes holds no more int32
 MAX_COEFFICIENTS = 16
 MAX_EXPONENT = 300
@@ -33,7 +36,7 @@ _REFERENCES = (25, 28, 29, 256)  # tags by which a short document would stand fo
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}")
 # A stream of such a name would share its topic with the frames of that kind.
-RESERVED_NAMES = frozenset({"event", "heartbeat", "ident", "sync", "reply", "other", "console"})
+RESERVED_NAMES = frozenset({"event", "heartbeat", "ident", "temperature", "sync", "reply", "other", "console"})
 
 
 RATIO_STEP = 2.0**-20  # of a channel that is divided by another: ±8 in 24 bits
@@ -45,7 +48,7 @@ class Channel:
 
     ``poly``: value in ``calibrated_unit`` = Σ poly[k] · (counts · scale)^k; empty without a calibration. ``over``: the channel that
     this one is divided by, as the box's channel of that index (``samples.with_ratios``); then ``scale`` is ``RATIO_STEP``, and
-    ``per_count`` what a count over a count is, a ratio. With a ``fault`` the box's description cannot be used (the text says why), the scale is NaN and the rest empty.
+    ``per_count`` what a count over a count is, a ratio. ``calibrated_degc``: the box's temperature while it was calibrated, NaN if nobody noted it. With a ``fault`` the box's description cannot be used (the text says why), the scale is NaN and the rest empty.
     """
 
     name: str
@@ -56,6 +59,7 @@ class Channel:
     over: int | None = None
     per_count: float = 1.0
     fault: str = ""
+    calibrated_degc: float = math.nan
 
     @property
     def length_unit(self) -> units.Scale | None:
@@ -86,6 +90,7 @@ class Ident:
     boot_id: int
     streams: Mapping[int, Stream]
     faults: tuple[str, ...]
+    thermometers: tuple[str, ...]  # their names
     document: Mapping[str, Any] = field(repr=False)
 
 
@@ -169,6 +174,7 @@ def _ident(table: dict[Any, Any]) -> Ident:
         boot_id=boot_id,
         streams={stream.id: stream for stream in streams},
         faults=tuple(faults),
+        thermometers=_thermometers(table.get("thermometers")),
         document=table,
     )
 
@@ -180,6 +186,13 @@ def _check_protocol(version: object) -> None:
         side = "truearm" if version[0] > PROTOCOL_MAJOR else "the box's firmware"
         spoken = ".".join(_shown(v) for v in version[:2])
         raise ProtocolError(f"the box speaks protocol {spoken}, this truearm {PROTOCOL_MAJOR}.x; update {side}")
+
+
+def _thermometers(entries: object) -> tuple[str, ...]:
+    """Names by number; one that is no name is "". A box of before 1.3 has none."""
+    found = entries[:MAX_THERMOMETERS] if isinstance(entries, list) else []
+    names = [entry.get("name") if isinstance(entry, dict) else None for entry in found]
+    return tuple(name if isinstance(name, str) else "" for name in names)
 
 
 def _streams(entries: list[Any]) -> list[Stream]:
@@ -236,6 +249,7 @@ def _divided(channel: Channel, entry: object, channels: list[Channel]) -> Channe
 def _whole_channel(entry: dict[str, Any]) -> Channel:
     calibration = _typed(entry.get("calibration") or {}, dict, "calibration")
     poly = _typed(calibration.get("poly", []), list, "poly")
+    noted = calibration.get("temperature_mdegc")
     if len(poly) > MAX_COEFFICIENTS:
         raise _Wrong(f"its calibration has {len(poly)} coefficients, {MAX_COEFFICIENTS} are possible")
     return Channel(
@@ -244,6 +258,7 @@ def _whole_channel(entry: dict[str, Any]) -> Channel:
         scale=decimal(entry.get("scale"), "scale"),
         calibrated_unit=_typed(calibration.get("unit", ""), str, "the calibration's unit"),
         poly=tuple(decimal(coefficient, f"poly[{k}]") for k, coefficient in enumerate(poly)),
+        calibrated_degc=MDEGC.to_si(noted) if type(noted) is int and abs(noted) <= MAX_MDEGC else math.nan,
     )
 
 

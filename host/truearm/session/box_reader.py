@@ -120,6 +120,9 @@ class Segment:
         default_factory=list
     )  # (k, 4) each: host before write, device received, sent, host arrival
     output: list[tuple[int, bool]] = field(default_factory=list)  # edges of the trigger output: device time [µs], level
+    temperatures: dict[str, list[tuple[int, int]]] = field(
+        default_factory=dict
+    )  # by thermometer: device time [µs], m°C
 
     @property
     def exchanges(self) -> Ints:
@@ -254,6 +257,8 @@ class BoxReader:
                 self._heartbeats.take(self.segment.index, values)
         elif kind == wire.EVENT:
             self._event(elements)
+        elif kind == wire.TEMPERATURE:
+            self._temperature(elements)
         elif kind == wire.IDENT:
             self._ident_page(elements, at, arriving)
         elif kind not in wire.LAYOUT:
@@ -354,6 +359,15 @@ class BoxReader:
             self._count["frames_malformed"] += 1
         elif frame[2] == wire.OUTPUT_LINE and self._keep_exchanges:
             self.segment.output.append((frame[3], bool(frame[4])))
+
+    def _temperature(self, frame: list[Any]) -> None:
+        if len(frame) < 5 or any(type(v) is not int for v in frame[2:5]) or not 0 <= frame[2] < MAX_DEVICE_US:
+            self._count["frames_malformed"] += 1
+            return
+        _, _, t_us, number, mdegc = frame[:5]
+        names = () if self.segment.ident is None else self.segment.ident.thermometers
+        if self._keep_exchanges and 0 <= number < len(names):
+            self.segment.temperatures.setdefault(names[number], []).append((t_us, mdegc))
 
     def _ident_page(self, frame: list[Any], at: int, arriving: Run | None) -> None:
         if len(frame) < 6 or any(type(v) is not int for v in frame[2:5]) or type(frame[5]) is not bytes:

@@ -34,6 +34,16 @@ class BoxTemperature(NamedTuple):
         n = last - first
         return np.where(n > 0, (total[last] - total[first]) / np.maximum(n, 1), np.nan)
 
+    def between(self, t_host_ns: Ints) -> Floats:
+        """(n,) readings at host times (n,) by straight lines between neighbours, for a thermometer of fine steps; NaN where none is near."""
+        if not len(self.degc):
+            return np.full(len(t_host_ns), np.nan)
+        k = np.clip(np.searchsorted(self.t_host_ns, t_host_ns), 1, max(len(self.degc) - 1, 1))
+        away = np.abs(self.t_host_ns[[np.minimum(k, len(self.degc) - 1), k - 1]] - t_host_ns).min(axis=0)
+        begin = self.t_host_ns[0]
+        found = np.interp(1e-9 * (t_host_ns - begin), 1e-9 * (self.t_host_ns - begin), self.degc)
+        return np.where(away <= AROUND_NS, found, np.nan)
+
 
 def box_temperature(
     heard: Mapping[int, Sequence[tuple[int, int]]], clocks: Mapping[int, DeviceClock]

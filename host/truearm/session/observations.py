@@ -34,6 +34,8 @@ from truearm.session.samples import Allan, ChannelSamples, allan, bar_length, co
 from truearm.session.trigger_edges import Output, with_edges
 from truearm.types import BAR_MOUNTED, DwellLabel, Floats, ObservationTable, Rig, Strings
 
+# by the names that the box's configuration gives them: the columns that kinds of observation declare
+THERMOMETERS = {"bar": "bar_temperature", "sensor": "sensor_temperature"}
 MOST_KEPT_BYTES = 64 << 20  # of messages, where legs are to be looked at
 
 
@@ -48,6 +50,7 @@ class Survey:
     clocks: dict[int, DeviceClock]
     clock_reports: tuple[ClockReport, ...]
     temperature: BoxTemperature
+    thermometers: Mapping[str, BoxTemperature]  # by name
     joints: JointStream
     dwells: tuple[Dwell, ...]
     legs: tuple[Leg, ...]  # () where no line was planned or mounted
@@ -154,6 +157,10 @@ def survey(
         clocks=clocks,
         clock_reports=tuple(report for _, report in fits.values()),
         temperature=box_temperature(box.temperatures(), clocks),
+        thermometers={
+            name: box_temperature({s.index: s.temperatures.get(name, []) for s in box.segments}, clocks)
+            for name in dict.fromkeys(name for s in box.segments for name in s.temperatures)
+        },
         joints=joints,
         dwells=tuple(dwells),
         legs=tuple(find_legs(joints)) if marks.names_lines else (),
@@ -199,7 +206,10 @@ def observations(
     used = sum(dwell.n_samples for dwell in dwells if not dwell.reason) + sum(one.n_samples for one in driven)
     bins = None if has_manual_joints(found.joints) else found.joints.bins
     table = table_of(dwells, driven, len(found.joints.step), name, bins)
-    table = replace(table, temperature=found.temperature.at((1e9 * table.time).astype(np.int64)))
+    at = (1e9 * table.time).astype(np.int64)
+    read = {name: found.thermometers[name].between(at) for name in THERMOMETERS if name in found.thermometers}
+    more = {**table.more, **{THERMOMETERS[name]: degc for name, degc in read.items()}}
+    table = replace(table, temperature=found.temperature.at(at), more=more)
     return SyncResult(table, tuple(dwells), driven, found, found.losses.samples, used)
 
 

@@ -48,6 +48,7 @@ _TITLES = {
     **{"q_cmd": "q_cmd{0}_{1}", "qd": "qd{0}_{1}_s", "current": "current{0}_A", "effort": "effort{0}_{2}"},
     **{name: name for name in ("inputs", "robot_mode", "runtime_state")},
 }
+_KINDS = {"heartbeat": wire.HEARTBEAT, "event": wire.EVENT, "temperature": wire.TEMPERATURE}
 _TORQUE = {"rad": "Nm", "m": "N"}
 
 
@@ -133,7 +134,7 @@ class _Box(_Small):
     def take(self, messages: Messages, blocks: Sequence[Blocks]) -> Iterator[Ready]:
         for one in blocks:
             yield from self._stream(one)
-        rows = messages.rows(lambda topic: topic in ("/box/heartbeat", "/box/event", "/sync"))
+        rows = messages.rows(lambda topic: topic in ("/box/heartbeat", "/box/event", "/box/temperature", "/sync"))
         segments = self._reader.segment_at(rows).tolist()
         said = list(messages.of(rows))
         exchanges = iter(parse_exchanges([message.data for message in said if message.topic == "/sync"]))
@@ -185,14 +186,22 @@ class _Box(_Small):
     def _frame(self, at: int, message: Message, said: dict[str, Any]) -> Iterator[Ready]:
         frame = decode(message.data)
         kind = message.topic.rpartition("/")[2]
-        names = wire.names(wire.HEARTBEAT if kind == "heartbeat" else wire.EVENT)
+        names = wire.names(_KINDS[kind])
         if frame is None or any(type(value) is not int or abs(value) >= 2**63 for value in frame):
             return  # malformed: the survey's account has it
         row = dict(zip(names, frame[1:], strict=False))
         if "t_us" not in row:
             return
         times = {"host_time_ns": UNKNOWN, "host_bound_ns": np.nan}
-        yield from self.add(at, f"box_{kind}", {**said, **times, **{name: row.get(name, UNKNOWN) for name in names}})
+        named = {"name": self._name(said["segment"], row)} if kind == "temperature" else {}
+        values = {name: row.get(name, UNKNOWN) for name in names}
+        yield from self.add(at, f"box_{kind}", {**said, **times, **values, **named})
+
+    def _name(self, segment: int, row: dict[str, Any]) -> str:
+        """Of the thermometer of a reading."""
+        ident, number = self._found.idents.get(segment), row.get("thermometer", UNKNOWN)
+        known = ident is not None and 0 <= number < len(ident.thermometers)
+        return ident.thermometers[number] if ident is not None and known else ""
 
 
 def samples(blocks: Blocks, found: Survey) -> Columns:

@@ -81,6 +81,7 @@ def observations_of_session(path: Path, rig: Rig | None = None, options: Session
     from truearm.session.observations import observations
     from truearm.session.session_file import open_session, words_of
     from truearm.workflows.inspect import ident_of
+    from truearm.workflows.temperature_warning import temperature_warning
 
     options = options or SessionOptions()
     session = open_session(path, options.allow_damaged)
@@ -101,5 +102,7 @@ def observations_of_session(path: Path, rig: Rig | None = None, options: Session
         raise SessionError(
             f"{path}: no {what} gave an observation ({reasons or 'none was found'}); see truearm inspect {path}"
         )
+    if warning := temperature_warning(result, rig):
+        options.say(one_line(f"{path}: {warning}"))
     options.heard(session, result)
     return result

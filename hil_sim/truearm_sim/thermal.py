@@ -1,0 +1,43 @@
+"""A laboratory that warms up: the ball-bar and its sensor with it, and the thermometers on them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from truearm.types import REFERENCE_DEGC, Floats
+
+STEEL = 11.5e-6  # 1/K
+THERMOMETERS = {"bar": bytes.fromhex("28aa0102030405a7"), "sensor": bytes.fromhex("28bb0102030405cb")}
+STEP = 62.5  # m°C, of a DS18B20
+
+
+@dataclass(frozen=True)
+class Thermal:
+    """The bar is ``begin`` [°C] at first and ``drift`` [K] warmer at the end of the session, linearly; its sensor and the box ``ahead`` [K] more.
+
+    ``expansion`` of the bar's zero and ``gain_drift`` of its sensor [1/K], from the reference temperature on. ``thermometers``: those that
+    are on the wire, of ``THERMOMETERS``.
+    """
+
+    begin: float = REFERENCE_DEGC
+    drift: float = 0.0
+    ahead: float = 0.0
+    expansion: float = STEEL
+    gain_drift: float = 0.0
+    thermometers: tuple[str, ...] = ("bar", "sensor")
+
+    def degc(self, name: str, share: Floats) -> Floats:
+        """(m,) [°C] what is called ``name`` is worth at shares (m,) of the session that have passed."""
+        bar = self.begin + self.drift * np.clip(share, 0.0, 1.0)
+        return np.asarray(bar if name == "bar" else bar + self.ahead)
+
+    def readings(self, share: float) -> tuple[tuple[bytes, int], ...]:
+        """Address and m°C of each thermometer on the wire."""
+        degc = {name: float(self.degc(name, np.array([share]))[0]) for name in self.thermometers}
+        return tuple((THERMOMETERS[name], round(STEP * round(1e3 * value / STEP))) for name, value in degc.items())
+
+    def named(self) -> dict[str, str]:
+        """The thermometers as the box's configuration names them."""
+        return {name: THERMOMETERS[name].hex() for name in self.thermometers}
