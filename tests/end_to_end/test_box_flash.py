@@ -149,6 +149,8 @@ def test_files_onto_a_stock_micropython(fake_mpremote, no_ports, capsys):
         ({"answer": "is micropython 1 24 Raspberry Pi Pico with RP2040"}, 2, "1.25 or newer is needed"),
         ({"answer": "is circuitpython 9 2 Raspberry Pi Pico with RP2040"}, 2, "runs circuitpython"),
         ({"answer": "is micropython 1 25 ESP32 module"}, 2, "the box is a Raspberry Pi Pico"),
+        ({"answer": "is micropython 1 25 Raspberry Pi Pico W with RP2040"}, 2, "without W"),
+        ({"answer": "is micropython 1 26 Raspberry Pi Pico2 with RP2350"}, 2, "the box is a Raspberry Pi Pico"),
         ({"answer": "hello"}, 1, "no MicroPython answers"),
         ({"code": 1}, 1, "mpremote: "),
     ],

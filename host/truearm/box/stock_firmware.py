@@ -76,8 +76,8 @@ def check_version(device: str, mpremote: Sequence[str]) -> str:
         raise InputError(
             f"{device}: runs {name[:20]} {major}.{minor}; MicroPython {LOWEST[0]}.{LOWEST[1]} or newer is needed"
         )
-    if "RP2040" not in machine:
-        raise InputError(f"{device}: is a {machine.strip()[:60]!r}; the box is a Raspberry Pi Pico (RP2040)")
+    if "RP2040" not in machine or "Pico W" in machine:  # on a Pico W, GP25 is no LED but a line of the radio
+        raise InputError(f"{device}: is a {machine.strip()[:60]!r}; the box is a Raspberry Pi Pico (RP2040), without W")
     return f"MicroPython {major}.{minor} on {machine.strip()[:60]}"
 
 
