@@ -3,11 +3,13 @@
 import io
 import json
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from session_stream import RIG, session
 
+from truearm.cli.project import defaults
 from truearm.files.project_file import Project, format_project, read_project
 from truearm.files.project_folder import FILE, find_project
 from truearm.files.rig_file import read_rig, write_rig
@@ -35,6 +37,21 @@ def recorded(path, dwells=12):
         path.with_suffix(".toml").unlink()
         for message in session(np.random.default_rng(2), dwells=dwells)[0]:
             writer.add(message.topic, message.t_host_ns, message.data)
+
+
+def test_a_urdf_begins_with_its_branch(tmp_path, run, monkeypatch):
+    """A URDF has no [branch]: without one nothing is written, and with one the project keeps it for the commands that draw poses."""
+    urdf = Path(__file__).parents[1] / "data" / "mukca" / "panda.urdf"
+    known = ["--model", urdf, "--base", "panda_link0", "--tip", "panda_link8", "--minutes", 0]
+    code, _, err = run("init", tmp_path / "cell", *known)
+    assert code == 2
+    assert "--branch" in err
+    assert not [path for path in (tmp_path / "cell").rglob("*") if path.is_file()]
+    bounds = "-150:150,-95:95,-80:80,-165:-25,-150:150,25:165,-160:160"
+    assert run("init", tmp_path / "cell", *known, f"--branch={bounds}").code == 0
+    assert read_project(tmp_path / "cell" / FILE).branch == bounds
+    monkeypatch.chdir(tmp_path / "cell")
+    assert defaults(Path())["plan"]["ballbar"]["branch"]() == bounds
 
 
 def test_a_project_is_found_from_below(tmp_path):

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from truearm.cli.options import BranchOption, branch_given
 from truearm.cli.output import print_lines
 from truearm.errors import InputError
 from truearm.model.builtin import builtin_names
@@ -29,6 +30,7 @@ def init(
     ] = None,
     base: Annotated[str, typer.Option(metavar="LINK", help="First link of a URDF.")] = "",
     tip: Annotated[str, typer.Option(metavar="LINK", help="Last link of a URDF.")] = "",
+    branch: BranchOption = None,
     name: Annotated[str | None, typer.Option(metavar="TEXT", help="What is calibrated, as reports call it.")] = None,
     serial: Annotated[str | None, typer.Option(metavar="TEXT", help="Serial number of the robot.")] = None,
     operator: Annotated[str | None, typer.Option(metavar="TEXT", help="Who measures.")] = None,
@@ -89,6 +91,7 @@ def init(
         model=model,
         base=base,
         tip=tip,
+        branch=branch or "",
         name=ask(name, "What is calibrated, as reports call it (Enter for nothing)"),
         serial=ask(serial, "Serial number of the robot (Enter for none)"),
         operator=ask(operator, "Who measures (Enter for nothing)"),
@@ -104,7 +107,7 @@ def init(
         if zero is not None
         else _number("--zero-sigma-mm", ask(None, "How well is the first bar's length measured [mm]", "0.1"))
     )
-    wanted = Wanted(project, lengths, places, MM.to_si(length), minutes or None)
+    wanted = Wanted(project, lengths, places, MM.to_si(length), minutes or None, branch_given(branch))
     folder.mkdir(parents=True, exist_ok=True)
     written = create(folder, wanted, lambda text: typer.echo(text, err=True))
     print_lines(f"{path.name:<16}{path}" for path in written)

@@ -113,6 +113,7 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
     robot: Mapping[str, Answer] = {"robot": model, "base": text(project.base), "tip": text(project.tip)}
     rig = {"rig": there(project.rig)}
 
+    branch = {"branch": text(project.branch)}
     simulated: Mapping[str, Answer] = {"model": model, "base": text(project.base), "tip": text(project.tip)}
     planned = {"plan": there(project.plan), **rig}
 
@@ -121,11 +122,11 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
 
         return shown(new_plan(home / project.plan))
 
-    planning: Mapping[str, Answer] = {**robot, **rig, "out": plan}
+    planning: Mapping[str, Answer] = {**robot, **branch, **rig, "out": plan}
     result: Mapping[str, Answer] = {"result": newest_result, **robot}
     return {
         "demo": simulated,
-        "simulate": {**simulated, **(planned if (home / project.plan).exists() else {})},
+        "simulate": {**simulated, **branch, **(planned if (home / project.plan).exists() else {})},
         "record": {
             "device": text(project.box),
             "address": text(project.address),

@@ -22,7 +22,7 @@ _LINE = Text(longest=400, one_line=True)
 class Project:
     """What a truearm.toml says; "" for what it does not say.
 
-    ``model``: built-in robot, robot file or URDF, with ``base`` and ``tip`` of a URDF; ``serial`` of the robot and ``operator`` are for
+    ``model``: built-in robot, robot file or URDF, with ``base`` and ``tip`` of a URDF and ``branch``, as --branch has it, for one whose file has none; ``serial`` of the robot and ``operator`` are for
     the certificate. ``address``: how the robot's joints are read. ``box``: its port. ``rig``, ``plan``: files. ``sessions``, ``results``:
     folders that record and identify write to.
     """
@@ -31,6 +31,7 @@ class Project:
     name: str = ""
     base: str = ""
     tip: str = ""
+    branch: str = ""
     serial: str = ""
     operator: str = ""
     address: str = ""
@@ -59,6 +60,7 @@ def format_project(project: Project) -> str:
         "name": "what is calibrated, as reports call it",
         "base": "first link of a URDF",
         "tip": "last link of a URDF",
+        "branch": "bounds of the joints to stay in [deg], LOW:HIGH,…; without it the robot file's [branch]",
         "serial": "serial number of the robot, for the certificate",
         "operator": "who measures, for the certificate",
         "address": "how truearm record reads the joints, such as rtde://192.168.0.2 (docs/robots.md)",

@@ -17,6 +17,7 @@ from truearm.units import MM
 from truearm.workflows.session_observations import Say, silent
 
 if TYPE_CHECKING:
+    from truearm.model.workspace import Branch
     from truearm.types import Rig
 
 PLAN_MINUTES = 30.0
@@ -44,6 +45,7 @@ class Wanted(NamedTuple):
     known: float | None = None
     zero_sigma: float = 1e-4
     minutes: float | None = PLAN_MINUTES  # of the first plan; None: none is made
+    branch: Branch | None = None  # of the robot; None: the one of its file
 
 
 class Step(Enum):
@@ -132,6 +134,7 @@ def create(folder: Path, wanted: Wanted, say: Say = silent) -> list[Path]:
     """
     from truearm.files.rig_file import read_rig
     from truearm.files.robot_file import RobotChoice, load_robot
+    from truearm.plan.branches import branch_of
     from truearm.plan.first_rig import first_rig
     from truearm.workflows.plan import BallBarOptions, Budget, PlanFiles, plan_ball_bar_files
 
@@ -142,19 +145,19 @@ def create(folder: Path, wanted: Wanted, say: Say = silent) -> list[Path]:
     model = folder / project.model
     choice = RobotChoice(str(model) if model.is_file() else project.model, project.base or None, project.tip or None)
     robot = load_robot(choice.robot or "", choice.base, choice.tip)
-    for name in ("sessions", "results"):
-        (folder / getattr(project, name)).mkdir(parents=True, exist_ok=True)
     written = []
     if not paths["rig"].exists():
-        rig = _as_known(first_rig(robot), wanted)
+        rig = _as_known(first_rig(replace(robot, branch=branch_of(robot, wanted.branch))), wanted)
         write_atomic(paths["rig"], _rig_text(rig, project.name or robot.chain.name))
         written.append(paths["rig"])
     read_rig(paths["rig"])
+    for name in ("sessions", "results"):
+        (folder / getattr(project, name)).mkdir(parents=True, exist_ok=True)
     write_atomic(paths["project"], format_project(project))
     written.insert(0, paths["project"])
     if wanted.minutes is not None and not paths["plan"].exists():
         say("planning")
-        files = PlanFiles(choice, paths["rig"], out=paths["plan"])
+        files = PlanFiles(choice, paths["rig"], branch=wanted.branch, out=paths["plan"])
         plan_ball_bar_files(files, Budget(minutes=wanted.minutes), BallBarOptions(), say)
         written.append(paths["plan"])
     return written
