@@ -209,7 +209,7 @@ class Board:
     def configure(self, settings):
         self.adc.gains([channel.get("gain", 1) for channel in settings["channels"]])
         head = settings["magnetostrictive"]
-        self.mag.configure(head["blanking_ns"], head["timeout_ns"])
+        self.mag.configure(head["blanking_ns"], head["timeout_ns"], head.get("falling_edge", 0))
         self._start_watchdog(settings["watchdog_ms"])
 
     def self_test(self, settings):

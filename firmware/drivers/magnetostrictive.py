@@ -223,6 +223,7 @@ class Magnetostrictive:
         self._chip = chip
         self._rounds = pulse_rounds(pulse_ns)
         Pin(stop, Pin.IN, Pin.PULL_DOWN)
+        self._stop_control = chip.IO_BANK0 + 8 * stop + 4
         counter = counter_program(rp2)
         self._counters = [rp2.StateMachine(4 * block + i, counter, jmp_pin=Pin(stop)) for i in range(2)]
         self._pacer = rp2.StateMachine(4 * block + 2, pacer_program(rp2, self._rounds), sideset_base=Pin(interrogation))
@@ -267,12 +268,16 @@ class Magnetostrictive:
             self._all |= 1 << dma.channel
         self._first = 1 << self._dma[0].channel
 
-    def configure(self, blanking_ns, timeout_ns):
-        """In force from the next start on. Both count from the interrogation edge. Raises ValueError."""
+    def configure(self, blanking_ns, timeout_ns, falling=0):
+        """In force from the next start on. Both count from the interrogation edge. Raises ValueError.
+
+        falling: 1 if a stop is the line's falling edge (heads with a gate, and the end of a stop pulse): the pin's input is inverted.
+        """
         if blanking_ns % TICK_NS or not 5000 <= blanking_ns <= 21000:
             raise ValueError("the blanking is a multiple of 8 ns, 5000 to 21000, not %d" % blanking_ns)
         if timeout_ns <= blanking_ns:
             raise ValueError("the time-out of %d ns is within the blanking" % timeout_ns)
+        poke(self._stop_control, self._chip.FUNCTION_SIO | (self._chip.INPUT_INVERTED if falling else 0))
         self._timeout_ns = timeout_ns
         self._busy, self._blanking, self._n, self._top = timing(blanking_ns, timeout_ns, self._rounds)
 

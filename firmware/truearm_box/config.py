@@ -168,6 +168,8 @@ def _check_magnetostrictive(sensor):
         raise ValueError("us_per_inch is [mantissa, exponent], 5 to 20")
     if not _within(sensor.get("delay_ns"), -100000, 100000):
         raise ValueError("delay_ns is -100000 to 100000")
+    if not _within(sensor.get("falling_edge", 0), 0, 1):
+        raise ValueError("falling_edge is 0 or 1")
     if not isinstance(sensor.get("serial"), str) or not isinstance(sensor.get("date"), str):
         raise ValueError("serial and date of the magnetostrictive sensor are text")
 

@@ -7,6 +7,7 @@ const LEVEL_LOW = 1; // of a pin's interrupt status, as the three below
 const LEVEL_HIGH = 2;
 const FALLEN = 4 | LEVEL_LOW;
 const RISEN = 8 | LEVEL_HIGH;
+const INVERTED = 1; // of a pin's input override
 const FAST_PWM_NS = 10_000;
 const RANDOMBIT = 0x1c;
 const SSI_DR0 = 0x60;
@@ -29,7 +30,7 @@ export function mendPins(chip, onChange) {
     const setInput = pin.setInputValue.bind(pin);
     let outside = null;
     const show = (level) => {
-      const seen = level && pin.inputEnable;
+      const seen = Boolean(level && pin.inputEnable) !== (pin.inputOverride === INVERTED);
       if (seen === ((chip.inputs & bit) !== 0)) return;
       chip.inputs ^= bit;
       if (pin.irqEnableMask || pin.irqForceMask || pin.irqOverride || pin.functionSelect === FUNCTION_PWM) setInput(level);

@@ -64,6 +64,11 @@ def runs():
             "flightsPs": flights_ps(3, 10),
             "controls": [{"part": "mag", "stuck": True}],
         },
+        "falling": {  # first with the line unstuck: the start pulse, and stop pulses of 1 µs whose ends count
+            "script": "m.configure(10000, 500000, 1)\nm.start(983040)\nfound = shots(60, 60)\nm.stop()\nm.configure(10000, 500000)\nshow(found)",
+            "flightsPs": flights_ps(7, 60, 12, 470),
+            "controls": [{"part": "mag", "stuck": False, "ringing": []}],
+        },
         "fast": {  # 4 kHz, as a short rod allows; a start pulse that outlasts the blanking
             "script": "m.configure(5000, 200000)\nm.start(250000)\nfound = shots(200, 51)\nm.stop()\nshow(found)",
             "flightsPs": flights_ps(4, 33, 13, 199),
@@ -122,6 +127,13 @@ def test_positions_are_within_what_the_resolution_allows(runs):
     sigma = 8e-9 * M_PER_S / 12**0.5
     for k in (0, 50):
         assert abs(sum(errors[k : k + 100]) / 100) < 4 * sigma / 10 < 5e-6
+
+
+def test_the_falling_edge_is_timed_where_it_is_the_stop(runs):
+    """A stop pulse of the model lasts 1 µs: its end is 125 ticks later, to the tick."""
+    (shots,) = runs["falling"]["out"]
+    flights = [flight for _, _, flight, _ in runs["falling"]["shots"][:60]]
+    assert [ticks for ticks, *_ in shots] == [flight // 8000 + 125 for flight in flights]
 
 
 def test_missing_stops_are_zero_counted_and_flagged(runs):

@@ -200,6 +200,7 @@ MAGNETOSTRICTIVE = Table[dict[str, Any]](
         _microseconds("timeout", (5008, 999_990_000), step=8),
         _key("us_per_inch", Exact(5, 20, 9), "on the sensor's label"),
         _microseconds("delay", (-100_000, 100_000), comment="of its electronics"),
+        _key("falling_edge", Steps(options=(0, 1)), "1: a stop is the line's falling edge (a gate)", needed=False),
         _key("serial", Words()),
         _key("date", Words()),
     ),
