@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from truearm.session.box_frames import Exchange
-from truearm.session.clock_windows import RATE_LIMIT, line_under, lower_hull
+from truearm.session.clock_windows import RATE_LIMIT, line_under, lower_hull, lower_hulls
 from truearm.session.device_clock import fit_clock
 
 TAIL_NS = 150e3
@@ -57,6 +57,13 @@ def test_lower_hull_supports_all_points(points):
     assert np.all(np.interp(x, x[corners], y[corners]) <= y + 1e-9)
     slopes = np.diff(y[corners]) / np.diff(x[corners])
     assert np.all(np.diff(slopes) > 0)
+
+
+@given(st.lists(st.tuples(st.integers(0, 4), st.integers(-50, 50), st.integers(-50, 50)), min_size=1, max_size=60))
+def test_hulls_found_together_are_those_found_alone(points):
+    group, x, y = np.array(points, dtype=float).T
+    alone = [rows[lower_hull(x[rows], y[rows])] for k in np.unique(group) if len(rows := np.flatnonzero(group == k))]
+    assert lower_hulls(x, y, group.astype(int)).tolist() == np.concatenate(alone).tolist()
 
 
 def test_line_under_touches_and_is_the_best():
