@@ -57,7 +57,7 @@ def identified(run: Run, folder: Path, table: ObservationTable, rig: Rig, *more:
     write_table(folder / "t.csv", table, ("rad",) * 6)
     write_rig(folder / "rig.toml", rig)
     arguments = ["identify", folder / "t.csv", "--model", "puma560", "--rig", folder / "rig.toml", *more]
-    outcomes = run(*arguments, "--json"), run(*arguments)
+    outcomes = run(*arguments, "--json", "--force"), run(*arguments, "--force")
     result = json.loads(outcomes[0].out)
     assert [outcome.code for outcome in outcomes] == [0 if result["usable"] else 3] * 2
     return result, outcomes[1].out

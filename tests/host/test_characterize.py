@@ -301,7 +301,7 @@ def test_from_a_session_file_to_a_noise_file(tmp_path, run):
     ):
         assert word in text
     assert read_noise(out).bar_sigma["bar46"] == said(1)[1].bar_sigma["bar46"]
-    code, text, _ = run("characterize", path, "--model", "puma560", "--json", "--out", out)  # its own file, again
+    code, text, _ = run("characterize", path, "--model", "puma560", "--json", "--out", out, "--force")  # again
     document = json.loads(text)
     assert code == 0
     assert document["noise"] == said(1)[0]["noise"]

@@ -93,7 +93,7 @@ def test_corrected_targets_land_where_they_should(bench, capsys):
 @pytest.mark.parametrize("name", ["program.mod", "program.script"])
 def test_a_corrected_program_lands_where_it_should(bench, capsys, name):
     given, out = bench.folder / name, bench.folder / f"corrected-{name}"
-    residuals = bench.folder / "residuals.csv"
+    residuals = bench.folder / f"residuals-{name}.csv"
     more = ("--home", home(bench), "--residuals", residuals, *FRAMES[: 6 if name.endswith("script") else 4])
     code, _, err = run(capsys, "correct", bench.folder / "result.json", given, "--out", out, *more)
     assert code == 0, err

@@ -88,7 +88,8 @@ def test_tables_hold_everything(result, tmp_path, run, form):
     q = correct_bench.good_poses(20)
     expected = forward(CHAIN, stored.value[stored.of_robot], q)
     np.testing.assert_allclose(forward(chain, chain.params_nominal, q), expected, atol=1e-12)
-    code, _, err = run("export", result, "--format", form, "--out", out)
+    assert run("export", result, "--format", form, "--out", out)[0] == 2
+    code, _, err = run("export", result, "--format", form, "--out", out, "--force")
     assert code == 0, "what export wrote it may replace: " + err
 
 

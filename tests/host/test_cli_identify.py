@@ -284,7 +284,7 @@ def test_kinds_and_rigs_are_told_apart(run: Run, tmp_path: Path) -> None:
     write_rig(tmp_path / "tue.toml", Rig(targets=device_bench.TARGETS, trackers={"t": tracker}))
     arguments = ["identify", tmp_path / "t.csv", "--model", "puma560", "--report", tmp_path / "r.html"]
     arguments += ["--rig", f"mon={tmp_path / 'mon.toml'}", "--rig", f"tue={tmp_path / 'tue.toml'}"]
-    result, text = json.loads(run(*arguments, "--json").out), run(*arguments).out
+    result, text = json.loads(run(*arguments, "--json").out), run(*arguments, "--force").out
     assert [(e["rig"], e["kind"], e["fitted"]) for e in result["observations"]] == [
         ("mon", "ball_bar", 90),
         ("tue", "pose", 60),

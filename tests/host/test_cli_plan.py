@@ -192,8 +192,8 @@ def test_strangers_files_are_not_replaced_and_own_ones_are(folder, capsys, optio
     assert main([*given, str(precious)]) == 2
     assert "exists and is nothing that truearm wrote" in capsys.readouterr().err
     assert precious.read_text() == "precious"
-    for _ in range(2):
-        assert main([*given, str(own)]) == 0
+    assert [main([*given, str(own), *force]) for force in ((), (), ["--force"])] == [0, 2, 0]
+    assert "exists; choose another name or give --force" in capsys.readouterr().err
 
 
 def test_too_few_poses_are_told_in_a_few_words(folder, capsys):

@@ -1,6 +1,8 @@
 """The words of options: docs/options.md says what each means, every command follows it, and earlier words are refused."""
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -76,3 +78,47 @@ def test_no_command_has_an_earlier_word():
             *of, old = earlier.split()
             if not of or name == f"truearm {of[0]}":
                 assert not {old, now} <= words - {"--rig"}, name
+
+
+def test_what_writes_a_file_has_force():
+    """And refuses without it what exists; folders are judged by what is in them."""
+    for name, command in commands().items():
+        words = {one.opts[0]: one for one in command.params}
+        if "--out" in words and words["--out"].metavar == "FILE":
+            assert "--force" in words, name
+
+
+def test_what_finds_something_out_prints_it_as_json_too():
+    """What writes a folder with documents of its own, or changes a box, has none."""
+    without = {name.removeprefix("truearm ") for name, command in commands().items() if not _has(command, "--json")}
+    assert without == {
+        *("demo", "init", "simulate", "reproduce"),
+        *("box reset", "box flash", "box gauge", "box monitor", "box config get", "box config set"),
+    }
+
+
+def _has(command, word):
+    return any(word in one.opts for one in command.params)
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("truearm ide", "identify"),
+        ("truearm identify --mode", "--model"),
+        ("truearm identify --model pu", "puma560"),
+        ("truearm box config ''", "get set"),
+    ],
+)
+def test_a_shell_completes(typed, offered):
+    """In a real bash, by the function that --show-completion prints."""
+    program = Path(sys.executable).parent / "truearm"
+    script = f"""
+        export PATH={program.parent}:$PATH
+        source <(truearm --show-completion bash)
+        COMP_WORDS=({typed}); COMP_CWORD=$((${{#COMP_WORDS[@]}} - 1))
+        _truearm_completion truearm
+        echo "${{COMPREPLY[@]}}"
+    """
+    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.split() == offered.split()

@@ -61,6 +61,7 @@ class GaugeOptions:
     serial: str | None = None
     page: Path | None = None
     agreed: bool = False
+    force: bool = False
 
 
 def gauge_channel(device: str, options: GaugeOptions, operator: Operator, stop: bool = False) -> None:
@@ -79,7 +80,7 @@ def gauge_channel(device: str, options: GaugeOptions, operator: Operator, stop: 
         "gauge-" + "".join(c if c.isalnum() or c in "-_" else "_" for c in channel[:40]) + ".html"
     )
     inputs = [] if options.references is None else [options.references]
-    check_writable(page, inputs=inputs, ours=lambda head: MARK.encode() in head)
+    check_writable(page, options.force, inputs=inputs, ours=lambda head: MARK.encode() in head)
     with conversation(device, stop=stop) as box:
         stream, index = _find(ident_of(box), channel)
         config = checked_config(box)

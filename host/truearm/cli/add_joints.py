@@ -11,12 +11,13 @@ from truearm.cli.options import (
     AllowDamagedOption,
     BaseOption,
     ForceOption,
+    JsonOption,
     OptionalRobotOption,
     SessionArgument,
     TipOption,
     out_file,
 )
-from truearm.cli.output import warn_of_further_parts
+from truearm.cli.output import print_json, warn_of_further_parts
 from truearm.record.robots.sources import FileOptions, files_help
 from truearm.text import one_line
 
@@ -52,6 +53,7 @@ def add_joints(
     replace: Annotated[bool, typer.Option("--replace", help="Leave out the readings that the session has.")] = False,
     allow_damaged: AllowDamagedOption = False,
     force: ForceOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Add joint readings from a table or a ROS 2 bag to a session, as a new file.
 
@@ -82,9 +84,11 @@ def add_joints(
         ),
         force,
     )
-    typer.echo(
-        f"{out}: {count} joint readings added; their times are {'UTC' if zero is None else 'from --zero'}, not arrivals"
-    )
+    times = "UTC" if zero is None else "from --zero"
+    if as_json:
+        print_json({"out": str(out), "readings": count, "times": times})
+    else:
+        typer.echo(f"{out}: {count} joint readings added; their times are {times}, not arrivals")
     warn_of_further_parts(
         session, f"add the joints to each by itself, and name the files one by one beside {one_line(out.name)}"
     )

@@ -31,10 +31,10 @@ def get(
     Example: truearm box config get --box /dev/ttyACM0 --out box.toml
     """
     from truearm.box.configuration import format_config
-    from truearm.files.disk import check_new, write_atomic
+    from truearm.files.disk import check_writable, write_atomic
 
     if out is not None:
-        check_new(out, force)
+        check_writable(out, force)
     with conversation(device, stop=stop) as box:
         text = format_config(box.config())
     if out is None:

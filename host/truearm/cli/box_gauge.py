@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from truearm.cli.options import BoxOption, StopOption, out_file
+from truearm.cli.options import BoxOption, ForceOption, StopOption, out_file
 
 
 def gauge(
@@ -26,6 +26,7 @@ def gauge(
     out: Annotated[Path | None, out_file("the page (.html); default: gauge-CHANNEL.html")] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Store the calibration without asking.")] = False,
     stop: StopOption = False,
+    force: ForceOption = False,
 ) -> None:
     """Calibrate a sensor against a reference: gauge blocks, a micrometer, a stage with a scale.
 
@@ -38,7 +39,7 @@ def gauge(
     """
     from truearm.box.gauge_run import GaugeOptions, gauge_channel
 
-    options = GaugeOptions(channel, references, unit, seconds, order, serial, out, yes)
+    options = GaugeOptions(channel, references, unit, seconds, order, serial, out, yes, force)
     gauge_channel(device, options, _Terminal(), stop)
 
 

@@ -11,6 +11,7 @@ import typer
 from truearm.cli.options import (
     AllowDamagedOption,
     BaseOption,
+    ForceOption,
     JsonOption,
     PlanOption,
     RobotOption,
@@ -41,6 +42,7 @@ def characterize(
         ),
     ] = None,
     out: Annotated[Path | None, out_file("the noise file for truearm identify --noise (.toml)")] = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
     allow_damaged: AllowDamagedOption = False,
 ) -> None:
@@ -64,7 +66,7 @@ def characterize(
         raise InputError("-: is no file name; --json prints to standard output")
     bands = sorted({MM.to_si(mm) for mm in within_mm or BANDS_MM})
     name = one_line(session.name)
-    files = CharacterizeFiles(session, RobotChoice(robot, base, tip), rig, plan, out, allow_damaged)
+    files = CharacterizeFiles(session, RobotChoice(robot, base, tip), rig, plan, out, allow_damaged, force)
     found = characterize_files(files, bands, lambda document: remarks(document, name))
     if as_json:
         print_json(found)

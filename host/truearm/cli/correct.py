@@ -9,6 +9,7 @@ import typer
 
 from truearm.cli.options import (
     BaseOption,
+    ForceOption,
     IdentifiedRobotOption,
     JsonOption,
     OwnFramesOption,
@@ -102,6 +103,7 @@ def correct(
         Path | None,
         typer.Option(metavar="FILE", help="Write a page (.html): shifts, expected errors, margins, straight moves."),
     ] = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
     margin: Annotated[
         float, typer.Option(min=1e-4, max=1.0, metavar="SIGMA", help="Refuse targets nearer to a singularity.")
@@ -141,7 +143,7 @@ def correct(
         works=works,
         harmless=frozenset(harmless or ()),
     )
-    files = CorrectFiles(result, RobotChoice(robot, base, tip), targets, out, residuals, report)
+    files = CorrectFiles(result, RobotChoice(robot, base, tip), targets, out, residuals, report, force)
     calibration = read_calibration(files.result, files.robot)
     options = CorrectOptions(
         method=method,

@@ -12,7 +12,7 @@ from typing import Annotated, assert_never
 
 import typer
 
-from truearm.cli.options import BaseOption, BranchOption, SeedOption, TipOption, branch_given, out_folder
+from truearm.cli.options import BaseOption, BranchOption, ForceOption, SeedOption, TipOption, branch_given, out_folder
 from truearm.cli.output import print_lines, recording_progress
 from truearm.cli.truth_options import (
     DEFAULT_MODEL,
@@ -82,6 +82,7 @@ def demo(
     stiffness: StiffnessOption = DEFAULT_STIFFNESS,
     truth_out: TruthOutOption = None,
     truth_seed: TruthSeedOption = None,
+    force: ForceOption = False,
 ) -> None:
     """Calibrate a simulated robot, the PUMA 560 by default, with a ball-bar or a line device, from the firmware to the report.
 
@@ -118,7 +119,7 @@ def demo(
     subject = robot_subject(RobotChoice(model, base, tip), branch_given(branch), truth, seed)
     simulated, robot = subject.simulated, subject.robot
     if truth_out is not None:
-        check_writable(truth_out, inputs=subject.choice.files, ours=looks_like_truth)
+        check_writable(truth_out, force, inputs=subject.choice.files, ours=looks_like_truth)
     own_folder(out, MARK)
     interpreter = find_interpreter()
     if interpreter is None:

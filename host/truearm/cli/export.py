@@ -9,22 +9,32 @@ import typer
 
 from truearm.cli.options import (
     BaseOption,
+    ForceOption,
     IdentifiedRobotOption,
+    JsonOption,
     OwnFramesOption,
     ResultArgument,
     TipOption,
     choices,
+    completed,
     one_of,
     out_file,
 )
-from truearm.cli.output import print_lines
+from truearm.cli.output import print_json, print_lines
 from truearm.export.formats import FORMATS, formats_help
 
 
 def export(
     result: ResultArgument,
     form: Annotated[
-        str, typer.Option("--format", metavar=choices(FORMATS), callback=one_of(FORMATS), help=formats_help())
+        str,
+        typer.Option(
+            "--format",
+            metavar=choices(FORMATS),
+            callback=one_of(FORMATS),
+            autocompletion=completed(FORMATS),
+            help=formats_help(),
+        ),
     ],
     out: Annotated[Path, out_file("the robot")],
     robot: IdentifiedRobotOption = None,
@@ -51,6 +61,8 @@ def export(
             metavar="FILE", help="Write the joints' error curves too (.csv): reading, error, sigma, covered or not."
         ),
     ] = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Write a calibrated robot for other programs.
 
@@ -60,9 +72,13 @@ def export(
     Example:
       truearm export result.json --format urdf --model panda.urdf --out calibrated.urdf
     """
-    from truearm.cli.export_text import lines
+    from truearm.cli.export_text import document, lines
     from truearm.files.robot_file import RobotChoice
     from truearm.workflows.export import ExportOptions, export_file
 
     options = ExportOptions(form, own_frames, tuple(adjust or ()))
-    print_lines(lines(export_file(result, RobotChoice(robot, base, tip), out, options, over, curves), out, over))
+    found = export_file(result, RobotChoice(robot, base, tip), out, options, over, curves, force)
+    if as_json:
+        print_json(document(found, out, curves))
+    else:
+        print_lines(lines(found, out, over))

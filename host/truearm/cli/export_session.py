@@ -7,8 +7,15 @@ from typing import Annotated
 
 import typer
 
-from truearm.cli.options import AllowDamagedOption, OptionalRobotOption, SessionArgument, SessionRigOption, out_folder
-from truearm.cli.output import print_lines, warn_of_further_parts
+from truearm.cli.options import (
+    AllowDamagedOption,
+    JsonOption,
+    OptionalRobotOption,
+    SessionArgument,
+    SessionRigOption,
+    out_folder,
+)
+from truearm.cli.output import print_json, print_lines, warn_of_further_parts
 from truearm.text import one_line
 
 
@@ -30,6 +37,7 @@ def export_session(
     rig: SessionRigOption = None,
     robot: OptionalRobotOption = None,
     allow_damaged: AllowDamagedOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Write a session as tables: all samples, joint readings, clock exchanges, events, plan, dwells, passes and observations.
 
@@ -45,5 +53,8 @@ def export_session(
     from truearm.workflows.export_session import ExportSession, export_session_files
 
     tables = export_session_files(ExportSession(session, out, format, rig, robot, allow_damaged, rate))
-    print_lines(f"{one_line(str(out))}/{name}: {rows} rows" for name, rows in tables.items())
+    if as_json:
+        print_json({"folder": str(out), "rows": dict(tables)})
+    else:
+        print_lines(f"{one_line(str(out))}/{name}: {rows} rows" for name, rows in tables.items())
     warn_of_further_parts(session, "export each by itself, its clocks are its own")

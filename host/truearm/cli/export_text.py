@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from truearm.text import one_line
+from truearm.types import Figures
+from truearm.units import MM
 from truearm.workflows.export import ExportedRobot, cost_lines
 
 REMEDY = "Give --over FILE, a plan or a table, to have it best where you work."
@@ -14,3 +17,20 @@ def lines(found: ExportedRobot, out: Path, over: Path | None) -> list[str]:
     """The mountings, the error that the refit leaves, and the file; ``over``: what it was refitted over."""
     remedy = [REMEDY] if found.fitted.refitted and over is None else []
     return [*found.mountings, *cost_lines(found), *remedy, f"Written: {one_line(str(out))}"]
+
+
+def document(found: ExportedRobot, out: Path, curves: Path | None) -> dict[str, Any]:
+    """The same as JSON: what the format has no place for, whether the rest was refitted, and the position error that is left [mm]."""
+    left, dropped = (Figures.of(MM.of(error)) for error in (found.fitted.left, found.fitted.dropped))
+    return {
+        "format": found.form,
+        "mountings": found.mountings,
+        "missing": found.missing,
+        "exact": found.exact,
+        "refitted": found.fitted.refitted,
+        "poses": found.fitted.left.size,
+        "left_rms_mm": left.rms,
+        "left_max_mm": left.max,
+        "dropped_rms_mm": dropped.rms,
+        "written": [str(path) for path in (out, curves) if path is not None],
+    }

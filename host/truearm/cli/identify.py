@@ -12,6 +12,7 @@ from truearm.bounds import ITERATIONS, LINE_POINTS
 from truearm.cli.options import (
     AllowDamagedOption,
     BaseOption,
+    ForceOption,
     InputsArgument,
     JsonOption,
     NamedRigsOption,
@@ -20,6 +21,7 @@ from truearm.cli.options import (
     TipOption,
     bounded,
     choices,
+    completed,
     one_of,
     out_file,
     rigs_of,
@@ -86,6 +88,7 @@ def identify(
         typer.Option(
             metavar=choices(SOLVERS),
             callback=one_of(SOLVERS),
+            autocompletion=completed(SOLVERS),
             help=". ".join(f"{name}: {entry.summary}" for name, entry in SOLVERS.items()) + ".",
         ),
     ] = "lm",
@@ -94,6 +97,7 @@ def identify(
         typer.Option(
             metavar=choices(tuple(Loss)),
             callback=one_of(tuple(Loss)),
+            autocompletion=completed(tuple(Loss)),
             help=f"huber and cauchy tolerate outliers; with the solvers {' and '.join(with_loss())}.",
         ),
     ] = "linear",
@@ -119,6 +123,7 @@ def identify(
         int, typer.Option(metavar="N", help="Stop there, converged or not.", **bounded(ITERATIONS))
     ] = 50,
     out: Annotated[Path | None, out_file("the result (.json)")] = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
     save_table: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write all observations as one table (CSV).")
@@ -153,7 +158,7 @@ def identify(
 
     sources = Sources(tuple(inputs), rigs_of(rig), noise, allow_damaged, line_points, warn)
     command = shlex.join(["truearm", *(context.obj or [])])
-    files = IdentifyFiles(RobotChoice(robot, base, tip), sources, out, save_table, report, command)
+    files = IdentifyFiles(RobotChoice(robot, base, tip), sources, out, save_table, report, command, force)
     options = IdentifyOptions(
         free=("*",) if all_free else tuple(free or ()),
         also_free=tuple(also_free or ()),

@@ -66,13 +66,15 @@ COMMANDS = (
 # typer, which exports only its subclass BadParameter.
 _UsageError = cast(type[typer.BadParameter], typer.BadParameter.__mro__[1])
 
+_COMPLETE = "_TRUEARM_COMPLETE"  # set by the shell function that --install-completion writes
+
 app = typer.Typer(
     name="truearm",
     help="Record a sensor box and a robot, identify the robot's kinematic parameters, see what was gained.",
     epilog=f"Exit codes: {table()}\n\nExample: truearm demo",
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
-    add_completion=False,
+    add_completion=True,
 )
 for _command in COMMANDS:
     app.command(_command.__name__.strip("_").replace("_", "-"), cls=ProjectCommand)(_command)
@@ -162,6 +164,8 @@ def _renamed(exc: typer.BadParameter) -> str | None:
 
 def _run(arguments: list[str]) -> int:
     command = typer.main.get_command(app)
+    if _COMPLETE in os.environ:  # the shell asks for completions and hears them on standard output
+        return int(command.main(prog_name="truearm", standalone_mode=False) or ExitCode.DONE)
     try:
         # Not command.main(): it prints errors in a box of several lines and swallows KeyboardInterrupt.
         answers = defaults(Path.cwd())

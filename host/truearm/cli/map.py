@@ -12,7 +12,9 @@ import typer
 from truearm.bounds import CELL
 from truearm.cli.options import (
     BaseOption,
+    ForceOption,
     IdentifiedRobotOption,
+    JsonOption,
     OwnFramesOption,
     ResultArgument,
     TipOption,
@@ -21,7 +23,7 @@ from truearm.cli.options import (
     numbers_of,
     out_file,
 )
-from truearm.cli.output import print_lines
+from truearm.cli.output import print_json, print_lines
 from truearm.errors import InputError
 from truearm.text import one_line
 from truearm.units import MM
@@ -61,6 +63,8 @@ def map_(
         ),
     ] = None,
     own_frames: OwnFramesOption = False,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Map the robot's error without calibration over a section of its workspace, with the map's own uncertainty.
 
@@ -68,7 +72,7 @@ def map_(
     Example:
       truearm map result.json --picture map.svg --task 300x200 --within 300:900,0:800
     """
-    from truearm.cli.map_text import lines
+    from truearm.cli.map_text import document, lines
     from truearm.files.robot_file import RobotChoice
     from truearm.workflows.calibration import read_calibration
     from truearm.workflows.error_map import MapFiles, Section, Task, map_files
@@ -77,12 +81,16 @@ def map_(
         raise InputError("--within: is of the place for a --task WxH; give that too")
     varied, shown = _joints_of(joints), numbers_of("--at", at)
     wanted = None if task is None else Task(_size_of(task), None if within is None else _span_of(within))
-    files = MapFiles(result, RobotChoice(robot, base, tip), out, picture)
+    files = MapFiles(result, RobotChoice(robot, base, tip), out, picture, force)
     calibration = read_calibration(files.result, files.robot)
     stand = joints_of("--at", shown, calibration.joint_units)
     section = Section(varied, stand, _is_up(elbow), MM.to_si(cell), own_frames)
-    print_lines(lines(map_files(calibration, files, section, wanted), section.cell, task))
-    print_lines(f"Written: {one_line(str(path))}" for path in (out, picture) if path is not None)
+    found = map_files(calibration, files, section, wanted)
+    written = [str(path) for path in (out, picture) if path is not None]
+    if as_json:
+        print_json({**document(found, section.cell), "written": written})
+    else:
+        print_lines([*lines(found, section.cell, task), *(f"Written: {one_line(path)}" for path in written)])
 
 
 def _is_up(elbow: Elbow) -> bool:

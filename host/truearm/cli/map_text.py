@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from truearm.correct.error_map import ErrorMap, Region
@@ -42,3 +44,29 @@ def _task_line(found: ErrorMap, region: Region | None, task: str) -> str:
         f"Best place for a task of {task} mm: {names[0]} {u[0]} to {u[1]}, {names[1]} {v[0]} to {v[1]} mm; error at most "
         f"{MM.text(region.largest, '.3f')}, RMS {MM.text(region.rms, '.3f')}."
     )
+
+
+def document(mapped: Mapped, cell: float) -> dict[str, Any]:
+    """The same as JSON; ``cell`` [m]. ``sigma_unknown_cells``: where combinations of parameters that were not seen move the end."""
+    found = mapped.map
+    error, sigma = MM.of(found.error[~np.isnan(found.error)]), MM.of(found.sigma[np.isfinite(found.sigma)])
+    region = mapped.region
+    return {
+        "cell_mm": MM.of(cell),
+        "axes": [axis(direction) for direction in found.axes],
+        "cells": error.size,
+        "error_min_mm": error.min(),
+        "error_max_mm": error.max(),
+        "error_rms_mm": Figures.of(error).rms,
+        "sigma_min_mm": sigma.min() if sigma.size else None,
+        "sigma_max_mm": sigma.max() if sigma.size else None,
+        "sigma_unknown_cells": error.size - sigma.size,
+        "best_region": None
+        if region is None
+        else {
+            "u_mm": [MM.of(end) for end in region.u],
+            "v_mm": [MM.of(end) for end in region.v],
+            "error_max_mm": MM.of(region.largest),
+            "error_rms_mm": MM.of(region.rms),
+        },
+    }

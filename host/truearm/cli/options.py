@@ -39,6 +39,11 @@ def bounded(by: Within, scale: Scale | None = None) -> dict[str, Any]:
     return {name: end if math.isfinite(end) else None for name, end in shown.items()}
 
 
+def completed(names: Collection[str]) -> Callable[[str], list[str]]:
+    """Return what a shell is offered for the value of an option, those of ``names`` that begin as what was typed."""
+    return lambda incomplete: [name for name in names if name.startswith(incomplete)]  # the name that typer asks for
+
+
 # What is read
 SessionArgument = Annotated[Path, typer.Argument(metavar="SESSION", help="Session file (.mcap) of truearm record.")]
 InputsArgument = Annotated[
@@ -59,7 +64,10 @@ AllowDamagedOption = Annotated[
 def _robot(default: str = "") -> Any:
     names = ", ".join(builtin_names())
     return typer.Option(
-        "--model", metavar="ROBOT", help=f"Built-in robot ({names}), robot file (.toml) or URDF (.urdf).{default}"
+        "--model",
+        metavar="ROBOT",
+        autocompletion=completed(builtin_names()),
+        help=f"Built-in robot ({names}), robot file (.toml) or URDF (.urdf).{default}",
     )
 
 
@@ -122,7 +130,7 @@ PlainOption = Annotated[
 ]
 
 # What is written
-ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite the file to write.")]
+ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite a file to write, if truearm wrote it.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON and nothing else.")]
 SeedOption = Annotated[int, typer.Option("--seed", metavar="N", help="Random seed.", **bounded(SEED))]
 

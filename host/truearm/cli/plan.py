@@ -12,6 +12,7 @@ from truearm.bounds import CANDIDATES, CHECK_POSES, DWELL, MINUTES, POSES, TRAVE
 from truearm.cli.options import (
     BaseOption,
     BranchOption,
+    ForceOption,
     JsonOption,
     RigOption,
     RobotOption,
@@ -20,6 +21,7 @@ from truearm.cli.options import (
     bounded,
     branch_given,
     choices,
+    completed,
     one_of,
     out_file,
     spans_of,
@@ -53,6 +55,7 @@ CriterionOption = Annotated[
     typer.Option(
         metavar=choices(tuple(Criterion)),
         callback=one_of(tuple(Criterion)),
+        autocompletion=completed(tuple(Criterion)),
         help=". ".join(f"{name}: {criterion_summary(name)}" for name in Criterion) + ".",
     ),
 ]
@@ -155,6 +158,7 @@ def ballbar(
     program: ProgramOption = None,
     output_line: OutputOption = 0,
     input_line: InputOption = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Plan ball-bar poses on shells about the chucks.
@@ -179,6 +183,7 @@ def ballbar(
         out=out,
         programs=tuple(program or ()),
         signals=Signals(output_line, input_line),
+        force=force,
     )
     options = BallBarOptions(
         criterion=criterion,
@@ -233,6 +238,7 @@ def line(
     program: ProgramOption = None,
     output_line: OutputOption = 0,
     input_line: InputOption = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Plan lines for a line device, driven there and back, preferring where the a-priori error is large.
@@ -259,6 +265,7 @@ def line(
         rig_out=rig_out,
         programs=tuple(program or ()),
         signals=Signals(output_line, input_line),
+        force=force,
     )
     options = LineOptions(
         shape=Shape(MM.to_si(length_mm), MM.to_si(transverse_mm), MM_S.to_si(speed_mm_s), points),
@@ -297,6 +304,7 @@ def characterize(
     program: ProgramOption = None,
     output_line: OutputOption = 0,
     input_line: InputOption = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Plan a short run that tells how well the robot repeats: a few poses, reached from both sides of every joint.
@@ -320,6 +328,7 @@ def characterize(
         out=out,
         programs=tuple(program or ()),
         signals=Signals(output_line, input_line),
+        force=force,
     )
     options = ApproachOptions(
         bar=bar,

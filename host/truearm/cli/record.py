@@ -12,13 +12,14 @@ import typer
 from truearm.cli.options import (
     DurationOption,
     ForceOption,
+    JsonOption,
     OptionalBoxOption,
     PlainOption,
     PlanOption,
     SessionRigOption,
     out_file,
 )
-from truearm.cli.output import print_lines
+from truearm.cli.output import print_json, print_lines
 from truearm.cli.project import typed
 from truearm.errors import IncompleteError, InputError
 from truearm.exit_codes import ExitCode
@@ -64,6 +65,7 @@ def record(
         bool, typer.Option("--unchecked", help="Record even if the box cannot measure what the plan or the rig is for.")
     ] = False,
     force: ForceOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Record a sensor box and a robot into a session file.
 
@@ -78,7 +80,7 @@ def record(
       truearm record --address tcp://127.0.0.1:7008 --rig rig.toml --plan plan.csv --out session.mcap
       truearm record --resume session.mcap
     """
-    from truearm.cli.record_text import lines
+    from truearm.cli.record_text import document, lines
     from truearm.workflows.record import Request, nearest_osr, record_request
 
     if resume is not None:  # the session's own, not the project's
@@ -92,7 +94,10 @@ def record(
         Request(device, out, resume, address, plan, rig, mounted, osr, duration, patience, plain, unchecked, force),
         sys.stderr,
     )
-    print_lines(lines(recorded))
+    if as_json:
+        print_json(document(recorded))
+    else:
+        print_lines(lines(recorded))
     if recorded.trouble:
         typer.echo(recorded.trouble, err=True)
     if recorded.summary.reason == "interrupted":

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+from typing import Any
+
 from truearm.record.status import RecordSummary
 from truearm.workflows.record import Recorded
 
@@ -35,3 +38,18 @@ def _totals(summary: RecordSummary) -> str:
     if counters.held_up:
         parts.append(f"the reader had to wait {counters.held_up} times")
     return ", ".join(parts)
+
+
+def document(recorded: Recorded) -> dict[str, Any]:
+    """The same as JSON; ``dwells`` is None where the recording has no robot or no rig with a ball-bar."""
+    summary = recorded.summary
+    return {
+        "out": str(recorded.out) if recorded.kept else None,
+        "duration_s": summary.duration_s,
+        "ended": summary.reason,
+        "why": summary.text,
+        "counters": asdict(summary.counters),
+        "faults": summary.faults,
+        "dwells": None if recorded.dwells is None else asdict(recorded.dwells),
+        "missing": recorded.missing,
+    }

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from truearm.cli.options import ForceOption, SessionArgument, out_file
-from truearm.cli.output import print_lines, warn_of_further_parts
+from truearm.cli.options import ForceOption, JsonOption, SessionArgument, out_file
+from truearm.cli.output import print_json, print_lines, warn_of_further_parts
 from truearm.text import one_line
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ def recover(
     session: SessionArgument,
     out: Annotated[Path | None, out_file("a session; default: SESSION's name, -recovered.mcap")] = None,
     force: ForceOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Write a new, complete session with all that is whole of a damaged or unfinished one.
 
@@ -36,12 +38,17 @@ def recover(
 
     out = out or session.parent / f"{session.stem}-recovered.mcap"
     found = recover_file(session, out, force)
-    if found is None:
+    if as_json:
+        print_json(
+            {"whole": found is None, "out": None if found is None else str(out), **(asdict(found) if found else {})}
+        )
+    elif found is None:
         typer.echo(f"{one_line(str(session))}: is whole; there is nothing to recover, and nothing was written")
-        return
-    print_lines(lines(found))
-    typer.echo(f"{one_line(str(out))}: written, a complete session")
-    warn_of_further_parts(session, f"name them beside {one_line(out.name)}, they are not found by its name")
+    else:
+        print_lines(lines(found))
+        typer.echo(f"{one_line(str(out))}: written, a complete session")
+    if found is not None:
+        warn_of_further_parts(session, f"name them beside {one_line(out.name)}, they are not found by its name")
 
 
 def lines(found: Recovered) -> list[str]:

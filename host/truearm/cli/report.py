@@ -12,8 +12,10 @@ from truearm.bounds import LINE_POINTS
 from truearm.cli.options import (
     AllowDamagedOption,
     BaseOption,
+    ForceOption,
     IdentifiedRobotOption,
     InputsArgument,
+    JsonOption,
     NamedRigsOption,
     ResultArgument,
     TipOption,
@@ -21,7 +23,7 @@ from truearm.cli.options import (
     out_file,
     rigs_of,
 )
-from truearm.cli.output import warn
+from truearm.cli.output import print_json, warn
 from truearm.files.project_folder import find_project
 
 
@@ -45,6 +47,8 @@ def report(
         typer.Option(metavar="N", help="Points of each pass, as truearm identify was told.", **bounded(LINE_POINTS)),
     ] = None,
     allow_damaged: AllowDamagedOption = False,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Write the page about a result, with a certificate as its first sheet.
 
@@ -67,6 +71,11 @@ def report(
     sources = Sources(tuple(inputs), rigs_of(rig), noise, allow_damaged, line_points, warn)
     command = shlex.join(["truearm", *(context.obj or [])])
     report_files(
-        ReportFiles(result, IdentifyFiles(RobotChoice(robot, base, tip), sources, command=command), out, project)
+        ReportFiles(
+            result, IdentifyFiles(RobotChoice(robot, base, tip), sources, command=command, force=force), out, project
+        )
     )
-    typer.echo(f"report          {out}")
+    if as_json:
+        print_json({"report": str(out)})
+    else:
+        typer.echo(f"report          {out}")

@@ -11,7 +11,16 @@ from typing import Annotated
 
 import typer
 
-from truearm.cli.options import BaseOption, BranchOption, PlanOption, SeedOption, TipOption, branch_given, out_folder
+from truearm.cli.options import (
+    BaseOption,
+    BranchOption,
+    ForceOption,
+    PlanOption,
+    SeedOption,
+    TipOption,
+    branch_given,
+    out_folder,
+)
 from truearm.cli.output import recording_progress
 from truearm.cli.project import typed
 from truearm.cli.truth_options import (
@@ -90,6 +99,7 @@ def simulate(
     stiffness: StiffnessOption = DEFAULT_STIFFNESS,
     truth_out: TruthOutOption = None,
     truth_seed: TruthSeedOption = None,
+    force: ForceOption = False,
     seed: SeedOption = 1,
     level: Annotated[
         str,
@@ -136,6 +146,7 @@ def simulate(
         branch=branch_given(branch),
         truth=truth_of(tolerance, gear_error, gear_periods, masses, stiffness, repeatability, worn, truth_seed),
         truth_out=truth_out,
+        force=force,
         fast=fast,
         osr=nearest_osr(rate),
         port=port,

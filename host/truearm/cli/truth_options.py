@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from truearm.cli.options import numbers_of
+from truearm.cli.options import completed, numbers_of
 from truearm.errors import InputError
 from truearm.model.builtin import builtin_names
 from truearm.units import DEG, MM, MRAD
@@ -20,6 +20,7 @@ ModelOption = Annotated[
     typer.Option(
         "--model",
         metavar="ROBOT",
+        autocompletion=completed(builtin_names()),
         help=f"The robot to simulate: built-in ({', '.join(builtin_names())}), robot file (.toml) or URDF (.urdf).",
     ),
 ]

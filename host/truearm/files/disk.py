@@ -102,23 +102,20 @@ def sha256(path: Path) -> str:
         raise InputError(f"{path}: cannot be read: {exc.strerror}") from exc
 
 
-def check_writable(path: Path, *, inputs: Iterable[Path] = (), ours: Callable[[bytes], bool] | None = None) -> None:
+def check_writable(
+    path: Path, force: bool = True, *, inputs: Iterable[Path] = (), ours: Callable[[bytes], bool] | None = None
+) -> None:
     """Raise InputError when ``path`` cannot become a file, or should not.
 
     Called before long work, not instead of handling errors. ``inputs`` are files that must not be overwritten; ``ours``
-    says by its first kilobyte whether a file that exists is one that we wrote and may replace.
+    says by its first kilobyte whether a file that exists is one that we wrote and may replace, with ``force``.
     """
     try:
         _check_writable(path, inputs, ours)
+        if path.exists() and not force:
+            raise InputError(f"{path}: exists; choose another name or give ", Argument("force"))
     except OSError as exc:  # a name that is too long, a folder that may not be looked into
         raise InputError(f"{path}: cannot be written: {exc.strerror}") from exc
-
-
-def check_new(path: Path, force: bool, *, inputs: Iterable[Path] = ()) -> None:
-    """As ``check_writable``; a file that exists is replaced only with ``force``. Raises InputError."""
-    check_writable(path, inputs=inputs)
-    if path.exists() and not force:
-        raise InputError(f"{path}: exists; choose another name or give ", Argument("force"))
 
 
 def _check_writable(path: Path, inputs: Iterable[Path], ours: Callable[[bytes], bool] | None) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from truearm.errors import Argument, InputError
-from truearm.files.disk import check_new, sha256, working_folder
+from truearm.files.disk import check_writable, sha256, working_folder
 from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.record.robots.add_readings import add_readings
 from truearm.record.robots.sources import FileOptions, readings_of_file
@@ -32,7 +32,7 @@ class AddJoints:
 
 def add_joints_file(wanted: AddJoints, force: bool = False) -> int:
     """Write the session with the readings, whole or not at all; returns how many there are. Raises InputError, SessionError."""
-    check_new(wanted.out, force, inputs=[wanted.session, wanted.source])
+    check_writable(wanted.out, force, inputs=[wanted.session, wanted.source])
     zero = wanted.zero
     if zero is not None and not abs(zero) < 1e9:
         raise InputError(Argument("zero"), f" {zero:g} is no time; give seconds")

@@ -83,6 +83,7 @@ class CorrectFiles(NamedTuple):
     out: Path
     residuals: Path | None = None
     report: Path | None = None
+    force: bool = False
 
 
 @dataclass(frozen=True)
@@ -134,14 +135,14 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
     check_names(files.targets, files.out, files.residuals, files.report)
     program = is_program(files.targets)
     read = [files.result, files.targets, *files.robot.files]
-    check_writable(files.out, inputs=read, ours=None if program else looks_like_targets)
+    check_writable(files.out, files.force, inputs=read, ours=None if program else looks_like_targets)
     if program and files.out.exists():
         raise InputError(f"{files.out}: exists; a program is only written under a new name")
     request = _request(calibration, options)
     written = [*read, files.out]
     for path, ours in ((files.residuals, looks_like_targets), (files.report, looks_like_page)):
         if path is not None:
-            check_writable(path, inputs=written, ours=ours)
+            check_writable(path, files.force, inputs=written, ours=ours)
             written.append(path)
     done = (
         _correct_program(files, calibration, request, options)

@@ -57,6 +57,7 @@ class MapFiles(NamedTuple):
     robot: RobotChoice
     out: Path | None = None
     picture: Path | None = None
+    force: bool = False
 
 
 class Mapped(NamedTuple):
@@ -71,9 +72,11 @@ def map_files(calibration: Calibration, files: MapFiles, section: Section, task:
     check_names(files.out, files.picture)
     read = [files.result, *files.robot.files]
     if files.out is not None:
-        check_writable(files.out, inputs=read, ours=lambda head: not head.strip() or head.startswith(MARK.encode()))
+        check_writable(
+            files.out, files.force, inputs=read, ours=lambda head: not head.strip() or head.startswith(MARK.encode())
+        )
     if files.picture is not None:
-        check_writable(files.picture, inputs=[*read, *filter(None, [files.out])], ours=_looks_like_picture)
+        check_writable(files.picture, files.force, inputs=[*read, *filter(None, [files.out])], ours=_looks_like_picture)
     found = mapped(calibration, section)
     region = None if task is None else best_region(found, *task.size, task.within)
     if files.out is not None:

@@ -112,6 +112,7 @@ def export_file(
     options: ExportOptions,
     over: Path | None = None,
     curves: Path | None = None,
+    force: bool = False,
 ) -> ExportedRobot:
     """Write the calibrated robot; ``over``: a table or a plan of poses to refit over, ``curves``: where to write the joints' error curves.
 
@@ -119,9 +120,9 @@ def export_file(
     """
     check_names(result, out, over, curves)
     inputs = [result, *robot.files, *filter(None, [over])]
-    check_writable(out, inputs=inputs, ours=looks_like_ours)
+    check_writable(out, force, inputs=inputs, ours=looks_like_ours)
     if curves is not None:
-        check_writable(curves, inputs=[*inputs, out], ours=looks_like_curves)
+        check_writable(curves, force, inputs=[*inputs, out], ours=looks_like_curves)
     calibration = read_calibration(result, robot)
     found = exported(calibration, options, None if over is None else _poses_of(over, calibration.chain))
     table = None if curves is None else curve_table(_curves(calibration, curves))

@@ -174,6 +174,7 @@ class IdentifyFiles:
     save_table: Path | None = None
     report: Path | None = None
     command: str = ""
+    force: bool = False
 
 
 def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: IdentifyOptions) -> Identification:
@@ -190,7 +191,7 @@ def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: Ident
         heard=lambda session, result: recordings.append(recording_of(session, result)),
     )
     wanted = (files.out, looks_like_result), (files.save_table, looks_like_table), (files.report, looks_like_page)
-    check_files(sources, files.robot, [(path, ours) for path, ours in wanted if path is not None])
+    check_files(sources, files.robot, [(path, ours) for path, ours in wanted if path is not None], files.force)
     robot = load_robot(files.robot.robot or "", files.robot.base, files.robot.tip)
     rig, table, counts = read_sources(sources, robot.chain.joint_units, robot)
     selection = selected(robot, table, hold_out, options)

@@ -60,7 +60,7 @@ class Sources:
         return [*self.inputs, *self.rigs.values(), *filter(None, [self.noise])]
 
 
-def check_files(sources: Sources, robot: RobotChoice, outputs: Sequence[Output] = ()) -> None:
+def check_files(sources: Sources, robot: RobotChoice, outputs: Sequence[Output] = (), force: bool = False) -> None:
     """No input twice (its sigmas would shrink), no output over an input, another output or a stranger's file.
 
     Raises InputError.
@@ -77,7 +77,7 @@ def check_files(sources: Sources, robot: RobotChoice, outputs: Sequence[Output] 
         if any(same_file(path, other) for other, _ in outputs[:i]):
             raise InputError(f"{path}: would be two outputs in one file; give each its own")
     for path, ours in outputs:
-        check_writable(path, inputs=[*sources.files, *robot.files], ours=ours)
+        check_writable(path, force, inputs=[*sources.files, *robot.files], ours=ours)
 
 
 class DwellCount(NamedTuple):

@@ -70,6 +70,7 @@ class PlanFiles:
     rig_out: Path | None = None
     programs: tuple[Path, ...] = ()
     signals: Signals = NO_SIGNALS
+    force: bool = False
 
     @property
     def outputs(self) -> list[Path]:
@@ -364,7 +365,7 @@ def _check(files: PlanFiles) -> None:
     read = [*files.robot.files, files.rig, files.result, *files.measured]
     inputs = [path for path in read if path is not None and path.exists()]
     for i, path in enumerate(outputs):
-        check_writable(path, inputs=[*inputs, *outputs[:i]], ours=partial(_is_ours, path.suffix.lower()))
+        check_writable(path, files.force, inputs=[*inputs, *outputs[:i]], ours=partial(_is_ours, path.suffix.lower()))
 
 
 def _is_ours(suffix: str, head: bytes) -> bool:

@@ -185,7 +185,7 @@ def nearest_osr(rate: float) -> int:
 
 def _work(request: Request) -> Work:
     """What is to be recorded. Raises InputError for options and files that are wrong or do not fit each other."""
-    from truearm.files.disk import check_new
+    from truearm.files.disk import check_writable
 
     if (request.out is None) == (request.resume is None):
         raise InputError(
@@ -195,7 +195,7 @@ def _work(request: Request) -> Work:
     out = request.out if before is None else before.out
     assert out is not None
     read = [path for path in (request.rig, request.plan) if path is not None]
-    check_new(out, request.force and before is None, inputs=read)
+    check_writable(out, request.force and before is None, inputs=read)
     work = _with_files(Work(out, request.robot, request.osr or USUAL_OSR), request)
     if before is not None:
         work = _going_on(work, request, before)

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from truearm.errors import SessionError, WriteError
-from truearm.files.disk import check_new, sha256, working_folder
+from truearm.files.disk import check_writable, sha256, working_folder
 from truearm.record.recover import Recovered, is_whole
 from truearm.record.recover import recover as recover_session
 from truearm.session.session_file import Session, open_session
@@ -20,7 +20,7 @@ def recover_file(session: Path, out: Path, force: bool = False) -> Recovered | N
     opened = open_session(session, allow_damaged=True)
     if is_whole(opened):
         return None
-    check_new(out, force, inputs=[session])
+    check_writable(out, force, inputs=[session])
     return _write(session, opened, out, {"source": session.name, "sha256": sha256(session)})
 
 

@@ -81,6 +81,7 @@ class SimulateOptions:
     branch: Branch | None = None
     truth: TruthOptions = AS_DRAWN
     truth_out: Path | None = None
+    force: bool = False
     fast: bool = False
     osr: int = 8192
     port: int = 7007
@@ -241,7 +242,7 @@ def _lab(options: SimulateOptions, rate: float, say: Say) -> tuple[World, Hardwa
     plan, rig = visits(options, simulated)
     if options.truth_out is not None:
         read = [path for path in (options.plan, options.rig, *options.model.files) if path is not None]
-        check_writable(options.truth_out, inputs=read, ours=looks_like_truth)
+        check_writable(options.truth_out, options.force, inputs=read, ours=looks_like_truth)
     world = World(
         seed,
         plan,
