@@ -12,7 +12,7 @@ unexport PYTHONDONTWRITEBYTECODE
 DEVICE_FILES = $(shell find firmware protocol/truearm_wire hil_sim/truearm_sim/vm -path firmware/image -prune -o -name '*.py' -print 2>/dev/null | sort)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint device-check pytest collect soak bench benchmark micropython wire uf2 chip hardware hardware-check kicad-if-possible image-if-possible chip-if-possible venv test-lowest clean
+.PHONY: help demo test lint device-check pytest collect soak bench benchmark micropython wire uf2 release chip hardware hardware-check kicad-if-possible image-if-possible chip-if-possible venv test-lowest clean
 
 help: ## this list
 	@sed -nE 's/^([a-z0-9-]+):.*## (.*)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-20s %s\n", $$1, $$2}'
@@ -69,6 +69,10 @@ wire: .venv/installed ## layout and golden vectors of the wire, from protocol/fr
 
 uf2: .venv/python ## one file to flash: build/uf2/truearm-VERSION.uf2 (on Debian and its relatives, with compilers installed)
 	@PYTHONPATH=hil_sim $(BIN)/python firmware/image/build.py
+
+release: uf2 .venv/installed-test ## wheel and source distribution in dist/, with the flashable image in them; URL=https://… of the repository makes the links absolute
+	@$(BIN)/pip --disable-pip-version-check --quiet install build
+	@TRUEARM_URL=$(URL) $(BIN)/python -m build --outdir dist .
 
 chip: .venv/installed-test ## what the chip emulator needs: Node (found, else fetched) and its packages, in build/
 	@$(BIN)/python -m truearm_sim.node --get

@@ -1,5 +1,7 @@
 """The wheel in an environment of its own: what a scientist types first, and what a type checker says of it."""
 
+import importlib.util
+import re
 import subprocess
 import sys
 import sysconfig
@@ -180,3 +182,33 @@ def test_types_are_real(environment, folder):
         [*map(str, [*mypy, *cache, "wrong.py"])], cwd=folder, capture_output=True, text=True, check=False
     )
     assert 'incompatible type "str"; expected "Robot"' in done.stdout
+
+
+def test_the_wheel_flashes_a_box_without_a_checkout(environment, folder):
+    """It holds the image that make uf2 built; where there was none it says so."""
+    image = ROOT / "build" / "uf2" / f"truearm-{truearm.__version__}.uf2"
+    done = subprocess.run(
+        [environment, "-m", "truearm", "box", "flash", "--drive", "no-drive"],
+        cwd=folder, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert done.returncode in (1, 2)
+    if image.is_file():
+        first = done.stdout.splitlines()[0]
+        assert f"box/image/{image.name}: for the RP2040" in first
+        assert Path(first.partition(":")[0]).read_bytes() == image.read_bytes()
+    else:
+        assert f"this installation holds no {image.name}; give the image to flash" in done.stderr
+
+
+def test_links_of_the_readme_are_absolute_where_the_repository_has_an_address(tmp_path, monkeypatch):
+    monkeypatch.setenv("TRUEARM_URL", "https://example.org/truearm/")
+    spec = importlib.util.spec_from_file_location("hatch_build", ROOT / "hatch_build.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    metadata = {}
+    module.LinksHook(str(ROOT), {}).update(metadata)
+    text = metadata["readme"]["text"]
+    assert "![Part of the report of make demo](https://example.org/truearm/raw/HEAD/docs/report.png)" in text
+    assert "](https://example.org/truearm/blob/HEAD/docs/rig.md)" in text
+    assert not re.findall(r"\]\((?!https?://|#)[^)]*\)", text)
+    assert metadata["urls"]["Source"] == "https://example.org/truearm"

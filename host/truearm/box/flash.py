@@ -49,12 +49,7 @@ def flash_box(options: FlashOptions) -> Iterator[str]:
             raise InputError(Argument("stock"), " takes ", Argument("box"), " and neither an image nor a drive")
         yield from _copy_files(options.device, options.stop)
     else:
-        if options.image is None:
-            raise InputError(
-                f"give the image to flash, such as build/uf2/truearm-{__version__}.uf2 (make uf2), or ",
-                Argument("stock"),
-            )
-        version = yield from _write_image(options.image, options)
+        version = yield from _write_image(options.image or own_image(), options)
     if not options.check:
         return
     ident = _wait_for_box(options.device, others, options.timeout)
@@ -63,6 +58,18 @@ def flash_box(options: FlashOptions) -> Iterator[str]:
         yield f"warning: the image has {version}; files of a firmware on the box's flash are found before it"
     for fault in ident.faults:
         yield f"warning: {fault}"
+
+
+def own_image() -> Path:
+    """Return the image of this version: the wheel's own, or the one that make uf2 built in this checkout. Raises InputError."""
+    package, name = Path(__file__).parent, f"truearm-{__version__}.uf2"
+    places = (package / "image" / name, package.parents[2] / "build" / "uf2" / name)
+    for path in places:
+        if path.is_file():
+            return path
+    raise InputError(
+        f"this installation holds no {name}; give the image to flash (make uf2 builds one), or ", Argument("stock")
+    )
 
 
 def _write_image(path: Path, options: FlashOptions) -> Generator[str, None, str]:

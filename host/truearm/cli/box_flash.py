@@ -12,7 +12,9 @@ from truearm.cli.output import print_lines
 
 
 def flash(
-    image: Annotated[Path | None, typer.Argument(metavar="IMAGE.uf2", help="The image, as make uf2 makes it.")] = None,
+    image: Annotated[
+        Path | None, typer.Argument(metavar="IMAGE.uf2", help="The image; default: the one of this version.")
+    ] = None,
     device: OptionalBoxOption = None,
     drive: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Where the boot drive is or will be mounted; default: found.")
@@ -29,14 +31,15 @@ def flash(
 ) -> None:
     """Flash a box, then check that it answers.
 
-    The image is checked first. A box that runs is asked to enter its boot loader (--box); a new Pico is plugged in with
+    The image is checked first; the wheel has its own, and make uf2 builds one. A box that runs is asked to enter its boot loader (--box); a new Pico is plugged in with
     BOOTSEL held, and its drive is found or named (--drive). With --stock there is no image: the firmware's files are copied to a
     board that runs MicroPython. What a box stores, its configuration and calibrations, outlives all of this.
 
     \b
     Examples:
-      truearm box flash build/uf2/truearm-0.4.0.uf2
-      truearm box flash build/uf2/truearm-0.4.0.uf2 --box /dev/ttyACM0
+      truearm box flash
+      truearm box flash --box /dev/ttyACM0
+      truearm box flash truearm-0.4.0.uf2 --drive /media/RPI-RP2
       truearm box flash --stock --box /dev/ttyACM0
     """
     from truearm.box.flash import FlashOptions, flash_box
