@@ -3,7 +3,7 @@
 A command is executed once: one that comes again with the req_id of the last (its answer was lost) is only answered again.
 """
 
-from truearm_wire.cbor import CborError, decode, encode
+from truearm_wire.cbor import CborError, decode
 from truearm_wire.fast import micropython
 from truearm_wire.messages import (
     BOOT_LOADER,
@@ -29,12 +29,14 @@ from truearm_wire.messages import (
     SYNC_REQUEST,
     TO_REPL,
     pages,
+    pages_of,
 )
 
 from .ident import plain
 
 SMALL = 1 << 30
 TEXT_MAX = 160  # of an error
+EMPTY = pages(b"")
 
 
 class Refused(Exception):
@@ -55,7 +57,7 @@ class Commands:
         self._settings = settings
         self._last = 0  # req_id of the last command
         self._error = None  # it was refused
-        self._document = b""  # that its answer carries
+        self._document = EMPTY  # whose pages its answer carries; None: it has none
         self._with_ident = False  # the ident is its answer, or follows it
         self._pages = ()  # (frame type, req_id, page, pages, data) of what is being answered
         self._page = 0
@@ -70,7 +72,7 @@ class Commands:
 
     def identify(self, req_id):
         """Lay the ident document out in pages."""
-        self._lay_out(_paged(IDENT, req_id, encode(self._settings.document())))
+        self._lay_out(_paged(IDENT, req_id, pages_of(self._settings.document())))
 
     def _lay_out(self, answer):
         self._pages = answer
@@ -151,7 +153,7 @@ class Commands:
         if not req_id:
             return False
         self._stop_id = 0
-        self._lay_out(_paged(REPLY, req_id, b""))
+        self._lay_out(_paged(REPLY, req_id, EMPTY))
         self.send_page()
         return True
 
@@ -162,14 +164,14 @@ class Commands:
             return
         answer = [] if self._document is None else _paged(REPLY, req_id, self._document)
         if self._with_ident:
-            answer += _paged(IDENT, req_id, encode(self._settings.document()))
+            answer += _paged(IDENT, req_id, pages_of(self._settings.document()))
         self._lay_out(answer)
 
     def _execute(self, values):
         """Do what a command says, and keep what it is answered with."""
         self._error = None
         self._with_ident = False
-        self._document = b""
+        self._document = EMPTY
         do = _DO.get(values[0])
         try:
             if do is None:
@@ -205,7 +207,7 @@ class Commands:
 
     def _get_config(self, values):
         self._need_rest()
-        self._document = encode(self._settings.config)
+        self._document = pages_of(self._settings.config)
 
     def _put_config(self, values):
         if len(values) < 5 or not _is_id(values[2]) or not _is_id(values[3]) or not isinstance(values[4], bytes):
@@ -215,7 +217,7 @@ class Commands:
 
     def _self_test(self, values):
         self._need_rest()
-        self._document = encode(self._settings.self_test())
+        self._document = pages_of(self._settings.self_test())
 
     def _leave(self, values):
         if values[0] == RESET:
@@ -251,8 +253,8 @@ _DO = {
 }
 
 
-def _paged(kind, req_id, document):
-    return [(kind, req_id, page, count, data) for page, count, data in pages(document)]
+def _paged(kind, req_id, pages):
+    return [(kind, req_id, page, count, data) for page, count, data in pages]
 
 
 def _need(values, n, text):

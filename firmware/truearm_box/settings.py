@@ -2,13 +2,13 @@
 
 import gc
 
-from truearm_wire.cbor import decode, encode
-from truearm_wire.messages import PAGE_BYTES, STREAM_ADC, pages
+from truearm_wire.cbor import decode
+from truearm_wire.messages import PAGE_BYTES, STREAM_ADC, pages_of
 
 from . import config, ident, selftest, storage, temperatures
 
 PAGES_MAX = 16  # of a configuration: 3200 bytes
-ROOM = 60000  # for commands (health.py): bytes of heap that a configuration has to leave: of many small parts it may be 40 times its size
+ROOM = 46000  # for commands (health.py): bytes of heap that a configuration has to leave: of many small parts it may be 40 times its size
 
 
 class Settings:
@@ -33,11 +33,11 @@ class Settings:
     def _try_out(self, found):
         """What cannot be told to the host must not stop the box from booting: raises ValueError for it."""
         gc.collect()
-        count = len(pages(encode(found)))
+        count = len(pages_of(found))
         if count > PAGES_MAX:
             raise ValueError("it has %d pages, at most %d fit" % (count, PAGES_MAX))
         longest = ident.document(self._board, found, 1 << 30, 1 << 30, "x" * ident.FAULT_MAX, "x" * ident.ERROR_MAX)
-        pages(encode(longest))
+        pages_of(longest)
         longest = None
         gc.collect()
         if 0 < self._board.heap_free() < ROOM:

@@ -15,6 +15,7 @@ from .ident import ERROR_MAX, plain
 
 # bytes of a configuration's JSON; more would not fit the heap next to the ring, several times over
 SIZE_MAX = 8000
+PIECE = 256  # characters that are read back at once
 END = 100  # bytes in which a file has to end
 
 
@@ -66,8 +67,10 @@ def save(path, settings, try_out):
         with open(new, "w") as f:
             f.write(text)
         with open(new) as f:
-            if f.read() != text:
-                raise OSError("it does not read back")
+            for at in range(0, len(text), PIECE):  # the heap may have no room for all of it twice
+                if f.read(PIECE) != text[at : at + PIECE]:
+                    raise OSError("it does not read back")
+        text = None
         if _read(path, try_out)[0]:  # a damaged one does not replace a good one
             os.rename(path, path + ".old")
         os.rename(new, path)

@@ -72,8 +72,13 @@ def put_int(buf, at, n):
 def encode(value):
     """CBOR bytes of a value. Raises CborError."""
     out = bytearray()
-    _encode(value, out, DEPTH_MAX)
+    encode_into(value, out)
     return bytes(out)
+
+
+def encode_into(value, out):
+    """Append a value's CBOR bytes to `out`, which has `append` and `extend`. Raises CborError."""
+    _encode(value, out, DEPTH_MAX)
 
 
 def _head(out, major, n):

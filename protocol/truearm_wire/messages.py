@@ -1,7 +1,8 @@
 """Every frame by the layout of its elements (SPEC §4 and §6), which is generated from frames.cddl."""
 
 from . import layout
-from .cbor import U32, U64, CborError, Tag, decode, encode
+from .cbor import U32, U64, CborError, Tag, decode, encode, encode_into
+from .fast import copy
 
 DATA = 16
 EVENT = 17
@@ -124,3 +125,49 @@ def pages(document):
     if count > PAGES_MAX:
         raise CborError("a document of %d bytes does not fit %d pages" % (len(document), PAGES_MAX))
     return [(i, count, document[PAGE_BYTES * i : PAGE_BYTES * (i + 1)]) for i in range(count)]
+
+
+def pages_of(value):
+    """As `pages` of a document that is yet to be encoded, which at no time stands in one piece: the chip's heap has none for 4 kB.
+
+    Raises CborError.
+    """
+    cut = _Cut()
+    encode_into(value, cut)
+    found = cut.pages()
+    if len(found) > PAGES_MAX:
+        raise CborError("a document of %d pages does not fit %d" % (len(found), PAGES_MAX))
+    return [(i, len(found), page) for i, page in enumerate(found)]
+
+
+class _Cut:
+    """What is encoded into: pages as they fill."""
+
+    def __init__(self):
+        self._full = []
+        self._page = bytearray(PAGE_BYTES)
+        self._n = 0
+
+    def append(self, byte):
+        self._page[self._n] = byte
+        self._advance(1)
+
+    def extend(self, data):
+        at = 0
+        while at < len(data):
+            n = min(PAGE_BYTES - self._n, len(data) - at)
+            copy(self._page, self._n, data, at, n)
+            at += n
+            self._advance(n)
+
+    def _advance(self, n):
+        self._n += n
+        if self._n == PAGE_BYTES:
+            self._full.append(bytes(self._page))
+            self._n = 0
+
+    def pages(self):
+        if self._n or not self._full:
+            self._full.append(bytes(self._page[: self._n]))
+            self._n = 0
+        return self._full
