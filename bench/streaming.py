@@ -22,7 +22,7 @@ from truearm.record.frames import FrameSplitter
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm_sim import micropython
-from truearm_sim.box import BoxProcess, BoxSetup
+from truearm_sim.box import BoxProcess, BoxSetup, Grant
 from truearm_wire.cbor import Tag
 from truearm_wire.frame import frame
 from truearm_wire.messages import encode_payload
@@ -75,13 +75,13 @@ def firmware() -> float:
     """Samples a second that the firmware in the simulated box frames, grants of 100 samples."""
     interpreter = micropython.find()
     with BoxProcess(interpreter, BoxSetup(), boot_id=1) as box:
-        box.grant(0, rx=frame(encode_payload([50, 1])))
+        box.grant(Grant(0, rx=frame(encode_payload([50, 1]))))
         records = struct.pack(">I4i", 0, 1, 2, 3, 4) * 100
         n = 300
 
         def run() -> None:
             for i in range(n):
-                box.grant(1000 + 98304 * i, samples=records, index=100 * i)
+                box.grant(Grant(1000 + 98304 * i, samples=records, index=100 * i))
 
         return 100 * n / best_of(3, run)
 

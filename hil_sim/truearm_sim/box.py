@@ -59,6 +59,28 @@ class BoxDied(LinkError):
 LATER_US = 1 << 29  # nothing is due
 
 
+@dataclass(frozen=True, slots=True)
+class Grant:
+    """What the box gets in one step, which lasts until ``now_us``.
+
+    ``samples`` (``mag``) are records of 20 (8) bytes, the first with index ``index`` since the start of sampling; ``fault`` is of the
+    last converter sample. ``thermometers`` are records of THERMOMETER, all of them in each grant.
+    """
+
+    now_us: int
+    rx: bytes = b""
+    samples: bytes = b""
+    index: int = 0
+    mag: bytes = b""
+    mag_index: int = 0
+    edges: bytes = b""
+    tx_room: int = 0xFFFF
+    flags: int = 0
+    fault: int = 0
+    temperature_mdegc: int = 25000
+    thermometers: bytes = b""
+
+
 class Answer(NamedTuple):
     """What the box did in one grant.
 
@@ -170,42 +192,26 @@ class BoxProcess:
             start_new_session=True,  # Ctrl-C is for the parent, which ends this process in order
         )
 
-    def grant(
-        self,
-        now_us: int,
-        *,
-        rx: bytes = b"",
-        samples: bytes = b"",
-        index: int = 0,
-        mag: bytes = b"",
-        mag_index: int = 0,
-        edges: bytes = b"",
-        tx_room: int = 0xFFFF,
-        flags: int = 0,
-        fault: int = 0,
-        temperature_mdegc: int = 25000,
-        thermometers: bytes = b"",
-    ) -> Answer:
-        """One step. `samples` (`mag`) are records of 20 (8) bytes, the first with index `index` since the start of sampling.
-
-        ``fault`` is of the last converter sample; ``thermometers`` are records of THERMOMETER, all of them in each grant. Raises BoxDied if the process has ended.
-        """
+    def grant(self, given: Grant) -> Answer:
+        """One step. Raises BoxDied if the process has ended, ValueError for more than fits a grant."""
         assert self._process.stdin is not None
-        n_samples, n_mag, n_edges = len(samples) // RECORD, len(mag) // MAG_RECORD, len(edges) // EDGE
-        n_thermometers = len(thermometers) // THERMOMETER.size
+        n_samples, n_mag, n_edges = len(given.samples) // RECORD, len(given.mag) // MAG_RECORD, len(given.edges) // EDGE
+        n_thermometers = len(given.thermometers) // THERMOMETER.size
         if (
             max(n_samples, n_mag) > SAMPLES_MAX
-            or len(rx) > RX_MAX
+            or len(given.rx) > RX_MAX
             or n_edges > EDGES_MAX
             or n_thermometers > THERMOMETERS_MAX
         ):
             raise ValueError("more than fits a grant")
-        where = (now_us, temperature_mdegc, n_edges, fault, n_samples, index, n_mag, mag_index, n_thermometers)
-        head = GRANT.pack(b"G", flags, len(rx), max(0, min(tx_room, 0xFFFF)), *where)
+        room = max(0, min(given.tx_room, 0xFFFF))
+        counts = (n_samples, given.index, n_mag, given.mag_index, n_thermometers)
+        where = (given.now_us, given.temperature_mdegc, n_edges, given.fault, *counts)
+        head = GRANT.pack(b"G", given.flags, len(given.rx), room, *where)
         try:
             # two writes of at most 4096 bytes: each arrives in one piece
             os.write(self._process.stdin.fileno(), head)
-            if body := rx + samples + mag + edges + thermometers:
+            if body := given.rx + given.samples + given.mag + given.edges + given.thermometers:
                 os.write(self._process.stdin.fileno(), body)
         except BrokenPipeError:
             raise BoxDied(self._last_words()) from None

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from truearm.types import Floats
 from truearm_sim import sensors
 from truearm_sim.robot import States, quintic
-from truearm_sim.world import MAG_MIDDLE, MAG_PERIOD_NS, Level, World, standard_plan
+from truearm_sim.world import MAG_MIDDLE, MAG_PERIOD_NS, Level, Setup, World, standard_plan
 
 SPEED = 0.02  # m/s, at the middle of a move
 SETTLE_S = 0.3  # of the shortest move
@@ -49,7 +49,7 @@ class Stage(World):
     """A world in which somebody sets a carriage. Its box samples what the carriage is at, from the moment on at which it is set."""
 
     def __init__(self, seed: int) -> None:
-        super().__init__(seed, standard_plan(9, seed), mag_period_ns=MAG_PERIOD_NS)
+        super().__init__(seed, standard_plan(9, seed), setup=Setup(mag_period_ns=MAG_PERIOD_NS))
         rng = np.random.default_rng([seed, _CURVES])
         self.curves = [drawn_curve(poly, rng) for poly in (sensors.POLY, *sensors.TRANSVERSE_POLY)]
         self.speed_of_sound = sensors.SOUND * (1.0 + 2e-3 * rng.standard_normal())

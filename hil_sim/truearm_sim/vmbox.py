@@ -67,7 +67,7 @@ class VmBox:
             mag, mag_index = _taken(self._mag, device_us, self._mag_records)
             now, pending = pending[: box.EDGES_MAX], pending[box.EDGES_MAX :]
             sent, self._rx = _split(self._rx, min(RX_MAX, self._rx_room))
-            answer = self._process.grant(
+            given = box.Grant(
                 device_us,
                 rx=sent,
                 samples=adc,
@@ -81,6 +81,7 @@ class VmBox:
                 temperature_mdegc=temperature_mdegc,
                 thermometers=thermometers,
             )
+            answer = self._process.grant(given)
             flags &= STALL
             flying = 0 if adc else flying
             tx_room -= len(answer.tx)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,6 +106,29 @@ class Truth:
     robot_delay: float  # s, by which the robot's readings are late
 
 
+class Setup(NamedTuple):
+    """How the lab is wired and what is wrong in it.
+
+    ``clocks``: drawn from the seed by default. ``robot_rate`` [Hz]: of the robot's readings, which are late by ``robot_delay_s``.
+    ``mag_period_ns``: how often the box is configured to read its magnetostrictive sensor, 0: never; default: MAG_PERIOD_NS where lines
+    are driven. A share ``lost_stops`` of its shots has no stop pulse. ``flaws``: what the line device does beside what it says.
+    ``robot_input``: what the box's trigger output is wired to, which then is configured to toggle; None: nothing. ``thermal``: how bar
+    and sensor warm up; None: not at all, and the box has no thermometers.
+    """
+
+    clocks: Clocks | None = None
+    robot_rate: float = 50.0
+    robot_delay_s: float = 0.0
+    mag_period_ns: int | None = None
+    lost_stops: float = 0.0
+    flaws: Flaws | None = None
+    robot_input: RobotInput | None = None
+    thermal: Thermal | None = None
+
+
+USUAL = Setup()
+
+
 class World:
     """The true robot visiting ``plan`` with the bars of ``rig``, as the box and the robot's socket show it."""
 
@@ -115,24 +138,12 @@ class World:
         plan: Plan,
         rig: Rig | None = None,
         params: Floats | None = None,
-        clocks: Clocks | None = None,
-        robot_rate: float = 50.0,
-        mag_period_ns: int | None = None,
-        lost_stops: float = 0.0,
         arm: Arm | None = None,
-        robot_delay_s: float = 0.0,
-        flaws: Flaws | None = None,
-        robot_input: RobotInput | None = None,
         robot: Robot | None = None,
-        thermal: Thermal | None = None,
+        setup: Setup = USUAL,
     ) -> None:
-        """``robot``: the PUMA 560 by default. ``params`` (p,): as it truly is, default ``true_params``; ``clocks``: drawn from the seed.
+        """``robot``: the PUMA 560 by default. ``params`` (p,): as it truly is, default ``true_params``. ``arm``: a stiff one by default.
 
-        ``mag_period_ns``: how often the box is configured to read its magnetostrictive sensor, 0: never; default: MAG_PERIOD_NS
-        where lines are driven. A share ``lost_stops`` of its shots has no stop pulse. ``arm``: a stiff one by default.
-        ``robot_delay_s``: how late the robot's readings are. ``flaws``: what the line device does beside what it says.
-        ``robot_input``: what the box's trigger output is wired to, which then is configured to toggle; None: nothing.
-        ``thermal``: how bar and sensor warm up; None: not at all, and the box has no thermometers.
         Raises PlanError when the plan names something that the rig does not have, and for a line that cannot be driven.
         """
         robot = robot or builtin_robot(PAPER)
@@ -141,7 +152,7 @@ class World:
         plan_file.check_against_rig(plan, self.rig, "the plan")
         self.chain: Chain = robot.chain
         self.params = true_params(robot, seed) if params is None else params
-        self.clocks = clocks or draw_clocks(seed)
+        self.clocks = setup.clocks or draw_clocks(seed)
         known = {name: (bar.zero, bar.gain, bar.travel, bar.sigma) for name, bar in self.rig.bars.items()}
         bars = np.array([known.get(name, NO_BAR) for name in plan.bar.tolist()]).T
         chucks, spheres = (
@@ -153,20 +164,20 @@ class World:
         self._scatter = sensors.repeatability(seed, len(plan))[arrivals(plan)] * bars[3]
         arm, paths = moving(robot, arm), line_paths(plan, self.chain, self.chain.params_nominal, self.rig)
         self.controller = Controller.from_plan(
-            plan, self.clocks.robot, seed, robot_rate, self._runs_out(plan), arm, paths, robot_delay_s
+            plan, self.clocks.robot, seed, setup.robot_rate, self._runs_out(plan), arm, paths, setup.robot_delay_s
         )
         self.placed = place_devices(plan, paths, self.chain, self.params, self.rig, seed)
         self.rig = written_down(self.rig, self.placed, seed)
-        self._flaws = flaws or Flaws()
-        self._thermal = thermal
+        self._flaws = setup.flaws or Flaws()
+        self._thermal = setup.thermal
         self._devices: LineDevices | None = None
         if paths:
             self._devices = LineDevices(self.controller, self.chain, self.params, self.rig, self.placed, seed)
         pose = self.controller.pose
         self._settled_length = self._distance(self.controller.q_rest, pose) + self._scatter[pose]
-        self._mag_period_ns = (MAG_PERIOD_NS if paths else 0) if mag_period_ns is None else mag_period_ns
-        self._lost_stops = lost_stops
-        self.robot_input = robot_input
+        self._mag_period_ns = (MAG_PERIOD_NS if paths else 0) if setup.mag_period_ns is None else setup.mag_period_ns
+        self._lost_stops = setup.lost_stops
+        self.robot_input = setup.robot_input
         self._kept: dict[str, tuple[tuple[int, ...], NDArray[Any]]] = {}
 
     @property

@@ -15,7 +15,7 @@ from truearm_sim.ports import Port, Terminal
 from truearm_sim.sensors import SOUND, VOLTS_PER_COUNT
 from truearm_sim.serve import serve
 from truearm_sim.simbox import SimulatedBox
-from truearm_sim.world import World, standard_plan
+from truearm_sim.world import Setup, World, standard_plan
 
 MAG_PERIOD_NS = 983_040  # as the converter's
 LONGEST_STEP_NS = 4_000_000  # in 2 ms of the wall clock and the time that it takes: nobody is hurried
@@ -36,7 +36,7 @@ class Stage(World):
     DELAY_PS = 1.5e6
 
     def __init__(self, mag_period_ns=0):
-        super().__init__(7, standard_plan(9, 7), mag_period_ns=mag_period_ns)
+        super().__init__(7, standard_plan(9, 7), setup=Setup(mag_period_ns=mag_period_ns))
         self.position = 0.0
         self.magnet = True
 

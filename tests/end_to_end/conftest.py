@@ -23,7 +23,7 @@ from truearm_sim.arm import Arm
 from truearm_sim.lab import Lab
 from truearm_sim.robot import quantised
 from truearm_sim.simbox import Fault, SimulatedBox
-from truearm_sim.world import World, standard_plan
+from truearm_sim.world import Setup, World, standard_plan
 
 
 @dataclass
@@ -91,7 +91,7 @@ def record_session(
 ) -> Recorded:
     """``poses`` with each bar of the rig, or another plan; ``params`` (p,): another true robot."""
     plan = standard_plan(poses, seed, rig) if plan is None else plan
-    world = World(seed, plan, rig, params, arm=arm, robot_delay_s=robot_delay_s)
+    world = World(seed, plan, rig, params, arm=arm, setup=Setup(robot_delay_s=robot_delay_s))
     box = SimulatedBox(world, interpreter(), faults=faults, seed=seed)
     lab = Lab(world, box, seed)
     link = TappedLink(lab.box_link)

@@ -23,7 +23,7 @@ from truearm_sim.hardware import Edge, PowerOn
 from truearm_sim.lab import Lab
 from truearm_sim.simbox import Fault, SimulatedBox
 from truearm_sim.vmbox import VmBox
-from truearm_sim.world import World, standard_plan
+from truearm_sim.world import Setup, World, standard_plan
 from truearm_wire import messages as wire
 
 MAG_PERIOD_NS = 983_040
@@ -106,7 +106,7 @@ def lab_of(
 ):
     """A lab with a box of this level, both of whose sources are on; ``poses`` with each bar, three seconds or so each, or a world."""
     if world is None:
-        world = World(seed, standard_plan(poses, seed), mag_period_ns=mag_period_ns, lost_stops=lost_stops)
+        world = World(seed, standard_plan(poses, seed), setup=Setup(mag_period_ns=mag_period_ns, lost_stops=lost_stops))
     box = SimulatedBox(world, faults=faults, edges=edges, seed=seed, power_on=LEVELS[level]())
     try:
         yield Lab(world, box, seed)

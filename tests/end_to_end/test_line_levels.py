@@ -13,7 +13,7 @@ from tests.end_to_end.levels import LEVELS, MAG_PERIOD_NS, lab_of, record_lab, s
 from truearm.session.box_ident import find_channel
 from truearm_sim import sensors
 from truearm_sim.line_plan import drawn_line_plan, line_rig
-from truearm_sim.world import World
+from truearm_sim.world import Setup, World
 
 ADC_PERIOD_NS = 983_040
 SECONDS = (
@@ -29,7 +29,7 @@ def recorded(tmp_path_factory):
 
     @functools.cache
     def recorded(level):
-        world = World(6, drawn_line_plan(1, 1, speed=SPEED), line_rig(), lost_stops=0.01)
+        world = World(6, drawn_line_plan(1, 1, speed=SPEED), line_rig(), setup=Setup(lost_stops=0.01))
         with lab_of(level, seed=6, world=world) as lab:
             return record_lab(lab, tmp_path_factory.mktemp("line") / f"{level}.mcap", SECONDS)
 

@@ -22,7 +22,7 @@ from truearm_sim.lab import FROM_ROBOT, Lab
 from truearm_sim.line_device import Flaws, drive_errors
 from truearm_sim.line_plan import TARGETS, drawn_line_plan, line_rig
 from truearm_sim.simbox import SimulatedBox
-from truearm_sim.world import World, standard_plan, standard_rig
+from truearm_sim.world import Setup, World, standard_plan, standard_rig
 
 ROBOT = builtin_robot("puma560")
 CHAIN, FREE, SIGMA = ROBOT.chain, ROBOT.free, weak_prior(ROBOT.chain)
@@ -34,7 +34,7 @@ def world_of(seed, **how):
     """A robot drawn from the weak prior, as Renders' a few millimetres off, on four lines there and back."""
     drawn = np.random.default_rng([seed, 0xEE5]).standard_normal(SIGMA.size)
     truth = CHAIN.params_nominal + FREE * SIGMA * drawn
-    return World(seed, PLAN, line_rig(), params=truth, robot_rate=125.0, **how)
+    return World(seed, PLAN, line_rig(), params=truth, setup=Setup(robot_rate=125.0, **how))
 
 
 def shown(world, flaws=None):
@@ -130,7 +130,7 @@ def test_a_clock_that_is_wrong_otherwise_after_a_restart_is_no_robots_error():
 def test_a_wrong_velocity_of_sound_is_noticed_beside_a_ball_bar():
     """Lines alone would make the arm smaller, which fits; a bar knows how long it is."""
     plan = concatenate(standard_plan(45, 2), PLAN)
-    world = World(2, plan, line_rig(standard_rig()), params=world_of(2).params, robot_rate=125.0)
+    world = World(2, plan, line_rig(standard_rig()), params=world_of(2).params, setup=Setup(robot_rate=125.0))
     bars = measured_by_bars(world)
     for flaws, wrong in ((Flaws(), False), (Flaws(sound=5e-3), True)):
         lines = shown(world, flaws)

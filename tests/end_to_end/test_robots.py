@@ -8,7 +8,7 @@ from tests.end_to_end.test_real_time import Simulator
 
 from truearm.cli.main import main
 from truearm.session.session_file import open_session
-from truearm_sim.world import World, standard_plan
+from truearm_sim.world import Setup, World, standard_plan
 
 
 def test_rtde_from_the_simulator_to_the_dwell(tmp_path):
@@ -26,7 +26,7 @@ def test_rtde_from_the_simulator_to_the_dwell(tmp_path):
     # The Port drops what a slow reader does not take; seq and t tell of it alike.
     seq, t = np.array([row["seq"] for row in rows]), np.array([row["t"] for row in rows])
     assert np.array_equal(seq, np.rint((t - t[0]) * 500.0))
-    states = World(1, standard_plan(9, 1), robot_rate=500.0).robot_states(0, 20 * 10**9)
+    states = World(1, standard_plan(9, 1), setup=Setup(robot_rate=500.0)).robot_states(0, 20 * 10**9)
     first = int(np.searchsorted(states.t_robot, rows[0]["t"] - 1e-6))
     for key in ("q", "q_cmd", "qd"):
         told = getattr(states, key)[first + seq]

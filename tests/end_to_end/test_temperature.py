@@ -16,7 +16,7 @@ from truearm.workflows.session_observations import SessionOptions, observations_
 from truearm_sim.lab import Lab
 from truearm_sim.simbox import SimulatedBox
 from truearm_sim.thermal import STEEL, Thermal
-from truearm_sim.world import World, standard_plan
+from truearm_sim.world import Setup, World, standard_plan
 
 OSR = 16384
 GAIN_DRIFT = 1e-4
@@ -35,7 +35,7 @@ def session(path, thermal, level="vm"):
     }
     rig = replace(rig, bars=bars)
     plan = standard_plan(POSES, 3, rig)
-    world = World(3, plan, rig, thermal=thermal)
+    world = World(3, plan, rig, setup=Setup(thermal=thermal))
     box = SimulatedBox(world, seed=3, power_on=LEVELS[level]())
     lab = Lab(world, box, 3)
     try:

@@ -7,7 +7,7 @@ import pytest
 
 from tests.wire_frames import command, frames
 from truearm_sim import micropython
-from truearm_sim.box import NO_ANSWER, THERMOMETER, BoxProcess, BoxSetup, write_flash
+from truearm_sim.box import NO_ANSWER, THERMOMETER, BoxProcess, BoxSetup, Grant, write_flash
 from truearm_wire import messages
 
 OSR = 4096
@@ -56,7 +56,7 @@ class Bench:
 
     def _grant(self, **grant):
         records = [THERMOMETER.pack(uid, NO_ANSWER if mdegc is None else mdegc) for uid, mdegc in self.thermometers]
-        return self.box.grant(self.now_us, thermometers=b"".join(records), **grant)
+        return self.box.grant(Grant(self.now_us, thermometers=b"".join(records), **grant))
 
     def start(self):
         assert self.give(rx=command(49, 1, 0, OSR))[0][:1] == [64]

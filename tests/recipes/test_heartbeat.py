@@ -19,7 +19,7 @@ import json, sys
 from pathlib import Path
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
-from truearm_sim.box import BoxProcess, BoxSetup
+from truearm_sim.box import BoxProcess, BoxSetup, Grant
 from truearm_sim.micropython import probe
 from truearm_wire import frame, messages
 
@@ -28,7 +28,7 @@ TOPICS = {messages.HEARTBEAT: "/box/heartbeat", messages.IDENT: "/box/ident"}
 box = BoxProcess(probe(Path(sys.argv[1])) if sys.argv[1] else None, BoxSetup(), 7)
 writer, beats = SessionWriter(Path(sys.argv[2]), HostClock()), []
 identify = [frame.frame(messages.encode_payload([messages.IDENTIFY, k])) for k in range(10)]
-sent = b"".join(box.grant(100_000 * k, rx=identify[k % 10] if k % 10 < 6 else b"").tx for k in range(60))
+sent = b"".join(box.grant(Grant(100_000 * k, rx=identify[k % 10] if k % 10 < 6 else b"")).tx for k in range(60))
 for payload in (frame.unframe(run) for run in sent.split(b"\\0") if run):
     kind, *values = messages.decode_payload(payload)
     writer.add(TOPICS[kind], 10**9 + 10**6 * len(beats), payload)

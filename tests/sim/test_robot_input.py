@@ -10,7 +10,7 @@ from truearm_sim.lab import Lab
 from truearm_sim.micropython import find
 from truearm_sim.simbox import SimulatedBox
 from truearm_sim.vmbox import VmBox
-from truearm_sim.world import RobotInput, World, standard_plan
+from truearm_sim.world import RobotInput, Setup, World, standard_plan
 from truearm_wire.frame import frame
 from truearm_wire.messages import START, encode_payload
 
@@ -19,7 +19,7 @@ INPUT = 3
 
 @pytest.fixture
 def lab():
-    world = World(4, standard_plan(9, 4), robot_rate=500.0, robot_input=RobotInput(INPUT, (300, 1300)))
+    world = World(4, standard_plan(9, 4), setup=Setup(robot_rate=500.0, robot_input=RobotInput(INPUT, (300, 1300))))
     box = SimulatedBox(world, power_on=partial(VmBox, find()))
     yield Lab(world, box, 4)
     box.close()
@@ -65,7 +65,7 @@ def test_without_a_wire_readings_have_no_inputs():
     world = World(4, standard_plan(9, 4))
     assert b"inputs" not in world.robot_lines(0, 10**9, lambda t: t > 0)[1][0]
     assert world.box_config()["trigger_ms"] == [0, 0]
-    wired = World(4, standard_plan(9, 4), robot_input=RobotInput(0))
+    wired = World(4, standard_plan(9, 4), setup=Setup(robot_input=RobotInput(0)))
     assert not np.any(wired.robot_states(0, 10**9).inputs)
     assert np.all(wired.robot_states(0, 10**9, lambda t: t >= 0).inputs == 1)
 

@@ -22,9 +22,9 @@ from truearm.record.robots import rtde_packages as rtde
 from truearm.record.robots.rtde import PORT, RtdeLink
 from truearm_sim.ports import Port
 from truearm_sim.rtde_server import RtdeServer, type_of
-from truearm_sim.world import World, standard_plan
+from truearm_sim.world import Setup, World, standard_plan
 
-WORLD = World(1, standard_plan(9, 1), robot_rate=500.0)
+WORLD = World(1, standard_plan(9, 1), setup=Setup(robot_rate=500.0))
 HOST = f"127.30.{os.getpid() % 250 + 1}.4"
 linux = pytest.mark.skipif(sys.platform != "linux", reason="needs all of 127/8 as loopback")
 peer = pytest.mark.skipif(

@@ -10,10 +10,10 @@ from truearm_sim import micropython, sensors
 from truearm_sim.hardware import Boot, Edge, Signals
 from truearm_sim.simbox import Fault, SimulatedBox
 from truearm_sim.vmbox import VmBox
-from truearm_sim.world import MAG_MIDDLE, MAG_STROKE, World, standard_plan
+from truearm_sim.world import MAG_MIDDLE, MAG_STROKE, Setup, World, standard_plan
 from truearm_wire import frame, messages
 
-WORLD = World(4, standard_plan(9, 4), mag_period_ns=983_040)
+WORLD = World(4, standard_plan(9, 4), setup=Setup(mag_period_ns=983_040))
 MS = 1_000_000
 
 
@@ -186,7 +186,7 @@ def test_the_magnet_stays_within_its_stroke_and_rests_while_the_bar_is_off():
 
 
 def test_stops_are_lost_by_the_share_that_was_asked_for():
-    world = World(4, standard_plan(9, 4), mag_period_ns=983_040, lost_stops=0.1)
+    world = World(4, standard_plan(9, 4), setup=Setup(mag_period_ns=983_040, lost_stops=0.1))
     n = 20_000
     lost = np.mean(world.flight_times(0, n, 0, 983_040) < 0)
     assert abs(lost - 0.1) < 5 * np.sqrt(0.09 / n)

@@ -18,7 +18,7 @@ from truearm_sim import line_device, robot, sensors
 from truearm_sim.line_device import BY_HAND, Flaws
 from truearm_sim.line_plan import TARGETS, drawn_line_plan, line_rig
 from truearm_sim.paths import ACCELERATION
-from truearm_sim.world import World, standard_plan, standard_rig
+from truearm_sim.world import Setup, World, standard_plan, standard_rig
 
 PERIOD = 983_040
 PLAN = drawn_line_plan(2, seed=3)
@@ -214,7 +214,7 @@ def test_what_the_sensors_show_does_not_depend_on_the_chunks(first, lengths):
 
 
 def test_a_late_robot_reports_where_it_was():
-    late = World(6, PLAN, RIG, robot_delay_s=0.008)
+    late = World(6, PLAN, RIG, setup=Setup(robot_delay_s=0.008))
     assert late.truth.robot_delay == 0.008
     clock = late.clocks.robot
     t_robot, q = late.controller.readings(5.0, 9.0)
@@ -232,14 +232,14 @@ def test_flaws_are_what_they_say():
     _, t = drives()[0]
     k0, k1 = numbers_of(WORLD, t[300], t[-300])
     clean = decoded(WORLD, k0, k1)
-    fast = decoded(World(6, PLAN, RIG, flaws=Flaws(sound=2e-3)), k0, k1)
+    fast = decoded(World(6, PLAN, RIG, setup=Setup(flaws=Flaws(sound=2e-3))), k0, k1)
     assert np.allclose(fast[:, 1] * 1.002, clean[:, 1], rtol=0, atol=30e-6)  # the noise of a shot is scaled too
-    late = decoded(World(6, PLAN, RIG, flaws=Flaws(mag_delay=1e-3)), k0, k1)
+    late = decoded(World(6, PLAN, RIG, setup=Setup(flaws=Flaws(mag_delay=1e-3))), k0, k1)
     assert np.mean(clean[:, 1] - late[:, 1]) == pytest.approx(100e-6, rel=0.02)
     assert np.array_equal(late[:, [0, 2]], clean[:, [0, 2]])
-    slow = decoded(World(6, PLAN, RIG, flaws=Flaws(adc_delay=10 * PERIOD * 1e-9)), k0 + 10, k1)
+    slow = decoded(World(6, PLAN, RIG, setup=Setup(flaws=Flaws(adc_delay=10 * PERIOD * 1e-9))), k0 + 10, k1)
     assert np.abs(slow[:, [0, 2]] - clean[:-10, [0, 2]]).max() < 1e-6
-    bent = decoded(World(6, PLAN, RIG, flaws=Flaws(bend=1e-3)), k0, k1)
+    bent = decoded(World(6, PLAN, RIG, setup=Setup(flaws=Flaws(bend=1e-3))), k0, k1)
     x = clean[:, 0]
     assert np.abs(bent[:, 0] - x - 1e-3 * (x / line_device.REACH) ** 3).max() < 1e-6
 

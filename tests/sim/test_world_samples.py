@@ -16,7 +16,7 @@ from truearm.model.chain import point_forward
 from truearm.types import Plan
 from truearm_sim import sensors
 from truearm_sim.clocks import Clock
-from truearm_sim.world import World, standard_plan, standard_rig
+from truearm_sim.world import Setup, World, standard_plan, standard_rig
 
 PERIOD = 983_040
 PLAN = standard_plan(27, seed=7)
@@ -191,11 +191,11 @@ def test_the_truth_is_what_was_asked_for():
     params = WORLD.params + 0.0
     params[0] += 1e-3
     clocks = type(WORLD.clocks)(device=Clock(2.0, 5.0), robot=Clock(3.0, -5.0))
-    world = World(1, PLAN, params=params, clocks=clocks)
+    world = World(1, PLAN, params=params, setup=Setup(clocks=clocks))
     assert world.truth.params is params
     assert world.device_clock.from_true_ns(10**9) == 3_000_005_000
     # Link 1 moved by 1 mm along x: every length changes by the bar's direction along x.
-    change = world.truth.length - World(1, PLAN, clocks=clocks).truth.length
+    change = world.truth.length - World(1, PLAN, setup=Setup(clocks=clocks)).truth.length
     assert 0.1e-3 < np.abs(change).max() <= 1e-3 + 1e-7
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from truearm.model.robot import Robot
     from truearm.session.observations import SyncResult
     from truearm.types import Estimate, Floats, ObservationTable, Plan, PredictedError, Rig
-    from truearm_sim.world import World
+    from truearm_sim.world import Setup, World
 
 N_LINES = 4
 CHECK = "check"  # the line that judges
@@ -50,10 +50,9 @@ def world_of(with_bar: bool, poses: int, seed: int, subject: Subject) -> World:
         plan,
         rig,
         simulated.params,
-        robot_rate=RATE_OF_BOTH_HZ if with_bar else RATE_HZ,
-        arm=simulated.arm,
-        robot_delay_s=ROBOT_DELAY_S,
-        robot=robot,
+        simulated.arm,
+        robot,
+        Setup(robot_rate=RATE_OF_BOTH_HZ if with_bar else RATE_HZ, robot_delay_s=ROBOT_DELAY_S),
     )
 
 

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from truearm_sim.hardware import PowerOn
     from truearm_sim.micropython import Interpreter
     from truearm_sim.simbox import Fault, SimulatedBox
-    from truearm_sim.world import World
+    from truearm_sim.world import Setup, World
 
     Progress = Callable[[Status], None] | None
 
@@ -248,11 +248,13 @@ def _lab(options: SimulateOptions, rate: float, say: Say) -> tuple[World, Hardwa
         plan,
         rig,
         simulated.params,
-        robot_rate=rate,
-        arm=simulated.arm,
-        robot_delay_s=options.robot_delay_s,
-        robot_input=None if options.trigger is None else RobotInput(options.trigger),
-        robot=simulated.robot,
+        simulated.arm,
+        simulated.robot,
+        Setup(
+            robot_rate=rate,
+            robot_delay_s=options.robot_delay_s,
+            robot_input=None if options.trigger is None else RobotInput(options.trigger),
+        ),
     )
     own_folder(folder, MARK)
     of_box = hardware(options.level, say)
