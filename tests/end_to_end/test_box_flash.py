@@ -78,14 +78,16 @@ def test_drives_are_found_where_systems_mount_them(tmp_path):
     assert find_drives("RPI-RP2", tmp_path) == [tmp_path / "run/media/me/RPI-RP21"]
 
 
-def test_a_damaged_image_reaches_no_drive(tmp_path, capsys):
+def test_a_damaged_image_reaches_no_drive(tmp_path, capsys, monkeypatch):
     path, drive = tmp_path / "box.uf2", tmp_path / "drive"
     path.write_bytes(image()[:-512])
     drive.mkdir()
     (drive / "INFO_UF2.TXT").write_text(BootDrive.INFO)
     assert box("flash", path, "--drive", drive) == 2
     assert "the file is not whole" in capsys.readouterr().err
+    monkeypatch.setattr("truearm.box.flash.__version__", "0.0.0")  # of which there is no image
     assert box("flash", "--drive", drive) == 2
+    assert "holds no truearm-0.0.0.uf2; give the image to flash" in capsys.readouterr().err
     assert box("flash", "--stock") == 2
     assert [p.name for p in drive.iterdir()] == ["INFO_UF2.TXT"]
 

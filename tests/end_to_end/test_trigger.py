@@ -17,7 +17,7 @@ from truearm_sim.chip import ChipBox
 from truearm_sim.lab import HOST_AT_START_NS, Lab
 from truearm_sim.simbox import SimulatedBox
 from truearm_sim.vmbox import VmBox
-from truearm_sim.world import RobotInput, World, standard_plan
+from truearm_sim.world import RobotInput, Setup, World, standard_plan
 
 INPUT = 3
 SECONDS = 62.0  # some 600 edges
@@ -28,7 +28,7 @@ WIRED = RobotInput(
 
 def recorded(path, seed, seconds, rate=500.0):
     """The world of a session with a trigger line, and its box."""
-    world = World(seed, standard_plan(27, seed), robot_rate=rate, robot_input=WIRED)
+    world = World(seed, standard_plan(27, seed), setup=Setup(robot_rate=rate, robot_input=WIRED))
     box = SimulatedBox(world, power_on=partial(VmBox, interpreter()), seed=seed)
     try:
         lab = Lab(world, box, seed)
@@ -94,14 +94,14 @@ def test_edges_tie_the_robot_to_the_box_whatever_its_input_does(session):
 def test_inspect_shows_it(session):
     path, *_ = session
     said = CliRunner().invoke(app, ["inspect", str(path)]).output
-    assert f"trigger on input {INPUT} (in use)" in said
+    assert f"trigger on input {INPUT} (inverted, in use)" in said
     assert "edges used" in said
 
 
 @pytest.mark.soak
 def test_the_chip_stamps_its_own_edges_to_a_microsecond(tmp_path):
     """On the image in the emulator: every edge of the pin is an event, stamped as the SPEC says, at random times."""
-    world = World(4, standard_plan(9, 4), robot_input=RobotInput(1, (20, 60)))
+    world = World(4, standard_plan(9, 4), setup=Setup(robot_input=RobotInput(1, (20, 60))))
     box = SimulatedBox(world, power_on=ChipBox, seed=4)
     try:
         lab = Lab(world, box, 4)

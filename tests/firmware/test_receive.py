@@ -23,12 +23,19 @@ class Source:
     crc_errors = resets = missing = 0
 
 
+class Bus:
+    """Without a thermometer."""
+
+    uids = ()
+
+
 class Slow:
     """A board whose clock goes on while it reads: what arrives meanwhile is read in the same call."""
 
     name, uid, boot_id, reset_cause, ring_slots = "slow", b"12345678", b"\1\2\3\4", 1, 64
     config_path = error_path = "/nowhere/at/all"
     edges_lost = 0
+    thermometers = Bus()
 
     def __init__(self, arrivals):
         self.now_us = 0

@@ -127,7 +127,7 @@ def test_two_experiments_do_not_judge_figure_four(made):
     for what in ("steps at which ML", "the same, P₀ chosen", "ML over LS at the end"):
         claim = named(made["renders"][0], what, "Fig. 4")
         assert claim["verdict"] == NOT_JUDGED, claim
-        assert "without --quick" in claim["why"]
+        assert "too few to judge: a full run makes" in claim["why"]
     assert made["renders"][0]["counts"][NOT_JUDGED] == 4
     assert NOT_JUDGED not in made["goswami"][0]["counts"]
     assert f'<p class="name">{NOT_JUDGED}</p>' in made["renders"][1]
