@@ -36,6 +36,10 @@ def check(folder):
     failures = []
     with open(folder + "/frames.json") as f:
         good = json.load(f)
+    for n in range(2 * messages.PAGE_BYTES):  # cut into pages while it is encoded
+        whole = ["x" * n, {"a": [1, b"\0" * 40]}]
+        if messages.pages_of(whole) != messages.pages(cbor.encode(whole)):
+            failures.append("pages of a text of %d letters" % n)
     for entry in good:
         data = read(folder + "/" + entry["file"])
         values = restore(entry["values"])

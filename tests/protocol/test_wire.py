@@ -116,6 +116,18 @@ def test_documents_as_cbor2(value):
     assert cbor.decode(encoded) == value
 
 
+@given(values, st.integers(0, 3 * messages.PAGE_BYTES))
+def test_pages_of_a_value_are_those_of_its_bytes(value, n):
+    """Cut while it is encoded, at every offset: a text of n letters stands before the value."""
+    whole = ["x" * n, value]
+    assert messages.pages_of(whole) == messages.pages(cbor.encode(whole))
+
+
+def test_more_pages_than_fit_are_refused():
+    with pytest.raises(cbor.CborError, match="pages"):
+        messages.pages_of("x" * (messages.PAGES_MAX * messages.PAGE_BYTES))
+
+
 @given(st.binary(max_size=60))
 def test_decode_never_raises_anything_else(data):
     try:
