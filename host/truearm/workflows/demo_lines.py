@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from truearm.model.robot import Robot
     from truearm.session.observations import SyncResult
     from truearm.types import Estimate, Floats, ObservationTable, Plan, PredictedError, Rig
-    from truearm_sim.world import Setup, World
+    from truearm_sim.world import World
 
 N_LINES = 4
 CHECK = "check"  # the line that judges
@@ -38,7 +38,7 @@ def world_of(with_bar: bool, poses: int, seed: int, subject: Subject) -> World:
 
     from truearm.files.plan_file import concatenate
     from truearm_sim.line_plan import line_rig
-    from truearm_sim.world import World, standard_plan
+    from truearm_sim.world import Setup, World, standard_plan
 
     simulated, robot = subject.simulated, subject.robot
     plan, rig = planned_lines(seed, robot), line_rig()

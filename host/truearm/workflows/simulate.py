@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from truearm_sim.hardware import PowerOn
     from truearm_sim.micropython import Interpreter
     from truearm_sim.simbox import Fault, SimulatedBox
-    from truearm_sim.world import Setup, World
+    from truearm_sim.world import World
 
     Progress = Callable[[Status], None] | None
 
@@ -230,7 +230,7 @@ def _lab(options: SimulateOptions, rate: float, say: Say) -> tuple[World, Hardwa
     from truearm.files.plan_file import write_plan
     from truearm.files.rig_file import write_rig
     from truearm_sim.simbox import SimulatedBox
-    from truearm_sim.world import RobotInput, World
+    from truearm_sim.world import RobotInput, Setup, World
 
     folder, seed, truth = options.folder, options.seed, options.truth
     faults = [parse_fault(text) for text in options.faults]
