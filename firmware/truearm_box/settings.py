@@ -8,7 +8,7 @@ from truearm_wire.messages import PAGE_BYTES, STREAM_ADC, pages_of
 from . import config, ident, selftest, storage, temperatures
 
 PAGES_MAX = 16  # of a configuration: 3200 bytes
-ROOM = 46000  # for commands (health.py): bytes of heap that a configuration has to leave: of many small parts it may be 40 times its size
+ROOM = 60000  # for commands (health.py): bytes of heap that a configuration has to leave: of many small parts it may be 40 times its size
 
 
 class Settings:
