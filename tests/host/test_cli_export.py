@@ -1,5 +1,6 @@
 """``truearm export``: through an exported file the true robot lands where it should; real data; bad input."""
 
+import json
 from pathlib import Path
 
 import correct_bench
@@ -89,8 +90,12 @@ def test_tables_hold_everything(result, tmp_path, run, form):
     expected = forward(CHAIN, stored.value[stored.of_robot], q)
     np.testing.assert_allclose(forward(chain, chain.params_nominal, q), expected, atol=1e-12)
     assert run("export", result, "--format", form, "--out", out)[0] == 2
-    code, _, err = run("export", result, "--format", form, "--out", out, "--force")
+    code, said, err = run("export", result, "--format", form, "--out", out, "--force", "--json")
     assert code == 0, "what export wrote it may replace: " + err
+    document = json.loads(said)
+    assert (document["format"], document["exact"], document["missing"]) == (form, True, [])
+    assert document["written"] == [str(out)]
+    assert document["left_max_mm"] < 1e-9
 
 
 def test_panda_exported_and_reloaded_has_the_same_held_out_error(tmp_path, run):

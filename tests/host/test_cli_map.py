@@ -53,6 +53,14 @@ def test_cells_hold_what_the_formula_says(result, tmp_path, run):
     squares = [e for e in root.iter("{http://www.w3.org/2000/svg}rect") if e.get("style")]
     assert len(squares) == len(rows) + 60  # and the scale
     assert "Best place for a task of 300x200 mm: x " in said
+    code, said, err = run("map", result, "--cell", 40, "--task", "300x200", "--json")
+    assert code == 0, err
+    document = json.loads(said)
+    errors = np.array([float(row["error_mm"]) for row in rows])
+    assert (document["cells"], document["cell_mm"], document["written"]) == (len(rows), 40.0, [])
+    told = [document[f"error_{name}_mm"] for name in ("min", "max", "rms")]
+    np.testing.assert_allclose(told, [errors.min(), errors.max(), np.sqrt(np.mean(errors**2))], atol=1e-4)  # as written
+    assert [round(u) for u in np.diff(document["best_region"]["u_mm"])] >= [300]
 
 
 def test_the_elbow_is_where_it_was_asked_for():
