@@ -5,7 +5,7 @@
 
 Writes out/bench/identification.csv, .md and .svg. Every run is a process of its own with one thread; time is the CPU
 time of the fit, the least of some runs, taken in turn so that a busy machine hits all alike. The peers are installed
-into build/bench-venv (``make bench`` does it); one that is missing is said to be missing. docs/benchmarks.md discusses it.
+into build/bench-venv (``make bench`` does it); one that is missing is said to be missing. docs/explanation/benchmarks.md discusses it.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ def main() -> int:
 
 
 def make() -> int:
-    """Write hardware/out and the generated parts of docs/hardware.md."""
+    """Write hardware/out and the generated parts of docs/how-to/hardware.md."""
     for path, text in outputs.committed().items():
         path.parent.mkdir(parents=True, exist_ok=True)
         if not path.exists() or path.read_text(encoding="utf-8") != text:

@@ -1,6 +1,6 @@
 """The box: every part, every pin, every net. The only place where the circuit is written down.
 
-docs/hardware.md says what it does and how it is built, docs/decisions/ why it is so. Places are in grid units of 2.54 mm.
+docs/how-to/hardware.md says what it does and how it is built, docs/decisions/ why it is so. Places are in grid units of 2.54 mm.
 """
 
 from __future__ import annotations

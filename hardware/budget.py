@@ -1,6 +1,6 @@
 """The numbers of the box: scales, corners, delays and errors, from the netlist's values and the sensors' data. Standard library only.
 
-docs/hardware.md prints them; hardware/spice_check.py holds them against the simulated circuit.
+docs/how-to/hardware.md prints them; hardware/spice_check.py holds them against the simulated circuit.
 """
 
 from __future__ import annotations

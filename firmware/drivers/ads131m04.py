@@ -16,7 +16,7 @@ From the datasheets SBAS890 (ADS131M04) and SBASA13 (-Q1), sections 6.6, 6.7 and
   runs at CLKIN / 2, a conversion lasts 2 · OSR clocks.
 - GAIN1: PGAGAINn at 4n, gain 2^code. Full scale is ±1.2 V / gain; results stop at 7FFFFF and 800000. Calibration: OCALn is subtracted,
   then GCALn / 2^23 multiplies (CHn_OCAL 0A + 5n …, CHn_GCAL 0C + 5n …; 0 and 800000 after a reset, and left so: the host calibrates).
-- SYNC/RESET low for 1 to 2047 clocks: conversions start anew and the buffers are empty; ≥ 2048 clocks: reset. Registers may be used
+- SYNC/RESET low for 1 to 2047 clocks: conversions start again and the buffers are empty; ≥ 2048 clocks: reset. Registers may be used
   5 µs (t_REGACQ) after a reset.
 - DRDY (level) falls when a conversion ends and rises when its data are read, or 4 clocks before the next one ends if they are not.
   Two conversions are buffered: who begins to read late lags by one for good, unless he gives a SYNC pulse or reads twice. So

@@ -298,7 +298,7 @@ class Adc:
 
     @property
     def resets(self):
-        """How often the converter was set up anew while sampling, since boot. Wraps at 2^30."""
+        """How often the converter was set up again while sampling, since boot. Wraps at 2^30."""
         return self._resets
 
     def _look(self, n):

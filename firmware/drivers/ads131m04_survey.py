@@ -4,7 +4,7 @@
 right, STATUS says that the converter is configured and the data are new, and DRDY came a period after the one before.
 **A frame that is not is dropped**: the index jumps (the wire shows the gap), FLAG_CONVERTER is set in the next block. A wrong value is never
 handed out. Indices come from the stamps: a sample's index is that of the last one and the number of periods between, so they tell the
-time whatever was lost and why. A converter that was reset (RESET in STATUS, other registers) or has fallen silent is set up anew; one that was silent has reported nothing, so the
+time whatever was lost and why. A converter that was reset (RESET in STATUS, other registers) or has fallen silent is set up again; one that was silent has reported nothing, so the
 wire shows a gap and no FLAG_CONVERTER. 5 to 30 ms
 are lost, and conversions are then at other times, so t0 jumps by a part of a period more than n0 tells. Should the loop stand
 still for longer than the rings hold, that is seen by the number and half a ring is skipped; more than 17 minutes would confuse it.
@@ -26,13 +26,13 @@ BROKEN = 3  # 1: a frame that does not follow comes after them
 STAMP = 4  # time of the last sample handed out
 FIRST = 5  # 1: none was yet
 JUMP = 6  # periods without a sample before the one at READ
-LOST_CONVERTER = 7  # 1: it must be set up anew
+LOST_CONVERTER = 7  # 1: it must be set up again
 EVENTS = 8  # frames dropped since FLAG_CONVERTER was last asked, those of a converter that was reset among them
 CRC_ERRORS = 9
 OSR6 = 10  # 25 periods in µs: a period is 0.24 µs · oversampling
 SHORTEST = 11  # interval of stamps, µs: a period less the fraction and 1 µs of lateness of the one before
 LONGEST = 12
-SILENCE = 13  # µs without a sample after which the converter is set up anew
+SILENCE = 13  # µs without a sample after which the converter is set up again
 ALIVE = 14  # time of the last good conversion, or of the last attempt to get one
 SURVEY = 15
 

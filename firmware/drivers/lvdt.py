@@ -3,7 +3,7 @@
 hardware/box.py has the circuit. The excitation becomes a sine that drives the primary; two switches turn the signs of the secondary's
 voltage and of the primary's current, and the converter takes their means. A period is 49152 system clocks, so that twice the frequency falls
 on a null of the converter's filter: its clock is the system's by 15, a result at OSR 4096 takes 2 · 4096 of it, and five times that are two
-periods. The secondary's clock is a quarter of a period behind the excitation, the primary's half a period (docs/hardware.md).
+periods. The secondary's clock is a quarter of a period behind the excitation, the primary's half a period (docs/how-to/hardware.md).
 
 The slices start together, by one write, with counters that are apart; from then on nothing has to be done.
 """

@@ -52,7 +52,7 @@ None of them may allocate but configure, self_test, output, console, reset, to_r
 
 Functions of the way of samples that need many words are native code (`micropython.native`): MicroPython takes the frame of a bytecode
 function from the heap if locals and operands are more than 11 words. It gives it back, so nothing grows, but looking for room took 2 to 3
-ms a block; a native function's frame is on the stack. tests/chip/test_speed.py holds it; docs/benchmarks.md has the figures. Not all is
+ms a block; a native function's frame is on the stack. tests/chip/test_speed.py holds it; docs/explanation/benchmarks.md has the figures. Not all is
 native: as files on a stock MicroPython the code is in the heap, and native code is twice as long.
 """
 
@@ -208,7 +208,7 @@ class Box:
 
 
 def run(board):
-    """Run until the host asks for the prompt. An exception is stored, printed on the link between delimiters, and the box starts anew."""
+    """Run until the host asks for the prompt. An exception is stored, printed on the link between delimiters, and the box starts again."""
     try:
         box = Box(board)
         while not box.ended:

@@ -10,7 +10,7 @@ import gc
 from truearm_wire.fast import add, copy, less
 from truearm_wire.messages import HEARTBEAT, LAYOUT
 
-# between collections: one takes up to 27 kB (the longest ident), a heartbeat nothing; a new configuration makes its own room
+# between collections: one takes up to 13 kB (the longest ident), a heartbeat nothing; a new configuration makes its own room
 COMMANDS = 2
 ELEMENTS = len(LAYOUT[HEARTBEAT]) - 1  # that `send` puts behind seq, in the layout's order
 GONE_US = 2000000  # a link that takes nothing for so long has no host

@@ -73,7 +73,7 @@ class Settings:
     def put(self, page, count, data):
         """Take a page of a new configuration; returns whether it was the last, and the configuration is in force.
 
-        Raises ValueError if it comes out of order or the whole is no configuration, OSError if the flash does not take it.
+        Raises ValueError if it comes out of order or the whole is not a configuration, OSError if the flash does not take it.
         """
         if page == 0:
             self._parts = []

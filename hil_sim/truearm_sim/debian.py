@@ -100,7 +100,7 @@ def source_stanza(source: Source, suite: str, types: str = "deb") -> str:
 
 
 def machine_sources(etc: Path, suites: Iterable[str]) -> list[Source]:
-    """The machine's own sources of its own release, each once; files that this user may not read are passed over."""
+    """The machine's own sources of its own release, each once; files that this user may not read are skipped."""
     found = []
     folder = etc / "sources.list.d"
     for path in [etc / "sources.list", *sorted(folder.glob("*.list")), *sorted(folder.glob("*.sources"))]:

@@ -105,7 +105,7 @@ def magnetostrictive(period_ns: int) -> dict[str, Any]:
 
 
 def repeatability(seed: int, n: int) -> Floats:
-    """Standard normal numbers (n,), one a dwell; the first m are the same for every n ≥ m."""
+    """Standard normal numbers (n,), one per dwell; the first m are the same for every n ≥ m."""
     return np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, len(CHANNELS), 0])).standard_normal(n)
 
 

@@ -1,6 +1,6 @@
 """truearm: measure where a robot arm really is, identify its kinematic parameters, correct it.
 
-The names below are the public interface (docs/api.md). They are imported when they are first used, so that ``import truearm``
+The names below are the public interface (docs/reference/api.md). They are imported when they are first used, so that ``import truearm``
 costs nothing.
 """
 

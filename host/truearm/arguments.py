@@ -1,4 +1,4 @@
-"""Arguments of the public interface, held against their annotations.
+"""Arguments of the public interface, checked against their annotations.
 
 An annotation says what an argument is: a class, ``str``, ``int``, ``float``, ``bool``, a union, a tuple or sequence or mapping
 of these. In ``Annotated`` it also has a rule (``Within``, ``OneOf``), or as a text the function that makes such an object.

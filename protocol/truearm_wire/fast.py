@@ -136,7 +136,7 @@ def copy(dst: ptr8, i: int, src: ptr8, k: int, n: int):
 
 @micropython.viper
 def cobs_decode(buf: ptr8, start: int, end: int) -> int:
-    """Unstuff buf[start:end] in place (code byte first); the data is then buf[start + 1:end]. Returns 1, or 0 if it is no COBS.
+    """Unstuff buf[start:end] in place (code byte first); the data is then buf[start + 1:end]. Returns 1, or 0 if it is not COBS.
 
     Only frames of this wire: at most 255 bytes, no zero inside, the code chain ends exactly at `end`.
     """

@@ -31,7 +31,7 @@ def frame(payload):
 
 
 def unframe(run):
-    """The payload of the bytes between two delimiters, or None if they are no frame."""
+    """The payload of the bytes between two delimiters, or None if they are not a frame."""
     buf = bytearray(run)
     n = len(buf)
     if n < 6 or not cobs_decode(buf, 0, n) or not crc32_ok(buf, 1, n):

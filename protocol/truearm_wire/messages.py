@@ -86,7 +86,7 @@ def encode_payload(values):
 
 
 def decode_payload(payload):
-    """[type, element …] of a payload. Raises CborError if it is no frame of a known layout.
+    """[type, element …] of a payload. Raises CborError if it is not a frame of a known layout.
 
     Unknown frame types are returned as they are (SPEC §7); known ones must have the elements of their layout, but for those
     that came with a minor version.

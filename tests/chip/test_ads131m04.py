@@ -1,6 +1,6 @@
 """The converter's driver on the emulated chip, against a model of the converter that shares no code with it.
 
-What the driver hands out is held against what the model was asked for, and against the instants at which it converted.
+What the driver hands out is checked against what the model was asked for, and against the instants at which it converted.
 """
 
 import pytest

@@ -359,7 +359,7 @@ def rubbish(rng) -> tuple[bytes, int | None]:
     if kind < 11:
         return frame.frame(cbor2.dumps([number, *arguments])), None
     req_id = rng.randrange(1, 2**28)
-    readable = None not in arguments  # the protocol has no null: what holds one is no command
+    readable = None not in arguments  # the protocol has no null: what holds one is not a command
     return frame.frame(cbor2.dumps([number, req_id, *arguments])), req_id if readable and 48 <= number < 64 else None
 
 

@@ -1,4 +1,4 @@
-"""docs/rig.md's way from a plan to a corrected program, command by command: what comes out is held against the true robot.
+"""docs/how-to/rig.md's way from a plan to a corrected program, command by command: what comes out is checked against the true robot.
 
 The PUMA is recorded as a user without hardware does it, `truearm simulate` and `truearm record` in real time, every command a process of
 its own. Of a UR5e and an IRB 120 there is no simulated session: their rows come as tables.

@@ -44,7 +44,7 @@ def judged(capsys):
 
 
 def test_a_calibration_by_the_ball_bar_holds_on_lines(found, judged):
-    """A line's points have more noise than a bar's length, 0.13 mm: that is no fault of the robot's."""
+    """A line's points have more noise than a bar's length, 0.13 mm: that is not a fault of the robot's."""
     folder, other = found
     told = judged(folder / "bar.json", other)
     assert told["settled"] == 3 * 6 + 1  # the devices' poses and the readings' delay
@@ -75,7 +75,7 @@ def test_a_robot_that_changed_is_found_out_by_lines(found, judged):
 
 
 def test_lines_say_nothing_of_where_the_base_stands(found, short_session, judged):
-    """Judged by a bar between chucks of known place; with lines beside it, those are judged all the same."""
+    """Judged by a bar between chucks of known place; with lines beside it, those are judged anyway."""
     folder, other = found
     told = judged(folder / "line.json", short_session.path)
     assert told["unseen"] == told["rows"]

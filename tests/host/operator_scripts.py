@@ -29,7 +29,7 @@ CHANGES = {
     "late": 0.12,  # typed one to three dwells later
     "wrong word": 0.09,  # mounted, but another pairing is typed
     "wrong part": 0.08,  # another bar, chuck or sphere in hand; what was asked for is typed
-    "forgotten": 0.04,  # nothing is changed, Enter is pressed all the same
+    "forgotten": 0.04,  # nothing is changed, Enter is pressed anyway
 }
 SKIPPED, REPEATED, BACK = 0.05, 0.05, 0.02
 NOTICED = (1, 4)  # visits after which a wrong part is noticed and put right

@@ -1,4 +1,4 @@
-"""The reader of single messages that the reader of columns is held against: the same rules, each written for one frame.
+"""The reader of single messages that the reader of columns is checked against: the same rules, each written for one frame.
 
 Box messages in the order of their arrival → blocks of samples, clock exchanges and exact losses.
 

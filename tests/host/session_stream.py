@@ -98,7 +98,7 @@ class Box:
         self.n0 += len(counts)
 
     def reboot(self, t_host_ns: int) -> None:
-        """Another boot id; time, seq and n0 begin anew."""
+        """Another boot id; time, seq and n0 begin again."""
         self.boot_host_ns, self.boot_id, self.seq, self.n0 = t_host_ns, self.boot_id + 1, 0, 0
 
     def sync(self, t_host_ns: int, there_ns: float, back_ns: float, work_ns: float = 40e3) -> None:

@@ -34,7 +34,7 @@ def test_universal_robots_tool0_in_the_flange_of_ur_description():
 
 @pytest.mark.parametrize("language", ["urscript", "rapid"])
 def test_frames_that_are_the_controllers_own(language):
-    """A robot that is no URDF is described in the controller's own frames, whose flange has z out of it."""
+    """A robot that is not a URDF is described in the controller's own frames, whose flange has z out of it."""
     for frame in (
         base_of(language, "base", True),
         flange_of(language, "flange", True),

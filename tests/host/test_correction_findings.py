@@ -1,4 +1,4 @@
-"""What a correction's report says, held against the true arm: expected errors, straight moves, margins, targets outside what was calibrated."""
+"""What a correction's report says, checked against the true arm: expected errors, straight moves, margins, targets outside what was calibrated."""
 
 import json
 

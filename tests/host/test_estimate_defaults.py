@@ -39,7 +39,7 @@ def one_pairing(n, chuck="c1", sphere="s1", rig=RIG, rng=None):
 
 
 def test_mountings_are_what_moves_base_or_tool_as_one_body():
-    """Moving one of them and the inverse motion of base or tool is no change of the arm, whatever the pose."""
+    """Moving one of them and the inverse motion of base or tool is not a change of the arm, whatever the pose."""
     found = mounting(CHAIN, DESIGN)
     q = random_poses(20, np.random.default_rng(0))
     here = forward(CHAIN, DESIGN, q)

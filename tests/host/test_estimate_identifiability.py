@@ -8,7 +8,7 @@ from truearm.estimate.information import scaled_columns, seen, spectrum
 
 
 def test_everything_seen():
-    seen = identifiability(np.diag([3.0, 1e-6]), 2, ["a", "b"])  # a small unit is no missing information
+    seen = identifiability(np.diag([3.0, 1e-6]), 2, ["a", "b"])  # a small unit is not missing information
     assert (seen.rank, seen.null_space) == (2, ())
     assert seen.identifiable.all()
     assert np.isinf(seen.gap)

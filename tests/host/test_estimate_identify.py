@@ -193,7 +193,7 @@ def test_nothing_free_is_a_measurement_of_the_nominal_robot():
 
 
 def test_before_is_the_robot_as_described_with_the_rig_fitted_to_it():
-    """A sphere that nobody measured is no error of the robot, wherever it was guessed to be."""
+    """A sphere that nobody measured is not an error of the robot, wherever it was guessed to be."""
     t = random_table(120, np.random.default_rng(30), SIGMA)
     held = np.arange(120) % 4 == 0
     found = []

@@ -159,7 +159,7 @@ def test_a_search_that_is_not_made_is_told(shells, monkeypatch):
 
 
 def test_rows_whose_shells_are_too_many_are_grouped_by_pairing(shells, monkeypatch):
-    """A shell of its own for every row says nothing; two chucks exchanged everywhere are found all the same."""
+    """A shell of its own for every row says nothing; two chucks exchanged everywhere are found anyway."""
     monkeypatch.setattr(relabel, "MAX_GROUPS", 12)
     each = replace(shells, shell=np.array([f"pose {i}" for i in range(len(shells))]))
     wrong = relabelled(each, chuck=[(each.chuck == "c0", "c2"), (each.chuck == "c2", "c0")])
@@ -167,7 +167,7 @@ def test_rows_whose_shells_are_too_many_are_grouped_by_pairing(shells, monkeypat
 
 
 def test_a_name_left_empty_is_the_only_one_there_is(shells):
-    """A rig of one chuck, which rows need not name: a wrong sphere is named, the empty name is no wrong label."""
+    """A rig of one chuck, which rows need not name: a wrong sphere is named, the empty name is not a wrong label."""
     one = Rig({"c0": CHUCKS["c0"]}, SPHERES, BARS)
     mine = shells.select(shells.chuck == "c0")
     mine = replace(mine, chuck=np.full(len(mine), ""))

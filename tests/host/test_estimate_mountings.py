@@ -190,7 +190,7 @@ def test_a_short_session_of_another_pairing_is_not_borne_out():
 
 
 def test_readings_that_no_robot_gives_doubt_nothing(plan):
-    """Predictions that miss everywhere are no witness: their uncertainty is as large as they miss."""
+    """Predictions that miss everywhere are not witnesses: their uncertainty is as large as they miss."""
     labels = [pairing_at(plan, row) for row in range(len(plan))]
     extension = np.random.default_rng(2).uniform(-0.03, 0.03, len(plan))
     support = label_support(ROBOT.chain, RIG, readings(extension, plan.q), labels, ROBOT.free)

@@ -1,4 +1,4 @@
-"""What rows should say of a robot that is as identified, against robots and noise drawn by chance."""
+"""What rows should say of a robot that is as identified, against robots and noise drawn at random."""
 
 from dataclasses import replace
 

@@ -185,7 +185,7 @@ def test_cosine_and_sine_by_the_half_angle():
 
 
 def scara():
-    """Two revolute joints and a prismatic one along −z, whose gain is no parameter."""
+    """Two revolute joints and a prismatic one along −z, whose gain is not a parameter."""
     elements = (
         Element("rz", joint=0),
         Element("tx", parameter=2),

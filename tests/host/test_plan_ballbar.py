@@ -1,4 +1,4 @@
-"""Plans of ball-bar poses: looked at point by point, and what they foretell against what an identification says."""
+"""Plans of ball-bar poses: looked at point by point, and what they predict against what an identification says."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -201,7 +201,7 @@ def test_what_cannot_be_seen_is_named_before_it_is_measured():
 
 
 def test_what_was_measured_counts():
-    """Half a plan measured and half of it planned foretell what the whole would."""
+    """Half a plan measured and half of it planned predict what the whole would."""
     known, plan = bench.known("irb120"), bench.planned("irb120").route.plan
     table = bar_table(known, plan)
     first = np.arange(len(plan)) % 2 == 0

@@ -211,7 +211,7 @@ class TestFaults:
         assert [c[0] for c in box.commands] == [48, 51, 50, 48, 51]
 
     def test_echoed_requests_are_console(self, lab, path):
-        """A box whose firmware ended by an exception stands at a prompt, which echoes what it is told: an echo is no frame of its."""
+        """A box whose firmware ended by an exception stands at a prompt, which echoes what it is told: an echo is not a frame of its own."""
         box = Box(lab)
         echoed = []
 
@@ -236,7 +236,7 @@ class TestFaults:
         assert received(path) == box.sent.replace(b"\0", b"")
 
     def test_a_count_that_jumps_absurdly_is_not_believed(self, lab, path):
-        """One stray frame changes nothing; the box is asked who it is. The losses that inspect counts anew are the same."""
+        """One stray frame changes nothing; the box is asked who it is. The losses that inspect counts again are the same."""
         box = Box(lab)
         lab.at(HOST_0 + SECOND, lambda: box.send_raw(frame(array(33, u32(12_512_235), 5, 6, 7))))
         summary = run(lab, box, path)

@@ -96,7 +96,7 @@ class TestSplitter:
 
 class TestPayload:
     def test_every_flipped_bit_is_noticed(self):
-        """CRC-32 finds every single flipped bit; one that makes a delimiter leaves two runs that are no frames."""
+        """CRC-32 finds every single flipped bit; one that makes a delimiter leaves two runs that are not frames."""
         raw = frame(data(77, 120, 123_456))
         for bit in range(8, 8 * (len(raw) - 1)):
             flipped = bytearray(raw)

@@ -1,4 +1,4 @@
-"""A robot's lines, told apart from everything else that it may print."""
+"""A robot's lines, distinguished from everything else that it may print."""
 
 import pytest
 

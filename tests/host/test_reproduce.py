@@ -75,7 +75,7 @@ def test_goswami_numbers(made):
     # 20 runs of 800 residuals; the parameters' part is common to a run's residuals, which widens it a little.
     assert far["ours"] == pytest.approx(far["expected"], rel=4 / math.sqrt(2 * 20 * 800) + 0.01)
     assert far["verdict"] == NOT_REPRODUCED
-    # The gears' size was chosen to give the paper's figure: to agree is no success.
+    # The gears' size was chosen to give the paper's figure: to agree is not a success.
     assert [named(numbers, s)["verdict"] for s in ("the same with gear", "its residual on")] == [IN_KIND, IN_KIND]
     assert named(numbers, "amplification at R_b")["ours"] == pytest.approx(4.0, rel=0.02)
     nees, chi2 = named(numbers, "normalised"), named(numbers, "χ²")

@@ -64,7 +64,7 @@ def recording(rng, frames, seq=0, reboots=()):
         if rng.random() < 0.03:
             box.frame("event", t, wire.EVENT, int(rng.integers(0, 3)), box.device_us(t), 1)
         if rng.random() < 0.02:
-            box.n0 = 0  # started anew
+            box.n0 = 0  # started again
     return box.messages
 
 

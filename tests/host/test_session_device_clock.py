@@ -343,7 +343,7 @@ def test_arbitrary_exchanges_end_in_a_result(rows):
 
 
 def test_rate_limit_is_honoured():
-    """A clock beyond 1000 ppm is no crystal: exchanges are rejected rather than bent to."""
+    """A clock beyond 1000 ppm is not a crystal: exchanges are rejected rather than bent to."""
     every = exchanges(np.random.default_rng(12), True_(5000.0), duration_s=60.0)
     _, report = fit_clock(0, every)
     assert report.rejected > len(every) // 2

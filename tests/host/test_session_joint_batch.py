@@ -130,7 +130,7 @@ def stream_of(messages):
 
 @pytest.mark.parametrize("odd_line", [b"", b"nonsense", b'{"t":8,"q":[1,2]}'])
 def test_a_reader_of_columns_reads_what_a_reader_of_lines_reads(tmp_path, odd_line):
-    """Also where a line of a copy is no reading: its neighbours have no columns."""
+    """Also where a line of a copy is not a reading: its neighbours have no columns."""
     messages = list(recorded(tmp_path / "s.mcap", odd_line=odd_line).messages())
     lines = [m for m in messages if m.topic != COLUMNS]
     ours, theirs = stream_of(messages), stream_of(lines)

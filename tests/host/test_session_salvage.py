@@ -82,7 +82,7 @@ def test_one_bit_costs_one_chunk(path, made, which, where):
 
 
 def test_bytes_that_are_missing(path, made):
-    """3000 bytes cut from the middle are no killed recorder."""
+    """3000 bytes cut from the middle are not a killed recorder."""
     messages, whole, chunks = made
     middle = chunks[2].chunk_start_offset + 30
     cut = 3000 if len(whole) > 9000 else len(whole) // 4

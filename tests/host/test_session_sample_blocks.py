@@ -124,7 +124,7 @@ def test_the_counters_of_version_1_1():
 
 
 def test_blocks_of_two_streams_are_accounted_for_apart():
-    """The head's frames between the converter's: each stream has its own n0, and a stop that is missing is no gap."""
+    """The head's frames between the converter's: each stream has its own n0, and a stop that is missing is not a gap."""
     document = ident_document(7)
     channel = {"name": "magnetostrictive", "unit": "s", "scale": [8, -9]}
     mag = {"id": 1, "name": "mag", "period_ns": PERIOD_NS, "osr": 0, "group_delay_ns": 0, "channels": [channel]}

@@ -93,7 +93,7 @@ def test_lengths_are_found_by_suffix_and_by_symbol():
 HOST = Path(units.__file__).parent
 OF_TEN = {1e3, 1e-3, 1e6, 1e-6}
 TO_DEGREES = {"degrees", "rad2deg"}
-# files in which such a factor is no unit that a person sees
+# files in which such a factor is not a unit that a person sees
 PHYSICAL = {
     "session/clock_windows.py": "µs of the box's timer as ns of the host's, in arrays of clock exchanges",
     "session/device_clock.py": "µs and ns as in clock_windows",

@@ -96,7 +96,7 @@ def test_a_joint_that_stood_still_is_unseen_where_it_moves():
 
 
 def test_a_bars_zero_that_was_allowed_is_kept():
-    """A bar that the rig calls known is 0.3 mm wrong in both sessions: kept, it is no error of the judged one."""
+    """A bar that the rig calls known is 0.3 mm wrong in both sessions: kept, it is not an error of the judged one."""
     plan, rng = worlds.plan(), np.random.default_rng(6)
     first, second = (worlds.wrong_bar(plan, rng).select(np.arange(start, 360, 2)) for start in (0, 1))
     options = truearm.IdentifyOptions(allow=("bar.bar46.zero",))

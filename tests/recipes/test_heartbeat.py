@@ -1,4 +1,4 @@
-"""A new field of the heartbeat, in the specification, the grammar and the sender: all else is generated or follows."""
+"""A new field of the heartbeat, in the specification, the grammar and the sender: everything else is generated or follows."""
 
 import csv
 import json

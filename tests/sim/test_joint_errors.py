@@ -1,4 +1,4 @@
-"""What a true arm's joints do beyond geometry, held against physics and against the gap that Goswami saw."""
+"""What a true arm's joints do beyond geometry, checked against physics and against the gap that Goswami saw."""
 
 from dataclasses import replace
 

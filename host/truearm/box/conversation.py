@@ -1,4 +1,4 @@
-"""A conversation with a box, which what talks to one shares."""
+"""Open and share a conversation with a box."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ if TYPE_CHECKING:
     from truearm.session.box_ident import Ident
 
 RETRIES = 10  # half a second each
-STREAMING = 4  # the error's code, protocol/SPEC.md §4
+STREAMING = 4  # error code, protocol/SPEC.md §4
 
 
 @contextmanager
 def conversation(device: str, stop: bool = False, retries: int = RETRIES) -> Iterator[BoxControl]:
-    """A conversation with the box at ``device``, which has said what it is; with ``stop`` it does not stream any more.
+    """Open a conversation with the box at ``device``, identify it, and with ``stop`` end its streaming.
 
-    Raises LinkError, ProtocolError; a refusal because the box streams says what to do.
+    Raises LinkError, ProtocolError. If the box refuses because it is streaming, the error tells the user what to do.
     """
     from truearm.box.control import BoxControl
     from truearm.record.links import HostClock, SerialLink
@@ -46,12 +46,12 @@ def conversation(device: str, stop: bool = False, retries: int = RETRIES) -> Ite
 
 
 def ident_of(box: BoxControl) -> Ident:
-    """What the box said of itself when the conversation began, or since."""
+    """Return the box's description of itself, from the beginning of the conversation or later."""
     return box.ident or box.identify()
 
 
 def one_line_of(ident: Ident) -> str:
-    """A box in a few words."""
+    """Describe a box in a few words."""
     document = ident.document
     board = f" on {document['board']}" if isinstance(document.get("board"), str) else ""
     return f"truearm box {document.get('uid', '')!s:.32}, firmware {ident.firmware:.32}{board[:40]}"

@@ -1,4 +1,4 @@
-"""What ``truearm box`` prints: a box, its ports, its self-test in words."""
+"""Format the output of ``truearm box``: a box, its ports, its self-test."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def ident_lines(ident: Ident) -> list[str]:
-    """Everything that the operator may want to know of a box."""
+    """Describe everything about a box that may be of interest to the operator."""
     document = ident.document
     rows = [
         ("firmware", f"{ident.firmware or 'unknown'} on {document.get('board', 'an unknown board')}"),
@@ -55,7 +55,7 @@ def _channel(channel: Channel, entry: Any) -> str:
 
 
 def finding_lines(findings: Iterable[Finding]) -> list[str]:
-    """One line a result, and what to do about it under it."""
+    """Return one line per result, followed by advice where there is any."""
     lines = []
     for finding in findings:
         lines.append(
@@ -67,7 +67,7 @@ def finding_lines(findings: Iterable[Finding]) -> list[str]:
 
 
 def with_spread(value: float, spread: float, unit: str) -> str:
-    """A value with its spread: lengths in mm and µm, times in µs, all else as it is."""
+    """Format a value with its spread: lengths in mm and µm, times in µs, everything else unchanged."""
     if not math.isfinite(value):
         return "–"
     if scale := length(unit):
@@ -78,7 +78,7 @@ def with_spread(value: float, spread: float, unit: str) -> str:
 
 
 def port_lines(rows: Sequence[dict[str, Any]], drives: Sequence[str]) -> list[str]:
-    """A table of ports and what answered there."""
+    """Format a table of ports and what answered there."""
     lines = [f"{drive}: a chip in its boot loader; flash it with truearm box flash IMAGE.uf2" for drive in drives]
     for row in rows:
         usb = f" ({row['usb']} {row['product']})".replace("( ", "(") if row["usb"] or row["product"] else ""

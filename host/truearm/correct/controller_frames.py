@@ -2,7 +2,7 @@
 
 Universal Robots' controllers count poses in ``base``, half a turn about z from ur_description's ``base_link``; their flange is ``tool0``. ABB's count in the base
 frame, ROS-Industrial's ``base`` or ``base_link``, and their ``tool0`` is the flange with z out of it. ROS's ``flange`` has x out of the flange (REP 199). Robots
-that are no URDF, as those that truearm brings, are in the controller's own frames. Other names say nothing of where a frame is.
+that are not URDFs, as those that truearm brings, are in the controller's own frames. Other names say nothing of where a frame is.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ FLANGES = {
 
 
 def base_of(language: str, frame: str, brought: bool) -> Frame | None:
-    """The controller's base in the calibration's base frame; None where the name does not say. ``brought``: the robot is no URDF."""
+    """The controller's base in the calibration's base frame; None where the name does not say. ``brought``: the robot is not a URDF."""
     return SAME if brought and frame == "base" else BASES[language].get(frame)
 
 

@@ -1,7 +1,8 @@
-"""How much of the residuals the declared noise explains, and how much it does not: two numbers a unit.
+"""How much of the residuals the declared noise explains and how much it does not, for each unit.
 
-Of whitened rows with unit noise, least squares follow the part H = J P Jᵀ, so a row's residual has the mean square tr(L (I − H) Lᵀ), L the
-root of its declared covariance. What the squares of the residuals have beyond that is unexplained.
+For whitened rows with unit noise, least squares absorbs the part H = J P Jᵀ. The expected mean square of a row's
+residual is therefore tr(L (I − H) Lᵀ), where L is the root of its declared covariance. Anything above that is
+unexplained.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from truearm.units import UNITS
 def residual_parts(
     problem: Problem, x: Floats, columns: NDArray[np.bool_], root: Floats
 ) -> Mapping[str, ResidualParts]:
-    """RMS of the residuals at x (P,) by declared noise, and what is left, by SI unit; ``root`` (k, r): P = root rootᵀ."""
+    """Return the RMS residual at x (P,) due to declared noise, and the rest, by SI unit; root (k, r): P = root rootᵀ."""
     squares: dict[str, list[Floats]] = {}
     for block in whitened_blocks(problem, x, columns):
         if block.row is None:

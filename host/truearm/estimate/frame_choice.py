@@ -1,13 +1,14 @@
-"""Which parameters only say where frames stand: of the base in the rig, of the tool on the flange.
+"""Which parameters only define the pose of frames: of the base in the rig, and of the tool on the flange.
 
-A parameter of the first constants moves the whole robot by one twist of the base, whatever the pose; one of the last
-constants moves the end by one twist in the end's own axes. With generic joint readings these are told from all others, and
-from a twist that only the poses of one table make look constant.
+A parameter of the first constants moves the entire robot by one twist of the base, whatever the pose. A parameter of
+the last constants moves the end by one twist in the end's own axes. Generic joint readings distinguish these from all
+other parameters, and from a twist that only looks constant over the poses of one table.
 
-Where what the rig leaves unknown (a tracker's pose, a target's place, sockets) can take up such a motion, or no observation
-sees it (the base about the only chuck, the tool about the only sphere), it is a choice of frame and not a parameter of
-the robot: no measurement of this kind can ever find it, and no use of the robot needs it. Directions of the data's null
-space over these parameters and the rig are such choices; as many parameters are held as there are directions.
+Such a motion is a choice of frame, not a parameter of the robot, if unknowns of the rig (a tracker's pose, a target's
+position, sockets) can compensate for it, or if no observation depends on it (the base about the only chuck, the tool
+about the only sphere): no measurement of this kind can determine it, and no use of the robot needs it. Directions of
+the data's null space over these parameters and the rig are such choices. As many parameters are fixed as there are
+directions.
 """
 
 from __future__ import annotations
@@ -24,12 +25,12 @@ from truearm.model.chain import Chain, about, along, forward, trace_point
 from truearm.types import Floats
 
 N_POSES = 12
-RANGE = np.pi  # rad, m: of joints whose limits are wider
-CONSTANT = 1e-9  # of the largest twist: rounding leaves 1e-15
+RANGE = np.pi  # rad, m: for joints with wider limits
+CONSTANT = 1e-9  # relative to the largest twist: rounding leaves 1e-15
 
 
 class Mounting(NamedTuple):
-    """Masks (p,) of the parameters that only move the base, and of those that only move the tool; their twists (6, p)."""
+    """Masks (p,) of the parameters that move only the base, and of those that move only the tool; their twists (6, p)."""
 
     base: NDArray[np.bool_]
     tool: NDArray[np.bool_]
@@ -42,7 +43,7 @@ class Mounting(NamedTuple):
 
 
 def mounting(chain: Chain, params: Floats) -> Mounting:
-    """The parameters whose motion is one twist of the base, or one of the end, in every pose."""
+    """Return the parameters whose motion is one twist of the base, or one of the end, in every pose."""
     rng = np.random.default_rng(0)
     lower, upper = (np.array([getattr(joint, side) for joint in chain.joints]) for side in ("lower", "upper"))
     q = rng.uniform(np.maximum(lower, -RANGE), np.minimum(upper, RANGE), (N_POSES, len(chain.joints)))
@@ -56,16 +57,17 @@ def mounting(chain: Chain, params: Floats) -> Mounting:
     base, tool = (np.ptp(of, axis=1).max(axis=0) <= CONSTANT * np.abs(of).max(initial=1.0) for of in twists)
     varies = np.isin(
         np.arange(params.size), chain.law.of_column
-    )  # a curve's coefficient may do nothing in any of these poses
+    )  # a curve's coefficient may have no effect in any of these poses
     return Mounting(base & ~varies, tool & ~varies, twists[0][:, 0], twists[1][:, 0])
 
 
 def held_as_frames(
     root: Floats, mounted: Mounting, free: NDArray[np.bool_], named: NDArray[np.bool_], unit: Floats
 ) -> NDArray[np.bool_]:
-    """(p,) which of the ``free`` (p,) parameters to hold, none of the ``named``, so that none of the others is a choice of frame.
+    """Return which of the ``free`` (p,) parameters to fix so that none of the others is a choice of frame.
 
-    ``root`` (k, k) has the robot's free columns first and then the rig's; ``unit`` (p,) makes metres and radians comparable.
+    None of the ``named`` parameters is fixed. ``root`` (k, k) has the robot's free columns first and then the rig's;
+    ``unit`` (p,) makes metres and radians comparable.
     """
     scaled, scale = scaled_columns(root)
     n_robot = int(free.sum())
@@ -74,7 +76,7 @@ def held_as_frames(
     for of, twist in ((mounted.base, mounted.base_twist), (mounted.tool & ~mounted.base, mounted.tool_twist)):
         which = np.flatnonzero(of & free)
         _, unseen = null_basis(project_out(scaled[:, at[which]], scaled[:, n_robot:]))
-        # Two parameters of one motion are no choice of frame: the frame stays where it is.
+        # Two parameters of one motion are not a choice of frame: the frame does not move.
         if unseen.shape[1] <= which.size - np.linalg.matrix_rank(twist[:, which], tol=CONSTANT):
             continue
         basis, _ = np.linalg.qr(unseen / (scale[at[which]] * unit[which])[:, None])

@@ -1,9 +1,9 @@
-"""What more to measure: which further poses, pairing, chuck, sphere, line or place would let which parameter be told.
+"""Which further poses, pairing, chuck, sphere, line or place would make which parameters identifiable.
 
-Asked only where the rank falls short of what is free, or where it does not but some of it is hardly seen. Each proposal is
-tried: some rows as it would give them, at the estimate (``Kind.proposals``), are folded into the information that there is, and
-pivoted QR is asked which columns beyond the suggested set have become independent (``identifiability.suggested_free``), or are
-told to better than their units (``identifiability.told_apart``).
+This is computed only if the rank is less than the number of free parameters, or if some parameters are hardly
+identifiable. Each proposal (``Kind.proposals``) is tried: rows such as it would give at the estimate are folded into
+the existing information. Pivoted QR then finds the columns beyond the suggested set that have become independent
+(``identifiability.suggested_free``) or are determined to better than their units (``identifiability.told_apart``).
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ def additions(
     taken: NDArray[np.bool_],
     unit: Floats | None = None,
 ) -> tuple[Addition, ...]:
-    """Proposals that help, each alone, the most useful first.
+    """Return the proposals that help, each on its own, the most useful first.
 
-    root (k, k): what is known of the free parameters ``names`` (k,), of which the first ``taken.size`` are the robot's;
-    ``taken`` of them can be told apart, to better than ``unit`` (taken.size,) if it is given. ``known``: the estimate by
-    name.
+    root (k, k) is the information on the free parameters ``names`` (k,), of which the first ``taken.size`` are the
+    robot's. Those ``taken`` are distinguishable, to better than ``unit`` (taken.size,) if it is given. ``known`` is the
+    estimate by name.
     """
     if taken.all() or len(table) == 0:
         return ()
@@ -63,7 +63,7 @@ def _with(
     known: Mapping[str, float],
     n_robot: int,
 ) -> tuple[Floats, int]:
-    """The root with the rows of a proposal folded in, its new unknowns behind all others; and ``n_robot``."""
+    """Return the root with the rows of a proposal folded in, its new unknowns after all others, and ``n_robot``."""
     problem = build_problem(here, proposal.rig, proposal.rows)
     of_problem = [*problem.names[: problem.n_robot], *(prefix + name for name in problem.names[problem.n_robot :])]
     x = np.array([known.get(name, start) for name, start in zip(of_problem, problem.start, strict=True)])
@@ -71,7 +71,7 @@ def _with(
     theirs = [name for name, wanted in zip(of_problem, columns, strict=True) if wanted]
     every = [*names, *(name for name in theirs if name not in names)]
     wide = np.zeros((len(theirs), len(every)))
-    # What is known of the new: the prior of the rest is in the root already.
+    # Prior information on the new items; that on the rest is already in the root.
     sigma = np.where([name in names for name in theirs], np.inf, problem.prior_sigma[columns])
     data = with_prior(observe(settled(problem, x), x, columns), np.zeros(len(theirs)), sigma)
     wide[:, [every.index(name) for name in theirs]] = data.root
@@ -81,19 +81,19 @@ def _with(
 
 
 def _proposals(here: Chain, rig: Rig, table: ObservationTable) -> Iterator[Proposal]:
-    """What each kind proposes at the estimate."""
+    """Return what each kind proposes at the estimate."""
     for kind in kinds().values():
         if kind.proposals is not None:
             yield from kind.proposals(here, rig, table, np.random.default_rng(0))
 
 
 def _at(chain: Chain, known: Mapping[str, float]) -> Chain:
-    """The chain with the estimate for its nominal values, so that what is new is placed where the estimate has it."""
+    """Return the chain with the estimate as its nominal values, so that new items are placed according to the estimate."""
     return replace(chain, parameters=tuple(replace(p, nominal=known[p.name]) for p in chain.parameters))
 
 
 def _first_rig(rig: Rigs, table: ObservationTable) -> tuple[Rig, str]:
-    """The rig of the first row, which the proposals extend, and the prefix of its unknowns' names."""
+    """Return the rig of the first row, which the proposals extend, and the prefix of its unknowns' names."""
     if isinstance(rig, Rig):
         return rig, ""
     name = str(table.rig[0])

@@ -1,27 +1,28 @@
-"""What the observations can see of the robot, and the directions that they cannot, in parameter names.
+"""What the observations can determine of the robot, and the null directions in terms of named parameters.
 
-The rig's unknowns are projected out first: of the scaled root A = [A_robot | A_rig] remains (I − U Uᵀ) A_robot, U a
-basis of A_rig's range. Its singular values fall into two groups; the smaller ones are rounding (1e-15) if the Jacobian
-is analytic, and the ratio between the groups, the gap, tells how safe the count is (Goswami 1993: "counting the number
-of nonzero singular values of H or J").
+The rig's unknowns are projected out first: from the scaled root A = [A_robot | A_rig] this leaves (I − U Uᵀ) A_robot,
+where U is a basis of the range of A_rig. Its singular values form two groups. If the Jacobian is analytic, the smaller
+ones are rounding errors (1e-15). The ratio between the groups, the gap, shows how reliable the rank is (Goswami 1993:
+"counting the number of nonzero singular values of H or J").
 
-Null directions are made readable: of all bases of the null space the one in which each direction has a parameter of
-its own (a pivot, weight 1 in it and 0 in the others); all other parameters appear only as needed to undo the pivot.
+Null directions are made readable by a choice of basis: each direction has a parameter of its own (a pivot, with weight
+1 in this direction and 0 in the others), and all other parameters appear only as needed to compensate for the pivot.
 
-A set to free is suggested by the same columns: pivoted QR takes the one with the longest part that is not yet explained,
-until nothing is left. Which of several equivalent parameters to hold is a matter of taste, and the papers' taste comes
-with the robot's file (``Robot.free``): preferred columns are taken before all others. The columns taken before remain
-taken when rows are added, since rows cannot make independent columns dependent; so what an addition would add is the
-difference of two such sets.
+The same columns yield a suggested free set: pivoted QR repeatedly takes the column with the longest component not yet
+explained, until nothing is left. The choice among equivalent parameters is arbitrary; the papers' choice is stored in
+the robot's file (``Robot.free``), and preferred columns are taken before all others. Additional rows cannot make
+independent columns dependent, so the columns taken stay independent when rows are added, and the gain from an addition
+is the difference between two such sets.
 
-A direction may count and still be useless. Poses of one tool orientation lose three combinations of parameters, but only
-if the arm keeps that orientation exactly; a real one does to some milliradians, which lifts the three far above rounding.
-So directions are also held against what a maker's drawing tells, a ``unit`` for each parameter (1 mm, 5 mrad, 0.001 of a
-gain): columns whitened and in these units have a singular value s for a combination that the data alone tell to 1/s of
-them, and where s < 1 it is hardly seen.
+A direction may count towards the rank and still be useless. Poses with one tool orientation lose three combinations of
+parameters, but only if the arm keeps that orientation exactly. A real arm keeps it to a few milliradians, which raises
+the three far above rounding. Directions are therefore also compared with the accuracy of a manufacturer's drawing, a
+``unit`` for each parameter (1 mm, 5 mrad, 0.001 of a gain). With columns whitened and in these units, a singular value
+s means that the data alone determine a combination to 1/s units; where s < 1, it is hardly identifiable.
 
-So is a time offset of the joint readings that is told to no better than a millisecond, a tenth of a millimetre at 100 mm/s.
-Lines driven one way at constant speed tell nothing of it, but speeds are never quite constant, so it is no null direction.
+The same applies to a time offset of the joint readings that is determined no better than to a millisecond (a tenth of a
+millimetre at 100 mm/s). Lines driven in one direction at constant speed do not determine it, but since real speeds are
+never exactly constant it is not a null direction.
 """
 
 from __future__ import annotations
@@ -36,12 +37,12 @@ from numpy.typing import NDArray
 from truearm.estimate.information import RANK_TOLERANCE, scaled_columns
 from truearm.types import Floats, NullDirection, Observability
 
-NO_PART = 1e-6  # weight, in scaled parameters, below which a parameter takes no part in a direction
-SMALL_PART = 0.05  # the same, in units, for a direction that is hardly seen, in which all parameters have some part
+NO_PART = 1e-6  # weight, in scaled parameters, below which a parameter does not belong to a direction
+SMALL_PART = 0.05  # the same, in units, for a hardly identifiable direction, to which all parameters contribute
 
 
 class Identifiability(NamedTuple):
-    """Rank of the robot's free parameters with the rig projected out, and everything that is not seen."""
+    """Rank of the robot's free parameters with the rig projected out, and the null space."""
 
     rank: int
     gap: float  # smallest kept over largest dropped singular value; inf if none was dropped
@@ -51,14 +52,14 @@ class Identifiability(NamedTuple):
 
 
 def identifiability(root: Floats, n_robot: int, names: Sequence[str]) -> Identifiability:
-    """Analyse a root (k, k) whose first ``n_robot`` columns are the robot's; ``names`` are the k parameters'."""
+    """Analyse a root (k, k) whose first ``n_robot`` columns are the robot's; ``names`` are those of the k parameters."""
     scaled, scale = scaled_columns(root)
     robot, rig = scaled[:, :n_robot], scaled[:, n_robot:]
     singular, null_robot = null_basis(project_out(robot, rig))
     _, null_rig = null_basis(rig)
     _, null_all = null_basis(scaled)
     rank = n_robot - null_robot.shape[1]
-    # A change of the robot alters no prediction only together with what it does to the rig.
+    # A null direction of the robot leaves predictions unchanged only together with the matching change of the rig.
     jac_rig = -np.linalg.pinv(rig, rcond=RANK_TOLERANCE) @ (robot @ null_robot)
     directions = (
         *_directions(null_robot, scale, names, beside=jac_rig),
@@ -69,12 +70,12 @@ def identifiability(root: Floats, n_robot: int, names: Sequence[str]) -> Identif
 
 
 def observability(root: Floats, n_robot: int, chosen: NDArray[np.bool_], unit: Floats, n_rows: int) -> Observability:
-    """Indices of the robot's ``chosen`` (n_robot,) columns with the rig projected out; ``unit`` (n_robot,) scales them.
+    """Return the observability indices of the robot's ``chosen`` (n_robot,) columns, with the rig projected out.
 
-    The columns are whitened by the noise, so a singular value s is how many σ of noise a change by one unit makes, over
-    all ``n_rows`` scalar residuals. With c columns: o1 = (Πs)^(1/c)/√n (Borm and Menq 1991), o2 = s_min/s_max (Driels
-    and Pathre 1990), o3 = s_min (Nahvi and others 1994), o4 = s_min²/s_max (Nahvi and Hollerbach 1996). All are 0 where
-    something is not seen at all, NaN where there is nothing to see.
+    ``unit`` (n_robot,) scales the columns, which are whitened by the noise, so a singular value s is the change in σ of
+    noise per unit, over all ``n_rows`` scalar residuals. With c columns: o1 = (Πs)^(1/c)/√n (Borm and Menq 1991), o2 =
+    s_min/s_max (Driels and Pathre 1990), o3 = s_min (Nahvi and others 1994), o4 = s_min²/s_max (Nahvi and Hollerbach
+    1996). All are 0 if any direction is unidentifiable, and NaN if there are no columns.
     """
     singular = np.linalg.svd(_in_units(root, n_robot, unit)[:, chosen], compute_uv=False)
     if singular.size == 0 or n_rows == 0:
@@ -89,9 +90,9 @@ def observability(root: Floats, n_robot: int, chosen: NDArray[np.bool_], unit: F
 def suggested_free(
     root: Floats, n_robot: int, prefer: NDArray[np.bool_], taken: NDArray[np.bool_] | None = None
 ) -> NDArray[np.bool_]:
-    """(n_robot,) a largest set of the robot's columns that the data tell apart from each other and from the rig.
+    """Return a largest set (n_robot,) of the robot's columns that are distinguishable from each other and from the rig.
 
-    ``prefer`` columns come first, ``taken`` ones, which must be independent, before them.
+    ``taken`` columns, which must be independent, come first, then ``prefer`` columns.
     """
     scaled, _ = scaled_columns(root)
     rest = project_out(scaled[:, :n_robot], scaled[:, n_robot:])
@@ -107,7 +108,7 @@ def suggested_free(
 
 
 def hardly_seen(root: Floats, n_robot: int, unit: Floats, names: Sequence[str]) -> tuple[NullDirection, ...]:
-    """Directions of the robot's columns that count, but that the data tell to no better than ``unit`` (n_robot,)."""
+    """Return identifiable directions of the robot's columns that the data determine no better than ``unit`` (n_robot,)."""
     rest = _in_units(root, n_robot, unit)
     if rest.size == 0:
         return ()
@@ -117,9 +118,9 @@ def hardly_seen(root: Floats, n_robot: int, unit: Floats, names: Sequence[str]) 
 
 
 def not_told(root: Floats, n_robot: int, unit: Floats, least: float = -1.0) -> NDArray[np.bool_]:
-    """(n_robot,) the robot's columns in directions that the data tell to no better than ``unit`` (n_robot,).
+    """Return a mask (n_robot,) of the columns in directions that the data determine no better than ``unit`` (n_robot,).
 
-    Those with a singular value up to ``least`` of the largest do not count: with RANK_TOLERANCE, what is not seen at all.
+    Directions with a singular value up to ``least`` of the largest do not count: with RANK_TOLERANCE, null directions.
     """
     rest = _in_units(root, n_robot, unit)
     if rest.size == 0:
@@ -129,13 +130,13 @@ def not_told(root: Floats, n_robot: int, unit: Floats, least: float = -1.0) -> N
 
 
 def hardly_told(root: Floats, column: int, unit: float) -> bool:
-    """Whether the data tell this one parameter, all others (robot and rig) being unknown, no better than ``unit``."""
+    """Return whether the data determine this parameter no better than ``unit``, all others (robot and rig) being unknown."""
     rest = project_out(root[:, [column]], np.delete(root, column, axis=1))
     return float(np.linalg.norm(rest)) * unit < 1.0
 
 
 def told_apart(root: Floats, n_robot: int, unit: Floats, taken: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
-    """(n_robot,) as many columns as there are directions told to better than ``unit``, the ``taken`` ones first."""
+    """Return as many columns (n_robot,) as there are directions known to better than ``unit``, ``taken`` ones first."""
     rest = _in_units(root, n_robot, unit)
     out = np.zeros(n_robot, dtype=bool) if taken is None else taken.copy()
     more = int((np.linalg.svd(rest, compute_uv=False) >= 1.0).sum() - out.sum())
@@ -146,13 +147,13 @@ def told_apart(root: Floats, n_robot: int, unit: Floats, taken: NDArray[np.bool_
 
 
 def _in_units(root: Floats, n_robot: int, unit: Floats) -> Floats:
-    """The robot's columns, whitened, the rig projected out, by units of their parameters."""
+    """Return the robot's whitened columns with the rig projected out, in units of their parameters."""
     scaled, scale = scaled_columns(root)
     return np.asarray(project_out(scaled[:, :n_robot], scaled[:, n_robot:]) * (scale[:n_robot] * unit))
 
 
 def project_out(wanted: Floats, unwanted: Floats) -> Floats:
-    """(I − U Uᵀ) wanted, U an orthonormal basis of the columns of ``unwanted``."""
+    """Return (I − U Uᵀ) wanted, with U an orthonormal basis of the columns of ``unwanted``."""
     if unwanted.shape[1] == 0:
         return wanted
     u, singular, _ = np.linalg.svd(unwanted, full_matrices=False)
@@ -161,13 +162,14 @@ def project_out(wanted: Floats, unwanted: Floats) -> Floats:
 
 
 def null_basis(matrix: Floats) -> tuple[Floats, Floats]:
-    """Singular values (c,) and an orthonormal basis (c, d) of the null space of a matrix with scaled columns."""
+    """Return singular values (c,) and an orthonormal basis (c, d) of the null space of a matrix with scaled columns."""
     columns = matrix.shape[1]
     if columns == 0:
         return np.zeros(0), np.zeros((0, 0))
     _, singular, vt = np.linalg.svd(matrix)
     singular = np.pad(singular, (0, columns - singular.size))
-    # Columns have length 1 (or less, projected): the largest singular value is of order 1 unless nothing is seen.
+    # Columns have length 1 (or less, projected): the largest singular value is of order 1 unless nothing is
+    # identifiable.
     rank = int((singular > RANK_TOLERANCE * max(singular.max(), 1.0)).sum())
     return singular, vt[rank:].T
 
@@ -181,9 +183,9 @@ def _gap(singular: Floats, rank: int) -> float:
 def _directions(
     basis: Floats, scale: Floats, names: Sequence[str], least: float = NO_PART, beside: Floats | None = None
 ) -> tuple[NullDirection, ...]:
-    """The null space (c, d), scaled, as readable directions in SI units, each with its largest weight 1.
+    """Return the null space (c, d), scaled, as readable directions in SI units, each with a largest weight of 1.
 
-    ``beside`` (·, d) are further rows of the directions, after those of the basis.
+    ``beside`` (·, d) are additional rows of the directions, after those of the basis.
     """
     d = basis.shape[1]
     if d == 0:
@@ -201,7 +203,7 @@ def _directions(
 
 
 def spread(flags: NDArray[np.bool_], columns: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Flags of some columns among all: ``flags`` (k,) of the k that ``columns`` (p,) names, False elsewhere (p,)."""
+    """Return flags (p,) for all columns: ``flags`` (k,) for the k that ``columns`` (p,) selects, False elsewhere."""
     out = np.zeros(columns.size, dtype=bool)
     out[columns] = flags
     return out

@@ -1,13 +1,13 @@
-"""What observations say, as a square root: the one linear algebra that all solvers share.
+"""The information of the observations in square-root form: the linear algebra shared by all solvers.
 
 Whitened rows [J | f] (each divided by its σ) are folded block by block into one triangle,
 
     R_aug = qr([R_aug; J_block | f_block]),   R_aug = [[R, z], [0, ρ]],
 
-so that JᵀJ = RᵀR, Jᵀf = Rᵀz and memory does not grow with the number of poses. For J = W X with X the same for all
-poses (model/chain.py) it is W that is folded, and X that multiplies the triangle in the end. The triangle keeps J's own condition
-number; the normal equations of Goswami's (10) would square it, and a rank test on them sees only half the digits.
-A prior adds the rows 1/σ with residuals (mean − x)/σ.
+so that JᵀJ = RᵀR and Jᵀf = Rᵀz, and memory does not grow with the number of poses. For J = W X, with X the same for all
+poses (model/chain.py), W is folded and the triangle is multiplied by X at the end. The triangle keeps the condition
+number of J. The normal equations of Goswami's (10) would square it, and a rank test on them would have only half the
+digits. A prior adds the rows 1/σ with residuals (mean − x)/σ.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from truearm.kinds.linearised import Linearised
 from truearm.model.constant_folding import folded
 from truearm.types import Floats, Residuals
 
-RANK_TOLERANCE = 1e-10  # of the largest singular value; analytic Jacobians leave 1e-15 where nothing is seen
+RANK_TOLERANCE = 1e-10  # of the largest singular value; analytic Jacobians leave 1e-15 for null directions
 (_tpqrt,) = get_lapack_funcs(("tpqrt",), dtype=np.float64)
-PANEL = 8  # columns that tpqrt eliminates at once; 4 to 16 do as well
+PANEL = 8  # columns that tpqrt eliminates at once; 4 to 16 work as well
 KEPT_BYTES = 30_000_000  # the thresholds follow up to 32 MiB
-ROUNDING = 1e-13  # of the longest column: sums of some dozen terms of relative error 2e-16, with room
+ROUNDING = 1e-13  # of the longest column: sums of some dozen terms of relative error 2e-16, with a margin
 
 
 class Information(NamedTuple):
-    """A linearised least-squares problem over k unknowns, whitened."""
+    """A linearised, whitened least-squares problem over k unknowns."""
 
     root: Floats  # (k, k) R
     rhs: Floats  # (k,) z
     chi2: float  # fᵀf
-    n_residuals: int  # scalar ones, priors included
+    n_residuals: int  # scalar ones, including priors
     residual: Residuals  # of the table's rows
 
 
@@ -52,9 +52,9 @@ class Spectrum(NamedTuple):
 
 
 def observe(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> Information:
-    """Information of the observations, without priors, on x[columns], linearised at x (P,).
+    """Return the information of the observations, without priors, on x[columns], linearised at x (P,).
 
-    Errors of the joint readings are weighed as they are at x.
+    Errors of the joint readings are weighted as they are at x.
     """
     _keep_freed_memory()
     robot, rig = columns[: problem.n_robot], columns[problem.n_robot :]
@@ -79,7 +79,7 @@ def observe(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> Informat
 
 
 def _stacked(lin: Linearised, used: NDArray[np.bool_], rig: NDArray[np.bool_]) -> Floats:
-    """(b, w, n) the wrenches that are ``used``, the derivatives by what is free of the ``rig``, and the residuals."""
+    """Return (b, w, n) the ``used`` wrenches, the derivatives by the free unknowns of the ``rig``, and the residuals."""
     width, n, _ = lin.wrenches.shape
     at = int(used.sum())
     out = np.empty((at + int(rig.sum()) + 1, width, n))
@@ -90,9 +90,9 @@ def _stacked(lin: Linearised, used: NDArray[np.bool_], rig: NDArray[np.bool_]) -
 
 
 def weighed(problem: Problem, x: Floats) -> Problem:
-    """The problem with every observation's covariance as it is at x, joint readings included; itself if they are exact.
+    """Return the problem with each observation's covariance at x, joint readings included; unchanged if they are exact.
 
-    For a solver that compares χ² at two x, which must be weighed alike.
+    For a solver that compares χ² at two x, which must have the same weights.
     """
     if problem.joint_cov is None:
         return problem
@@ -126,10 +126,10 @@ def with_prior(information: Information, error: Floats, sigma: Floats) -> Inform
 
 
 def fold(triangle: Floats, rows: Floats, overwrite: bool = False) -> Floats:
-    """Fold rows (m, k) into an upper triangle (k, k); with ``overwrite`` both may be spoilt.
+    """Fold rows (m, k) into an upper triangle (k, k); with ``overwrite`` both inputs may be overwritten.
 
-    LAPACK's tpqrt takes the triangle as a triangle, so nothing is stacked and R's zeros cost nothing: 0.16 µs a row of
-    37 columns, half of what numpy's qr takes.
+    LAPACK's tpqrt uses the triangular structure, so nothing is stacked and R's zeros cost nothing: 0.16 µs per row of
+    37 columns, half the time of numpy's qr.
     """
     if rows.size == 0:
         return triangle
@@ -138,19 +138,19 @@ def fold(triangle: Floats, rows: Floats, overwrite: bool = False) -> Floats:
 
 
 def _keep_freed_memory() -> None:
-    """Let the blocks' arrays live in memory that the process keeps, at most some 60 MB.
+    """Keep the memory of the blocks' arrays in the process, at most about 60 MB.
 
-    glibc gives large pieces back to the system when they are freed, and each block faults its pages in again: a third
-    of the time of a fit of 800 points. Its thresholds grow with the largest piece that was freed (mallopt(3), M_MMAP_THRESHOLD),
-    so one is made and freed untouched. Where the allocator is another this does nothing.
+    glibc returns large blocks to the system when they are freed, and each new array faults its pages in again, which
+    takes a third of the time of a fit of 800 points. Its thresholds grow with the largest block that was freed
+    (mallopt(3), M_MMAP_THRESHOLD), so one is allocated and freed untouched. With another allocator this has no effect.
     """
     np.empty(KEPT_BYTES, np.uint8)
 
 
 def scaled_columns(root: Floats) -> tuple[Floats, Floats]:
-    """The root with columns of length 1 (Marquardt 1963), and the lengths (k,); a column without information keeps 1.
+    """Return the root with columns of length 1 (Marquardt 1963), and the lengths (k,); 1 for a column without information.
 
-    A column of nothing but rounding must not be scaled up to pass for information.
+    A column that is only rounding must not be scaled up and taken for information.
     """
     scale = np.linalg.norm(root, axis=0)
     empty = scale <= ROUNDING * scale.max(initial=0.0)
@@ -159,24 +159,24 @@ def scaled_columns(root: Floats) -> tuple[Floats, Floats]:
 
 
 def spectrum(root: Floats) -> Spectrum:
-    """Scale the columns and decompose."""
+    """Scale the columns and decompose the root."""
     scaled, scale = scaled_columns(root)
     u, singular, vt = np.linalg.svd(scaled)
     return Spectrum(u, singular, vt, scale)
 
 
 def seen(parts: Spectrum) -> NDArray[np.bool_]:
-    """(k,) the singular values that are information and not rounding."""
+    """Return a mask (k,) of the singular values that are information and not rounding."""
     return np.asarray(parts.singular > RANK_TOLERANCE * parts.singular.max(initial=0.0))
 
 
 def half(parts: Spectrum) -> Floats:
-    """S (k, r) with S Sᵀ the inverse of RᵀR on the directions that are seen."""
+    """Return S (k, r) with S Sᵀ the inverse of RᵀR on the identifiable directions."""
     some = seen(parts)
     return np.asarray(parts.vt[some].T / parts.singular[some] / parts.scale[:, None])
 
 
 def covariance(parts: Spectrum) -> Floats:
-    """(k, k) inverse of RᵀR on the directions that are seen."""
+    """Return the inverse (k, k) of RᵀR on the identifiable directions."""
     root = half(parts)
     return np.asarray(root @ root.T)

@@ -1,19 +1,21 @@
-"""Wrong labels: rows that name one thing of the rig and were measured with another.
+"""Wrong labels: rows that name one item of the rig but were measured with another.
 
-A wrong label is no noise: it moves a whole group of rows by about the distance between two points, centimetres where the noise
-is a tenth of a millimetre, and the fit bends every parameter to meet it. Which columns of a kind can be confused its ``Kind``
-declares (``labels``). A group is a part of a run of rows in which no name changes; where these change so often that runs are too
-many, all rows of one label.
+A wrong label is not noise. It moves a whole group of rows by about the distance between two points, which is
+centimetres where the noise is a tenth of a millimetre, and the fit distorts every parameter to follow it. Each ``Kind``
+declares which of its columns can be confused (``labels``). A group is part of a run of rows in which no name changes.
+If the names change so often that there are too many runs, a group is all rows with one label.
 
-What the groups fit is asked of witnesses (``label_test``): the robot as described, once base, tool and rig are placed; the robot
-as fitted; the fits without one run, and without two of few runs, that leave least. Each proposes labellings. These, and names
-that are exchanged everywhere, are fitted in turn, and a better fit is asked of every row, since wrong labels need not begin where
-a group does. A labelling counts if it brings the RMS down by TENFOLD, beyond chance (``label_test.log_chance``). Beyond
-MAX_GROUPS the search is not made, and the result says so.
+Several reference robots suggest which labels a group fits (``label_test``): the nominal robot once base, tool and rig
+are placed, the fitted robot, and the fits without one run, and without two if there are few runs, that leave the
+smallest residuals. Each proposes labellings. These, and names exchanged everywhere, are fitted in turn, and the better
+fit is then checked row by row, since wrong labels need not begin at a group boundary. A labelling counts if it reduces
+the RMS by TENFOLD, beyond chance (``label_test.log_chance``). Above MAX_GROUPS the search is skipped, and the result
+records this.
 
-Corners of an equilateral triangle relabelled everywhere leave no residuals if base or tool may be anywhere: in space each such
-change is a rotation of the fixture, by a third of a turn or turned over. So a labelling counts too if it fits as well and base and
-tool then stand where they were described (within NEAR tolerances of a hand), where as labelled they would not (beyond FAR).
+If the corners of an equilateral triangle are relabelled everywhere, there are no residuals as long as base or tool can
+be anywhere: each such change is a rotation of the fixture in space, by a third of a turn or turned over. Therefore a
+labelling also counts if it fits equally well and places base and tool where they were described (within NEAR tolerances
+of manual mounting), while the given labels do not (beyond FAR).
 """
 
 from __future__ import annotations
@@ -37,25 +39,25 @@ from truearm.model.chain import Chain
 from truearm.types import Floats, ObservationTable, Relabelling, Rig
 
 TENFOLD = 0.1  # of the RMS
-LEVEL = 1e-3  # chance that right labels are called wrong
-FAR, NEAR = 10.0, 3.0  # tolerances of a hand: 100 mm or 0.5 rad, 30 mm or 0.16 rad
+LEVEL = 1e-3  # probability that correct labels are reported as wrong
+FAR, NEAR = 10.0, 3.0  # tolerances of manual mounting: 100 mm or 0.5 rad, 30 mm or 0.16 rad
 AS_WELL = 2.0  # of χ²
-MOST_ROWS = 270  # that are fitted, and LEAST_OF_A_GROUP of each group
+MOST_ROWS = 270  # that are fitted, and at least LEAST_OF_A_GROUP of each group
 LEAST_OF_A_GROUP = 5
-SHARE = 0.05  # of the rows: about a part
+SHARE = 0.05  # of the rows: approximate size of a part
 ROUNDS = 3
 BEYOND_NOISE = 100.0  # times the median square: 7 σ of a normal distribution
 MAX_GROUPS = 40
 MAX_RUNS_IN_PAIRS = 9
 MAX_CANDIDATES = 60  # labels of a group
-FITTED_PROPOSALS = 4  # of each witness
+FITTED_PROPOSALS = 4  # of each reference robot
 MAX_EXCHANGES = 60
-ENOUGH = 6  # labellings that explain the rows as well
+ENOUGH = 6  # labellings that explain the rows equally well
 PLACE = GROUPS[0]
 
 
 class _Scope(NamedTuple):
-    """Rows of one rig, kind and place, within which names mean the same, and the labels that they could have."""
+    """Rows of one rig, kind and place, within which names have the same meaning, and the labels that they could have."""
 
     rig: str
     kind: str
@@ -64,17 +66,17 @@ class _Scope(NamedTuple):
 
 
 class Search(NamedTuple):
-    """What was found, and whether it was looked for: "not needed", "done" or "too many groups"."""
+    """The result of a search and whether it was made: "not needed", "done" or "too many groups"."""
 
     found: tuple[Relabelling, ...]
     status: str
-    before: Trial | None = None  # fits of some rows as labelled
-    after: Trial | None = None  # and with all labels put right
-    log_chance: float = 0.0  # that right labels seem so wrong
+    before: Trial | None = None  # fits of some rows with the given labels
+    after: Trial | None = None  # and with all labels corrected
+    log_chance: float = 0.0  # that correct labels appear this wrong
 
 
 class _Searched(NamedTuple):
-    """Rows, the scope and the group of each, and their labels as they are: numbers of what their scope could have."""
+    """Rows, the scope and the group of each, and their given labels as indices of those possible in their scope."""
 
     chain: Chain
     rigs: Mapping[str, Rig]
@@ -82,18 +84,18 @@ class _Searched(NamedTuple):
     free: NDArray[np.bool_]
     scopes: Sequence[_Scope]
     scope: Indices  # (n,)
-    run: Indices  # (n,) in which no name changes, or all rows of one label
-    group: Indices  # (n,) a part of it
+    run: Indices  # (n,) in which no name changes, or all rows with one label
+    group: Indices  # (n,) part of a run
     was: Indices  # (n,)
     thin: Indices  # rows that are fitted
 
     def fitted(self, labels: Indices, without: Sequence[int] = ()) -> Trial | None:
-        """The fit under labels (n,), to all rows but those of some runs."""
+        """Return the fit with labels (n,) to all rows except those of some runs."""
         rows = self.thin[~np.isin(self.run[self.thin], without)]
         return tried(self.chain, self.rigs, self.labelled(labels).select(rows), self.free)
 
     def labelled(self, labels: Indices) -> ObservationTable:
-        """The table with labels (n,)."""
+        """Return the table with labels (n,)."""
         columns: dict[str, NDArray[Any]] = {}
         for number, scope in enumerate(self.scopes):
             mine = self.scope == number
@@ -107,7 +109,7 @@ class _Searched(NamedTuple):
         return replace(self.table, **own, more=more)
 
     def squares(self, known: Mapping[str, float]) -> Floats:
-        """(n, k) of every row under each label that it could have, by a robot's parameters; inf for none."""
+        """Return the squares (n, k) of every row under each possible label, for given robot parameters; inf for none."""
         most = max(len(scope.could) for scope in self.scopes)
         size = np.array([len(scope.could) for scope in self.scopes])[self.scope]
         out = np.full((len(self.table), most), np.inf)
@@ -118,7 +120,7 @@ class _Searched(NamedTuple):
 
 
 def label_columns(kind: str) -> tuple[str, ...]:
-    """The columns of a kind whose names can be confused."""
+    """Return the columns of a kind whose names can be confused."""
     return kinds()[kind].labels
 
 
@@ -130,9 +132,9 @@ def relabellings(
     free: NDArray[np.bool_],
     witnesses: Sequence[Trial] = (),
 ) -> Search:
-    """Labels to put right among the ``rows`` (n,) of a table, whose fit of the robot's ``free`` (p,) parameters is absurd.
+    """Return the labels to correct among the ``rows`` (n,) of a table whose fit of the ``free`` (p,) parameters is absurd.
 
-    ``witnesses`` are fits of some rows, which are asked first.
+    ``witnesses`` are fits of some rows, which are tried first.
     """
     can = np.isin(table.kind, [name for name in kinds() if label_columns(name)])
     chosen = np.flatnonzero(rows & can)
@@ -157,7 +159,7 @@ def relabellings(
         least = min(least, after.reduced)
         if _counts(before, after, count) and not np.array_equal(labels, search.was):
             found.append((after, labels))
-            # Of labels that only turn a fixture about those count by which base and tool stand where they were described.
+            # Labels that only rotate a fixture count if with them base and tool are where they were described.
             if after.moved < NEAR or len(found) == ENOUGH:
                 break
     if not found:
@@ -168,7 +170,7 @@ def relabellings(
 
 
 def _changes(search: _Searched, labels: Indices, chosen: Indices, before: Trial, after: Trial) -> Iterator[Relabelling]:
-    """Each change of labels, with its rows of the whole table."""
+    """Return each change of labels, with its rows of the complete table."""
     rms = before.rms.get("m", math.nan), after.rms.get("m", math.nan)
     keys = np.stack([search.scope, search.was, labels], axis=1)[labels != search.was]
     for number, was, now in dict.fromkeys(map(tuple, keys.tolist())):
@@ -179,23 +181,24 @@ def _changes(search: _Searched, labels: Indices, chosen: Indices, before: Trial,
 
 
 def _counts(before: Trial, after: Trial, count: int) -> bool:
-    """Whether a fit is better tenfold, or as good without base or tool being far from where they are described; beyond chance."""
+    """Return whether a fit is better tenfold, or as good with base and tool close to their described poses; beyond chance."""
     turned = before.moved > FAR and after.moved < NEAR and after.reduced < AS_WELL * before.reduced
     better = after.reduced < TENFOLD**2 * before.reduced
     return (turned or better) and _log_chance(before, after, count) < math.log(LEVEL)
 
 
 def _log_chance(before: Trial, after: Trial, count: int) -> float:
-    """Of so good a fit, or of base and tool being where they are, whichever is less."""
+    """Return the log probability of so good a fit, or of base and tool being where they are, whichever is smaller."""
     by_fit = log_chance(after.reduced / before.reduced, after.freedom)
     by_place = (after.moved**2 - before.moved**2) / 2.0
     return min(min(by_fit, by_place) + math.log(max(count, 1)), 0.0)
 
 
 def _row_by_row(search: _Searched, after: Trial, of_group: Indices) -> tuple[Trial, Indices]:
-    """The fit asked for each row, since a group may hold rows of two mountings, as long as the fit becomes better for it.
+    """Refine the fit row by row, since a group may hold rows of two mountings, as long as the fit improves.
 
-    A row keeps the label of its group unless that is clearly wrong; then it has its own, or else the one that it fits.
+    A row keeps the label of its group unless that is clearly wrong. Then it gets its own given label, or otherwise the
+    one that it fits.
     """
     labels = of_group
     for _ in range(ROUNDS):
@@ -206,7 +209,7 @@ def _row_by_row(search: _Searched, after: Trial, of_group: Indices) -> tuple[Tri
         )
         noise = BEYOND_NOISE * float(np.median(by_group))
         other = np.where(as_named <= np.maximum(CLEARLY * best, noise), search.was, least)
-        sure = np.minimum(as_named, best) <= noise  # some label or other may fit a bad row better
+        sure = np.minimum(as_named, best) <= noise  # an outlier may fit some label better by chance
         labels = np.where(sure & (by_group > np.maximum(CLEARLY * best, noise)), other, of_group)
         again = search.fitted(labels)
         if again is None:
@@ -218,7 +221,7 @@ def _row_by_row(search: _Searched, after: Trial, of_group: Indices) -> tuple[Tri
 
 
 def _proposals(search: _Searched, before: Trial, asked: Sequence[Trial]) -> Iterator[Indices]:
-    """Other labels: by the robot as described and as fitted, exchanges everywhere, by fits without some runs."""
+    """Propose labels from the nominal and the fitted robot, from exchanges everywhere, and from fits without some runs."""
     try:
         as_described = [placed(search.chain, search.rigs, search.table.select(search.thin))]
     except ProblemError:
@@ -237,7 +240,7 @@ def _proposals(search: _Searched, before: Trial, asked: Sequence[Trial]) -> Iter
 
 
 def _by_witness(search: _Searched, known: Mapping[str, float]) -> Iterator[Indices]:
-    """Labellings that fit better by a robot's parameters, the best first."""
+    """Return labellings that fit better for a robot's parameters, the best first."""
     try:
         of_row = search.squares(known)
     except ProblemError:
@@ -252,14 +255,14 @@ def _by_witness(search: _Searched, known: Mapping[str, float]) -> Iterator[Indic
 
 
 def _grouped(search: _Searched) -> tuple[list[Indices], list[tuple[Labels, ...]], list[Labels]]:
-    """The rows of each group, the labels that it could have, and its own."""
+    """Return the rows of each group, the labels that it could have, and its own."""
     groups = [np.flatnonzero(search.group == i) for i in range(int(search.group.max()) + 1)]
     could = [search.scopes[search.scope[rows[0]]].could for rows in groups]
     return groups, could, [of[search.was[rows[0]]] for rows, of in zip(groups, could, strict=True)]
 
 
 def _spread(search: _Searched, groups: Sequence[Indices], labels: Sequence[Labels]) -> Indices:
-    """(n,) labels of the rows by those of their groups."""
+    """Return labels (n,) of the rows from those of their groups."""
     out = search.was.copy()
     for rows, mine in zip(groups, labels, strict=True):
         out[rows] = search.scopes[search.scope[rows[0]]].could.index(mine)
@@ -274,7 +277,7 @@ def _searched(chain: Chain, rigs: Mapping[str, Rig], table: ObservationTable, fr
     was = np.empty(len(table), dtype=np.intp)
     for i, one in enumerate(scopes):
         columns = [table.column(column)[scope == i].tolist() for column in label_columns(one.kind)]
-        # An empty name is that of the only one there is.
+        # An empty name stands for the only one there is.
         was[scope == i] = [
             one.could.index(tuple(name or one.could[0][k] for k, name in enumerate(names)))
             for names in zip(*columns, strict=True)
@@ -288,7 +291,7 @@ def _searched(chain: Chain, rigs: Mapping[str, Rig], table: ObservationTable, fr
 
 
 def _could(rigs: Mapping[str, Rig], table: ObservationTable, rig: str, kind: str, place: str) -> tuple[Labels, ...]:
-    """The labels that rows of a scope could have: of the names of the rig, or else of those that its rows have."""
+    """Return the labels that rows of a scope could have, from the names in the rig, or otherwise in its rows."""
     mine = (table.rig == rig) & (table.kind == kind) & (table.column(PLACE) == place)
     in_rig, names = rig_names(rigs[rig]), []
     for column in label_columns(kind):
@@ -303,7 +306,7 @@ def _could(rigs: Mapping[str, Rig], table: ObservationTable, rig: str, kind: str
 
 
 def _runs(table: ObservationTable, scope: Indices, was: Indices) -> Indices:
-    """(n,) the run of every row: rows in which no name changes; too many of these: all rows of one label."""
+    """Return the run (n,) of every row: consecutive rows without a name change, or all rows of one label if too many."""
     others = [table.column(name).tolist() for name in identifiers()]
     keys = list(zip(scope.tolist(), was.tolist(), *others, strict=True))
     runs = np.cumsum([0, *(a != b for a, b in pairwise(keys))])
@@ -316,7 +319,10 @@ def _runs(table: ObservationTable, scope: Indices, was: Indices) -> Indices:
 
 
 def _parts(runs: Indices) -> Indices:
-    """(n,) the group of every row: runs cut into parts of about SHARE of the rows, since a wrong label may have joined neighbours."""
+    """Return the group (n,) of every row.
+
+    Runs are cut into parts of about SHARE of the rows, since a wrong label may have joined neighbouring runs.
+    """
     count = np.bincount(runs)
     parts = np.maximum(np.rint(count / max(SHARE * runs.size, LEAST_OF_A_GROUP)).astype(np.intp), 1)
     if parts.sum() > MAX_GROUPS:

@@ -1,17 +1,18 @@
-"""Which labels fit: one test of names that are exchanged, renamed in a circle, or wrong in some groups of rows.
+"""A single test for wrong labels: names exchanged, renamed in a cycle, or wrong in some groups of rows.
 
-A group is rows that were measured with the same things mounted: a run of dwells while it is recorded, the rows of one mounting
-of a finished table. Let S_g(l) be the sum of squares of group g's residuals under the labels l, by a robot that the labels did
-not bend: the one as described, or one that was fitted to other groups. As named the groups have S = Σ S_g(named). Two sorts of
-other labellings are held against that:
+A group is rows measured with the same items mounted: a run of dwells during recording, or the rows of one mounting in a
+finished table. Let S_g(l) be the sum of squares of group g's residuals under the labels l, for a robot that the labels
+did not influence: the nominal one, or one fitted to other groups. With the given names, S = Σ S_g(named). Two sorts of
+alternative labellings are compared with that:
 
-1. **Permutations.** The names of one column are exchanged everywhere: all permutations of up to MOST_PERMUTED names, of more
-   the exchanges of two and the circles.
-2. **Groups.** Each group has the labels that it fits best, if they fit it better by CLEARLY.
+1. **Permutations.** The names of one column are permuted everywhere: all permutations of up to MOST_PERMUTED names; for
+   more names, the exchanges of two and the cycles.
+2. **Groups.** Each group takes the labels that it fits best, if they fit it better by CLEARLY.
 
-**Chance.** If the names are right, another labelling can only seem to fit better because the robot errs. Residuals of a group err
-together, so a group counts as one degree of freedom of unknown variance, and the chance that S' is smaller than S by a factor r is
-P(F(G, G) < r) for G groups. It is multiplied by the number of labellings that were tried (Bonferroni).
+**Chance.** If the names are correct, another labelling can seem to fit better only because the robot is inaccurate.
+Residuals of a group are correlated, so a group counts as one degree of freedom of unknown variance. The probability
+that S' is smaller than S by a factor r is P(F(G, G) < r) for G groups, multiplied by the number of labellings tried
+(Bonferroni).
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ from scipy import special
 MOST_PERMUTED = 4
 CLEARLY = 9.0  # of the sum of squares: a third of the RMS
 
-Labels = tuple[str, ...]  # of a group, one of each column
-Squares = Sequence[Mapping[Labels, float]]  # of each group by the labels that it could have
+Labels = tuple[str, ...]  # of a group, one per column
+Squares = Sequence[Mapping[Labels, float]]  # of each group, by possible labels
 
 
 class Labelling(NamedTuple):
-    """Labels of all groups, the sum of squares under them, and the logarithm of the chance that right names seem so wrong."""
+    """Labels of all groups, the sum of squares under them, and the log probability that correct names appear this wrong."""
 
     labels: tuple[Labels, ...]
     square: float
@@ -39,9 +40,9 @@ class Labelling(NamedTuple):
 
 
 def labellings(squares: Squares, named: Sequence[Labels], scope: Sequence[Hashable]) -> list[Labelling]:
-    """Return other labellings than the one that is ``named``, the one that fits best first; none that fit no better.
+    """Return labellings other than the ``named`` one, the best fit first; none that fit no better.
 
-    ``scope`` of each group: only groups of one scope share names (a rig's, of one kind of observation).
+    ``scope`` of each group: only groups of one scope share names (of one rig and one kind of observation).
     """
     as_named = sum(of[labels] for of, labels in zip(squares, named, strict=True))
     other = dict.fromkeys([*permuted(squares, named, scope), _each_best(squares, named)])
@@ -57,17 +58,17 @@ def labellings(squares: Squares, named: Sequence[Labels], scope: Sequence[Hashab
 
 
 def log_chance(ratio: float, freedom: float) -> float:
-    """Logarithm of the chance that of two mean squares of as many degrees of freedom one is ``ratio`` of the other, or less."""
+    """Return the log probability that two mean squares with equal degrees of freedom have a ratio of at most ``ratio``."""
     share, half = ratio / (1.0 + ratio), max(freedom, 1.0) / 2.0
     chance = special.betainc(half, half, share)
     if chance > 1e-280:
         return math.log(chance)
-    # The incomplete beta function's first term; the next is smaller by the share.
+    # First term of the incomplete beta function; the next is smaller by the share.
     return half * math.log(max(share, 1e-300)) - math.log(half) - float(special.betaln(half, half))
 
 
 def renamings(names: Sequence[str]) -> Iterator[dict[str, str]]:
-    """The permutations of some names that change any: all of few names, else exchanges of two and circles."""
+    """Return the permutations that change any of some names: all for few names, otherwise exchanges of two and cycles."""
     if len(names) <= MOST_PERMUTED:
         for order in permutations(names):
             if list(order) != list(names):
@@ -82,7 +83,7 @@ def renamings(names: Sequence[str]) -> Iterator[dict[str, str]]:
 def permuted(
     could: Sequence[Collection[Labels]], named: Sequence[Labels], scope: Sequence[Hashable]
 ) -> Iterator[tuple[Labels, ...]]:
-    """The labels of all groups, which ``could`` have others, with the names of one column exchanged throughout a scope."""
+    """Return the labels of all groups, with the names of one column exchanged throughout a scope; ``could``: the others."""
     for one in dict.fromkeys(scope):
         mine = [g for g, other in enumerate(scope) if other == one]
         for column in range(len(named[mine[0]])):

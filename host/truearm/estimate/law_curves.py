@@ -1,4 +1,4 @@
-"""Error curves as numbers to draw and to store: values, standard deviations, the covered range, and the strongest periods."""
+"""Error curves as numbers to plot and store: values, standard deviations, covered range and strongest periods."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from truearm.model.joint_terms.curve import Curve
 from truearm.types import CurveKnots, Floats, Law, Period
 
 STEP = math.radians(0.5)  # between samples
-LARGEST_CYCLES = 60  # a turn
+LARGEST_CYCLES = 60  # per turn
 PERIODS = 3
 SPECTRUM_SAMPLES = 720
 
 
 class SampledCurve(NamedTuple):
-    """What a joint truly turns beyond its offset and gain, over all readings that its curve reaches."""
+    """A joint's rotation beyond offset and gain, over all readings that its curve covers."""
 
     joint: str
     readings: Floats  # (n,) rad
     error: Floats  # (n,) rad
     sigma: Floats  # (n,) rad
-    covered: NDArray[np.bool_]  # (n,) whether the fitted rows' readings reach there
+    covered: NDArray[np.bool_]  # (n,) within the range of the fitted rows' readings
 
 
 def sampled_curves(
@@ -34,7 +34,7 @@ def sampled_curves(
 ) -> tuple[SampledCurve, ...]:
     """Return the error curves of a chain with laws at params (p,), with their covariance (p, p).
 
-    ``lower`` and ``upper`` (j,) are the least and the largest readings of the fitted rows.
+    ``lower`` and ``upper`` (j,) are the smallest and the largest readings of the fitted rows.
     """
     out, curve = [], Curve.of_chain(chain)
     for law in laws:
@@ -55,7 +55,7 @@ def sampled_curves(
 
 
 def spectrum(readings: Floats, error: Floats) -> tuple[Floats, Floats]:
-    """Cycles a turn (m,) and amplitudes [rad] of the sines in a curve, one at a time, from the lowest that its range holds."""
+    """Return cycles per turn (m,) and amplitudes [rad] of single sines in a curve, from the lowest that its range resolves."""
     span = float(readings[-1] - readings[0])
     cycles = np.arange(math.ceil(max(1.0, 2.0 * math.pi / span)), LARGEST_CYCLES + 1.0)
     waves = np.exp(-1j * cycles[:, None] * readings)
@@ -65,7 +65,7 @@ def spectrum(readings: Floats, error: Floats) -> tuple[Floats, Floats]:
 def strongest_periods(
     chain: Chain, law: CurveKnots, params: Floats, covered: tuple[float, float]
 ) -> tuple[Period, ...]:
-    """The strongest sines of a curve over the covered range, the largest first, each taken out before the next is sought."""
+    """Return the strongest sines of a curve over the covered range, each removed before the search for the next."""
     lower, upper = (law.first, law.first + 2.0 * math.pi) if law.periodic else covered
     readings = np.linspace(lower, upper, SPECTRUM_SAMPLES, endpoint=not law.periodic)
     curve = Curve.of_chain(chain)
@@ -85,7 +85,7 @@ def strongest_periods(
 
 
 def _basis(chain: Chain, curve: Curve, joint: int, readings: Floats) -> Floats:
-    """(m, n) ∂θ/∂coefficient of all curves' coefficients, where one joint is at its readings (n,)."""
+    """Return ∂θ/∂coefficient (m, n) of all curves' coefficients, with one joint at its readings (n,)."""
     q = np.zeros((len(chain.joints), readings.size))
     q[joint] = readings
     return curve.by_parameters(np.zeros(len(chain.parameters)), q)

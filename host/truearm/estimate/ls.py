@@ -1,8 +1,8 @@
 """Plain least squares, for comparison (Renders 1991, II-I): S_x = I, S_q = 0, P(0) = P₀·I with P₀ large.
 
-Every residual counts alike in metres, joint readings are taken as exact, no parameter is known beforehand. The noise is
-then read from the residuals: the covariance is s²·(JᵀJ + I/P₀)⁻¹ with s² = Σf²/(m − k). χ² of the result is still by the
-declared σ, so that results of several solvers can be laid side by side.
+All residuals in metres have equal weight, joint readings are taken as exact, and no parameter has prior information.
+The noise is then estimated from the residuals: the covariance is s²·(JᵀJ + I/P₀)⁻¹ with s² = Σf²/(m − k). The reported
+χ² still uses the declared σ, so that results of different solvers can be compared.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ P0 = 1e6  # m² and rad², "an arbitrary large number"
 
 
 def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Options) -> Solution:
-    """Least squares over x[columns] from x (P,)."""
+    """Solve by least squares over x[columns] from x (P,)."""
     found = fit(unweighted(problem), columns, x, options._replace(loss=Loss.LINEAR, plain=False), 0.0)
     data = observe(problem, found.x, columns)
     rank = int(seen(spectrum(data.root)).sum())
@@ -34,6 +34,6 @@ def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Opti
 
 
 def unweighted(problem: Problem, p0: float = P0) -> Problem:
-    """The problem as plain least squares sees it."""
+    """Return the problem with the weights of plain least squares."""
     groups = tuple(replace(g, sensor_cov=np.ones(g.sensor_cov.shape[:2])) for g in problem.groups)
     return replace(problem, groups=groups, joint_cov=None, prior_sigma=np.full(problem.start.size, np.sqrt(p0)))

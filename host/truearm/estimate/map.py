@@ -1,13 +1,13 @@
 """Iterated maximum a posteriori (Renders 1991, II-E) with one fixed prior: the default for a line's problem.
 
-At each linearisation the paper's batch solution (12), corrected to stay about the prior's own mean,
+Each linearisation takes the paper's batch solution (12), corrected so that the prior keeps its own mean,
 
     Δ = (M_θ + ΣJᵢᵀCᵢJᵢ)⁻¹ [ΣJᵢᵀCᵢΔxᵢ + M_θ(θ₀ − θ)] ,   Cᵢ = (S_x + J₂S_qJ₂ᵀ)⁻¹ ,
 
-in square-root form, taken in full: with a prior the information is regular and Gauss–Newton needs no damping. Only where
-a full step would raise the cost does Marquardt's damping set in, so that a poor start ends at the same place as ``lm``.
-The prior is about the nominal values in every iteration and counts once, as do the data: the inverse of the information
-at the end is the covariance of the error (II-G).
+in square-root form and as a full step: with a prior, the information is regular and Gauss–Newton needs no damping. Only
+if a full step would increase the cost is Marquardt's damping used, so that a poor start ends at the same point as ``lm``.
+The prior is centred on the nominal values in every iteration. Prior and data each count once, so the inverse of the
+final information is the covariance of the error (II-G).
 """
 
 from __future__ import annotations

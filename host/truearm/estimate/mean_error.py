@@ -1,10 +1,11 @@
-"""How large the error is where it was not fitted, with its interval: what holds where the model leaves something unexplained.
+"""The mean error at poses that were not fitted, with its interval; valid even where the model leaves errors unexplained.
 
-The covariance of the parameters rests on the declared noise, so it says nothing of errors that the model does not have. Rows
-that were held out do. Without such rows each pose is left out in turn: with the leverage H = J P Jᵀ of all its rows together,
-the fit without them leaves the residual (I − H)⁻¹e, to first order, and nothing has to be fitted again.
+The covariance of the parameters is based on the declared noise, so it does not include errors missing from the model.
+Held-out rows do show them. Without held-out rows, each pose is left out in turn: with the leverage H = J P Jᵀ of all
+its rows together, the fit without them leaves the residual (I − H)⁻¹e, to first order, and no refit is needed.
 
-Rows of one pose err together, so it is poses that count: the interval is that of a mean of their mean errors (Student's t).
+Rows of one pose have correlated errors, so poses are counted: the interval is that of the mean of the poses' mean
+errors (Student's t).
 """
 
 from __future__ import annotations
@@ -26,7 +27,10 @@ LEAST_POSES = 2
 
 
 def mean_errors(error: Residuals, pose: Indices, held_out: bool) -> Mapping[str, MeanError]:
-    """By SI unit, of the errors (n,) of rows, NaN for none, and the numbers (n,) of their poses. Nothing of fewer than two poses."""
+    """Return mean errors by SI unit, from the errors (n,) of rows (NaN for none) and the numbers (n,) of their poses.
+
+    Empty for fewer than two poses.
+    """
     out = {}
     for unit, of in error.items():
         some = np.isfinite(of)
@@ -43,7 +47,10 @@ def mean_errors(error: Residuals, pose: Indices, held_out: bool) -> Mapping[str,
 def left_out_errors(
     problem: Problem, x: Floats, columns: NDArray[np.bool_], covariance_root: Floats, pose: Indices
 ) -> Residuals:
-    """(n_rows,) by SI unit: the size of each row's error by a fit without its pose, NaN where that leaves something undetermined."""
+    """Return the magnitude (n_rows,) of each row's error in a fit without its pose, by SI unit.
+
+    NaN if leaving out the pose makes something undetermined.
+    """
     parts = [block for block in whitened_blocks(problem, x, columns) if block.row is not None]
     out = problem.no_residuals()
     numbers = np.concatenate([np.repeat(pose[block.row], block.residual.shape[1]) for block in parts])

@@ -1,8 +1,8 @@
-"""Where a step leads: numbers are added, orientations are turned.
+"""The parameter vector after a step: numbers are added, orientations are rotated.
 
-A rotation vector ω is turned by Δ to the first order, exp([ω']×) = exp([J_l(ω) Δ]×)·exp([ω]×). Added, a step that only rolls a
-line device about its own axis would also tilt it, by the square of the roll, where the axis is known to some 1e-5 rad
-and the roll hardly at all: a valley so curved that a fit stays in it.
+A rotation vector ω is rotated by Δ to first order, exp([ω']×) = exp([J_l(ω) Δ]×)·exp([ω]×). If Δ were added instead, a
+step that only rolls a line device about its own axis would also tilt it, by the square of the roll. The axis is known
+to about 1e-5 rad and the roll hardly at all, so this valley would be too strongly curved for a fit to leave it.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from truearm.estimate.problem import Problem
 from truearm.model.rotation import turned
 from truearm.types import Floats
 
-Step = Callable[[Floats, Floats], Floats]  # x (k,) and Δ (k,) to where Δ leads
+Step = Callable[[Floats, Floats], Floats]  # x (k,) and Δ (k,) to the new x
 
 
 def added(x: Floats, delta: Floats) -> Floats:
-    """x + Δ."""
+    """Return x + Δ."""
     return x + delta
 
 
 def stepper(problem: Problem, columns: NDArray[np.bool_]) -> Step:
-    """The step of x[columns]; an orientation of which some component is held is added to."""
+    """Return the step of x[columns]; an orientation with a fixed component is added to."""
     x_size = problem.start.size
     triples = {tuple(triple) for group in problem.groups for triple in group.orientations().tolist()}
     free = sorted(triple for triple in triples if max(triple) < x_size and columns[list(triple)].all())

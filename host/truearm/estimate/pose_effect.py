@@ -1,24 +1,27 @@
-"""Errors that the rows of one pose share: a random effect a pose, its variance, and what it makes of the covariance.
+"""Errors shared by the rows of one pose: a random effect per pose, its variance, and its effect on the covariance.
 
-Several reflectors on one tool, or the same pose measured again, do not err independently: what the model does not hold of the arm
-moves all of them together. So the whitened residuals are taken to have the covariance
+Several reflectors on one tool, or repeated measurements of a pose, do not have independent errors: unmodelled errors of
+the arm move all of them together. The whitened residuals are therefore assumed to have the covariance
 
     R = m I + p Z Zᵀ ,
 
-m the variance of a row's own noise in terms of the declared one, p [m²] that of each component of a translation of the end at a pose,
-and Z (N, 3K) the whitened derivatives by the translations of the K poses: of a pose's rows, so that R is one block a pose.
+where m is the variance of a row's own noise relative to the declared one, p [m²] the variance of each component of a
+translation of the end at a pose, and Z (N, 3K) the whitened derivatives by the translations of the K poses. R has one
+block per pose.
 
-With Q = J S an orthonormal basis of what the parameters follow (P = S Sᵀ) and M = I − Q Qᵀ, two quadratic forms of the residuals
-e = M y have the expectations (Rao 1971, MINQUE; unbiased, and for equally many rows a pose the analysis of variance)
+With Q = J S an orthonormal basis of the range of the parameters (P = S Sᵀ) and M = I − Q Qᵀ, two quadratic forms of the
+residuals e = M y have the expectations (Rao 1971, MINQUE; unbiased, and the analysis of variance if all poses have
+equally many rows)
 
     E eᵀe = m tr M + p tr(ZᵀMZ) ,   E |Zᵀe|² = m tr(ZᵀMZ) + p ‖ZᵀMZ‖² .
 
-Their covariance where p is 0 is 2m² times the same matrix, which says whether p is beyond chance. The parameters stay where least
-squares has them, as unmodelled errors that are not alike for the points of a pose would bend weights that were learnt from them; what
-changes is the covariance of such an estimate, P + S((m − 1) QᵀQ + p (ZᵀQ)ᵀZᵀQ) Sᵀ. A prior, which rests on no row, counts in it as declared.
+For p = 0 their covariance is 2m² times the same matrix, which determines whether p is beyond chance. The parameters
+keep their least-squares values, because unmodelled errors that differ between the points of a pose would distort
+weights learned from them. Only the covariance of the estimate changes, to P + S((m − 1) QᵀQ + p (ZᵀQ)ᵀZᵀQ) Sᵀ. A prior,
+which is not based on any row, enters it as declared.
 
-Where each pose has one row nothing tells m from p but the model, and nothing is estimated; nor where fewer than half of the rows share
-their pose with others, as check poses do, since single rows would decide.
+If each pose has one row, only the model distinguishes m from p, and nothing is estimated. The same holds if fewer than
+half of the rows share their pose with others, as with check poses, because single rows would decide.
 """
 
 from __future__ import annotations
@@ -37,19 +40,19 @@ from truearm.types import Floats, PoseError
 
 LEVEL = 0.05  # of fits without such errors that show some by chance
 TRANSLATIONS = slice(0, 6, 2)  # of ``Linearised.wrenches``: the forces
-LEAST_SHARE = 0.5  # of the rows that share their pose with others
-TOLD = 1e-6  # share of p's information that m must leave
+LEAST_SHARE = 0.5  # of the rows must share their pose with others
+TOLD = 1e-6  # share of p's information that must remain given m
 
 
 class PoseEffect(NamedTuple):
-    """Errors shared by the rows of a pose, and the covariance (k, k) of least-squares estimates with them."""
+    """Errors shared by the rows of a pose, and the covariance (k, k) of least-squares estimates including them."""
 
     error: PoseError
     covariance: Floats
 
 
 class _Sums(NamedTuple):
-    """What the rows say, whitened."""
+    """Whitened sums over the rows."""
 
     n: int  # scalar residuals
     n_several: int  # poses with several rows
@@ -63,9 +66,10 @@ class _Sums(NamedTuple):
 def pose_effect(
     problem: Problem, x: Floats, columns: NDArray[np.bool_], root: Floats, pose: Indices
 ) -> PoseEffect | None:
-    """The errors that rows of one ``pose`` (n_rows,) share at the estimate x (P,); ``root`` (k, r) is S there.
+    """Return the errors shared by rows of one ``pose`` (n_rows,) at the estimate x (P,), where ``root`` (k, r) is S.
 
-    None where fewer than half of the rows share their pose with others, or where these err no more alike than by chance.
+    None if fewer than half of the rows share their pose with others, or if their errors are no more alike than by
+    chance.
     """
     sums = _sums(problem, x, columns, root, pose)
     if sums is None:
@@ -85,13 +89,13 @@ def pose_effect(
     row, variance = np.linalg.solve(expects, [sums.chi2, float(sums.along @ sums.along)])
     if not variance > -special.ndtri(LEVEL) * max(row, 0.0) * math.sqrt(2.0 / own_part):
         return None
-    row = max(float(row), 1.0)  # no less than was declared
+    row = max(float(row), 1.0)  # at least as declared
     more = (row - 1.0) * sums.basis + variance * crossed
     return PoseEffect(PoseError(math.sqrt(variance), row, sums.n_several), root @ (np.eye(len(more)) + more) @ root.T)
 
 
 def _sums(problem: Problem, x: Floats, columns: NDArray[np.bool_], root: Floats, pose: Indices) -> _Sums | None:
-    """The sums over the poses; None where too few have several rows."""
+    """Return the sums over the poses; None if too few have several rows."""
     rows = np.concatenate([group.row for group in problem.groups if group.row is not None] or [np.zeros(0, np.intp)])
     _, number, count = np.unique(pose[rows], return_inverse=True, return_counts=True)
     if count[count > 1].sum() < max(LEAST_SHARE * rows.size, 1.0):

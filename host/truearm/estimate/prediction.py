@@ -1,17 +1,20 @@
-"""What an estimate says of single poses: how far the tool may be off there.
+"""Predicted error of the tool at individual poses, from an estimate.
 
-(Renders 1991, II-D, a posteriori). The measured point moves by J·Δ, so by the covariance P of the robot's parameters and of the
-point's own place on the end, where the rig does not know it, its error has the mean square tr(J P Jᵀ) at a pose. Both belong
-together: robot and target may be uncertain by metres and determine the point to a micrometre. Directions that the observations cannot see have no
-variance in P, and need none where they move no point. Two cases are told apart by the null directions N:
+(Renders 1991, II-D, a posteriori). The measured point moves by J·Δ. With P the covariance of the robot's parameters and
+of the point's own position on the end, where the rig does not know it, its error at a pose has the mean square
+tr(J P Jᵀ). Both parts are needed together: robot and target may each be uncertain by metres and still determine the
+point to a micrometre. Null directions have no variance in P, and need none if they move no point. Two cases are
+distinguished by the null directions N:
 
-- J·N moves all points as one body. Then the observations (seats in sockets, a line device or tracker anywhere) do not
-  say where the base stands, which nobody asked them. That motion, B = ∂points/∂(twist of the base), is projected out of J.
-- It moves them among each other. Then no figure would be honest, and there is none.
+- J·N moves all points as one rigid body. Then the observations (seats in sockets, a line device or tracker of unknown
+  pose) do not determine the pose of the base, which was not asked of them. That motion, B = ∂points/∂(twist of the
+  base), is projected out of J.
+- J·N moves the points relative to each other. Then no honest figure exists, and none is given.
 
-Nor is there one where the first order says nothing any more. A point that may be off by a part f of its distance from the base may have
-turned by an angle f, and what the linearisation leaves out is f/2 of what it says: above FIRST_ORDER the observations do not
-determine where the tool is (flats alone, say, see a combination of turns with σ of many turns).
+No figure is given either where the first-order approximation breaks down. A point with an error of a fraction f of its
+distance from the base may have turned by an angle f, and the linearisation then neglects f/2 of its result. Above
+FIRST_ORDER the observations do not determine the position of the tool (flats alone, for example, determine a
+combination of rotations only to σ of many turns).
 """
 
 from __future__ import annotations
@@ -29,15 +32,15 @@ from truearm.kinds.registry import kinds
 from truearm.model.chain import Chain, about, along, forward, point_jacobians, trace_point
 from truearm.types import Estimate, Floats, ObservationTable, PredictedError, Rig
 
-MOST_POSES = 500  # of a large table an even choice: the Jacobian, 1500 × 54, is then 0.6 MB
-FIRST_ORDER = 0.2  # of the farthest point's distance from the base: a tenth of the figure is then left out
-MOVES = 1e-6  # m, rad by a direction whose largest weight is 1; directions come out of an SVD with 1e-10
+MOST_POSES = 500  # evenly spaced ones of a large table: the Jacobian, 1500 × 54, is then 0.6 MB
+FIRST_ORDER = 0.2  # of the farthest point's distance from the base: a tenth of the result is then neglected
+MOVES = 1e-6  # m, rad by a direction whose largest weight is 1; directions from an SVD have 1e-10
 
 
 class PointCovariance(NamedTuple):
-    """What is known of measured points: their places (n, 3), and the covariance (3n, 3n)'s root, ``half @ half.T``.
+    """Positions of measured points (n, 3), and the root of their covariance (3n, 3n), ``half @ half.T``.
 
-    ``relative``: without a motion of all points as one body.
+    ``relative``: without a motion of all points as one rigid body.
     """
 
     points: Floats
@@ -46,7 +49,7 @@ class PointCovariance(NamedTuple):
 
     @property
     def covariances(self) -> Floats:
-        """(n, 3, 3) m², in the base frame, of each point by itself."""
+        """Return the covariances (n, 3, 3) m², in the base frame, of individual points."""
         own = self.half.reshape(len(self.points), 3, -1)
         return np.asarray(own @ own.swapaxes(1, 2))
 
@@ -54,15 +57,15 @@ class PointCovariance(NamedTuple):
 def point_covariance(
     chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate, any_base: bool = False
 ) -> PointCovariance | None:
-    """Covariance of the points that the rows measure (spheres, targets), by that of the robot and of the points' places.
+    """Return the covariance of the points that the rows measure (spheres, targets), from that of robot and positions.
 
-    ``any_base``: where the base stands is a choice of frame, so that a motion of all points as one body does not count.
-    None where directions that the observations cannot see move the points otherwise.
+    ``any_base``: the pose of the base is a choice of frame, so a motion of all points as one rigid body does not count.
+    None if null directions of the observations move the points in any other way.
     """
     params = estimate.value[: estimate.n_robot_parameters]
     places, columns = _measured_points(rig, table, estimate)
     points, by_robot, _ = point_jacobians(chain, params, table.q, places)
-    jac = np.zeros((len(table), 3, estimate.value.size + 1))  # one more column, for what is known exactly
+    jac = np.zeros((len(table), 3, estimate.value.size + 1))  # one more column, for values known exactly
     jac[:, :, : params.size] = by_robot
     axes = forward(chain, params, table.q)[:, :3, :3]
     np.put_along_axis(jac, np.broadcast_to(columns[:, None], axes.shape), axes, axis=2)
@@ -81,10 +84,10 @@ def point_covariance(
 def predicted_point_error(
     chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate, any_base: bool = False
 ) -> PredictedError | None:
-    """Expected error of the point that the rows measure (sphere or target), over their poses.
+    """Return the expected error of the point that the rows measure (sphere or target), over their poses.
 
-    None where directions that the observations cannot see move the points, other than all as one body, or where the error would be so
-    large that it is not determined.
+    None if null directions of the observations move the points other than as one rigid body, or if the error would be
+    so large that it is undetermined.
     """
     rows = np.unique(np.linspace(0, len(table) - 1, min(len(table), MOST_POSES)).astype(int))
     found = point_covariance(chain, rig, table.select(rows), estimate, any_base)
@@ -106,7 +109,7 @@ def predicted_point_error(
 class EndSigmas(NamedTuple):
     """Standard deviations of a point of the end, (n,) m, and of the end's orientation, (n,) rad: RMS norms of three axes.
 
-    ``relative``: without a motion of all of them as one body.
+    ``relative``: without a motion of all of them as one rigid body.
     """
 
     position: Floats
@@ -115,7 +118,7 @@ class EndSigmas(NamedTuple):
 
 
 class ParametersKnown(NamedTuple):
-    """A chain with parameters (p,), their covariance (p, p), and the directions (p, d) that the observations did not see."""
+    """A chain with parameters (p,), their covariance (p, p), and the null directions (p, d) of the observations."""
 
     chain: Chain
     params: Floats
@@ -124,10 +127,10 @@ class ParametersKnown(NamedTuple):
 
 
 def end_sigmas(known: ParametersKnown, q: Floats, point: Floats, any_base: bool = False) -> EndSigmas | None:
-    """What the parameters' covariance leaves unknown of a point (n, 3) of the end at joint readings q (n, j).
+    """Return the standard deviations of a point (n, 3) of the end at joint readings q (n, j) from the covariance.
 
-    ``any_base``: where the base stands is a choice of frame. None where directions that the observations did not see move the ends among each other, or
-    where too few ends are left to tell that from a motion of the base.
+    ``any_base``: the pose of the base is a choice of frame. None if null directions of the observations move the ends
+    relative to each other, or if there are too few ends to distinguish that from a motion of the base.
     """
     root = covariance_root(known.covariance)
     parts = [slice(at, at + BLOCK) for at in range(0, len(q), BLOCK)]
@@ -146,13 +149,13 @@ def end_sigmas(known: ParametersKnown, q: Floats, point: Floats, any_base: bool 
     return EndSigmas(np.sqrt(square[:, :3].sum(axis=1)), np.sqrt(square[:, 3:].sum(axis=1)), relative)
 
 
-BLOCK = 4000  # poses whose derivatives, of 6 times 54 parameters, take 10 MB
-FEWEST_ENDS = 3  # whose six numbers each are not all taken up by a motion of the base
-LEVER = 0.5  # m: a turn of the end counts as the way of a point so far out
+BLOCK = 4000  # poses; their derivatives, 6 times 54 parameters, take 10 MB
+FEWEST_ENDS = 3  # so that a motion of the base does not account for all of their six numbers each
+LEVER = 0.5  # m: a rotation of the end counts as the displacement of a point at this distance
 
 
 def _end_motion(known: ParametersKnown, q: Floats, point: Floats) -> tuple[Floats, Floats]:
-    """(n, 6, p) how a point and the end's orientation move by the parameters, and the point (n, 3) in the base frame."""
+    """Return the motion (n, 6, p) of a point and the end's orientation, and the point (n, 3) in the base frame."""
     trace = trace_point(known.chain, known.params, q, point)
     axes = np.eye(3)[:, None]
     rows = [along(trace, axes).jac_params, about(trace, axes).jac_params]
@@ -160,14 +163,14 @@ def _end_motion(known: ParametersKnown, q: Floats, point: Floats) -> tuple[Float
 
 
 def _twist_motion(points: Floats) -> Floats:
-    """(n, 6, 6) how points and orientations move by a twist of the base."""
+    """Return the motion (n, 6, 6) of points and orientations by a twist of the base."""
     turns = np.concatenate([np.zeros((3, 3)), np.eye(3)], axis=1)
     positions = body_motion(points).reshape(-1, 3, 6)
     return np.concatenate([positions, np.broadcast_to(turns, positions.shape)], axis=1)
 
 
 def _without(body: Floats, motion: Floats) -> Floats:
-    """Motions (n, 6, k) without what is a common motion of all, in the least squares with orientations at LEVER."""
+    """Return motions (n, 6, k) minus their common rigid motion, by least squares with orientations weighted by LEVER."""
     weight = np.array([1.0] * 3 + [LEVER] * 3)[:, None]
     flat = [(part * weight).reshape(-1, part.shape[2]) for part in (body, motion)]
     twist = np.linalg.lstsq(flat[0], flat[1], rcond=None)[0]
@@ -175,9 +178,10 @@ def _without(body: Floats, motion: Floats) -> Floats:
 
 
 def _measured_points(rig: Rigs, table: ObservationTable, estimate: Estimate) -> tuple[Floats, NDArray[np.intp]]:
-    """(n, 3) where on the end the sphere or target of each row is, as identified where it was; else the origin.
+    """Return the position (n, 3) on the end of each row's sphere or target, as identified if it was, otherwise the origin.
 
-    And (n, 3) which parameters of the estimate these numbers are; their number, where they are none.
+    Also returns the indices (n, 3) of these numbers in the estimate's parameters; their count if they are not
+    parameters.
     """
     rigs: Mapping[str, Rig] = {"": rig} if isinstance(rig, Rig) else rig
     at = {name: i for i, name in enumerate(estimate.parameter_names)}
@@ -197,7 +201,7 @@ def _measured_points(rig: Rigs, table: ObservationTable, estimate: Estimate) -> 
 
 
 def _null_directions(estimate: Estimate) -> Floats:
-    """(P, k) what cannot be seen; the largest weight of a direction is 1."""
+    """Return the null directions (P, k); the largest weight of each is 1."""
     at = {name: i for i, name in enumerate(estimate.parameter_names)}
     out = np.zeros((len(at), len(estimate.null_space)))
     for k, direction in enumerate(estimate.null_space):
@@ -207,6 +211,6 @@ def _null_directions(estimate: Estimate) -> Floats:
 
 
 def body_motion(points: Floats) -> Floats:
-    """(3n, 6) how points (n, 3) move by a twist (v; w) of the base: v + w × p."""
+    """Return the motion (3n, 6) of points (n, 3) by a twist (v; w) of the base: v + w × p."""
     turned = np.cross(np.eye(3), points[:, None, :]).swapaxes(1, 2)
     return np.concatenate([np.broadcast_to(np.eye(3), turned.shape), turned], axis=2).reshape(-1, 6)

@@ -1,9 +1,10 @@
-"""The recipe of Renders 1991, III-E, run by run, to reproduce the paper; ``map`` is the one to use.
+"""The procedure of Renders 1991, III-E, run by run, to reproduce the paper. Use ``map`` for actual work.
 
 "… taking the covariance matrix P_N of the previous run for P_0 of the next run, and the estimates of the previous run
-for the initial guess": each run is the batch solution (12), linearised where the last one ended, with the last one's
-posterior as its prior. But both rest on the same data. After k runs these count k times: P is about k times too small,
-and what the first linearisation got wrong is kept as if it had been measured, and fades only as 1/k. The result says so.
+for the initial guess": each run is the batch solution (12), linearised where the last one ended, with the posterior of
+the last one as its prior. But both are based on the same data. After k runs the data count k times: P is about k times
+too small, and errors of the first linearisation are kept as if they had been measured and decay only as 1/k. The result
+contains a warning about this.
 """
 
 from __future__ import annotations
@@ -21,10 +22,10 @@ RUN_END = 0.01  # of the RMS residual, or of the declared noise where that is la
 
 
 def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Options) -> Solution:
-    """Run after run from x (P,) over x[columns], until "further runs do not improve the solution".
+    """Repeat runs from x (P,) over x[columns] until "further runs do not improve the solution".
 
-    That is when the RMS residual falls by less than 1 %, or by less than 1 % of the declared noise: on data without
-    noise it fades as 1/runs for ever, since what the first linearisation got wrong does.
+    That is when the RMS residual falls by less than 1 %, or by less than 1 % of the declared noise. On data without
+    noise it decays as 1/runs indefinitely, because the error of the first linearisation does.
     """
     error, sigma = prior_error(problem, columns, x)
     prior = np.diag(np.where(np.isfinite(sigma), 1.0 / sigma, 0.0))
@@ -48,7 +49,7 @@ def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Opti
         if abs(fall) < least:
             status = "converged"
             break
-    # x itself follows the data about as with one prior and k times their weight, so with σ of the prior times √k.
+    # x itself follows the data roughly as with one prior and k times the data's weight, so with the prior's σ times √k.
     sigma = sigma * np.sqrt(max(runs, 1))
     information = with_prior(data, (problem.start - x)[columns], sigma)
     claimed = covariance(spectrum(prior))
@@ -56,7 +57,7 @@ def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Opti
 
 
 def warning(runs: int) -> str:
-    """What the recipe did to the covariance."""
+    """Return a warning about the effect of the procedure on the covariance."""
     return (
         f"ended after {runs} runs, each with the posterior of the one before as its prior on the same data: these count "
         f"{runs} times, so σ is about {np.sqrt(max(runs, 1)):.1f} times too small, and an error of the first linearisation "

@@ -1,4 +1,4 @@
-"""What every solver is given and gives back, so that ``identify`` can treat them alike."""
+"""The common interface of all solvers: what they receive and return, so that ``identify`` can treat them alike."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from truearm.types import Floats, Residuals
 
 
 class Options(NamedTuple):
-    """How to solve; a solver ignores what it has no use for."""
+    """Options of a solver; a solver ignores those that it does not use."""
 
     max_iterations: int = 50
     loss: Loss = Loss.LINEAR  # for lm and map
     plain: bool = False  # damp by λI, for lm
-    on_step: Callable[[int, Residuals], None] | None = None  # hears the iteration and the residuals
+    on_step: Callable[[int, Residuals], None] | None = None  # called with the iteration and the residuals
 
 
 class Solution(NamedTuple):
-    """Where a solver ended. ``status`` is "converged", "max_iterations" or "stalled"."""
+    """The result of a solver. ``status`` is "converged", "max_iterations" or "stalled"."""
 
     x: Floats  # (P,)
     status: str
     message: str
     iterations: int
-    information: Information  # at x, of the observations that were used and the prior, unweighted
-    covariance: Floats  # (k, k) as the solver claims it; zero along what is not seen
-    weight: Floats  # (n_rows,) 1: as declared; 0: left out; between: a robust loss's
+    information: Information  # at x, of the observations used and the prior, unweighted
+    covariance: Floats  # (k, k) as reported by the solver; zero along null directions
+    weight: Floats  # (n_rows,) 1: as declared; 0: left out; in between: from a robust loss
     prior_sigma: Floats  # (k,) σ of the prior in ``information``, about the problem's start; inf for none
 
 
@@ -40,19 +40,19 @@ Solver = Callable[[Problem, NDArray[np.bool_], Floats, Options], Solution]
 
 
 def whole(x: Floats, columns: NDArray[np.bool_], part: Floats) -> Floats:
-    """x (P,) with x[columns] replaced."""
+    """Return x (P,) with x[columns] replaced."""
     out = x.copy()
     out[columns] = part
     return out
 
 
 def prior_error(problem: Problem, columns: NDArray[np.bool_], x: Floats) -> tuple[Floats, Floats]:
-    """The prior about x[columns]: mean − x (k,) and σ (k,)."""
+    """Return the prior about x[columns]: mean − x (k,) and σ (k,)."""
     return (problem.start - x)[columns], problem.prior_sigma[columns]
 
 
 def of_data(problem: Problem, columns: NDArray[np.bool_], found: Solution) -> tuple[float, int]:
-    """χ² and number of scalar residuals of the observations alone, the prior's part taken off."""
+    """Return χ² and number of scalar residuals of the observations alone, without the prior."""
     some = np.isfinite(found.prior_sigma)
     error = (problem.start - found.x)[columns][some] / found.prior_sigma[some]
     return max(found.information.chi2 - float(error @ error), 0.0), found.information.n_residuals - int(some.sum())

@@ -1,7 +1,7 @@
 """The solvers and losses by name. Imports nothing slow, so that ``--help`` can list them.
 
-To add a solver, write a module with ``solve(problem, columns, x, options) -> Solution`` (``solution.Solver``) and add its
-line to ``SOLVERS``. The module is imported when it is used.
+To add a solver, write a module with ``solve(problem, columns, x, options) -> Solution`` (``solution.Solver``) and add a
+line for it to ``SOLVERS``. The module is imported when it is first used.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class Prior(StrEnum):
-    """What is believed of the robot before it is measured; DEFAULT: the weak one, where the data tell less (``defaults``)."""
+    """The robot's prior before any measurement. DEFAULT: the weak one, where the data determine less (``defaults``)."""
 
     NONE = "none"
     DEFAULT = "default"
@@ -25,7 +25,7 @@ class Prior(StrEnum):
 
 
 class LawMode(StrEnum):
-    """Which terms of the joint law beyond offset and gain an identification may add, if the evidence carries them."""
+    """The terms of the joint law beyond offset and gain that an identification may add if the evidence supports them."""
 
     AUTO = "auto"
     NONE = "none"
@@ -34,11 +34,11 @@ class LawMode(StrEnum):
 
 
 class SolverEntry(NamedTuple):
-    """A solver: its module in this package, and what ``--help`` says of it.
+    """A solver: its module in this package, and its description in ``--help``.
 
-    ``has_loss``: it knows the robust losses. ``prior``: the robot's prior that it has by default; None: it knows no prior.
-    ``starts_from_rig``: it begins with the rig fitted to the nominal robot. ``reads_noise``: its sigmas follow the residuals, not the
-    declared noise. ``ends_by_recipe``: how it ended says no more than its message.
+    ``has_loss``: it supports the robust losses. ``prior``: the robot's default prior; None: it does not support priors.
+    ``starts_from_rig``: it starts with the rig fitted to the nominal robot. ``reads_noise``: its sigmas follow the
+    residuals, not the declared noise. ``ends_by_recipe``: its status carries no information beyond its message.
     """
 
     module: str
@@ -60,7 +60,7 @@ SOLVERS: Mapping[str, SolverEntry] = {
 
 
 class Loss(StrEnum):
-    """What a residual costs."""
+    """The cost of a residual."""
 
     LINEAR = "linear"
     HUBER = "huber"
@@ -68,7 +68,7 @@ class Loss(StrEnum):
 
 
 def loss_summary(loss: Loss) -> str:
-    """Return what the report says of a loss."""
+    """Return the description of a loss in the report."""
     match loss:
         case Loss.LINEAR:
             return "every row counts as its σ says"
@@ -87,5 +87,5 @@ def solver(name: str) -> Solver:
 
 
 def with_loss() -> tuple[str, ...]:
-    """Return the names of the solvers that know the robust losses."""
+    """Return the names of the solvers that support the robust losses."""
     return tuple(name for name, entry in SOLVERS.items() if entry.has_loss)

@@ -1,41 +1,49 @@
-"""Systematic errors in the residuals of a finished fit: what was off, from which row on, by how much.
+"""Systematic errors in the residuals of a finished fit: what was off, from which row on, and by how much.
 
-**Score test.** Let e (m,) be the whitened residuals, J their derivatives by all free parameters and Q an orthonormal basis
-of J's columns; what is known of the rig are rows of their own. What a prior says of the robot is not among them: a false one would be found as something that is off. A thing that is off has the whitened derivatives C (m, d): a chuck's
-coordinates, a bar's zero, a joint's reading, a motion of the base, each times a profile over the rows. With C⊥ = (I − QQᵀ)C,
+**Score test.** Let e (m,) be the whitened residuals, J their derivatives by all free parameters, and Q an orthonormal
+basis of J's columns. Prior information about the rig enters as additional rows. A prior of the robot does not: a false
+one would be reported as a systematic error. An item that is off has the whitened derivatives C (m, d): by a chuck's
+coordinates, a bar's zero, a joint's reading or a motion of the base, each times a profile over the rows. With
+C⊥ = (I − QQᵀ)C,
 
     V = C⊥ᵀC⊥ = CᵀC − (QᵀC)ᵀ(QᵀC) ,  β̂ = V⁺ Cᵀe⊥ ,  drop of χ² = eᵀC⊥ V⁺ C⊥ᵀe ~ χ²(rank V) without the error.
 
-The drop is exactly that of the refitted linear problem with β free (added variables; Cook and Weisberg 1982, Rao 1948). What
-the parameters can follow, such as a motion of all chucks that the base's parameters undo, has no part in C⊥.
+The drop is exactly that of refitting the linear problem with β free (added variables; Cook and Weisberg 1982, Rao
+1948). Anything that the parameters can follow, such as a motion of all chucks that the base's parameters undo, has no
+part in C⊥.
 
-**Change points.** A step that begins at row k needs the sums of CᵀC, QᵀC and Cᵀe over the rows from k on: differences of one
-cumulative sum. All steps of a thing cost as much as one. A joint that is off from some row to another is sought between every two
-of WINDOW_KNOTS.
+**Change points.** A step that begins at row k needs the sums of CᵀC, QᵀC and Cᵀe over the rows from k on, which are
+differences of one cumulative sum. All steps of an item therefore cost as much as one. A joint that is off over an
+interval of rows is searched for between every two of WINDOW_KNOTS.
 
-**Drifts.** What drifts is off linearly in time, from the first row of a session to its last, or linearly in the box's temperature where that changed.
-Nobody knows when it was right, so an offset is beside it.
+**Drifts.** A drift is linear in time, from the first row of a session to its last, or linear in the box's temperature
+if that changed. Its zero is unknown, so an offset is fitted with it.
 
-**Blocks.** Rows that do not fit the rest: each first or last part of a run of rows with one thing mounted. Left out, e_B takes
-e_BᵀQ_B(I − Q_BᵀQ_B)⁻¹Q_Bᵀe_B + e_Bᵀe_B away, χ² of as many degrees of freedom as it has residuals.
+**Blocks.** Rows that do not fit the rest: each first or last part of a run of rows with one item mounted. Leaving e_B
+out reduces χ² by e_BᵀQ_B(I − Q_BᵀQ_B)⁻¹Q_Bᵀe_B + e_Bᵀe_B, which is χ² with as many degrees of freedom as e_B has
+residuals.
 
-**Multiplicity.** A family is all candidates of one thing and form: "a step of chuck c2". By Bonferroni's inequality, first within
-the family and then over the families, P(max over k > u) ≤ Σ P(χ²_k > u), the chance that a clean data set gives any finding
-is at most LEVEL, however the candidates depend on each other.
+**Multiplicity.** A family is all candidates of one item and form, such as "a step of chuck c2". By Bonferroni's
+inequality, first within the family and then over the families, P(max over k > u) ≤ Σ P(χ²_k > u), the probability that
+a clean data set gives any finding is at most LEVEL, regardless of how the candidates depend on each other.
 
-**Which of several.** A step of a chuck, of a sphere and of a joint explain much of each other. Of those beyond chance the most
-probable is named: each number of a thing is off by the weak prior of its unit (``units``), a step may begin at any row alike, so
-the logarithm of the evidence is ½ drop − ½ Σ log(1 + λ) − log(candidates), λ the eigenvalues of V in units of that prior
-(Kass and Raftery 1995). What is a hundredth as probable or more is named beside it.
+**Which of several.** Steps of a chuck, of a sphere and of a joint explain much of the same residuals. Of those beyond
+chance the most probable is reported. Each number of an item has the weak prior of its unit (``units``) and every start
+row of a step is equally probable, so the logarithm of the evidence is ½ drop − ½ Σ log(1 + λ) − log(candidates), with λ
+the eigenvalues of V in units of that prior (Kass and Raftery 1995). Candidates at least a hundredth as probable are
+reported with it.
 
-**Several errors.** The best finding's columns join Q and the rest is searched again, until nothing is left beyond chance.
+**Several errors.** The columns of the best finding are added to Q and the rest is searched again, until nothing beyond
+chance is left.
 
-**Gross errors.** A fit that is bent by GROSS σ says nothing to first order but which rows bend it: only blocks are sought.
+**Gross errors.** If GROSS σ distort a fit, the first-order analysis shows only which rows distort it, so only blocks
+are searched.
 
-**Where the model is wrong anyway.** With χ²/ν outside its band the noise is unknown. A drop of d degrees of freedom is then
-held against the unexplained variance that it leaves, F(d, ν − d), and again with the sum of squares of each pose's score in
-the place of V, since residuals of one pose are wrong together. Smooth model errors mimic much in the order of measurement, so a
-finding must also lower the error on rows that are held out, in whole stretches of the order.
+**Where the model is wrong anyway.** If χ²/ν is outside its range, the noise is unknown. A drop with d degrees of
+freedom is then also tested against the remaining unexplained variance, F(d, ν − d), and again with the sum of squares
+of each pose's score in place of V, since residuals of one pose have correlated errors. Smooth model errors can mimic
+many effects in the order of measurement, so a finding must also reduce the error on rows held out in contiguous
+stretches of that order.
 """
 
 from __future__ import annotations
@@ -58,33 +66,33 @@ from truearm.kinds.linearised import Indices
 from truearm.types import DriftWith, Effect, Floats, OffBy, SystematicError, SystematicErrors
 from truearm.units import UNITS
 
-LEVEL = 1e-3  # chance that a clean data set gives any finding
+LEVEL = 1e-3  # probability that a clean data set gives any finding
 MOST_FINDINGS = 6
-MOST_STEPS = 400  # rows at which a step is sought; of more an even choice
+MOST_STEPS = 400  # rows at which a step is searched for; of more, an evenly spaced selection
 WINDOW_KNOTS = 36
-GROSS = 30.0  # σ of the noise: a fit bent so far says nothing to first order but which rows bend it
-LEAST_WARMING = 1.0  # °C: two steps of a microcontroller's own sensor; less is no change of temperature
-LEAST_ROWS = 5  # that a step concerns, and that it leaves: fewer are outliers, which are judged one by one
+GROSS = 30.0  # σ of the noise: to first order, a fit this distorted shows only which rows distort it
+LEAST_WARMING = 1.0  # °C: two steps of a microcontroller's internal sensor; less is not a temperature change
+LEAST_ROWS = 5  # in which a step applies, and in which it does not: fewer are treated as outliers, one by one
 MOST_BLOCK = 300  # rows: each of their residuals is a column
-SEEN = 1e-8  # share of a column's square that the parameters must leave of it
-AS_LIKELY = math.log(100.0)  # of explanations whose evidence differs by less none is ruled out
+SEEN = 1e-8  # share of a column's square that must remain after the parameters
+AS_LIKELY = math.log(100.0)  # explanations whose evidence differs by less are all reported
 BLOCK_SIGMA = 10.0  # σ of the noise: how far a row that does not fit is off
 STRETCHES, FOLDS = 40, 8  # of the order of measurement, to hold out
-LOWER = 2.0 * AS_LIKELY  # variances by which a finding must lower the sum of squares of the held-out residuals
+LOWER = 2.0 * AS_LIKELY  # variances by which a finding must reduce the sum of squares of the held-out residuals
 
 
 class Measured(NamedTuple):
-    """How n rows were measured, in their order."""
+    """The circumstances in which n rows were measured, in order."""
 
     row: Indices  # (n,) in the user's table
     table: Circumstances  # of all rows of that table
-    session: Indices  # (n,) numbers; within one a thing may drift
-    run: Indices  # (n,) numbers; while one lasts the same is mounted
-    pose: Indices  # (n,) numbers; residuals of one pose are wrong together
+    session: Indices  # (n,) numbers; a drift extends over one session
+    run: Indices  # (n,) numbers; the same items are mounted during a run
+    pose: Indices  # (n,) numbers; residuals of one pose have correlated errors
 
     @property
     def total(self) -> int:
-        """Rows of the user's table."""
+        """Return the number of rows of the user's table."""
         return len(self.table)
 
 
@@ -96,12 +104,16 @@ class FitChi2(NamedTuple):
     explained: bool
 
     def less(self, drop: float, freedom: int) -> FitChi2:
-        """With something more as parameters; gross errors leave nothing but rounding."""
+        """Return χ² with further parameters; after gross errors only rounding may be left."""
         return FitChi2(max(self.chi2 - drop, 1e-9 * self.chi2), max(self.freedom - freedom, 1.0), self.explained)
 
 
 class Fitted(NamedTuple):
-    """What the parameters follow: columns S (k, r) with S Sᵀ their covariance, what is known of the rig included, and the step that is left along them (r,)."""
+    """The directions that the parameters follow.
+
+    These are columns S (k, r) with S Sᵀ the covariance, including prior information about the rig, and the remaining
+    step along them (r,).
+    """
 
     root: Floats
     left: Floats
@@ -113,7 +125,7 @@ class Fitted(NamedTuple):
 
 
 class _Whitened(NamedTuple):
-    """The rows' m scalar residuals in the order of measurement, the parameters' part taken off; knowledge of the parameters follows."""
+    """The rows' m scalar residuals in the order of measurement, minus the parameters' part; parameter knowledge follows."""
 
     row: Indices  # (m,) of the n fitted rows, n for knowledge
     basis: Floats  # (m, r) Q
@@ -122,7 +134,7 @@ class _Whitened(NamedTuple):
 
 
 class _Family(NamedTuple):
-    """Candidates of one thing and form: effects in the rows from ``first`` to before ``last`` (w,), of fitted rows."""
+    """Candidates of one item and form: effects in the fitted rows from ``first`` up to but excluding ``last`` (w,)."""
 
     cause: Cause | None  # None: blocks of rows
     first: Indices
@@ -131,7 +143,7 @@ class _Family(NamedTuple):
 
 
 class _Best(NamedTuple):
-    """A family's most probable candidate, with the logarithms of its chance among the family and of its evidence."""
+    """A family's most probable candidate, with the logarithms of its probability by chance in the family and of its evidence."""
 
     family: _Family
     at: int
@@ -144,10 +156,10 @@ class _Best(NamedTuple):
 def systematic_errors(
     problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Fitted, goodness: FitChi2, how: Measured
 ) -> SystematicErrors | None:
-    """What is off beyond chance in a fit of the problem's ``columns`` that ended at x (P,), in the order of how sure it is.
+    """Return the errors beyond chance in a fit of the problem's ``columns`` that ended at x (P,), the most certain first.
 
-    See the module for the tests. None where nothing is off, and for a fit
-    without a degree of freedom or with residuals that are not finite.
+    The module docstring describes the tests. None if nothing is found, and for a fit without degrees of freedom or with
+    residuals that are not finite.
     """
     rows = _whitened(problem, x, columns, fit)
     if not (rows.row.size and goodness.freedom >= 1.0 and np.isfinite([goodness.chi2, *rows.residual]).all()):
@@ -187,7 +199,7 @@ def systematic_errors(
 
 
 def _whitened(problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Fitted) -> _Whitened:
-    """The rows at x, in their order."""
+    """Return the whitened rows at x, in order."""
     parts: list[tuple[Indices, Floats, Floats]] = []
     k = int(columns.sum())
     for block in blocks(problem):
@@ -221,7 +233,8 @@ def _whitened(problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Fitt
     if not np.isfinite(residual).all() or not np.isfinite(basis).all():
         return _Whitened(row[order], basis, np.full(residual.size, np.nan), errors[:, :-1])
     known, off = _knowledge(basis, residual)
-    # Where the data hardly tell something, S has lost digits; a row that alone tells it must have no residual left at all.
+    # Where the data hardly determine a direction, S has lost digits; a row that alone determines it must have no
+    # residual.
     whole, residual = np.concatenate([basis, known]), np.concatenate([residual, off])
     whole = scipy.linalg.solve_triangular(np.linalg.cholesky(whole.T @ whole), whole.T, lower=True).T
     return _Whitened(
@@ -233,9 +246,10 @@ def _whitened(problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Fitt
 
 
 def _knowledge(basis: Floats, residual: Floats) -> tuple[Floats, Floats]:
-    """Rows (k, r) that make a basis (m, r) orthonormal, and their residuals (k,), to which it is then orthogonal.
+    """Return rows (k, r) that complete a basis (m, r) to an orthonormal one, and their residuals (k,).
 
-    Nothing that is off enters them, so all that counts of what is known of the parameters is how much it holds them.
+    The basis is then orthogonal to the residuals. Systematic errors do not enter these rows, so prior information
+    matters only through how strongly it constrains the parameters.
     """
     values, vectors = np.linalg.eigh(np.eye(basis.shape[1]) - basis.T @ basis)
     some = values > SEEN
@@ -244,7 +258,7 @@ def _knowledge(basis: Floats, residual: Floats) -> tuple[Floats, Floats]:
 
 
 def _families(causes: Sequence[Cause], errors: Errors, rows: _Whitened, how: Measured) -> Iterator[_Family]:
-    """Every thing in every form in which it can be off."""
+    """Return every item in every form in which it can be off."""
     n = how.row.size
     for cause in causes:
         used = np.unique(rows.row[rows.errors[:, errors.indices(cause.numbers)].any(axis=1)])
@@ -272,7 +286,7 @@ def _families(causes: Sequence[Cause], errors: Errors, rows: _Whitened, how: Mea
 
 
 def _blocks(how: Measured) -> Iterator[_Family]:
-    """First and last parts of the runs, and whole ones, of no more than half the rows."""
+    """Return first and last parts of the runs, and complete runs, of at most half the rows."""
     n = how.row.size
     starts = np.concatenate([[0], np.flatnonzero(np.diff(how.run)) + 1, [n]])
     spans = set[tuple[int, int]]()
@@ -286,12 +300,12 @@ def _blocks(how: Measured) -> Iterator[_Family]:
 
 
 def _even(values: Indices, most: int) -> Indices:
-    """At most so many of them, first and last included."""
+    """Return at most this many of the values, evenly spaced, including the first and the last."""
     return values if values.size <= most else values[np.linspace(0, values.size - 1, most).astype(np.intp)]
 
 
 def _search(family: _Family, errors: Errors, rows: _Whitened, how: Measured, state: FitChi2) -> _Best | None:
-    """The family's best candidate, None where the parameters can follow every one of them."""
+    """Return the family's best candidate, or None if the parameters can follow all of them."""
     if family.cause is None:
         drop, freedom, known = _block_drops(family, rows)
     else:
@@ -313,13 +327,16 @@ def _search(family: _Family, errors: Errors, rows: _Whitened, how: Measured, sta
 
 
 def _columns(cause: Cause, errors: Errors, rows: _Whitened) -> Floats:
-    """(m, d) what a thing adds to the whitened predictions, each number off by the weak prior of its unit."""
+    """Return the change (m, d) of the whitened predictions by an item, each number off by the weak prior of its unit."""
     weak = [UNITS[errors.unit(number)].weak_sigma for number in cause.numbers]
     return np.asarray(rows.errors[:, errors.indices(cause.numbers)] * weak)
 
 
 def _drops(by: Floats, family: _Family, rows: _Whitened) -> tuple[Floats, Indices, Floats]:
-    """Drop of χ² (w,), degrees of freedom (w,) and eigenvalues of V (w, d) of offsets along ``by`` (m, d) in the family's spans."""
+    """Return the drop of χ² (w,), degrees of freedom (w,) and eigenvalues of V (w, d) for the family's spans.
+
+    The effects are offsets along ``by`` (m, d).
+    """
     edges, at = np.unique(np.concatenate([family.first, family.last]), return_inverse=True)
     cuts = np.searchsorted(rows.row, edges)
     beside = np.concatenate([by, rows.basis, rows.residual[:, None]], axis=1)
@@ -335,15 +352,16 @@ def _drops(by: Floats, family: _Family, rows: _Whitened) -> tuple[Floats, Indice
 
 
 def _left(square: Floats, by_basis: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Eigenvalues (…, d) and vectors of V = CᵀC − (QᵀC)ᵀ(QᵀC), and which of them count."""
+    """Return eigenvalues (…, d) and vectors of V = CᵀC − (QᵀC)ᵀ(QᵀC), and which of them are significant."""
     values, vectors = np.linalg.eigh(square - by_basis @ np.swapaxes(by_basis, -1, -2))
     return values, vectors, values > SEEN * np.trace(square, axis1=-2, axis2=-1)[..., None]
 
 
 def _block_drops(family: _Family, rows: _Whitened) -> tuple[Floats, Indices, Floats]:
-    """As ``_drops``, of leaving out each of the spans: eᵀ(I − Q Qᵀ)⁻¹e of its residuals, which is the module's form by Woodbury's identity.
+    """Return the same as ``_drops``, for leaving out each of the spans: eᵀ(I − Q Qᵀ)⁻¹e of its residuals.
 
-    Spans that begin or end together are parts of the longest: with its I − Q Qᵀ = L Lᵀ they are sums of the squares of L⁻¹e.
+    This is the form in the module docstring by Woodbury's identity. Spans with a common start or end are parts of the
+    longest: with its I − Q Qᵀ = L Lᵀ they are sums of the squares of L⁻¹e.
     """
     cuts = np.searchsorted(rows.row, np.stack([family.first, family.last]))
     drop = np.zeros(family.first.size)
@@ -365,15 +383,16 @@ def _block_drops(family: _Family, rows: _Whitened) -> tuple[Floats, Indices, Flo
 
 
 def _log_chance(drop: Floats, freedom: Indices, state: FitChi2) -> Floats:
-    """Logarithm of the chance of such a drop; 0 without a degree of freedom."""
+    """Return the log probability of such a drop by chance; 0 without a degree of freedom."""
     d = np.maximum(freedom, 1).astype(float)
     if state.explained:
         p, half_drop = special.chdtrc(d, drop), np.maximum(drop, 1e-300) / 2.0
         tail = (d / 2.0 - 1.0) * np.log(half_drop) - half_drop - special.gammaln(d / 2.0)
     else:
-        # F(d, ν − d) of drop/d over the variance that is left; its tail is an incomplete beta function of what is left of χ².
+        # F(d, ν − d) of drop/d over the remaining variance; its tail is an incomplete beta function of the remaining
+        # χ².
         a = np.maximum(state.freedom - d, 0.5) / 2.0
-        left = np.clip(1.0 - drop / state.chi2, 1e-300, 1.0 - 1e-15)  # of a drop by rounding alone
+        left = np.clip(1.0 - drop / state.chi2, 1e-300, 1.0 - 1e-15)  # rounding can make a drop exceed χ²
         p = special.betainc(a, d / 2.0, left)
         tail = a * np.log(left) + (d / 2.0 - 1.0) * np.log1p(-left) - np.log(a) - special.betaln(a, d / 2.0)
     deep = p < 1e-280
@@ -381,7 +400,7 @@ def _log_chance(drop: Floats, freedom: Indices, state: FitChi2) -> Floats:
 
 
 def _effect(best: _Best, how: Measured) -> Effect | None:
-    """As rows of the user's table."""
+    """Return the candidate as an effect in rows of the user's table."""
     if best.family.cause is None:
         return None
     first, last = _span(best.family, best.at, how)
@@ -389,19 +408,19 @@ def _effect(best: _Best, how: Measured) -> Effect | None:
 
 
 def _span(family: _Family, at: int, how: Measured) -> tuple[int, int]:
-    """First row and the one after the last in the user's table."""
+    """Return the first row and the one after the last in the user's table."""
     n, first, last = how.row.size, int(family.first[at]), int(family.last[at])
     return (int(how.row[first]) if first else 0), (how.total if last == n else int(how.row[last]))
 
 
 def _profile(family: _Family, at: int, how: Measured) -> Floats:
-    """(n + 1,) of the fitted rows, and 0 of knowledge."""
+    """Return the profile (n + 1,) over the fitted rows, with 0 for knowledge."""
     first, last = _span(family, at, how)
     return np.append(profile(Effect("", first, last, family.drift), how.table)[how.row], 0.0)
 
 
 def _effect_columns(best: _Best, errors: Errors, rows: _Whitened, how: Measured) -> Floats:
-    """(m, d) what the effect adds to the whitened predictions; of a block a column for each of its residuals."""
+    """Return the effect's change (m, d) of the whitened predictions; for a block, one column per residual."""
     if best.family.cause is None:
         a, b = np.searchsorted(rows.row, [best.family.first[best.at], best.family.last[best.at]])
         return np.eye(rows.row.size, b - a, -a)
@@ -411,12 +430,15 @@ def _effect_columns(best: _Best, errors: Errors, rows: _Whitened, how: Measured)
 
 
 def _with_offset(by: Floats, profile_of_rows: Floats) -> Floats:
-    """(m, 2d) columns (m, d) times a drift's profile (m,), and as they are: nobody knows when what drifts was right."""
+    """Return columns (m, d) times a drift's profile (m,), followed by the columns themselves (m, 2d in total).
+
+    The second half is an offset, needed because the moment at which a drifting item was correct is unknown.
+    """
     return np.concatenate([by * profile_of_rows[:, None], by], axis=1)
 
 
 def _directions(by: Floats, basis: Floats) -> Floats:
-    """(m, d') an orthonormal basis of what the parameters leave of the columns (m, d)."""
+    """Return an orthonormal basis (m, d') of the part of the columns (m, d) that the parameters cannot follow."""
     left = by - basis @ (basis.T @ by)
     left -= basis @ (basis.T @ left)
     values, vectors, seen = _left(by.T @ by, by.T @ basis)
@@ -424,7 +446,7 @@ def _directions(by: Floats, basis: Floats) -> Floats:
 
 
 def _survives(best: _Best, added: Floats, rows: _Whitened, more: _Whitened, how: Measured, log_families: float) -> bool:
-    """Whether a finding stands where the noise is unknown: by pose, and on rows that were held out."""
+    """Return whether a finding holds with unknown noise: by pose, and on held-out rows."""
     scores, mine = np.zeros((int(how.pose.max()) + 1, added.shape[1])), rows.row < how.row.size
     np.add.at(scores, how.pose[rows.row[mine]], (added * more.residual[:, None])[mine])
     found = added.T @ rows.residual
@@ -442,18 +464,18 @@ def _survives(best: _Best, added: Floats, rows: _Whitened, more: _Whitened, how:
 
 
 def _stretches(how: Measured) -> Indices:
-    """(n,) to which stretch of the order of measurement rows belong."""
+    """Return the stretch (n,) of the order of measurement that each row belongs to."""
     return np.asarray((np.arange(how.row.size) * STRETCHES) // how.row.size)
 
 
 def _judging(rows: _Whitened, how: Measured) -> NDArray[np.bool_]:
-    """(m,) all but the rows of blocks, which were left out, and knowledge."""
+    """Return a mask (m,) of all residuals except knowledge and those of blocks, which were left out."""
     return np.asarray(((rows.basis**2).sum(axis=1) < 1.0 - SEEN) & (rows.row < how.row.size))
 
 
 def _held_out(rows: _Whitened, stretch: Indices) -> Floats:
-    """(m,) squared residuals of each row by the fit without its fold, linearised: (I − Q_F Q_Fᵀ)⁻¹ e_F."""
-    out, fold = np.zeros(rows.row.size), np.append(stretch % FOLDS, FOLDS)[rows.row]  # knowledge is held out of none
+    """Return squared residuals (m,) of each row by the fit without its fold, linearised: (I − Q_F Q_Fᵀ)⁻¹ e_F."""
+    out, fold = np.zeros(rows.row.size), np.append(stretch % FOLDS, FOLDS)[rows.row]  # knowledge is never held out
     for number in range(FOLDS):
         mine = fold == number
         q, e = rows.basis[mine], rows.residual[mine]
@@ -477,7 +499,7 @@ def _described(
     state: FitChi2,
     families: int,
 ) -> tuple[tuple[SystematicError, ...], Floats]:
-    """The findings, their sizes by a fit of all of them together, and what they were to the parameters: (r,) along Q."""
+    """Return the findings with their sizes, from a fit of all of them together, and their effect (r,) along Q."""
     parts = [_effect_columns(best, errors, rows, how) for best in found]
     by = np.concatenate(parts, axis=1)
     values, vectors, seen = _left(by.T @ by, by.T @ rows.basis)
@@ -488,7 +510,7 @@ def _described(
     out, at = [], 0
     for best, part, near in zip(found, parts, rivals, strict=True):
         numbers = () if best.family.cause is None else best.family.cause.numbers
-        mine = slice(at, at + (len(numbers) or part.shape[1]))  # of a drift without its offset
+        mine = slice(at, at + (len(numbers) or part.shape[1]))  # for a drift, without its offset
         at += part.shape[1]
         off_by = _off_by(numbers, errors, value[mine], covariance[mine, mine], unseen[mine])
         chance = math.exp(min(best.log_p + math.log(families), 0.0))
@@ -500,7 +522,7 @@ def _described(
 def _off_by(
     numbers: Sequence[str], errors: Errors, value: Floats, covariance: Floats, unseen: NDArray[np.bool_]
 ) -> tuple[tuple[OffBy, ...], str, float, float]:
-    """By how much each number is off, and the norm ± σ of those in the first one's unit that are seen."""
+    """Return the error of each number, and the norm ± σ of those that are identifiable and have the first one's unit."""
     if not numbers:
         return (), "", math.nan, math.nan
     units = [errors.unit(number) for number in numbers]

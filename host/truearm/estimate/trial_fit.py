@@ -1,7 +1,7 @@
-"""A quick fit of some rows, to compare readings of the inputs with each other: all under one wide prior.
+"""A quick fit of some rows, to compare interpretations of the inputs with each other under one wide prior.
 
-The robot's parameters are believed to a hand's tolerance (``prior.wide_prior``), base and tool to a metre and a radian: what they
-would have to be to bend a wrong reading of the inputs into place is not believed. All readings are judged alike.
+The robot's parameters have the tolerance of manual mounting (``prior.wide_prior``), base and tool a metre and a radian.
+Anything that a wrong interpretation would need beyond that is implausible. All interpretations are judged alike.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from truearm.types import Figures, Floats, ObservationTable, Residuals
 from truearm.units import UNITS
 
 ITERATIONS = 20
-FEW_ITERATIONS = 8  # where only base, tool and rig are placed
+FEW_ITERATIONS = 8  # if only base, tool and rig are placed
 
 
 class Trial(NamedTuple):
     """A fit of rows: χ²/ν, ν, RMS by SI unit, and every parameter by name.
 
-    ``moved`` is how far base or tool went from where they were described, ``strayed`` how far any other parameter of the robot, in
-    tolerances of a hand.
+    ``moved`` is the displacement of base or tool from the described pose, and ``strayed`` that of any other parameter
+    of the robot, in tolerances of manual mounting.
     """
 
     reduced: float
@@ -44,14 +44,14 @@ class Trial(NamedTuple):
 
 
 def placed(chain: Chain, rig: Rigs, table: ObservationTable) -> Trial:
-    """The robot as described, with base, tool and rig fitted to the rows. Raises ProblemError."""
+    """Return the nominal robot with base, tool and rig fitted to the rows. Raises ProblemError."""
     return _trial(chain, rig, table, np.zeros(len(chain.parameters), dtype=bool), None)
 
 
 def fitted(
     chain: Chain, rig: Rigs, table: ObservationTable, free: NDArray[np.bool_], start: Trial | None = None
 ) -> Trial:
-    """The robot's ``free`` (p,) parameters, base, tool and rig fitted to the rows. Raises ProblemError."""
+    """Return the fit of the robot's ``free`` (p,) parameters, base, tool and rig to the rows. Raises ProblemError."""
     return _trial(chain, rig, table, free, start or placed(chain, rig, table))
 
 
@@ -81,14 +81,14 @@ def _trial(chain: Chain, rig: Rigs, table: ObservationTable, free: NDArray[np.bo
 
 
 def at(problem: Problem, known: Mapping[str, float]) -> Floats:
-    """x (P,) of a problem by the values of a trial, the start for what that did not have."""
+    """Return x (P,) of a problem from the values of a trial; the start for values that the trial does not have."""
     return np.array([known.get(name, value) for name, value in zip(problem.names, problem.start, strict=True)])
 
 
 def misfit(chain: Chain, rig: Rigs, table: ObservationTable, known: Mapping[str, float]) -> Floats:
-    """(n,) squares of the rows' residuals by a trial's parameters, in units of a drawing's tolerances.
+    """Return squares (n,) of the rows' residuals with a trial's parameters, in units of a drawing's tolerances.
 
-    NaN of rows that use what the trial did not have. Raises ProblemError.
+    NaN for rows that use parameters not in the trial. Raises ProblemError.
     """
     problem = build_problem(chain, rig, table)
     nothing = np.zeros(len(problem.names), dtype=bool)
@@ -96,13 +96,13 @@ def misfit(chain: Chain, rig: Rigs, table: ObservationTable, known: Mapping[str,
 
 
 def square(residual: Residuals) -> Floats:
-    """(n,) squares of rows' residuals in units of a drawing's tolerances, over all units."""
+    """Return squares (n,) of rows' residuals in units of a drawing's tolerances, over all units."""
     parts = [(of / UNITS[unit].weak_sigma) ** 2 for unit, of in residual.items()]
     return np.asarray(np.nansum(parts, axis=0))
 
 
 def tried(chain: Chain, rig: Rigs, table: ObservationTable, free: NDArray[np.bool_]) -> Trial | None:
-    """As ``fitted``; None where the rows and the robot make no problem, or the fit is of nothing."""
+    """Return the result of ``fitted``; None if rows and robot do not define a problem, or nothing is fitted."""
     try:
         with np.errstate(all="ignore"):
             found = fitted(chain, rig, table, free)

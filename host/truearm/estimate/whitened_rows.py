@@ -1,7 +1,7 @@
-"""Observations one by one, whitened: what a solver needs that weighs or judges single observations.
+"""Individual whitened observations, for solvers that weight or judge single observations.
 
 ``information.observe`` folds all rows into one triangle at once. A robust loss, the recursive filter and standardised
-residuals need each observation's own rows before that, w of them for an observation of w scalar residuals, whitened by
+residuals first need the rows of each observation, w of them for an observation with w scalar residuals, whitened by
 C⁻¹ = L Lᵀ so that their noise has unit covariance.
 """
 
@@ -23,8 +23,8 @@ from truearm.estimate.solvers import Loss
 from truearm.kinds.linearised import Indices
 from truearm.types import Floats, Residuals
 
-GATE_LEVEL = 1e-6  # a clean row is suspected once in a million
-ALONE = 1e-9  # 1 − leverage, below which a residual is rounding and says nothing
+GATE_LEVEL = 1e-6  # a clean row is flagged once in a million
+ALONE = 1e-9  # 1 − leverage, below which a residual is rounding and has no information
 
 
 class Block(NamedTuple):
@@ -40,7 +40,7 @@ class Block(NamedTuple):
 def whitened_blocks(
     problem: Problem, x: Floats, columns: NDArray[np.bool_], residual: Residuals | None = None
 ) -> Iterator[Block]:
-    """All observations at x (P,), derivatives by x[columns]; ``residual`` takes the residuals by unit."""
+    """Return all observations at x (P,), derivatives by x[columns]; ``residual`` receives the residuals by unit."""
     for block in blocks(problem):
         lin = block.evaluate(problem.chain, x)
         if residual is not None:
@@ -55,7 +55,7 @@ def whitened_blocks(
 def observe_robustly(
     problem: Problem, x: Floats, columns: NDArray[np.bool_], loss: Loss
 ) -> tuple[Information, Moments, Floats]:
-    """Like ``information.observe``, each observation weighted by √w(s) of the loss; χ² is then Σρ(s).
+    """Return the same as ``information.observe``, with observations weighted by √w(s) of the loss; χ² is then Σρ(s).
 
     Also returns the moments for ``robust.sandwich`` and the weights (n_rows,).
     """
@@ -77,15 +77,16 @@ def observe_robustly(
 
 
 def deleted_distance(jac: Floats, residual: Floats, covariance_root: Floats, weight: Floats) -> Floats:
-    """(n,) squared distance of each observation from what all others say of it; χ² of its width for a clean one.
+    """Return the squared distance (n,) of each observation from its prediction by all others.
 
-    jac (n, w, k), residual e (n, w) at the estimate, S (k, ·) with P = S Sᵀ, and the weights ω (n,) with which they took
-    part. With the leverage H = J P Jᵀ, an observation taken out leaves the residual (I − ωH)⁻¹e, whose covariance is
-    I + H(I − ωH)⁻¹ by what is then known; so the distance is, along the eigenvectors of H,
+    It is χ² of the observation's width for a clean one. jac is (n, w, k), residual e (n, w) at the estimate, S (k, ·)
+    with P = S Sᵀ, and ω (n,) the weights of the observations. With the leverage H = J P Jᵀ, a removed observation
+    leaves the residual (I − ωH)⁻¹e, whose covariance is then I + H(I − ωH)⁻¹. Along the eigenvectors of H, the distance
+    is
 
         Σ e² / [(1 − ωh)(1 − ωh + h)] ,   e²/(1 − h) for ω = 1 and e²/(1 + h) for ω = 0.
 
-    An observation that alone determines an unknown has h = 1 and e = 0: nothing contradicts it, its distance is 0.
+    An observation that alone determines an unknown has h = 1 and e = 0: nothing contradicts it, and its distance is 0.
     """
     seen = jac @ covariance_root
     if jac.shape[1] == 1:
@@ -100,14 +101,14 @@ def deleted_distance(jac: Floats, residual: Floats, covariance_root: Floats, wei
 
 
 def gate(width: NDArray[np.intp] | int, level: float = GATE_LEVEL) -> Floats:
-    """Squared distance that a clean row of ``width`` residuals exceeds with probability ``level``."""
+    """Return the squared distance that a clean row of ``width`` residuals exceeds with probability ``level``."""
     return np.asarray(special.chdtri(width, level))
 
 
 def standardised(
     problem: Problem, x: Floats, columns: NDArray[np.bool_], covariance_root: Floats, weight: Floats
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """(n_rows,) distance of each row from what all others say of it, in σ, and whether it lies beyond the gate."""
+    """Return the distance (n_rows,) of each row from its prediction by all others, in σ, and whether it is beyond the gate."""
     square, limit = squared_distances(problem, x, columns, covariance_root, weight)
     return np.sqrt(square), square > limit
 
@@ -115,7 +116,7 @@ def standardised(
 def squared_distances(
     problem: Problem, x: Floats, columns: NDArray[np.bool_], covariance_root: Floats, weight: Floats
 ) -> tuple[Floats, Floats]:
-    """(n_rows,) squared distance of each row from what all others say of it, and the gate's for its number of residuals."""
+    """Return the squared distance (n_rows,) of each row from its prediction by all others, and the gate for its width."""
     square, limit = np.full(problem.n_rows, np.nan), np.full(problem.n_rows, np.inf)
     for block in whitened_blocks(problem, x, columns):
         if block.row is not None:
@@ -125,13 +126,13 @@ def squared_distances(
 
 
 def only(problem: Problem, used: NDArray[np.bool_]) -> Problem:
-    """The problem without the table's rows that are not ``used`` (n_rows,); rows keep their numbers."""
+    """Return the problem without the table's rows that are not ``used`` (n_rows,); rows keep their numbers."""
     groups = (group if group.row is None else group.take(used[group.row]) for group in problem.groups)
     return replace(problem, groups=tuple(group for group in groups if len(group.sensor_cov)))
 
 
 def noise_root(cov: Floats) -> Floats:
-    """L (n, w, w) of variances (n, w) or covariances (n, w, w)."""
+    """Return L (n, w, w) for variances (n, w) or covariances (n, w, w)."""
     if cov.ndim == 3:
         return np.asarray(np.linalg.cholesky(cov))
     out = np.zeros((*cov.shape, cov.shape[1]))

@@ -32,7 +32,7 @@ class RobotToWrite:
     """What a format's writer gets: a robot whose joint law has nothing but what the format holds.
 
     ``nominal`` and ``params`` are parameters (p,). ``mountings`` False: both ends as they are described. ``comment``: text for
-    the head of the file. ``urdf``: the text that the robot came from, None where that is no URDF.
+    the head of the file. ``urdf``: the text that the robot came from, None where that is not a URDF.
     """
 
     chain: Chain

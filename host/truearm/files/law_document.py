@@ -1,4 +1,4 @@
-"""What result.json says of joint laws (docs/result-format.md), and what is read of it again."""
+"""What result.json says of joint laws (docs/reference/result-format.md), and what is read of it again."""
 
 from __future__ import annotations
 

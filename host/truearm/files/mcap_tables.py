@@ -26,7 +26,7 @@ _encoder = msgspec.json.Encoder()
 
 
 class McapTables:
-    """One file of all tables. Samples and joint readings are thinned out to the wanted rate, all else is whole."""
+    """One file of all tables. Samples and joint readings are thinned out to the wanted rate, everything else is whole."""
 
     def __init__(self, folder: Path, placement: Placement) -> None:
         self.placement = placement

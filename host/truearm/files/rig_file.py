@@ -1,4 +1,4 @@
-"""Rig files: TOML that says what stands around the robot (docs/table-format.md).
+"""Rig files: TOML that says what stands around the robot (docs/reference/table-format.md).
 
 The entries are declared by the kinds of observation that use them; the file is read and written by these declarations.
 """

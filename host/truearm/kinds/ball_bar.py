@@ -1,12 +1,14 @@
-"""A ball-bar between a sphere on the endpoint and a chuck on the table: one length an observation.
+"""A ball-bar between a sphere on the endpoint and a chuck on the table: one length per observation.
 
-d = ‖T(q)·s − c‖ (Goswami, Quaid, Peshkin 1993, Optimization). The table holds the length that the bar's declared zero
-z₀ and gain k₀ make of its reading. With other zero z and gain k the same reading means d = z + k·(length − z₀)/k₀, so
+d = ‖T(q)·s − c‖ (Goswami, Quaid, Peshkin 1993, Optimization). The table holds the length computed from the reading with
+the bar's declared zero z₀ and gain k₀. With another zero z and gain k, the same reading means d = z + k·(length −
+z₀)/k₀, so
 
     predicted length = z₀ + k₀·(d − z)/k ,
 
-which is d itself while zero and gain are as declared. Where the table holds temperatures, z is z·(1 + α·ΔT) with the bar's expansion α, and
-k is k·(1 + κ·ΔT) with the sensor's temperature coefficient κ; ΔT are from the temperatures at which zero and gain hold. ∂d/∂x is the derivative of the sphere along the bar's direction.
+which is d itself while zero and gain are as declared. Where the table holds temperatures, z is z·(1 + α·ΔT) with the
+bar's expansion α, and k is k·(1 + κ·ΔT) with the sensor's temperature coefficient κ. ΔT is relative to the temperature
+at which zero or gain is valid. ∂d/∂x is the derivative of the sphere's position along the bar's direction.
 """
 
 from __future__ import annotations
@@ -29,15 +31,15 @@ from truearm.model.chain import Chain, along, point_forward, trace_point
 from truearm.schema import Entries, Key, Table
 from truearm.types import BAR_MOUNTED, BallBar, Floats, ObservationTable, Point, Rig
 
-AWAY = np.array([0.11, -0.17, 0.07])  # m: a new chuck or sphere stands off the middle of the others, in line with none
+AWAY = np.array([0.11, -0.17, 0.07])  # m: offset of a new chuck or sphere from the centroid of the others
 
-# The sensor's zero drifts and jumps, its gain may be wrong; the bar itself stands nowhere.
+# The sensor's zero drifts and jumps, and its gain may be wrong. The bar itself has no fixed position.
 BAR_FAULTS = (Fault(slice(0, 1), drift=True), Fault(slice(1, 2), step=False))
 
 
 @dataclass(frozen=True, kw_only=True)
 class BallBarRows(Group):
-    """n ball-bar observations; indices point into x followed by ``constants``."""
+    """n ball-bar observations; indices refer to x followed by ``constants``."""
 
     COMPONENTS = ("m",)
 
@@ -46,11 +48,11 @@ class BallBarRows(Group):
     sphere: Indices  # (n, 3)
     chuck: Indices  # (n, 3)
     scale: Indices  # (n, 4) zero, gain, expansion, drift of the gain
-    declared: Floats  # (n, 2) zero and gain that made ``length``
-    warmer: Floats  # (n, 2) K, of bar and sensor; 0 where nobody knows
+    declared: Floats  # (n, 2) zero and gain used to compute ``length``
+    warmer: Floats  # (n, 2) K, of bar and sensor; 0 where unknown
 
     def evaluate(self, chain: Chain, x: Floats) -> Linearised:
-        """Residuals (n,) and their derivatives at x (P,)."""
+        """Return residuals (n,) and their derivatives at x (P,)."""
         p = len(chain.parameters)
         trace = trace_point(chain, x[:p], self.q, gather(x, self.constants, self.sphere))
         bar = trace.p_base - gather(x, self.constants, self.chuck)
@@ -62,7 +64,7 @@ class BallBarRows(Group):
         ratio = declared_gain / (gain * larger)
         extended = ratio * (d - zero * longer)
         predicted = declared_zero + extended
-        # A sphere in the chuck's centre has no direction: such a row says nothing to first order.
+        # A sphere at the chuck's centre has no direction: such a row has no first-order information.
         u = bar * (ratio / np.where(d > 0.0, d, 1.0))[:, None]
         derivative = along(trace, u[None])
         jac_rig = zero_columns(derivative.wrenches, x.size - p)
@@ -76,7 +78,7 @@ class BallBarRows(Group):
 
 
 def bar_numbers(name: str, bar: BallBar) -> list[Number]:
-    """Zero and gain of a bar, its expansion, and the drift of its gain with temperature."""
+    """Return zero and gain of a bar, its expansion, and the temperature drift of its gain."""
     zero = Number(f"{name}.zero", "m", bar.zero, bar.zero_sigma)
     gain = Number(f"{name}.gain", "1", bar.gain, bar.gain_sigma)
     expansion = Number(f"{name}.expansion", "1/K", bar.expansion, bar.expansion_sigma)
@@ -84,14 +86,17 @@ def bar_numbers(name: str, bar: BallBar) -> list[Number]:
 
 
 def warmer(table: ObservationTable, bars: Sequence[BallBar]) -> Floats:
-    """(n, 2) [K] by how much bar and sensor of each row are warmer than where zero and gain hold; 0 where the table does not say."""
+    """Return how much warmer [K] bar and sensor of each row are than the temperatures of zero and gain, (n, 2).
+
+    0 where the table does not hold the temperature.
+    """
     holds = np.array([(bar.temperature, bar.sensor_temperature) for bar in bars]).reshape(-1, 2)
     read = [table.column(quantity.field, np.nan) for quantity in (BAR_TEMPERATURE, SENSOR_TEMPERATURE)]
     return np.asarray(np.nan_to_num(np.stack(read, axis=1) - holds))
 
 
 def use_rig(scope: Scope, rows: Indices) -> RigUse:
-    """Chucks, spheres and bars that the rows use."""
+    """Return what the rows use of the rig: chucks, spheres and bars."""
     table, rig = scope.table, scope.rig
     chucks = use(scope, rows, "chuck", rig.chucks, point_numbers)
     spheres = use(scope, rows, "sphere", rig.spheres, point_numbers)
@@ -123,7 +128,7 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
 
 
 def longitude(chain: Chain, params: Floats, rig: Rig, rows: ObservationTable) -> Floats:
-    """(n,) [rad] longitude of the sphere about its chuck."""
+    """Return the longitude (n,) [rad] of the sphere about its chuck."""
     spheres, chucks = (
         np.array([known[str(name)].xyz for name in names])
         for known, names in ((rig.spheres, rows.sphere), (rig.chucks, rows.chuck))
@@ -133,7 +138,7 @@ def longitude(chain: Chain, params: Floats, rig: Rig, rows: ObservationTable) ->
 
 
 def proposals(here: Chain, rig: Rig, table: ObservationTable, rng: np.random.Generator) -> Iterator[Proposal]:
-    """Other poses, each pairing that was not measured, one more chuck or sphere; a ball-bar where there is none."""
+    """Propose further poses, each unmeasured pairing, and one more chuck or sphere; a ball-bar if the rig has none."""
     bars = table.select(table.kind == "ball_bar")
     if not len(bars):
         yield _first_bar(here, rig, rng)
@@ -161,7 +166,7 @@ def proposals(here: Chain, rig: Rig, table: ObservationTable, rng: np.random.Gen
 
 
 def _first_bar(here: Chain, rig: Rig, rng: np.random.Generator) -> Proposal:
-    """Three chucks at known places, three spheres on the end, a bar between them."""
+    """Propose three chucks at known positions, three spheres on the end, and a bar between them."""
     corners = {
         f"{NEW}{i}": Point(f"{NEW}{i}", (float(x), float(y), float(z))) for i, (x, y, z) in enumerate(np.diag(AWAY))
     }
@@ -172,7 +177,10 @@ def _first_bar(here: Chain, rig: Rig, rng: np.random.Generator) -> Proposal:
 
 
 def _trial(q: Floats, bar: str, pairs: Sequence[tuple[str, str]]) -> ObservationTable:
-    """Rows at q (n, j) with n pairs of chuck and sphere; of any length, since the derivatives do not depend on what was read."""
+    """Return rows at q (n, j) with n pairs of chuck and sphere.
+
+    Their length is arbitrary, since the derivatives do not depend on the reading.
+    """
     chuck, sphere = (np.array([pair[k] for pair in pairs]) for k in (0, 1))
     return trial_rows(q, "ball_bar", value=np.ones(len(q)), bar=bar, chuck=chuck, sphere=sphere)
 

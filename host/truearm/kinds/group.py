@@ -1,7 +1,7 @@
-"""A group of observations, compiled against a parameter vector x: all that an estimator knows of a kind of observation.
+"""A group of observations, compiled against a parameter vector x: an estimator's only view of a kind of observation.
 
-The scalar residuals of an observation have units, ``COMPONENTS``. Those of one unit make one figure an observation: itself,
-with its sign, where there is one, else their norm. Figures of different units are never pooled.
+Each scalar residual of an observation has a unit (``COMPONENTS``). Those of one unit give one figure per observation:
+the signed residual if there is one, otherwise their norm. Figures of different units are never pooled.
 """
 
 from __future__ import annotations
@@ -21,47 +21,47 @@ from truearm.types import Floats
 
 @dataclass(frozen=True, kw_only=True)
 class Group(ABC):
-    """n observations of one kind. Indices point into x followed by ``constants``; every other field has n rows.
+    """n observations of one kind. Indices refer to x followed by ``constants``; every other field has n rows.
 
-    ``row`` is None for what is knowledge and no row of the table, such as the known distance between two sockets.
+    ``row`` is None for knowledge that is not a row of the table, such as a known distance between two sockets.
     """
 
     COMPONENTS: ClassVar[tuple[str, ...]]  # the SI unit of each of the w scalar residuals of an observation
 
     row: Indices | None  # (n,) rows of the table
-    sensor_cov: Floats  # (n, w) variances or (n, w, w), in the components' units squared
+    sensor_cov: Floats  # (n, w) variances or (n, w, w), in the squared units of the components
     constants: Floats
 
     @abstractmethod
     def evaluate(self, chain: Chain, x: Floats) -> Linearised:
-        """Residuals (n·w,), measured − predicted, and their derivatives at x (P,)."""
+        """Return residuals (n·w,), measured − predicted, and their derivatives at x (P,)."""
 
     def opened(self, chain: Chain, x: Floats) -> Linearised:
-        """As ``evaluate``, with ``jac_rig`` by the known constants too, after the unknowns."""
+        """Return the same as ``evaluate``, but with the derivatives by the known constants appended to ``jac_rig``."""
         return replace(self, constants=np.zeros(0)).evaluate(chain, np.concatenate([x, self.constants]))
 
     def settle(self, chain: Chain, x: Floats) -> Self:
-        """The group as a rank test at x needs it (``SeatRows.settle``)."""
+        """Return the group as a rank test at x needs it (``SeatRows.settle``)."""
         return self
 
     def orientations(self) -> Indices:
-        """(r, 3) where rotation vectors stand that are unknowns; an estimator turns these instead of adding to them."""
+        """Return the indices (r, 3) of unknown rotation vectors. An estimator rotates these instead of adding to them."""
         return np.zeros((0, 3), dtype=np.intp)
 
     def take(self, which: slice | NDArray[Any]) -> Self:
-        """Some of the observations."""
+        """Return some of the observations."""
         every = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "constants"}
         some: dict[str, Any] = {name: None if part is None else part[which] for name, part in every.items()}
         return replace(self, **some)
 
     def by_unit(self, residual: Floats) -> dict[str, Floats]:
-        """The residuals (n·w,) as figures (n,) by unit."""
+        """Return the residuals (n·w,) as figures (n,) by unit."""
         parts = residual.reshape(len(self.sensor_cov), -1)
         return {unit: _figure(parts[:, at]) for unit, at in unit_columns(self.COMPONENTS).items()}
 
 
 def unit_columns(components: Sequence[str]) -> dict[str, list[int]]:
-    """Which of the components have each unit."""
+    """Return which of the components have each unit."""
     return {unit: [i for i, other in enumerate(components) if other == unit] for unit in dict.fromkeys(components)}
 
 

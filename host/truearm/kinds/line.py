@@ -1,25 +1,28 @@
 """A line device: a target that the robot drives along a straight line, measured in the device's axes.
 
-y is the longitudinal coordinate (magnetostrictive, about 1 m), x and z are the two transverse ones (magnetic, some
+y is the longitudinal coordinate (magnetostrictive, about 1 m); x and z are the two transverse ones (magnetic, a few
 millimetres). Each placement of the device is a line with six unknowns of its own (Renders, Rossignol, Becquet, Hanus
-1991, II-H); the geometry and its derivatives are those of a tracker with a very long, thin field (``position.py``).
+1991, II-H). Geometry and derivatives are those of a tracker with a very long, thin measuring volume (``position.py``).
 
-Points exactly on a line (transverse readings 0) do not see the device's roll about it: one direction less a line.
+Points exactly on a line (transverse readings 0) do not determine the device's roll about it: one direction fewer per
+line.
 
-The line stands in the room by hand, so it is first placed by its own readings through the nominal robot
-(``LinePlacement``): by least squares of all its points, or, as Renders III-G 5 a, by its first two points alone. Least
-squares starts nearer: two neighbours lie some centimetres apart, and by as many millimetres as the nominal robot errs
-between them the far end is off by a multiple. Both fits end at the same place. The paper then leaves the two points out
-of the identification; here they stay in, for a placement is a start and what is known of the device's pose is said by
-its sigma. Whoever gives the placed pose a prior as tight as the two points themselves has to take them out of the table.
+The line device is set up by hand, so it is initially placed from its own readings with the nominal robot
+(``LinePlacement``): by least squares of all its points or, as in Renders III-G 5 a, from its first two points alone.
+Least squares starts closer: two neighbouring points are a few centimetres apart, and if the nominal robot is in error
+by a few millimetres between them, the far end is off by a multiple. Both fits end at the same place. The paper then
+excludes the two points from the identification. Here they are kept, because a placement is only an initial value, and
+prior information about the device's pose is given by its sigma. If you give the placed pose a prior as tight as the two
+points themselves, remove them from the table.
 
-A placement turns the device so that its points' line falls on the line where the nominal robot has them. About that
-line it turns as little as can be from the declared orientation, if one is known (``turn_sigma``): the points of a line
-hardly show the roll, what they seem to say of it through a nominal robot that errs by more than they leave the line is
-chance, and a prior about chance is false. A fit would have to creep away from it against that prior.
+A placement rotates the device so that the line of its points coincides with their line according to the nominal robot.
+About that line it rotates as little as possible from the declared orientation, if that is known (``turn_sigma``). The
+points of a line hardly determine the roll: with a nominal robot whose errors exceed their distance from the line, the
+apparent roll is random, and a prior about a random value is false. The fit would have to move away from it slowly
+against that prior.
 
-The time offset needs the line driven there and back: at constant speed in one direction τ cannot be told from the
-device's longitudinal place.
+The time offset requires the line to be driven in both directions: at constant speed in one direction, τ cannot be
+distinguished from the device's longitudinal position.
 """
 
 from __future__ import annotations
@@ -48,11 +51,11 @@ from truearm.types import Device, Floats, LinePlacement, ObservationTable, Rig
 def place(
     xyz: Floats, p_base: Floats, declared: Floats, rule: LinePlacement, roll_known: bool
 ) -> tuple[Floats, Floats]:
-    """Position (3,) and rotation (3, 3) of a line device.
+    """Return position (3,) and rotation (3, 3) of a line device.
 
-    ``xyz`` (n, 3) are its readings in the order in which they were taken, ``p_base`` (n, 3) where the nominal robot has
-    them, ``declared`` (3, 3) the orientation that the rig declares. Unless ``roll_known`` the roll about the line is
-    that of the best fit of all points.
+    ``xyz`` (n, 3) are its readings in the order in which they were taken, ``p_base`` (n, 3) the corresponding positions
+    according to the nominal robot, and ``declared`` (3, 3) the orientation declared in the rig. Unless ``roll_known``,
+    the roll about the line is that of the best fit of all points.
     """
     about = declared if roll_known else position.place(xyz, p_base, declared)[1]
     match rule:
@@ -68,7 +71,10 @@ def place(
 
 
 def use_rig(scope: Scope, rows: Indices) -> RigUse:
-    """Targets and line devices that the rows use; a rig that lists no lines takes any that a row names."""
+    """Return what the rows use of the rig: targets and line devices.
+
+    A rig without lines accepts any line that a row names.
+    """
     rig = scope.rig
     if rig.line_placement not in tuple(LinePlacement):
         raise ProblemError(f"line_placement {rig.line_placement!r} is not known; use {' or '.join(LinePlacement)}")
@@ -84,7 +90,7 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
 
 
 def proposals(here: Chain, rig: Rig, table: ObservationTable, rng: np.random.Generator) -> Iterator[Proposal]:
-    """One more line."""
+    """Propose one more line."""
     ball = next(iter(rig.targets.values()), ORIGIN[""])
     q = about_one_point(here, table.q[len(table) // 2], np.array(ball.xyz), rng, reach=0.1)
     if len(q):
@@ -96,7 +102,7 @@ def proposals(here: Chain, rig: Rig, table: ObservationTable, rng: np.random.Gen
 
 
 def facts(rows: ObservationTable) -> tuple[tuple[str, str], ...]:
-    """What was measured in motion."""
+    """Return facts about the rows measured in motion."""
     moving = np.isfinite(rows.q_rate).all(axis=1)
     if not moving.any():
         return ()

@@ -1,13 +1,13 @@
-"""What all kinds of observation share: where their unknowns stand, and what they give back.
+"""Common structure of all kinds of observation: the positions of their unknowns, and the form of their derivatives.
 
 The parameter vector x (P,) of a problem is the robot's params (p,) followed by the rig's unknowns: coordinates of
 chucks, spheres and sockets, zero and gain of bars. A row refers to a coordinate by its index into *x followed by the
-problem's known constants*, so that known and unknown coordinates are read the same way, and only the unknown ones
+problem's known constants*. Known and unknown coordinates are therefore read in the same way, and only the unknown ones
 (index below P) have a column in the Jacobian.
 
-The Jacobian stays in factors, ``wrenches @ twists`` for the robot's params (model/chain.py), because that is how it is
-made, and because the fewer wrenches are what an estimator folds. Arrays (w, n, c) lie component by component in memory:
-all poses of one column follow each other.
+The Jacobian is kept as the product ``wrenches @ twists`` for the robot's params (model/chain.py), because it is
+computed in this form, and because an estimator folds only the wrenches, which have fewer columns. Arrays (w, n, c) are
+stored component by component: all poses of one column are contiguous.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Indices = NDArray[np.intp]
 
 
 class Linearised(NamedTuple):
-    """Residuals and derivatives of n observations of w scalar residuals each; m = n·w, one observation's together."""
+    """Residuals and derivatives of n observations with w scalar residuals each; m = n·w, grouped by observation."""
 
     residual: Floats  # (m,) measured − predicted, in the units of the group's components
     wrenches: Floats  # (w, n, b)
@@ -43,12 +43,12 @@ class Linearised(NamedTuple):
 
 
 def gather(x: Floats, constants: Floats, index: Indices) -> Floats:
-    """Values at ``index`` (n, c) of x followed by constants; each of the c lies together in memory."""
+    """Return the values at ``index`` (n, c) of x followed by constants; each of the c is contiguous in memory."""
     return np.concatenate([x, constants]).take(index.T).T
 
 
 def zero_columns(wrenches: Floats, count: int) -> Floats:
-    """Zeros (w, n, count) beside wrenches (w, n, b), for ``scatter`` to write to."""
+    """Return zeros (w, n, count) to go with wrenches (w, n, b), for ``scatter`` to write to."""
     return np.moveaxis(np.zeros((count, *wrenches.shape[:2]), wrenches.dtype), 0, -1)
 
 
@@ -64,6 +64,6 @@ def scatter(jac_rig: Floats, index: Indices, values: Floats) -> None:
 
 
 def _by_observation(derivatives: Floats) -> Floats:
-    """(w, n, c) to (n·w, c)."""
+    """Reshape (w, n, c) to (n·w, c)."""
     width, n, count = derivatives.shape
     return np.swapaxes(derivatives, 0, 1).reshape(n * width, count)

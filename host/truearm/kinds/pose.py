@@ -2,13 +2,13 @@
 
 The first three residuals are those of ``position.py``. The measured orientation M (of the robot's end frame) and the
 predicted one P = R_dᵀ·R(q) differ by the rotation vector ρ = log(M Pᵀ), measured − predicted to first order. A small
-turn δφ of the end about the base axes makes P exp([R_dᵀδφ]×)P, so with log(exp(ρ)·exp(−δ)) = ρ − J_r⁻¹(ρ) δ and
+rotation δφ of the end about the base axes changes P to exp([R_dᵀδφ]×)P, so with log(exp(ρ)·exp(−δ)) = ρ − J_r⁻¹(ρ) δ and
 J_r(ρ) = J_l(ρ)ᵀ
 
     ∂predicted = J_l(ρ)⁻ᵀ R_dᵀ (∂φ_end − ∂φ_device) .
 
-The end's turn about a direction u per parameter is the wrench of a pure couple u on that parameter's twist
-(``chain.about``), as a coordinate's derivative is that of a force (``chain.along``).
+The derivative of the end's rotation about a direction u by a parameter is the wrench of a pure couple u applied to that
+parameter's twist (``chain.about``), just as the derivative of a coordinate is that of a force (``chain.along``).
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ TURN_SIGMA = Quantity("rotation_sigma", ("rotation_sigma",), "rad", LARGEST_TURN
 
 @dataclass(frozen=True, kw_only=True)
 class PoseRows(PositionRows):
-    """n measured poses: points, and orientations of the end frame; ``sensor_cov`` is (n, 6) or (n, 6, 6)."""
+    """n measured poses: points and orientations of the end frame; ``sensor_cov`` is (n, 6) or (n, 6, 6)."""
 
     COMPONENTS = ("m", "m", "m", "rad", "rad", "rad")
 
     rotation: Floats  # (n, 3) measured rotation vector from the tracker's axes to the end frame, rad
 
     def evaluate(self, chain: Chain, x: Floats) -> Linearised:
-        """Residuals (6n,) and their derivatives at x (P,)."""
+        """Return residuals (6n,) and their derivatives at x (P,)."""
         p = len(chain.parameters)
         q, params = joints_in_time(self, x), x[:p]
         trace = trace_point(chain, params, q, gather(x, self.constants, self.target))
@@ -71,7 +71,10 @@ class PoseRows(PositionRows):
 
 
 def use_rig(scope: Scope, rows: Indices) -> RigUse:
-    """Targets and trackers that the rows use. A row's own standard deviation of the orientation comes before its tracker's."""
+    """Return what the rows use of the rig: targets and trackers.
+
+    A row's own standard deviation of the orientation takes precedence over that of its tracker.
+    """
     known = scope.rig.trackers
     used, make_points = points_of(scope, rows, "tracker", known)
     labels, which = look_up(scope, rows, "tracker", known)
@@ -91,7 +94,7 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
 
 
 def _beside(cov: Floats, variance: Floats) -> Floats:
-    """(n, 6) or (n, 6, 6): the covariance of a point (n, 3) or (n, 3, 3) and one variance (n,) of three angles."""
+    """Return the covariance (n, 6) or (n, 6, 6) of a point (n, 3) or (n, 3, 3) and three angles with one variance (n,)."""
     angles = np.repeat(variance[:, None], 3, axis=1)
     if cov.ndim == 2:
         return np.concatenate([cov, angles], axis=1)

@@ -1,7 +1,7 @@
-"""What more could be measured: a kind of observation proposes it as rows, as they would be measured at the estimate.
+"""Proposals for further measurements: each kind of observation proposes rows as they would be measured at the estimate.
 
-The rows need not be reachable to the millimetre or free of collisions, since a rank does not depend on where exactly they
-stand: it is the same for nearly all poses. ``estimate.further_measurements`` tries each proposal.
+The rows need not be exactly reachable or collision-free: the rank is the same for nearly all poses, so it does not
+depend on their exact position. ``estimate.further_measurements`` tries each proposal.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ import numpy as np
 from truearm.model.chain import Chain, point_forward, point_jacobians
 from truearm.types import Floats, ObservationTable, Rig
 
-NEW = "(new)"  # brackets cannot stand in a rig's names
+NEW = "(new)"  # brackets are not allowed in the names of a rig
 TRIES = 40  # rows that a proposal is tried with; a new line or place has up to 6 unknowns of its own
 TRIAL_SIGMA = 1e-4  # m; any noise gives the same rank
-SPREAD = 0.6  # rad or 0.1 m: how far joints leave a measured pose in a trial
+SPREAD = 0.6  # rad or 0.1 m: how far joints deviate from a measured pose in a trial
 
 
 class Proposal(NamedTuple):
-    """Something more to measure: the rig with what is new, and rows as it would give them.
+    """A further measurement: the rig with the new items, and rows as it would give them.
 
-    ``kind`` is what result.json calls it, ``text`` what it tells a person to do ("measure a new line with the line device");
-    ``names`` are identifiers of the rig that it is about.
+    ``kind`` is its name in result.json, ``text`` the instruction to a person ("measure a new line with the line
+    device"), and ``names`` the identifiers of the rig that it involves.
     """
 
     kind: str
@@ -34,12 +34,15 @@ class Proposal(NamedTuple):
     names: tuple[str, ...] = ()
 
 
-# of a chain whose nominal values are the estimate, a rig, the rows that were measured
+# arguments: a chain whose nominal values are the estimate, a rig, the measured rows
 Proposing = Callable[[Chain, Rig, ObservationTable, np.random.Generator], Iterator[Proposal]]
 
 
 def trial_rows(q: Floats, kind: str, **columns: Any) -> ObservationTable:
-    """Rows of a kind at joint readings q (n, j); a text stands for a column that is alike in all rows. Columns of further kinds too."""
+    """Return rows of a kind at joint readings q (n, j), including columns of further kinds.
+
+    A string stands for a column with the same value in all rows.
+    """
     n = len(q)
     given: dict[str, Any] = {
         name: np.full(n, value) if isinstance(value, str) else value for name, value in columns.items()
@@ -49,17 +52,17 @@ def trial_rows(q: Floats, kind: str, **columns: Any) -> ObservationTable:
 
 
 def anywhere(chain: Chain, n: int, rng: np.random.Generator) -> Floats:
-    """(n, j) joint readings anywhere within the limits, a turn where there are none."""
+    """Return random joint readings (n, j) within the limits, or within one turn if there are none."""
     lower = np.array([max(j.lower, -np.pi) for j in chain.joints])
     upper = np.array([min(j.upper, np.pi) for j in chain.joints])
     return rng.uniform(lower, upper, (n, len(chain.joints)))
 
 
 def about_one_point(chain: Chain, q: Floats, p_end: Floats, rng: np.random.Generator, reach: float) -> Floats:
-    """(m, j) readings with the point of the end where q (j,) has it, or within ± ``reach`` of it along a line."""
+    """Return readings (m, j) with the point of the end where q (j,) has it, or within ± ``reach`` of it on a line."""
     goal = point_forward(chain, chain.params_nominal, q, p_end)
     along = rng.normal(size=3)
-    # A few per mille of the way beside the line: points exactly on it would not show the line's roll.
+    # A few per mille off the line: points exactly on it would not determine the line's roll.
     offset = np.linspace(-reach, reach, TRIES)[:, None] * (along + 3e-3 * rng.normal(size=(TRIES, 3)))
     found = q + SPREAD * rng.uniform(-1.0, 1.0, (TRIES, q.size))
     for _ in range(30):

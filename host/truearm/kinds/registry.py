@@ -1,6 +1,6 @@
-"""The kinds of observation. A kind is a module of this room whose ``KIND`` declares it, and its name here.
+"""The registry of kinds of observation. A kind is a module of this package with a ``KIND``, listed here by name.
 
-Importing this module is cheap; the kinds themselves are imported when they are first asked for.
+Importing this module is cheap; the kinds themselves are imported when they are first used.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from truearm.schema import Entries
     from truearm.types import Point, Rig
 
-NAMES = (  # their unknowns stand in this order in a parameter vector
+NAMES = (  # in the order of their unknowns in a parameter vector
     "ball_bar",
     "seat",
     "line",
@@ -31,19 +31,19 @@ T = TypeVar("T")
 
 @cache
 def kinds() -> Mapping[str, Kind]:
-    """Every kind by its name, which its rows have in the column ``kind``."""
+    """Return every kind by its name, which its rows have in the column ``kind``."""
     return {name: import_module(f"truearm.kinds.{name}").KIND for name in NAMES}
 
 
 @cache
 def identifiers() -> tuple[str, ...]:
-    """The columns of identifiers that a table may have."""
+    """Return the identifier columns that a table may have."""
     return _distinct((*(column for kind in kinds().values() for column in kind.identifiers), *ANYWHERE))
 
 
 @cache
 def quantities() -> tuple[Quantity, ...]:
-    """The quantities that a table may have, one of each field."""
+    """Return the quantities that a table may have, one for each field."""
     from truearm.kinds.quantities import CIRCUMSTANCES
 
     every = (quantity for kind in kinds().values() for quantity in kind.quantities)
@@ -52,12 +52,12 @@ def quantities() -> tuple[Quantity, ...]:
 
 @cache
 def entries() -> tuple[Entries[Any], ...]:
-    """The types of entry that a rig file may have."""
+    """Return the types of entry that a rig file may have."""
     return tuple({entry.name: entry for kind in kinds().values() for entry in kind.entries}.values())
 
 
 def rig_names(rig: Rig) -> Mapping[str, Mapping[str, Any]]:
-    """What a rig has, by name, for each column whose identifiers must be known to it."""
+    """Return the names in a rig for each column whose identifiers must occur in it."""
     from truearm.kinds.rig_entries import by_name
 
     free = {column for kind in kinds().values() for column in kind.free_names}
@@ -68,29 +68,29 @@ def rig_names(rig: Rig) -> Mapping[str, Mapping[str, Any]]:
 
 
 def points() -> Mapping[str, str]:
-    """The columns that name points of the rig, and the rig's field that holds each."""
+    """Return the columns that name points of the rig, and the rig's field that holds each."""
     from truearm.kinds.rig_entries import POINT
 
     return {entry.name: entry.field for entry in entries() if entry.table is POINT}
 
 
 def end_points(rig: Rig) -> Mapping[str, Mapping[str, Point]]:
-    """The points of the robot's end that a rig has, by the column that names them."""
+    """Return the points of the robot's end in a rig, by the column that names them."""
     return {kind.point: kind.points(rig) for kind in kinds().values() if kind.point}
 
 
 def units() -> tuple[str, ...]:
-    """The SI units in which rows may say how uncertain they are: the first of each kind's residuals."""
+    """Return the SI units in which rows may give their uncertainty: the first unit of each kind's residuals."""
     return _distinct(kind.components[0] for kind in kinds().values())
 
 
 def regions() -> tuple[str, ...]:
-    """The columns of identifiers that name places to judge by themselves."""
+    """Return the identifier columns that name regions to validate separately."""
     return _distinct(("rig", *GROUPS, *(column for kind in kinds().values() for column in kind.regions)))
 
 
 def drawn_from() -> tuple[str, ...]:
-    """The columns of identifiers of which a random choice of rows takes its share each."""
+    """Return the identifier columns of which a random selection of rows takes a proportional share."""
     return _distinct((*GROUPS, *(column for kind in kinds().values() for column in kind.drawn_from)))
 
 

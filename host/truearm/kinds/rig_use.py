@@ -1,6 +1,7 @@
-"""What some rows of a kind use of the rig, before the numbers of the rig have their places in a parameter vector.
+"""What the rows of a kind use of the rig, before the rig's numbers have their positions in a parameter vector.
 
-A kind's ``use_rig`` names what its rows use; once a Layout has given every number a place, ``RigUse.make`` makes the groups.
+A kind's ``use_rig`` collects what its rows use. Once a Layout has assigned a position to every number, ``RigUse.make``
+builds the groups.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ from truearm.types import Floats, ObservationTable, Point, Rig
 from truearm.units import SMALLEST
 
 Entry = TypeVar("Entry")
-ORIGIN = {"": Point("", (0.0, 0.0, 0.0))}  # the target or ball of a rig that names none: the end frame's origin
+ORIGIN = {"": Point("", (0.0, 0.0, 0.0))}  # the target or ball of a rig without any: the end frame's origin
 
 
 class Scope(NamedTuple):
-    """One rig, the table that holds its rows, and ``prefix``, which the names of its unknowns begin with."""
+    """One rig, the table with its rows, and the ``prefix`` of the names of its unknowns."""
 
     chain: Chain
     rig: Rig
@@ -34,17 +35,17 @@ class Scope(NamedTuple):
 
 
 class RigUse(NamedTuple):
-    """What some rows use, and how they become groups once all numbers have their places."""
+    """What some rows use of the rig, and how to build their groups once all numbers have their positions."""
 
     used: tuple[Used, ...]
     make: Callable[[Layout], list[Group]]
 
 
 def look_up(scope: Scope, rows: Indices, what: str, known: Mapping[str, Any]) -> tuple[list[Hashable], Indices]:
-    """The distinct names in the column ``what``, checked against the rig, and which of them each row has.
+    """Return the distinct names in the column ``what``, checked against the rig, and the index of each row's name.
 
-    An empty name means the only one there is. Raises ProblemError that names the first row of a name that the rig does
-    not have.
+    An empty name stands for the only entry there is. Raises ProblemError that names the first row with a name that the
+    rig does not have.
     """
     names, which = enumerate_labels(scope.table.column(what)[rows].tolist())
     labels: list[Hashable] = []
@@ -66,19 +67,19 @@ def use(
     numbers: Callable[[str, Entry], list[Number]],
     faults: tuple[Fault, ...] = MOVED,
 ) -> Used:
-    """Look a column's names up in the rig (``look_up``); ``numbers`` of a name and its entry stand for the entry."""
+    """Look up a column's names in the rig (``look_up``); ``numbers`` maps a name and its entry to the entry's numbers."""
     labels, which = look_up(scope, rows, what, known)
     every = [numbers(f"{scope.prefix}{what}.{label}", known[str(label)]) for label in labels]
     return Used(labels, every, which, faults)
 
 
 def use_points(scope: Scope, rows: Indices, what: str, known: Mapping[str, Point]) -> Used:
-    """Points that a column names; the end frame's origin where the rig has none."""
+    """Return the points named in a column; the end frame's origin if the rig has none."""
     return use(scope, rows, what, known or ORIGIN, point_numbers)
 
 
 def measured(scope: Scope, rows: Indices, quantity: Quantity) -> Floats:
-    """(n,) or (n, c) what the rows measured. Raises ProblemError for the first row that lacks it."""
+    """Return the measured values (n,) or (n, c) of the rows. Raises ProblemError for the first row without a value."""
     values = scope.table.column(quantity.field, np.nan)[rows]
     lacks = ~np.isfinite(values.reshape(len(rows), -1)).all(axis=1)
     what = quantity.words if len(quantity.columns) > 1 else with_article(quantity.words)
@@ -87,9 +88,9 @@ def measured(scope: Scope, rows: Indices, quantity: Quantity) -> Floats:
 
 
 def sigmas(scope: Scope, rows: Indices, default: Floats, unit: str = "m") -> Floats:
-    """The rows' own σ (n, w), alike for all w residuals; the rig's ``default`` (n, w) where they have none.
+    """Return the rows' own σ (n, w), equal for all w residuals; the rig's ``default`` (n, w) where they have none.
 
-    ``unit``: the SI unit of both. Raises ProblemError for the first row whose σ is no number or too small.
+    ``unit`` is the SI unit of both. Raises ProblemError for the first row whose σ is not a number or is too small.
     """
     own = scope.table.sigma[rows, None]
     sigma = np.where(np.isnan(own), default, own)
@@ -103,12 +104,12 @@ def sigmas(scope: Scope, rows: Indices, default: Floats, unit: str = "m") -> Flo
 
 
 def refuse(scope: Scope, rows: Indices, bad: Any, text: str) -> None:
-    """Raise ProblemError with the first of the bad rows (n,)."""
+    """Raise ProblemError naming the first of the bad rows (n,)."""
     if bad.any():
         raise ProblemError(f"{scope.table.source[rows[int(np.argmax(bad))]]}: {text}")
 
 
 def nominal_points(scope: Scope, rows: Indices, points: Used) -> Floats:
-    """(n, 3) where the nominal robot has points of its end, in the base frame."""
+    """Return the positions (n, 3) of points of the end in the base frame, according to the nominal robot."""
     p_end = np.array([[number.value for number in point] for point in points.numbers])[points.which]
     return point_forward(scope.chain, scope.chain.params_nominal, scope.table.q[rows], p_end)

@@ -1,6 +1,6 @@
 """The known distance between two sockets of one place: an observation of the sockets alone.
 
-Predicted is ‖c_a − c_b‖. It carries the scale into an identification by seats, which otherwise have none.
+The prediction is ‖c_a − c_b‖. It provides the scale for an identification by seats, which otherwise has none.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from truearm.types import Floats, Rig
 
 @dataclass(frozen=True, kw_only=True)
 class SocketDistanceRows(Group):
-    """n places where both sockets were used; indices point into x followed by ``constants``."""
+    """n places where both sockets were used; indices refer to x followed by ``constants``."""
 
     COMPONENTS = ("m",)
 
@@ -29,7 +29,7 @@ class SocketDistanceRows(Group):
     second: Indices  # (n, 3)
 
     def evaluate(self, chain: Chain, x: Floats) -> Linearised:
-        """Residuals (n,) and their derivatives at x (P,); those by the robot are zero."""
+        """Return residuals (n,) and their derivatives at x (P,). The derivatives by the robot's parameters are zero."""
         apart = gather(x, self.constants, self.first) - gather(x, self.constants, self.second)
         d = np.linalg.norm(apart, axis=1)
         u = np.divide(apart, d[:, None], out=np.zeros_like(apart), where=d[:, None] > 0.0)
@@ -43,7 +43,7 @@ class SocketDistanceRows(Group):
 
 
 def known_distances(rig: Rig, sockets: Used, layout: Layout) -> list[Group]:
-    """A row for every place where both sockets of a declared distance were used; no group where there is none."""
+    """Return a row for every place where both sockets of a declared distance were used; no group if there is none."""
     at = {label: i for i, label in enumerate(sockets.labels)}
     places = dict.fromkeys(label[0] for label in sockets.labels if isinstance(label, tuple))
     pairs = []

@@ -1,4 +1,4 @@
-"""Where each number of the rig stands in a problem: unknowns after the robot's params, known constants after those."""
+"""Positions of the rig's numbers in a problem: unknowns follow the robot's params, known constants follow the unknowns."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ XYZ = ("x", "y", "z")
 
 
 class Number(NamedTuple):
-    """A number of the rig: known exactly (sigma 0), with a prior (finite), or without (inf)."""
+    """A number of the rig: known exactly (sigma 0), with a prior (finite), or without one (inf)."""
 
     name: str
     unit: str
@@ -25,35 +25,36 @@ class Number(NamedTuple):
 
 
 class Fault(NamedTuple):
-    """How a thing of a rig can differ from its description: in some of its numbers together.
+    """A way in which an item of the rig can differ from its description, in some of its numbers together.
 
-    ``constant``: by an offset in all rows; ``step``: by one from some row on; ``window``: by one from some row to some other;
-    ``drift``: by a part that grows linearly over a session.
+    ``constant``: by an offset in all rows; ``step``: by an offset from some row on; ``window``: by an offset from some
+    row to another; ``drift``: by a part that changes linearly over a session.
     """
 
-    numbers: slice  # of the thing's list
+    numbers: slice  # of the item's list
     constant: bool = True
     step: bool = True
     window: bool = False
     drift: bool = False
 
 
-MOVED = (Fault(slice(None)),)  # all of a thing's numbers say where it stands
+MOVED = (Fault(slice(None)),)  # all numbers of an item are its position
 
 
 class Used(NamedTuple):
-    """The distinct things that some rows use (chucks, bars, …), their numbers, and which of them each row uses."""
+    """The distinct items that some rows use (chucks, bars, …), their numbers, and which of them each row uses."""
 
     labels: list[Hashable]
-    numbers: list[list[Number]]  # one inner list a thing
+    numbers: list[list[Number]]  # one inner list per item
     which: Indices  # (n,)
-    faults: tuple[Fault, ...] = MOVED  # of each of the things
+    faults: tuple[Fault, ...] = MOVED  # of each item
 
 
 class Layout:
-    """Indices of numbers into x followed by constants; a thing used in two roles has its numbers once.
+    """Indices of numbers into x followed by constants. An item used in two roles has its numbers only once.
 
-    Raises ProblemError for a value that is not finite or a sigma that is negative, no number, or so small that it is a slip.
+    Raises ProblemError for a value that is not finite, or for a sigma that is negative, not a number, or implausibly
+    small.
     """
 
     def __init__(self, n_robot: int, used: Sequence[Used]) -> None:
@@ -69,22 +70,22 @@ class Layout:
         self._at = {number.name: n_robot + i for i, number in enumerate([*self.unknown, *self.known])}
 
     def index(self, used: Used) -> Indices:
-        """(n, c) indices of what each row uses."""
+        """Return the indices (n, c) of what each row uses."""
         table = np.array([[self._at[number.name] for number in thing] for thing in used.numbers], dtype=np.intp)
         return np.asarray(table[used.which])
 
 
 def enumerate_labels(labels: Sequence[Hashable]) -> tuple[list[Hashable], Indices]:
-    """Distinct labels in order of appearance, and which of them each row has."""
+    """Return the distinct labels in order of appearance, and the index of each row's label."""
     order = {label: i for i, label in enumerate(dict.fromkeys(labels))}
     return list(order), np.fromiter(map(order.__getitem__, labels), dtype=np.intp, count=len(labels))
 
 
 def point_numbers(name: str, point: Point) -> list[Number]:
-    """Three coordinates of a point of the rig."""
+    """Return the three coordinates of a point of the rig."""
     return [Number(f"{name}.{k}", "m", v, or_inf(point.sigma)) for k, v in zip(XYZ, point.xyz, strict=True)]
 
 
 def or_inf(sigma: float | None) -> float:
-    """A rig's sigma as a number: None, not known at all, is inf."""
+    """Return a rig's sigma as a number: inf for None, which means unknown."""
     return np.inf if sigma is None else sigma

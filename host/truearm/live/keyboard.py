@@ -1,5 +1,8 @@
-"""Lines that an operator types while something else goes on. Only a terminal is read, and only in the foreground: a recording in a
-script must not eat the script's input, and a program in the background that reads is stopped by its terminal."""
+"""Read lines typed by the operator in the background. Only a terminal in the foreground is read.
+
+A recording in a script must not consume the script's input, and a background program that reads is stopped by its
+terminal.
+"""
 
 from __future__ import annotations
 
@@ -18,13 +21,16 @@ _BACKSPACE, _ESCAPE, _CTRL_U = ("\x7f", "\b"), "\x1b", "\x15"
 
 
 class Typed:
-    """The line that is being typed."""
+    """The line being typed."""
 
     def __init__(self) -> None:
         self.text = ""
 
     def push(self, characters: str) -> list[str]:
-        """The lines that these characters finish. Backspace, Ctrl-U and Escape are obeyed, other control characters left out."""
+        """Return the lines completed by these characters.
+
+        Backspace, Ctrl-U and Escape are handled; other control characters are ignored.
+        """
         lines = []
         for character in characters:
             if character in "\r\n":
@@ -40,7 +46,7 @@ class Typed:
 
 
 def may_ask() -> bool:
-    """Whether there is somebody who types."""
+    """Return whether an operator can be asked."""
     try:
         return os.name == "posix" and sys.stdin.isatty() and _in_foreground(sys.stdin.fileno())
     except (AttributeError, OSError, ValueError):  # no standard input
@@ -49,9 +55,10 @@ def may_ask() -> bool:
 
 @contextmanager
 def typed_lines(take: Callable[[str], None], one_by_one: bool) -> Iterator[Typed]:
-    """Hand every typed line to ``take``, from a thread. ``one_by_one``: the terminal hands over every key, and shows none itself.
+    """Call ``take`` with every typed line, from a thread. ``one_by_one``: the terminal passes on every key without
+    echo.
 
-    Ctrl-Z does nothing meanwhile: a stopped recorder loses what the box sends.
+    Ctrl-Z is disabled meanwhile: a suspended recorder loses what the box sends.
     """
     import termios
     import tty
@@ -83,7 +90,7 @@ def _read(fd: int, typed: Typed, take: Callable[[str], None], stop: threading.Ev
             data = os.read(fd, 1024)
         except (OSError, ValueError):
             return
-        if not data:  # end of file; the terminal may have gone
+        if not data:  # end of file; the terminal may be gone
             return
         for line in typed.push(data.decode("utf-8", "ignore")):
             take(line)
@@ -99,9 +106,9 @@ def _restore(fd: int, attributes: list[object]) -> None:
     try:
         if _in_foreground(fd):
             termios.tcsetattr(fd, termios.TCSANOW, attributes)  # type: ignore[arg-type]
-    except (OSError, termios.error):  # the terminal has gone
+    except (OSError, termios.error):  # the terminal is gone
         return
 
 
 def _ignore(number: int, frame: FrameType | None) -> None:
-    """A handler, not SIG_IGN, which programs started from here would inherit."""
+    """Do nothing. A handler is used instead of SIG_IGN, which child processes would inherit."""

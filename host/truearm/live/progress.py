@@ -1,4 +1,4 @@
-"""How far a session has come: what is mounted, what was taken, what comes next and whether something has to be changed for it."""
+"""Progress of a session: what is mounted, what was taken, what comes next and whether a part must be changed for it."""
 
 from __future__ import annotations
 
@@ -11,15 +11,17 @@ import numpy as np
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Floats, Move
 
 MOUNTABLE = (*BAR_MOUNTED, "shell", *LINE_MOUNTED)
-CHANGED = (*BAR_MOUNTED, *LINE_MOUNTED)  # by hand; a shell is a place of the robot
-TOLERANCE = np.pi / 180.0  # rad or m, as sync.dwell has it
+CHANGED = (*BAR_MOUNTED, *LINE_MOUNTED)  # changed by hand; a shell is a position of the robot
+TOLERANCE = np.pi / 180.0  # rad or m, as in session.dwells
 
 
 @dataclass
 class SessionProgress:
-    """``rows`` is the plan as ``/plan`` has it, [] without one; ``mounted`` what is mounted as far as anybody said or the plan begins.
+    """Progress through the plan.
 
-    ``confirmed``: whether anybody said it. ``done``: rows whose dwell was taken; ``unplanned``: dwells that are not in the plan, or without one. ``next``: the row that is awaited.
+    ``rows`` is the plan as in ``/plan``, [] without one. ``mounted`` is what is mounted according to the operator or
+    the beginning of the plan. ``confirmed``: the operator stated it. ``done``: rows with a dwell. ``unplanned``: number
+    of dwells that are not in the plan, or without a plan. ``next``: the expected row.
     """
 
     rows: Sequence[Mapping[str, Any]] = ()
@@ -39,26 +41,26 @@ class SessionProgress:
 
     @property
     def taken(self) -> int:
-        """Dwells, each pose of the plan once."""
+        """Number of dwells, each pose of the plan counted once."""
         return len(self.done) if self._dwells else self.unplanned
 
     @property
     def planned(self) -> int:
-        """Dwells of the plan."""
+        """Number of dwells in the plan."""
         return len(self._dwells)
 
     @property
     def planned_lines(self) -> int:
-        """Lines of the plan."""
+        """Number of lines in the plan."""
         return sum(row.get("move") == "line" for row in self.rows)
 
     @property
     def complete(self) -> bool:
-        """Whether all of a plan was taken."""
+        """Whether all of the plan has been taken."""
         return bool(self.rows) and len(self.done) == self.planned and self.lines >= self.planned_lines
 
     def pairings(self) -> list[dict[str, str]]:
-        """All pairings of the plan in their order, each once."""
+        """Return all pairings of the plan in order, each once."""
         found: list[dict[str, str]] = []
         for row in self.rows:
             pairing = pairing_of(row)
@@ -67,24 +69,24 @@ class SessionProgress:
         return found
 
     def wanted(self) -> dict[str, str] | None:
-        """What the next row needs mounted; None at the plan's end and without one."""
+        """Return what the next row needs mounted; None at the plan's end and without a plan."""
         return next((p for row in self.rows[self.next :] if (p := pairing_of(row))), None)
 
     def change(self) -> dict[str, str] | None:
-        """What has to be mounted now, None if that is so already."""
+        """Return what must be mounted now, None if it already is."""
         wanted = self.wanted()
         if wanted is None or all(self.mounted.get(key) == name for key, name in wanted.items()):
             return None
         return wanted
 
     def mount(self, pairing: Mapping[str, str]) -> None:
-        """It is said to be mounted from now on; a bar and a line exclude each other."""
+        """Note that a part is mounted from now on; a bar and a line exclude each other."""
         self.confirmed = True
         other = LINE_MOUNTED if "bar" in pairing else BAR_MOUNTED if "line" in pairing else ()
         self.mounted = {k: v for k, v in self.mounted.items() if k not in other} | dict(pairing)
 
     def visit(self, q: Floats | None) -> int | None:
-        """A dwell was taken at joints ``q`` (None: nobody knows); the plan's row that it is, None if it is none."""
+        """Note a dwell at joints ``q`` (None: unknown); return the plan's row, None if it is not in the plan."""
         row = self._row(q)
         if row is None:
             self.unplanned += 1
@@ -94,7 +96,7 @@ class SessionProgress:
         return row
 
     def drive(self, q: Floats | None) -> int | None:
-        """A line was driven, to joints ``q`` (None: nobody knows); the plan's row that it is, None if it is none."""
+        """Note a line driven to joints ``q`` (None: unknown); return the plan's row, None if it is not in the plan."""
         rows = [k for k in range(self.next, len(self.rows)) if self.rows[k].get("move") == "line"]
         if q is not None:
             rows = [k for k in rows if len(self.rows[k]["q"]) == q.size and _near(self.rows[k]["q"], q)]
@@ -121,10 +123,10 @@ def _near(planned: Sequence[float], q: Floats) -> bool:
 
 
 def pairing_of(row: Mapping[str, Any]) -> dict[str, str]:
-    """What a row of the plan needs mounted."""
+    """Return what a row of the plan needs mounted."""
     return {key: str(row[key]) for key in CHANGED if row.get(key)}
 
 
 def words_of(pairing: Mapping[str, str]) -> str:
-    """A pairing on one line."""
+    """Format a pairing on one line."""
     return ", ".join(f"{key} {name}" for key, name in pairing.items()) or "nothing said"

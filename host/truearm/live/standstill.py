@@ -1,8 +1,8 @@
-"""Whether something stands still, while it is being recorded: the joints, or a sensor alone where no robot says its joints.
+"""Detect during recording whether something stands still: the joints, or a sensor alone if there are no joint readings.
 
-What is shown to the operator meanwhile; the dwells that count are found afterwards (``dwell``), by the same rule: in windows of
-0.2 s the range of readings at rest is what the quietest tenth of the last minute had, times three. Until something rested, motion could
-pass for rest: the threshold never exceeds ``most``.
+This is for display only; the dwells that are used are found afterwards (``dwell``), by the same rule. In windows of 0.2
+s, the range of readings at rest is taken as three times that of the quietest tenth of the last minute. Before anything
+has rested, motion could pass for rest, so the threshold never exceeds ``most``.
 """
 
 from __future__ import annotations
@@ -15,14 +15,17 @@ from truearm.session.dwells import QUIET_FACTOR, QUIET_SHARE, WINDOW_BINS
 from truearm.types import Floats
 
 BIN_NS = 50_000_000
-GAP_NS = 300_000_000  # without a reading for so long nobody knows
-REMEMBERED = 1200  # bins, a minute
+GAP_NS = 300_000_000  # after such a gap the state is not known
+REMEMBERED = 1200  # bins kept, a minute
 JOINTS = (1e-6, 1e-3)  # rad or m: least and most range of a window at rest
 SENSOR = (1e-6, 5e-5)  # m
 
 
 class StandstillDetector:
-    """Takes readings (k,) or the extremes of short blocks of them, in order of time. ``since_ns``: since when it rests; ``last_ns``: the last reading."""
+    """Takes readings (k,), or the extremes of short blocks of them, in order of time.
+
+    ``since_ns``: start of the current rest; ``last_ns``: time of the last reading.
+    """
 
     def __init__(self, least: float, most: float) -> None:
         self.since_ns: int | None = None
@@ -33,7 +36,7 @@ class StandstillDetector:
         self.last_ns = 0
 
     def feed(self, t_ns: int, low: Floats, high: Floats) -> tuple[int, int] | None:
-        """Begin and end of the rest that ended, if one did."""
+        """Return begin and end of the rest that ended, if one did."""
         ended = None
         if self._bin is not None and t_ns - self.last_ns > GAP_NS:
             ended = self._end(self.last_ns)

@@ -1,8 +1,8 @@
-"""What of a chain is the same for all poses, multiplied out once for each set of params.
+"""Constant folding: the parts of a chain that are equal for all poses, computed once for each set of params.
 
-These are its links (runs of constants) and the matrix that makes derivatives by parameters of wrenches (chain.py
-derives it). Twists and wrenches go axis by axis here, (v_x, w_x, v_y, w_y, v_z, w_z), force and moment likewise: a joint
-about an axis turns two such pairs into each other and leaves the third alone.
+These are the links (runs of constants) and the matrix that converts wrenches to derivatives by parameters (derived in
+chain.py). Twists and wrenches are ordered by axis here, (v_x, w_x, v_y, w_y, v_z, w_z), and likewise force and moment:
+a joint about an axis rotates two such pairs into each other and leaves the third unchanged.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 
 class Constants(NamedTuple):
-    """c constants of a chain, in runs before, between and after its joints: j + 1 links."""
+    """The c constants of a chain, in runs before, between and after its joints: j + 1 links."""
 
     axis: NDArray[np.intp]  # (c,)
     turns: NDArray[np.bool_]  # (c,) about the axis; False: along it
     value: Floats  # (c,) of the fixed ones
     parameter: NDArray[np.intp]  # (c,) −1 for the fixed ones
     link: NDArray[np.intp]  # (c,)
-    inwards: NDArray[np.intp]  # (longest run, j + 1) each link's constants from its far end on, c after the last
+    inwards: NDArray[np.intp]  # (longest run, j + 1) each link's constants, starting from its far end, padded with c
 
 
 class Folded(NamedTuple):
@@ -41,7 +41,7 @@ class Folded(NamedTuple):
 
 
 def constants_of(elements: Sequence[Element]) -> Constants:
-    """The elements that are no joints, as arrays."""
+    """Return the elements that are not joints, as arrays."""
     constant = np.array([e.joint is None for e in elements], dtype=bool)
     link = np.cumsum(~constant)[constant]
     some = [e for e in elements if e.joint is None]
@@ -60,15 +60,18 @@ def constants_of(elements: Sequence[Element]) -> Constants:
 
 
 def folded(chain: Chain, params: Floats) -> Folded:
-    """All constants multiplied out.
+    """Return all constants multiplied out.
 
-    Remembered for the last few params: poses come in blocks, and 54 constants take 0.16 ms, as long as 500 poses.
+    The last few params are cached: poses come in blocks, and 54 constants take 0.16 ms, as long as 500 poses.
     """
     return _folded(chain, params.tobytes(), params.dtype.str)
 
 
 def link_transforms(chain: Chain, params: Floats) -> Floats:
-    """(j + 1, 4, 4) the links alone. Unlike ``folded`` it asks nothing of the joint law, so that a term of the law may ask it."""
+    """Return the links (j + 1, 4, 4) alone.
+
+    Unlike ``folded`` this does not use the joint law, so terms of the law may call it.
+    """
     return _multiplied(chain.constants, _amounts(chain.constants, params))[0]
 
 
@@ -84,7 +87,7 @@ def _folded(chain: Chain, params: bytes, dtype: str) -> Folded:
 
 
 def _amounts(constants: Constants, params: Floats) -> Floats:
-    """(c,) the constants' lengths and angles."""
+    """Return the lengths and angles (c,) of the constants."""
     named = constants.parameter >= 0
     amount = constants.value.astype(params.dtype)
     amount[named] = params[constants.parameter[named]]
@@ -92,9 +95,10 @@ def _amounts(constants: Constants, params: Floats) -> Floats:
 
 
 def _multiplied(constants: Constants, amount: Floats) -> tuple[Floats, Floats]:
-    """The links' transforms (j + 1, 4, 4) and, for each constant, (c, 4, 4) the product of what follows it in its link.
+    """Return the links (j + 1, 4, 4) and, for each constant, the product (c, 4, 4) of what follows it in its link.
 
-    All links go together, each from its far end inwards: one by one 54 constants would take four times as long.
+    All links are processed together, each starting from its far end: one by one, 54 constants would take four times as
+    long.
     """
     own = np.concatenate([mixed(constants.axis, constants.turns, amount), np.eye(4)[None]])
     beyond = np.empty_like(own)
@@ -106,7 +110,7 @@ def _multiplied(constants: Constants, amount: Floats) -> tuple[Floats, Floats]:
 
 
 def _twists_beyond(constants: Constants, beyond: Floats) -> Floats:
-    """(c, 6) Ad(B⁻¹)ξ of unit motions: w' = Rᵀw, v' = Rᵀ(v − t × w) with B = (R, t)."""
+    """Return Ad(B⁻¹)ξ (c, 6) for unit motions: w' = Rᵀw, v' = Rᵀ(v − t × w) with B = (R, t)."""
     rot, shift = beyond[:, :3, :3], beyond[:, :3, 3:]
     each, k, turns = np.arange(len(beyond)), constants.axis, constants.turns[:, None]
     a, b = (k + 1) % 3, (k + 2) % 3  # t × e_k = t_b e_a − t_a e_b
@@ -116,7 +120,7 @@ def _twists_beyond(constants: Constants, beyond: Floats) -> Floats:
 
 
 def _carries(transforms: Floats) -> Floats:
-    """(n, 6, 6) wrenches seen in frames (R, t): force' = Rᵀ force, moment' = Rᵀ(moment − t × force)."""
+    """Return matrices (n, 6, 6) to frames (R, t): force' = Rᵀ force, moment' = Rᵀ(moment − t × force)."""
     rot, shift = transforms[:, :3, :3], transforms[:, :3, 3:]
     out = np.zeros((len(transforms), 3, 2, 3, 2), dtype=transforms.dtype)
     out[:, :, 0, :, 0] = out[:, :, 1, :, 1] = np.swapaxes(rot, 1, 2)
@@ -126,9 +130,10 @@ def _carries(transforms: Floats) -> Floats:
 
 
 def _combined(chain: Chain, twists_beyond: Floats, carries: Floats) -> Floats:
-    """``twists`` (b, p): every parameter's twist times the wrench in its frame, written in the b numbers of ``wrenches``.
+    """Return ``twists`` (b, p): each parameter's twist times the wrench in its frame, by the b columns of ``wrenches``.
 
-    Their order is that of ``chain.along``: the six in the base frame, then what each joint makes new, then what its law does.
+    Their order is that of ``chain.along``: the six in the base frame, then those that each joint adds, then those of
+    its law.
     """
     motions, law, constants = chain.motions, chain.law, chain.constants
     b = 6 + sum(len(new_numbers(m)) for m in motions) + len(law.of_column)
@@ -152,12 +157,12 @@ def _combined(chain: Chain, twists_beyond: Floats, carries: Floats) -> Floats:
 
 
 def on_axis(motion: str) -> int:
-    """Which of a wrench's six numbers a joint feels: the force along, or the moment about its axis."""
+    """Return the index of the wrench component on a joint's axis: the force along it, or the moment about it."""
     return 2 * axis_of(motion) + (motion[0] == "r")
 
 
 def new_numbers(motion: str) -> list[int]:
-    """Which of a wrench's six numbers a joint changes: all across its axis, or of a prismatic one the moments."""
+    """Return the wrench components that a joint changes: all across its axis, or only the moments if it is prismatic."""
     k = axis_of(motion)
     across = [i for axis in ((k + 1) % 3, (k + 2) % 3) for i in (2 * axis, 2 * axis + 1)]
     return across if motion[0] == "r" else across[1::2]

@@ -1,4 +1,4 @@
-"""Frames along a chain, from its links and the joints' true angles."""
+"""Frames along a chain, computed from its links and the joints' true angles."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from truearm.types import Floats
 
 
 def far_frames(links: Floats, motions: Sequence[str], angles: Floats) -> list[Floats]:
-    """Frames (…, 4, 4) in the base frame: each joint's after its motion (j of them), then the end.
+    """Return frames (…, 4, 4) in the base frame: each joint's after its motion (j of them), then the end.
 
     links : (j + 1, 4, 4) constants before, between and after the joints. motions : "tx" … "rz" of each joint. angles :
     (…, j) true angles or positions [rad or m].

@@ -1,14 +1,15 @@
 """The joint law: a joint's true angle θ (or position) as a function of all joint readings q and the parameters.
 
-    θ_i = Σ terms ,    as it stands  θ_i = offset_i + gain_i·q_i
+    θ_i = Σ terms ,    by default  θ_i = offset_i + gain_i·q_i
 
-Everything that needs a joint's true angle asks here: its value, its derivatives by the readings and by the parameters, and
-its inverse. TERM_FILES is the registry: a term is a file in ``model/joint_terms`` and a line there. A chain has a term's
-parameters where its builder made them: from a key in a robot file's [jointN], say.
+All code that needs a joint's true angle uses this module: for its value, its derivatives by the readings and by the
+parameters, and its inverse. TERM_FILES is the registry: to add a term, add a file in ``model/joint_terms`` and a line
+there. A chain has parameters of a term if its builder created them, for example from a key in a robot file's [jointN].
 
-A law's parameter moves everything beyond its joint about that joint's axis, so its derivative of any observation is that
-by the joint's true angle times ∂θ/∂parameter. ``chain`` carries the former; where the latter varies from pose to pose a
-parameter is one more column (``columns``), where it is 1 it is a combination of the columns that the links have made.
+A parameter of a law moves everything beyond its joint about that joint's axis. Its derivative of any observation is
+therefore the derivative by the joint's true angle times ∂θ/∂parameter. ``chain`` computes the former. Where the latter
+varies from pose to pose, a parameter is one more column (``columns``); where it is 1, it is a combination of the
+columns that the links already provide.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from truearm.types import Floats
 if TYPE_CHECKING:
     from truearm.model.chain import Chain
 
-# In the order in which a joint has their parameters. Offset and gain come first: they are what every controller knows.
+# In the order of a joint's parameters. Offset and gain come first: every controller has them.
 TERM_FILES = (
     "offset",
     "gain",
@@ -39,15 +40,15 @@ TERM_FILES = (
     "sag",
 )
 TERMS: tuple[type[Term], ...] = tuple(import_module(f"truearm.model.joint_terms.{file}").TERM for file in TERM_FILES)
-MAX_STEPS = 30  # of Newton's method, each squaring its error; what does not end by then does not end
+MAX_STEPS = 30  # of Newton's method, which squares the error at each step; more steps do not help
 LARGEST_STEP = 0.5  # rad, m
 STEP_END = 1e-13  # of the readings, rad, m
-GOOD = 1e-9  # rad, m: an inverse that leaves more is none
+GOOD = 1e-9  # rad, m: largest error of a valid inverse
 
 
 @dataclass(frozen=True, eq=False)
 class LawAt:
-    """The law at given params (p,) and readings q (j, n); what is asked for is computed once."""
+    """The law at given params (p,) and readings q (j, n); each result is computed once, on demand."""
 
     law: JointLaw
     params: Floats
@@ -61,7 +62,7 @@ class LawAt:
 
     @cached_property
     def by_joints(self) -> Floats:
-        """∂θ/∂q: its diagonal, (j, n) or (j, 1), where the joints do not depend on each other, else (j, j, n)."""
+        """∂θ/∂q: its diagonal, (j, n) or (j, 1), if the joints do not depend on each other, otherwise (j, j, n)."""
         parts = [term.by_joints(self.params, self.q) for term in self.law.moving]
         if len(parts) > 1 and any(part.ndim == 3 for part in parts):
             parts = [part if part.ndim == 3 else part[:, None] * np.eye(len(part))[..., None] for part in parts]
@@ -69,7 +70,7 @@ class LawAt:
 
     @cached_property
     def by_parameters(self) -> Floats:
-        """(m, n) ∂θ/∂parameter of the law's ``columns``, joint by joint."""
+        """∂θ/∂parameter (m, n) of the law's ``columns``, joint by joint."""
         terms = self.law.varying
         if not terms:
             return np.zeros((0, self.q.shape[1]))
@@ -79,7 +80,7 @@ class LawAt:
 
 
 class JointLaw:
-    """The terms that a chain has parameters of; offset and gain always."""
+    """The terms that a chain has parameters of; always includes offset and gain."""
 
     def __init__(self, chain: Chain) -> None:
         used = {parameter.term for parameter in chain.parameters}
@@ -88,7 +89,7 @@ class JointLaw:
         further = (term.of_chain(chain) for term in TERMS if term not in (Offset, Gain) and term.name in used)
         self.terms: tuple[Term, ...] = (self.offset, self.gain, *further)
         self.affine = all(term.affine for term in self.terms)
-        # parameters of ∂θ/∂parameter = 1, and of one that varies: (parameter, joint) and by joint
+        # parameters with ∂θ/∂parameter = 1, and those where it varies: (parameter, joint) and by joint
         self.constant = tuple(
             pair
             for term in self.terms
@@ -106,22 +107,22 @@ class JointLaw:
         self.of_column = parameters
 
     def at(self, params: Floats, q: Floats) -> LawAt:
-        """The law at params (p,) and readings q (j, n)."""
+        """Return the law at params (p,) and readings q (j, n)."""
         return LawAt(self, params, q)
 
     def angles(self, params: Floats, q: Floats) -> Floats:
-        """(…, j) true angles or positions at readings q (…, j) [rad or m]."""
+        """Return true angles or positions (…, j) at readings q (…, j) [rad or m]."""
         return self.at(params, flat(q)).angles.T.reshape(q.shape)
 
     def by_joints(self, params: Floats, q: Floats) -> Floats:
-        """(…, j, j) ∂θ/∂q"""
+        """Return ∂θ/∂q (…, j, j)."""
         jac = self.at(params, flat(q)).by_joints
         full = jac if jac.ndim == 3 else jac[:, None] * np.eye(len(jac))[..., None]
         full = np.broadcast_to(full, (*full.shape[:2], math.prod(q.shape[:-1])))
         return np.moveaxis(full, -1, 0).reshape(*q.shape, q.shape[-1])
 
     def by_parameters(self, params: Floats, q: Floats) -> Floats:
-        """(…, j, p) ∂θ/∂params"""
+        """Return ∂θ/∂params (…, j, p)."""
         rows = self.at(params, flat(q)).by_parameters
         out = np.zeros((*q.shape, self.n_parameters), dtype=np.result_type(rows, params))
         for joint, columns in enumerate(self.columns):
@@ -132,10 +133,10 @@ class JointLaw:
         return out
 
     def readings(self, params: Floats, angles: Floats, near: Floats | None = None) -> Floats:
-        """The inverse: readings (…, j) at which the joints' true angles are ``angles`` (…, j).
+        """Return the inverse: readings (…, j) at which the joints' true angles are ``angles`` (…, j).
 
-        Offset and gain are inverted in closed form; from there, or from readings ``near`` (…, j), further terms by Newton's
-        method. NaN where it does not end.
+        Offset and gain are inverted in closed form. Starting from there, or from readings ``near`` (…, j), further
+        terms are inverted by Newton's method. NaN where it does not converge.
         """
         wanted = flat(angles)
         with np.errstate(all="ignore"):
@@ -159,16 +160,16 @@ class JointLaw:
 
 
 def flat(q: Floats) -> Floats:
-    """Joint readings (…, j) as (j, n)."""
+    """Return joint readings (…, j) as (j, n)."""
     return q.reshape(math.prod(q.shape[:-1]), q.shape[-1]).T
 
 
 def _solved(jac: Floats, error: Floats) -> Floats:
-    """(j, n) jac⁻¹·error; of a singular one by the pseudo-inverse."""
+    """Return jac⁻¹·error (j, n), using the pseudo-inverse of a singular jac."""
     if jac.ndim == 2:
         return np.asarray(error / jac)
     square, right = np.moveaxis(jac, -1, 0), error.T[..., None]
-    square = np.where(np.isfinite(square), square, 0.0)  # a lost pose must not spoil the others
+    square = np.where(np.isfinite(square), square, 0.0)  # a failed pose must not affect the others
     try:
         step = np.linalg.solve(square, right)
     except np.linalg.LinAlgError:

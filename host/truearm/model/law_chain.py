@@ -1,8 +1,8 @@
-"""A chain with error curves and sag: what an identification adds to a robot's joint laws.
+"""A chain with error curves and sag: the joint laws that an identification adds to a robot.
 
-The robot file describes the geometry. A law is described by what follows here, small enough to stand in a result file:
-for each curve its knots, for each sag its unit masses. ``with_laws`` makes the chain's further parameters of it, behind
-all others, neutral until they are identified.
+The robot file describes the geometry. The laws are described by the data in this module, small enough for a result
+file: the knots of each curve and the unit masses of each sag. ``with_laws`` turns these into further parameters of the
+chain, after all others and neutral until they are identified.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from truearm.model.joint_terms.sag import Sag
 from truearm.model.robot import Robot
 from truearm.types import CurveKnots, Law, SagMasses
 
-DOWN = (0.0, 0.0, -1.0)  # gravity in the base frame, where nobody said otherwise
+DOWN = (0.0, 0.0, -1.0)  # default direction of gravity in the base frame
 
 
 def with_laws(chain: Chain, laws: Sequence[Law]) -> Chain:
-    """Return the chain with the parameters of these laws behind its own."""
+    """Return the chain with the parameters of these laws after its own."""
     more = tuple(parameter for law in laws for parameter in _parameters(chain, law))
     return replace(chain, parameters=(*chain.parameters, *more))
 
 
 def robot_with_laws(robot: Robot, laws: Sequence[Law]) -> Robot:
-    """Return the robot with the parameters of these laws, neutral in all its sets and held: only evidence may fit them."""
+    """Return the robot with the parameters of these laws, neutral in all its sets and fixed: only evidence may fit them."""
     if not laws:
         return robot
     chain = with_laws(robot.chain, laws)
@@ -55,7 +55,7 @@ def _parameters(chain: Chain, law: Law) -> list[Parameter]:
 
 
 def distal_frames(chain: Chain, joint: int) -> tuple[int, ...]:
-    """The frames beyond a joint at whose origins masses are told apart by their torque about it."""
+    """Return the frames beyond a joint at whose origins masses are distinguishable by their torque about it."""
     motions = len(chain.joints)
     every = replace(
         chain,
@@ -64,7 +64,7 @@ def distal_frames(chain: Chain, joint: int) -> tuple[int, ...]:
     rng = np.random.default_rng(0)
     q = rng.uniform(-np.pi, np.pi, (motions, 64))
     sag = Sag.of_chain(every)
-    # the torque must not depend on gravity's direction being unlucky: about three of them
+    # about three directions of gravity, so that none is unlucky for the torque
     kept: list[int] = []
     rows: list[np.ndarray] = []
     for k, frame in enumerate(range(joint + 1, motions + 1)):

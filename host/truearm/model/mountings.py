@@ -1,14 +1,15 @@
-"""A robot and what it is bolted to, told apart: the gauge in which a calibration leaves the rig it was measured with.
+"""Separation of a robot from its mountings: the gauge of a calibration, which depends on the rig it was measured with.
 
-A calibration lies between the frames of its rig: T_i(q) leads from the base frame (the chuck fixture, say) to the end
-frame (the sphere fixture). What precedes the first joint and what follows the last is rigid, so its errors cannot be
-told from the errors of how the robot and the tool were bolted on. Both are taken for mountings:
+A calibration relates the frames of its rig: T_i(q) is the pose of the end frame (such as the sphere fixture) in the
+base frame (such as the chuck fixture). The transforms before the first joint and after the last are rigid, so their
+errors are indistinguishable from errors in mounting the robot and the tool. Both are treated as mountings:
 
     T_i(q) = B · R(q) · E ,
 
-where R(q) leads from the robot's own base frame to its own flange frame, which lie to the first and the last joint as the
-nominal robot says. With L_0 and L_j the constants before the first and after the last joint (offsets of these joints
-included), identified (i) and nominal (n): B = L_0i · L_0n⁻¹ and E = L_jn⁻¹ · L_ji. This is exact for every q.
+where R(q) is the pose of the robot's own flange frame in its own base frame. Relative to the first and the last joint,
+these two frames are where the nominal robot has them. With L_0 and L_j the constants before the first and after the
+last joint (including the offsets of these joints), identified (i) and nominal (n): B = L_0i · L_0n⁻¹ and E = L_jn⁻¹ ·
+L_ji. This is exact for every q.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from truearm.types import Floats
 
 
 class Mountings(NamedTuple):
-    """Rigid motions (4, 4): of the robot's base in the base frame, of the end frame in the robot's flange."""
+    """Rigid motions (4, 4): of the robot's base in the base frame, and of the end frame in the robot's flange frame."""
 
     base: Floats
     tool: Floats
@@ -35,7 +36,7 @@ NONE = Mountings(np.eye(4), np.eye(4))
 
 
 def mountings(chain: Chain, nominal: Floats, identified: Floats) -> Mountings:
-    """What of the identified parameters (p,) is mounting, the nominal ones (p,) having none."""
+    """Return the mountings in the identified parameters (p,), relative to the nominal ones (p,), which have none."""
     first, last = chain.motions[0], chain.motions[-1]
     turned = chain.law.offset.of(identified) - chain.law.offset.of(nominal)
     links_n, links_i = link_transforms(chain, nominal), link_transforms(chain, identified)
@@ -45,7 +46,7 @@ def mountings(chain: Chain, nominal: Floats, identified: Floats) -> Mountings:
 
 
 def own_links(chain: Chain, nominal: Floats, identified: Floats) -> Floats:
-    """Links (j + 1, 4, 4) of R(q): the identified ones without the mountings."""
+    """Return the links (j + 1, 4, 4) of R(q): the identified ones without the mountings."""
     links = link_transforms(chain, identified)
     ends = link_transforms(chain, nominal)
     links[0], links[-1] = ends[0], ends[-1]
@@ -53,7 +54,7 @@ def own_links(chain: Chain, nominal: Floats, identified: Floats) -> Floats:
 
 
 def own_law(chain: Chain, nominal: Floats, identified: Floats) -> Floats:
-    """Parameters (p,) whose joint law is that of R(q): the identified ones, but for the offsets that are mountings."""
+    """Return parameters (p,) with the joint law of R(q): the identified ones, except for offsets that are mountings."""
     offset, out = chain.law.offset, identified.copy()
     at_ends = offset.parameters[np.isin(offset.joints, (0, len(chain.joints) - 1))]
     out[at_ends] = nominal[at_ends]

@@ -1,7 +1,8 @@
-"""Poses (…, 4, 4): how far apart they are, and how one is moved by a difference.
+"""Poses (…, 4, 4): differences between poses, and poses moved by a difference.
 
-A difference is (…, 6): position [m], then a rotation vector [rad], both in base axes: ``goal = moved(here, apart(goal,
-here))``, that is R_goal = exp(w)·R_here. Angles of successive turns must not be added; rotation vectors compose so.
+A difference is (…, 6): position [m], then a rotation vector [rad], both in base axes. ``goal = moved(here, apart(goal,
+here))``, that is R_goal = exp(w)·R_here. Angles of successive rotations must not be added; rotation vectors compose in
+this way.
 """
 
 from __future__ import annotations
@@ -13,13 +14,13 @@ from truearm.types import Floats
 
 
 def apart(goal: Floats, here: Floats) -> Floats:
-    """(n, 6) what leads from poses ``here`` to ``goal`` (n, 4, 4)."""
+    """Return the differences (n, 6) from poses ``here`` to ``goal`` (n, 4, 4)."""
     turn = Rotation.from_matrix(goal[:, :3, :3] @ here[:, :3, :3].swapaxes(-1, -2)).as_rotvec()
     return np.concatenate([goal[:, :3, 3] - here[:, :3, 3], turn], axis=-1)
 
 
 def moved(here: Floats, by: Floats) -> Floats:
-    """Poses (n, 4, 4) moved by differences (n, 6) in base axes."""
+    """Return poses (n, 4, 4) moved by differences (n, 6) in base axes."""
     out = here.copy()
     out[:, :3, :3] = Rotation.from_rotvec(by[:, 3:]).as_matrix() @ here[:, :3, :3]
     out[:, :3, 3] += by[:, :3]
@@ -27,7 +28,7 @@ def moved(here: Floats, by: Floats) -> Floats:
 
 
 def pose_of(xyz: Floats, rotation: Floats) -> Floats:
-    """Poses (n, 4, 4) at xyz (n, 3) turned by rotation vectors (n, 3)."""
+    """Return poses (n, 4, 4) at xyz (n, 3), rotated by rotation vectors (n, 3)."""
     out = np.tile(np.eye(4), (len(xyz), 1, 1))
     out[:, :3, :3] = Rotation.from_rotvec(rotation).as_matrix()
     out[:, :3, 3] = xyz
@@ -35,12 +36,12 @@ def pose_of(xyz: Floats, rotation: Floats) -> Floats:
 
 
 def position_and_rotation(pose: Floats) -> Floats:
-    """(n, 6) positions and rotation vectors of poses (n, 4, 4): the inverse of ``pose_of``."""
+    """Return positions and rotation vectors (n, 6) of poses (n, 4, 4): the inverse of ``pose_of``."""
     return np.concatenate([pose[:, :3, 3], Rotation.from_matrix(pose[:, :3, :3]).as_rotvec()], axis=1)
 
 
 def inverted(pose: Floats) -> Floats:
-    """The inverse (…, 4, 4) of rigid motions."""
+    """Return the inverse (…, 4, 4) of rigid motions."""
     out = np.zeros_like(pose)
     turned = np.swapaxes(pose[..., :3, :3], -1, -2)
     out[..., :3, :3] = turned
@@ -50,14 +51,14 @@ def inverted(pose: Floats) -> Floats:
 
 
 def six_of(pose: Floats) -> tuple[float, float, float, float, float, float]:
-    """x, y, z, α, β, γ [m, rad] of ``Trans(x, y, z)·Rz(α)·Ry(β)·Rx(γ)``; α, β, γ are a URDF's yaw, pitch, roll.
+    """Return x, y, z, α, β, γ [m, rad] of ``Trans(x, y, z)·Rz(α)·Ry(β)·Rx(γ)``; α, β, γ are a URDF's yaw, pitch, roll.
 
-    At β = ±90° only α ∓ γ is told by the pose; γ is then 0.
+    At β = ±90° the pose determines only α ∓ γ; γ is then 0.
     """
     x, y, z = map(float, pose[:3, 3])
     r = pose[:3, :3]
     across = float(np.hypot(r[0, 0], r[1, 0]))
     beta = float(np.arctan2(-r[2, 0], across))
-    if across < 1e-9:  # of the rounding of cos β, 1e-16; the angle is right to the same 1e-9 either way
+    if across < 1e-9:  # rounding of cos β is 1e-16; the angle is accurate to 1e-9 either way
         return x, y, z, float(np.arctan2(-r[0, 1], r[1, 1])), beta, 0.0
     return x, y, z, float(np.arctan2(r[1, 0], r[0, 0])), beta, float(np.arctan2(r[2, 1], r[2, 2]))

@@ -1,8 +1,8 @@
 """The tables of a robot file: joints, slots and numbers in SI.
 
-A parameter is written as a table of named values, ``{ design = 0.35, held = true }``, a constant that nobody identifies
-as a plain number. Units stand in the keys: ``_m _cm _mm`` for lengths, ``_rad _deg`` for angles, none for a gain. Which keys
-a table has follows from the convention's slots and the terms of the joint law.
+A parameter is written as a table of named values, ``{ design = 0.35, held = true }``, and a constant that is never
+identified as a plain number. Units are part of the keys: ``_m _cm _mm`` for lengths, ``_rad _deg`` for angles, none for
+a gain. The keys of a table depend on the convention's slots and the terms of the joint law.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from truearm.units import suffixes
 MAX_JOINTS = 64
 MAX_TRANSFORMS = 1000
 MAX_NAME = 100  # characters
-LARGEST = {"rad": 1e4, "1": 1e6}  # larger than any arm's; of other units, see UNITS
+LARGEST = {"rad": 1e4, "1": 1e6}  # larger than for any arm; for other units, see UNITS
 KIND = Choice(("revolute", "prismatic"))
 MOTION = Choice(tuple(MOTIONS))
 NAME = Text(
@@ -35,7 +35,7 @@ NAME = Text(
 
 
 class Amount(NamedTuple):
-    """What a file says of one number [SI]: a constant, or a parameter's value in each named set."""
+    """One number of a file [SI]: a constant, or the values of a parameter in each named set."""
 
     constant: float | None
     values: Mapping[str, float] = {}
@@ -52,7 +52,7 @@ class Description(NamedTuple):
 
 @dataclass(frozen=True)
 class AmountValue(ReadOnly):
-    """An Amount; of a ``term`` of the joint law it is a parameter, never a constant."""
+    """An Amount; for a ``term`` of the joint law it is always a parameter, never a constant."""
 
     number: Number
     term: type[Term] | None = None
@@ -84,7 +84,7 @@ class AmountValue(ReadOnly):
 
 
 def robot_number(unit: str) -> Number:
-    """A number of a robot file, in an SI unit."""
+    """Return the schema of a number of a robot file, in an SI unit."""
     return Number(unit, most=LARGEST.get(unit), spelled=tuple(suffixes(unit, ("m", "cm", "mm", "rad", "deg"))))
 
 
@@ -93,7 +93,7 @@ def _amount(name: str, unit: str, *, optional: bool = False) -> Key:
 
 
 def _moving_keys(kind: str) -> tuple[Key, ...]:
-    """What a joint's table has beside its slots: its limits, and the terms of its law that are known of it."""
+    """Return the keys of a joint's table other than its slots: its limits, and the given terms of its law."""
     limit = robot_number(_unit(kind))
     terms = (term for term in joint_law.TERMS if term is not Offset and not term.learned)
     return (
@@ -114,7 +114,10 @@ def _joint(name: str, kind: str, lower: float, upper: float) -> Joint:
 
 
 def read_tables(doc: Mapping[str, Any], head: Sequence[Key]) -> tuple[Mapping[str, Any], Description]:
-    """The values of the ``head`` keys of a parsed robot file, and what its convention's tables say. Raises SchemaError."""
+    """Return the values of the ``head`` keys of a parsed robot file, and the content of its convention's tables.
+
+    Raises SchemaError.
+    """
     with at("convention"):
         convention = Choice(tuple(CONVENTIONS)).parse(doc.get("convention"))
     return CONVENTIONS[convention](doc, head)
@@ -123,7 +126,7 @@ def read_tables(doc: Mapping[str, Any], head: Sequence[Key]) -> tuple[Mapping[st
 def _read_slots(
     doc: Mapping[str, Any], head: Sequence[Key], layout: Callable[[Sequence[Joint]], tuple[Slot, ...]]
 ) -> tuple[Mapping[str, Any], Description]:
-    """A table for each joint, and for each other thing that the convention's slots name."""
+    """Read a table for each joint, and for each other item named by the convention's slots."""
     count = sum(key.startswith("joint") for key in doc)
     _check_count(count)
     kinds = {f"joint{i + 1}": _kind(doc, f"joint{i + 1}") for i in range(count)}
@@ -150,7 +153,7 @@ def _check_count(joints: int) -> None:
 
 
 def _kind(doc: Mapping[str, Any], name: str) -> str:
-    """Of a joint, on which the units in its table depend; a table that is not there is told later."""
+    """Return the kind of a joint, which determines the units in its table; a missing table is reported later."""
     table = doc.get(name)
     if not isinstance(table, dict):
         return str(KIND.options[0])
@@ -159,7 +162,7 @@ def _kind(doc: Mapping[str, Any], name: str) -> str:
 
 
 def _law(slot: Slot, values: Mapping[str, Any]) -> dict[str, Amount]:
-    """What a joint's table has of its law beside the offset; a term that it does not name says nothing."""
+    """Return the terms of a joint's law other than the offset; a missing term is not returned."""
     return {law_name(slot, t.name): values[t.name] for t in joint_law.TERMS if t is not Offset and t.name in values}
 
 
@@ -168,7 +171,7 @@ def _read_sheth_uicker(doc: Mapping[str, Any], head: Sequence[Key]) -> tuple[Map
 
 
 def _rows_of(layout: Layout) -> Callable[[Mapping[str, Any], Sequence[Key]], tuple[Mapping[str, Any], Description]]:
-    """Rows of four constants; ``base``, ``tool`` and the β of a row are there if they are written."""
+    """Return rows of four constants; ``base``, ``tool`` and the β of a row are included if the file has them."""
 
     def read_rows(doc: Mapping[str, Any], head: Sequence[Key]) -> tuple[Mapping[str, Any], Description]:
         def slots(joints: Sequence[Joint]) -> tuple[Slot, ...]:
@@ -182,7 +185,7 @@ def _rows_of(layout: Layout) -> Callable[[Mapping[str, Any], Sequence[Key]], tup
 
 
 class _Transform(NamedTuple):
-    """A ``[[transform]]``: of a joint (with its limits), a parameter with a name, or a constant without."""
+    """A ``[[transform]]``: of a joint (with its limits), a parameter (with a name), or a constant (without one)."""
 
     motion: str
     amount: Amount
@@ -192,7 +195,7 @@ class _Transform(NamedTuple):
 
 
 class _TransformValue(ReadOnly):
-    """Which keys it has depends on its motion, and on whether a joint moves it."""
+    """A transform, with keys that depend on its motion and on whether a joint moves it."""
 
     def parse(self, raw: Any, suffix: str = "") -> _Transform:
         table = as_table(raw)
@@ -213,7 +216,7 @@ class _TransformValue(ReadOnly):
 
 
 def _read_elementary(doc: Mapping[str, Any], head: Sequence[Key]) -> tuple[Mapping[str, Any], Description]:
-    """``[[transform]]`` by ``[[transform]]``."""
+    """Read each ``[[transform]]`` in turn."""
     key = Key("transform", List(_TransformValue(), most=MAX_TRANSFORMS))
     values: dict[str, Any] = Table((*head, key), dict).parse(doc)
     joints: list[Joint] = []

@@ -1,12 +1,12 @@
-"""Rotation vectors, batched and differentiable: how a device's orientation moves with its three parameters.
+"""Rotation vectors, batched and differentiable: a device's orientation as a function of its three parameters.
 
-R = exp([ω]×) turns by |ω| about ω. To first order exp([ω + δω]×) = exp([J_l(ω) δω]×)·exp([ω]×): J_l(ω) turns a change
-of the parameters into a small turn about the base axes, which is what Renders' Δφ (1991, (28)) is. With θ = |ω|
+R = exp([ω]×) is a rotation by |ω| about ω. To first order exp([ω + δω]×) = exp([J_l(ω) δω]×)·exp([ω]×): J_l(ω) maps a
+change of the parameters to a small rotation about the base axes, which is Renders' Δφ (1991, (28)). With θ = |ω|
 
     exp = I + a [ω]× + b [ω]×²     a = sin θ/θ     b = (1 − cos θ)/θ²
     J_l = I + b [ω]× + c [ω]×²     c = (θ − sin θ)/θ³ .
 
-a, b and c are analytic in θ², near 0 they are summed as series; so a complex step passes through unharmed.
+a, b and c are analytic in θ², and near 0 they are summed as series, so complex steps are propagated.
 """
 
 from __future__ import annotations
@@ -22,34 +22,34 @@ SERIES_BELOW = 0.1  # θ²: eight terms leave 0.1⁸/19! ≈ 1e-25; above it θ 
 
 
 def skew(vector: Floats) -> Floats:
-    """[v]× (…, 3, 3) of v (…, 3), so that [v]× w = v × w."""
+    """Return [v]× (…, 3, 3) of v (…, 3), so that [v]× w = v × w."""
     x, y, z = np.moveaxis(np.asarray(vector), -1, 0)
     zero = np.zeros_like(x)
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
 
 
 def rotation(vector: Floats) -> Floats:
-    """exp([ω]×) (…, 3, 3) of rotation vectors (…, 3) [rad]."""
+    """Return exp([ω]×) (…, 3, 3) of rotation vectors (…, 3) [rad]."""
     a, b, _ = _coefficients(vector)
     return _series(vector, a, b)
 
 
 def left_jacobian(vector: Floats) -> Floats:
-    """J_l(ω) (…, 3, 3): the small turn about the base axes per change of the rotation vector (…, 3)."""
+    """Return J_l(ω) (…, 3, 3): the small rotation about the base axes per change of the rotation vector (…, 3)."""
     _, b, c = _coefficients(vector)
     return _series(vector, b, c)
 
 
 def turned(vector: Floats, change: Floats) -> Floats:
-    """The rotation vectors (…, 3) after the small turns that the changes (…, 3) are to first order, |ω| ≤ π."""
+    """Return rotation vectors (…, 3), |ω| ≤ π, after the small rotations J_l(ω)·change, for changes (…, 3)."""
     turn = (left_jacobian(vector) @ change[..., None])[..., 0]
     return rotation_vector(rotation(turn) @ rotation(vector))
 
 
 def rotation_vector(rot: Floats) -> Floats:
-    """ω (…, 3) with exp([ω]×) = rot (…, 3, 3) and |ω| ≤ π.
+    """Return ω (…, 3) with exp([ω]×) = rot (…, 3, 3) and |ω| ≤ π.
 
-    Through the unit quaternion, whose largest component is taken from the diagonal: no angle loses digits.
+    Computed from the unit quaternion, starting with its largest component from the diagonal: no angle loses digits.
     """
     m = np.moveaxis(np.asarray(rot, dtype=float), (-2, -1), (0, 1))
     trace = m[0, 0] + m[1, 1] + m[2, 2]
@@ -72,7 +72,7 @@ def rotation_vector(rot: Floats) -> Floats:
 
 
 def _series(vector: Floats, first: Floats, second: Floats) -> Floats:
-    """I + first [ω]× + second [ω]×², with [ω]×² = ωωᵀ − θ² I."""
+    """Return I + first [ω]× + second [ω]×², with [ω]×² = ωωᵀ − θ² I."""
     vector = np.asarray(vector)
     square = vector[..., :, None] * vector[..., None, :]
     theta2 = (vector * vector).sum(axis=-1)
@@ -81,7 +81,7 @@ def _series(vector: Floats, first: Floats, second: Floats) -> Floats:
 
 
 def _coefficients(vector: Floats) -> tuple[Floats, Floats, Floats]:
-    """a, b and c (…) of the module's docstring."""
+    """Return a, b and c (…) as defined in the module docstring."""
     vector = np.asarray(vector)
     t = (vector * vector).sum(axis=-1)
     near = np.abs(t) < SERIES_BELOW
@@ -93,7 +93,7 @@ def _coefficients(vector: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def _taylor(t: Floats, start: int) -> Any:
-    """Σ (−t)^i / (2i + start)!"""
+    """Return Σ (−t)^i / (2i + start)!"""
     total = 0.0 * t
     for i in reversed(range(8)):
         total = 1.0 / math.factorial(2 * i + start) - t * total

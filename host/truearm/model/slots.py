@@ -1,8 +1,9 @@
-"""A convention is a row of slots: named elementary transforms in the order in which they are multiplied.
+"""Slots: a convention is a sequence of named elementary transforms in the order in which they are multiplied.
 
-Sheth–Uicker, Denavit–Hartenberg, modified Denavit–Hartenberg and transforms listed by hand differ in nothing but this
-row. ``chain_from_slots`` fills it with numbers and makes the one chain of it: a slot with a number becomes a parameter,
-or a constant where it is named as fixed; a joint's slot is its offset, and what else its law has numbers for follows it.
+Sheth–Uicker, Denavit–Hartenberg, modified Denavit–Hartenberg and transforms listed by hand differ only in this
+sequence. ``chain_from_slots`` fills it with numbers and builds the chain. A slot with a number becomes a parameter, or
+a constant if it is listed as fixed. A joint's slot is its offset, followed by the other terms of its law that have
+numbers.
 """
 
 from __future__ import annotations
@@ -31,12 +32,12 @@ class Slot(NamedTuple):
 
 
 def six_slots(table: str) -> tuple[Slot, ...]:
-    """Trans(x, y, z)·Rz(alpha)·Ry(beta)·Rx(gamma), a general transform; alpha is about z, gamma about x."""
+    """Return Trans(x, y, z)·Rz(alpha)·Ry(beta)·Rx(gamma), a general transform; alpha is about z, gamma about x."""
     return tuple(Slot(f"{table}.{key}", motion) for key, motion in SIX)
 
 
 def law_name(slot: Slot, term: str) -> str:
-    """The name of a joint's parameter of a term of its law, beside its offset."""
+    """Return the name of a joint's parameter for a term of its law other than the offset."""
     return f"{slot.name.rpartition('.')[0]}.{term}"
 
 
@@ -49,13 +50,13 @@ def chain_from_slots(
     base_frame: str = "base",
     end_frame: str = "end",
 ) -> Chain:
-    """The chain of the slots.
+    """Return the chain of the slots.
 
-    amounts : a number [SI] for every slot, by name, and for what else of the joints' laws is a parameter; a joint
-        without has gain 1, and no further term.
-    fixed : names of slots that are constants and not parameters.
+    amounts : a number [SI] for every slot, by name, and for each further parameter of the joints' laws; a joint without
+        any has gain 1 and no further term.
+    fixed : names of slots that are constants rather than parameters.
 
-    Raises RobotError for numbers that are missing or not finite, and what ``Chain`` raises.
+    Raises RobotError for numbers that are missing or not finite, and for the same reasons as ``Chain``.
     """
     elements: list[Element] = []
     parameters: list[Parameter] = []

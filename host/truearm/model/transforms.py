@@ -1,4 +1,4 @@
-"""The six elementary motions, as 4×4 transforms and on vectors that lie in columns (3, n)."""
+"""The six elementary motions, as 4×4 transforms and applied to vectors stored in columns (3, n)."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ MOTIONS = ("tx", "ty", "tz", "rx", "ry", "rz")
 
 
 def axis_of(motion: str) -> int:
-    """0, 1, 2 for a motion along or about x, y, z."""
+    """Return 0, 1, 2 for a motion along or about x, y, z."""
     return "xyz".index(motion[1])
 
 
 def elementary(motion: str, amount: Any) -> Floats:
-    """The transform (…, 4, 4) that moves along or turns about one axis by amount (…) [m or rad]."""
+    """Return the transform (…, 4, 4) that moves along or rotates about one axis by amount (…) [m or rad]."""
     amount, axis = np.asarray(amount), axis_of(motion)
     out = np.zeros((*amount.shape, 4, 4), dtype=np.result_type(amount, float))
     for k in range(4):
@@ -34,7 +34,7 @@ def elementary(motion: str, amount: Any) -> Floats:
 
 
 def mixed(axis: NDArray[np.intp], turns: NDArray[np.bool_], amount: Floats) -> Floats:
-    """Transforms (n, 4, 4) along or, where it ``turns``, about each one's axis by amount (n,)."""
+    """Return transforms (n, 4, 4) along each one's axis, or about it where ``turns``, by amount (n,)."""
     out = np.zeros((len(amount), 4, 4), dtype=np.result_type(amount, float))
     out[:, range(4), range(4)] = 1.0
     along, about = np.flatnonzero(~turns), np.flatnonzero(turns)
@@ -47,9 +47,9 @@ def mixed(axis: NDArray[np.intp], turns: NDArray[np.bool_], amount: Floats) -> F
 
 
 def cos_sin(angle: Floats) -> tuple[Floats, Floats]:
-    """Cosine and sine by the tangent of the half angle, right to 3e-16.
+    """Return cosine and sine, computed from the tangent of the half angle, accurate to 3e-16.
 
-    numpy's tan is vectorised where the machine allows it, its sin and cos are not: 3 ns a pair in place of 20.
+    numpy's tan is vectorised where the machine supports it, unlike its sin and cos: 3 ns a pair instead of 20.
     """
     half = np.tan(0.5 * angle)
     square = half * half
@@ -62,7 +62,7 @@ def apply(transform: Floats, points: Floats) -> Floats:
 
 
 def move(motion: str, amount: Floats, cos_sin: tuple[Floats, Floats], points: Floats) -> Floats:
-    """A joint's motion of points (3, n)."""
+    """Apply a joint's motion to points (3, n)."""
     if motion[0] == "r":
         return turn(motion, *cos_sin, points)
     moved = np.array(np.broadcast_to(points, (3, amount.size)), dtype=np.result_type(points, amount))
@@ -82,5 +82,5 @@ def turn(motion: str, cos: Floats, sin: Floats, vectors: Floats) -> Floats:
 
 
 def cross(a: Floats, b: Floats) -> Floats:
-    """a × b for (3, …); numpy's cross moves axes about and takes four times as long."""
+    """Return a × b for (3, …); numpy's cross reorders axes and takes four times as long."""
     return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

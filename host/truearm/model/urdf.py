@@ -1,13 +1,13 @@
-"""URDF chains: the path of joints from a base link to a tip link, six constants a joint origin, two a moving joint.
+"""URDF chains: the path of joints from a base link to a tip link, six constants per joint origin, two per moving joint.
 
 A URDF joint is ``Trans(xyz)·Rz(yaw)·Ry(pitch)·Rx(roll)`` followed by its motion along or about ``axis``. An axis that
-is no coordinate axis is reached by a fixed alignment, ``A·Rz(θ)·A⁻¹`` with ``A = Rz(φ)·Ry(ψ)`` and ``A·e_z = axis``:
-constants that are not parameters. Joint law: θ = offset + gain·q with nominal offset 0 and gain 1.
+is not a coordinate axis is reached by a fixed alignment, ``A·Rz(θ)·A⁻¹`` with ``A = Rz(φ)·Ry(ψ)`` and ``A·e_z = axis``,
+whose constants are not parameters. Joint law: θ = offset + gain·q with nominal offset 0 and gain 1.
 
-Parameters, base to tip: ``<joint>.x .y .z .yaw .pitch .roll`` for every joint of the path, fixed ones too, and
-``<joint>.offset .gain`` for those that move. Joints off the path, mimic joints among them, are ignored.
+Parameters, base to tip: ``<joint>.x .y .z .yaw .pitch .roll`` for every joint of the path, including fixed ones, and
+``<joint>.offset .gain`` for those that move. Joints off the path, including mimic joints, are ignored.
 
-The text may come from a stranger: no document type, no entities, bounded size, finite numbers of a plausible size.
+The text may be untrusted: no document type, no entities, bounded size, finite numbers of a plausible size.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from truearm.model.joint_terms.offset import Offset
 from truearm.text import listed
 from truearm.units import UNITS
 
-MAX_TEXT = 8_000_000  # characters; a large humanoid has some 200,000
+MAX_TEXT = 8_000_000  # characters; a large humanoid has about 200,000
 MAX_JOINTS = 10_000
 MAX_PATH = 64
 MAX_ANGLE_RAD = 1e4
@@ -46,10 +46,11 @@ class _UrdfJoint(NamedTuple):
 
 
 def chain_from_urdf(text: str, base: str | None = None, tip: str | None = None) -> Chain:
-    """The chain from link ``base`` (default: the root) to link ``tip`` (default: the only leaf) of a URDF text.
+    """Return the chain of a URDF text from link ``base`` (default: the root) to link ``tip`` (default: the only leaf).
 
-    Raises RobotError, one line, for text that is not URDF, for loops, unknown links, joints that cannot be modelled,
-    numbers that are not finite or absurd; with several leaves and no tip it lists them.
+    Raises RobotError with a one-line message for text that is not URDF, for loops, unknown links, joints that cannot be
+    modelled, and numbers that are not finite or implausible. With several leaves and no tip, the message lists the
+    leaves.
     """
     root = _parse(text)
     joints = _read_joints(root)
@@ -79,7 +80,7 @@ def _parse(text: str) -> Xml:
 
 
 def _read_joints(root: Xml) -> list[_UrdfJoint]:
-    # Only direct children: <joint> inside <transmission> is another thing.
+    # Only direct children: <joint> inside <transmission> has another meaning.
     nodes = root.findall("joint")
     if len(nodes) > MAX_JOINTS:
         raise RobotError(f"URDF has {len(nodes)} joints, the limit is {MAX_JOINTS}")
@@ -119,7 +120,7 @@ def _read_links(root: Xml, joints: list[_UrdfJoint]) -> set[str]:
 
 
 def _leaves(base: str, joints: list[_UrdfJoint]) -> list[str]:
-    """Links below base (base itself if alone) that are nobody's parent."""
+    """Return the links below base (base itself if alone) that are not the parent of any joint."""
     children: dict[str, list[str]] = {}
     for joint in joints:
         children.setdefault(joint.parent, []).append(joint.child)
@@ -180,7 +181,7 @@ def _origin(joint: _UrdfJoint) -> tuple[float, ...]:
 
 
 def _moving(joint: _UrdfJoint, number: int) -> list[Element]:
-    """The joint's own motion, between alignments where its axis is no coordinate axis."""
+    """Return the joint's own motion, between alignments if its axis is not a coordinate axis."""
     if joint.kind not in MOVING:
         raise RobotError(f"URDF joint {joint.name}: a {joint.kind} joint on the path cannot be modelled")
     if joint.xml.find("mimic") is not None:

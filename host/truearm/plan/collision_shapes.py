@@ -2,7 +2,7 @@
 as a plane.
 
 A capsule is what lies within a radius of a segment; the arm's are those of its robot file, or of ``arm_capsules``. Neighbouring links always touch and
-are not held against each other: of the arm itself only what carries the tool is held against what carries the elbow.
+are not checked against each other: of the arm itself only what carries the tool is checked against what carries the elbow.
 """
 
 from __future__ import annotations

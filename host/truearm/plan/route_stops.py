@@ -54,5 +54,5 @@ def plain(text: str) -> str:
 
 
 def identifier(name: str) -> str:
-    """A name that both languages take, that is no word of theirs, of at most the 32 characters of RAPID."""
+    """A name that both languages take, that is not a word of theirs, of at most the 32 characters of RAPID."""
     return f"truearm_{re.sub(r'[^a-z0-9]+', '_', name.lower()).strip('_')}"[:32].rstrip("_")

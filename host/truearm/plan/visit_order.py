@@ -21,7 +21,7 @@ def short_tour(from_start: Floats, cost: Floats) -> NDArray[np.int64]:
 def untangled(order: NDArray[np.int64], cost: Floats) -> NDArray[np.int64]:
     """The tour after reversing stretches of it as long as that makes it cheaper (2-opt).
 
-    Going always to the nearest point left ends with long moves back to what was passed over; this mends them.
+    Going always to the nearest point left ends with long moves back to what was skipped; this mends them.
     """
     order = order.copy()
     improved = True

@@ -1,4 +1,4 @@
-"""Elements of the box's frames by name, checked; data frames have a reader of their own (session/box_frames.py)."""
+"""Access the elements of the box's frames by name, checked. Data frames have their own reader (session/box_frames.py)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ _NAMES = {kind: names(kind) for kind in (EVENT, HEARTBEAT, IDENT, SYNC_REPLY, RE
 
 
 def fields_of(kind: int, payload: bytes) -> dict[str, Any] | None:
-    """The elements of a frame by name; None where one is missing, of another type than SPEC §4 says, or of no such kind."""
+    """Return the elements of a frame by name.
+
+    None if one is missing or has a type other than in SPEC §4, or if there is no such kind of frame.
+    """
     values = decode(payload) if kind in _NAMES else None
     if values is None:
         return None

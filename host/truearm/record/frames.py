@@ -1,12 +1,12 @@
-"""Bytes in arbitrary pieces → frames and everything else (SPEC §1). Nothing that arrives is lost.
+"""Split bytes that arrive in arbitrary pieces into frames and everything else (SPEC §1). Nothing that arrives is lost.
 
-The stream is cut at the delimiters. A run between two delimiters is a frame when it decodes as COBS, its CRC fits and
-it is an array that begins with a frame type; any other run is console text: a traceback, a frame that was damaged. So is a
-frame of a type that only the host sends: a prompt or a terminal echoes what it is told, and the second element of a
-request is no count of frames.
-That a frame's delimiters may be shared or doubled needs no code: empty runs are dropped.
+The stream is split at the delimiters. A run between two delimiters is a frame if it decodes as COBS, its CRC matches
+and it is an array that begins with a frame type. Any other run is console text, such as a traceback or a damaged frame.
+A frame of a type that only the host sends is also treated as console text: a prompt or a terminal echoes its input, and
+the second element of a request is not a frame count.
+Shared or repeated delimiters need no special handling, because empty runs are dropped.
 
-About 1.5 µs a frame of 200 bytes; a box at 4 kHz sends 310 a second.
+Takes about 1.5 µs per frame of 200 bytes; a box at 4 kHz sends 310 per second.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from cobs import cobs
 
 from truearm_wire.messages import SYNC_REQUEST
 
-MAX_RUN = 4096  # bytes; a longer run is no frame and is handed out in pieces of this size
+MAX_RUN = 4096  # bytes; a longer run is not a frame and is returned in pieces of this size
 _ENCODED_MIN, _ENCODED_MAX = 8, 255  # payload 3 … 250, CRC 4, one byte of stuffing
 _LARGEST_TYPE = 255
 _FROM_HOST = frozenset({SYNC_REQUEST, *range(48, 64)})  # SPEC §6: requests, and commands of any minor version
@@ -26,19 +26,19 @@ _UINT_WIDTH = {0x18: 1, 0x19: 2, 0x1A: 4, 0x1B: 8}
 
 
 class Runs:
-    """The runs of bytes between delimiters, of a stream that comes in arbitrary pieces; memory stays below ``limit``.
+    """The runs of bytes between delimiters in a stream that arrives in arbitrary pieces; memory stays below ``limit``.
 
-    The runs do not depend on how the stream was cut.
+    The runs do not depend on how the stream was split.
     """
 
     def __init__(self, delimiter: bytes, limit: int) -> None:
         self._delimiter = delimiter
         self._limit = limit
         self._rest = b""
-        self._overlong = False  # the run that ``_rest`` belongs to was handed out in part
+        self._overlong = False  # part of the run in ``_rest`` has been returned already
 
     def push(self, data: bytes) -> list[tuple[bool, bytes]]:
-        """``(whole, bytes)`` of every run finished by ``data``; pieces of a run beyond the limit are not whole."""
+        """Return ``(whole, bytes)`` for every run finished by ``data``; pieces of a run beyond the limit are not whole."""
         runs = data.split(self._delimiter)
         runs[0] = self._rest + runs[0]
         self._rest = runs.pop()
@@ -56,7 +56,7 @@ class Runs:
         return found
 
     def flush(self) -> bytes:
-        """What came behind the last delimiter, when no more will come."""
+        """Return what follows the last delimiter when the stream has ended."""
         rest, self._rest, self._overlong = self._rest, b"", False
         return rest
 
@@ -71,7 +71,7 @@ class FrameSplitter:
         self._runs = Runs(b"\0", MAX_RUN)
 
     def push(self, data: bytes) -> list[tuple[bool, bytes]]:
-        """``(True, payload)`` for a frame, ``(False, bytes)`` for a run that is none."""
+        """Return ``(True, payload)`` for each frame and ``(False, bytes)`` for any other run."""
         found: list[tuple[bool, bytes]] = []
         for whole, run in self._runs.push(data):
             payload = payload_of(run) if whole else None
@@ -79,12 +79,12 @@ class FrameSplitter:
         return found
 
     def flush(self) -> bytes:
-        """The bytes behind the last delimiter, when the stream has ended or was cut."""
+        """Return the bytes after the last delimiter when the stream has ended or was cut."""
         return self._runs.flush()
 
 
 def payload_of(run: bytes) -> bytes | None:
-    """The payload of the bytes between two delimiters, None if they are no frame."""
+    """Return the payload of the bytes between two delimiters, None if they are not a frame."""
     if not _ENCODED_MIN <= len(run) <= _ENCODED_MAX:
         return None
     try:
@@ -99,7 +99,7 @@ def payload_of(run: bytes) -> bytes | None:
 
 
 def frame_type(payload: bytes) -> int | None:
-    """The type of a payload, None if it is no array of definite length that begins with a small integer."""
+    """Return the type of a payload, None if it is not an array of definite length that begins with a small integer."""
     at = _behind_array_head(payload)
     if at is None:
         return None
@@ -110,7 +110,7 @@ def frame_type(payload: bytes) -> int | None:
 
 
 def frame_seq(payload: bytes) -> int | None:
-    """The second element of a payload that has a type: the count of the frame on its link."""
+    """Return the second element of a payload that has a type: the frame count of its link."""
     at = _behind_array_head(payload)
     kind = None if at is None else _uint(payload, at)
     seq = None if kind is None else _uint(payload, kind[1])
@@ -124,7 +124,7 @@ def _behind_array_head(payload: bytes) -> int | None:
 
 
 def _uint(payload: bytes, at: int) -> tuple[int, int] | None:
-    """An unsigned integer of any width and the offset behind it."""
+    """Return an unsigned integer of any width and the offset after it."""
     if at >= len(payload):
         return None
     first = payload[at]

@@ -1,8 +1,9 @@
-"""Clock exchanges with the box: requests under way, and the ``/sync`` rows that they become.
+"""Clock exchanges with the box: pending requests, and the ``/sync`` rows made from them.
 
-t0 is the host's time before the request was handed over, t3 that of the reply's arrival; the box's t1 and t2 lie
-between them (SPEC §4). A request that is not answered in 2 s becomes a row with nulls; so does one whose answer says that the box held
-it for longer than it was away, which no clock of a box does (the answer itself is kept in ``/box/sync``).
+t0 is the host time before the request was handed over, t3 the arrival of the reply; the box's t1 and t2 lie between
+them (SPEC §4). A request without an answer within 2 s becomes a row with nulls. So does one with an implausible answer,
+in which the box claims to have held the request for longer than the round trip (the answer itself is kept in
+``/box/sync``).
 """
 
 from __future__ import annotations
@@ -13,26 +14,29 @@ from truearm.record.session_writer import SessionWriter
 
 SYNC_TIMEOUT_NS = 2_000_000_000
 _STAMP_US = 2.0  # each stamp is a whole number of microseconds
-_RATE = 1e-3  # ten times what a crystal is off
+_RATE = 1e-3  # ten times the error of a crystal
 
 
 @dataclass
 class Probes:
-    """Exchanges by id: those under way, and what became of the others."""
+    """Exchanges by id: those pending, and the outcome of the others."""
 
     writer: SessionWriter
-    rtt_us: float | None = None  # the shortest exchange, without the box's own part
+    rtt_us: float | None = None  # the shortest exchange, without the time within the box
     sent: int = 0
     unanswered: int = 0
     _pending: dict[int, int] = field(default_factory=dict)  # id: t0
 
     def asked(self, probe: int, t0_ns: int) -> None:
-        """A request went out at ``t0_ns``."""
+        """Note a request sent at ``t0_ns``."""
         self._pending[probe] = t0_ns
         self.sent += 1
 
     def answered(self, probe: int, t1_us: int, t2_us: int, t3_ns: int) -> int | None:
-        """A reply arrived; the time of its request, None for one that is unknown, too late, doubled or not to be believed."""
+        """Note a reply and return the time of its request.
+
+        None if the reply is unknown, too late, doubled or implausible.
+        """
         t0_ns = self._pending.get(probe)
         if t0_ns is None:
             return None
@@ -47,7 +51,7 @@ class Probes:
         return t0_ns
 
     def expire(self, now_ns: int, older_than_ns: int = SYNC_TIMEOUT_NS) -> None:
-        """Give up requests of that age."""
+        """Drop requests older than this."""
         late = [probe for probe, t0_ns in self._pending.items() if now_ns - t0_ns >= older_than_ns]
         for probe in late:
             self.writer.add_json("/sync", now_ns, {"id": probe, "t0_ns": self._pending.pop(probe)})

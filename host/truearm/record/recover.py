@@ -1,7 +1,7 @@
-"""A damaged or unfinished session → a new, complete one with all that is whole of it. The old file is only read.
+"""Copy everything intact from a damaged or unfinished session to a new, complete one. The old file is only read.
 
-Messages keep their time, their bytes and their number within their topic, so that what is missing shows in the new file
-too: as a jump of these numbers, and of those that box and robot count themselves. Nothing is put in its place.
+Messages keep their time, their bytes and their number within their topic. Missing ones therefore show in the new file
+too, as a jump of these numbers and of the counters of box and robot. Nothing is put in their place.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from truearm.session.session_file import Damage, Session
 from truearm.units import NS
 
 _CIRCLE = 2**32
-_WRITERS_OWN = ("session-end", CHANNELS)  # metadata that the writer writes itself
+_WRITERS_OWN = ("session-end", CHANNELS)  # metadata written by the writer itself
 
 
 @dataclass
 class TopicAccount:
-    """Messages of one topic. ``lost`` of them are known to be missing: by their numbers or by what the file's end says.
+    """Messages of one topic. ``lost`` of them are known to be missing, by their numbers or by the end of the file.
 
-    Where a recording was cut off nobody knows what else there was.
+    If a recording was cut off, it is not known what followed.
     """
 
     saved: int = 0
@@ -31,7 +31,7 @@ class TopicAccount:
     _next: int | None = None
 
     def take(self, sequence: int) -> None:
-        """A message with this number is saved. Numbers that do not ascend (other writers' may all be 0) tell nothing."""
+        """Count a recovered message with this number. Numbers that do not ascend (other writers may use 0) are ignored."""
         self.saved += 1
         skipped = (sequence - (self._next or 0)) % _CIRCLE
         if skipped < _CIRCLE // 2:
@@ -41,9 +41,9 @@ class TopicAccount:
 
 @dataclass(frozen=True)
 class Recovered:
-    """What became of a file. ``seconds`` lie between the first and the last message that were saved.
+    """Result of a recovery. ``seconds`` is the time from the first to the last recovered message.
 
-    ``unread_bytes`` are those that stand in no whole record. ``cut_off``: its end is missing.
+    ``unread_bytes`` are not in any complete record. ``cut_off``: the end of the file is missing.
     """
 
     topics: dict[str, TopicAccount]
@@ -55,15 +55,15 @@ class Recovered:
 
 
 def is_whole(session: Session) -> bool:
-    """Whether there is nothing to recover."""
+    """Return whether there is nothing to recover."""
     return not session.truncated and not session.damage
 
 
 def recover(session: Session, out: Path, note: Mapping[str, str]) -> Recovered:
-    """Write ``out``, a complete session, from one that was opened with ``allow_damaged``. ``said`` goes to metadata ``recovered``.
+    """Write ``out``, a complete session, from one that was opened with ``allow_damaged``.
 
-    Raises InputError where ``out`` exists or cannot be made, TruearmError where it cannot be written any more, SessionError
-    where the damaged file changes while it is read.
+    ``said`` goes to metadata ``recovered``. Raises InputError if ``out`` exists or cannot be created, TruearmError if
+    it cannot be written, SessionError if the damaged file changes while it is read.
     """
     topics: dict[str, TopicAccount] = {}
     first_ns, last_ns = 2**64, 0

@@ -1,4 +1,4 @@
-"""A link that comes back after it was lost: opened again and again, in a thread, for a dead address keeps who asks waiting for seconds."""
+"""Reopen a lost link repeatedly in a thread, because an unreachable address can block the caller for seconds."""
 
 from __future__ import annotations
 
@@ -8,17 +8,19 @@ from collections.abc import Callable
 from truearm.errors import InputError, LinkError
 from truearm.record.links import Arrivals, Backlog, Link, backlog_of
 
-PAUSE_S = 0.25  # between attempts; a box that was just plugged in takes about one second to show its port
+PAUSE_S = 0.25  # between attempts; a newly connected box takes about one second to show its port
 
 
 class Reopening:
-    """What ``open_link`` opens, once now and again by ``reopen`` after it was lost. Raises what ``open_link`` raises now."""
+    """Opens a link with ``open_link`` now, and again with ``reopen`` after it was lost. Raises what ``open_link``
+    raises now.
+    """
 
     def __init__(self, open_link: Callable[[], Link]) -> None:
         self._open = open_link
         self._link: Link | None = open_link()
         self._opener: _Opener | None = None
-        self._held_up = 0  # of the links before
+        self._held_up = 0  # of the previous links
         self.name = self._link.name
 
     def read(self, timeout_s: float) -> Arrivals:
@@ -28,7 +30,7 @@ class Reopening:
         return self._opened().write(data)
 
     def reopen(self, timeout_s: float) -> bool:
-        """Whether the link is back, waiting up to ``timeout_s`` for it; the attempts go on meanwhile and between calls."""
+        """Return whether the link is back, waiting up to ``timeout_s``; attempts continue between calls."""
         if self._opener is None:
             self.close()
             self._opener = _Opener(self._open)
@@ -49,7 +51,7 @@ class Reopening:
 
     @property
     def backlog(self) -> Backlog:
-        """What waits to be read of the link that is open; all links' readers together were held up so often."""
+        """Return the backlog of the open link, and how often the readers of all links had to wait."""
         now = Backlog() if self._link is None else backlog_of(self._link)
         return Backlog(now.waiting, now.held_up + self._held_up)
 
@@ -74,7 +76,7 @@ class _Opener:
         return self._link if self._done.wait(timeout_s) else None
 
     def stop(self) -> None:
-        """An attempt that is under way is not waited for: what it opens is closed."""
+        """Stop without waiting for a pending attempt: what it opens is closed."""
         with self._lock:
             self._stopping.set()
             if self._link is not None:

@@ -1,4 +1,4 @@
-"""The correlations of the identified parameters as a picture: which of them the data can hardly tell apart."""
+"""The correlations of the identified parameters as a picture: which of them the data can hardly distinguish."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ GEAR = 1e-3  # rad, of an arm that repeats to some tenths of a millimetre
 class Case(NamedTuple):
     """Mean errors [m] of one identification: of the identification lines before and after every run, of the other line.
 
-    The validation line's device is fitted anew with the robot fixed, before as after.
+    The validation line's device is fitted again with the robot fixed, before as after.
     """
 
     history: tuple[float, ...]

@@ -1,11 +1,12 @@
-"""A box's frames → checked values (protocol/SPEC.md §4, §5): of a batch of messages as columns (hop 4), and one by one.
+"""Decode and check the frames of a box (protocol/SPEC.md §4, §5), singly or as columns of a batch (hop 4).
 
-Of what a box sends nearly all is data, heartbeats and sync replies, whose heads have a fixed layout (protocol/frames.cddl):
-``frames_of()`` reads them in one go. Each test there is the one that is made of a single payload; what fails it is decoded singly. Frames that follow one
-another without anything unusual make a **run**, which is accounted for as a whole; a frame that does not is a run of its own.
+Nearly all frames are data, heartbeats and sync replies, which have a fixed header layout (protocol/frames.cddl).
+``frames_of()`` reads these in one pass. It applies the same tests as for a single payload; a payload that fails them is
+decoded singly. Consecutive frames without anything unusual form a **run**, which is accounted for as a unit. Every
+other frame is a run of its own.
 
-Of single frames: data, clock exchanges, and documents joined from their pages, for the recorder too. Files are strangers': each answer is None where
-something is amiss.
+The functions for single frames decode data, clock exchanges, and documents joined from their pages. The recorder uses
+them too. Files are untrusted: each function returns None if its input is invalid.
 """
 
 from __future__ import annotations
@@ -29,10 +30,10 @@ from truearm_wire.messages import PAGE_BYTES, PAGES_MAX
 TAG_INT32 = 78
 TAG_UINT16 = 69
 MAX_PAYLOAD = 250
-MAX_DEVICE_US = 2**53  # 285 years: beyond it nothing but a damaged or hostile file lies, and ns stay within 63 bits
+MAX_DEVICE_US = 2**53  # 285 years: a later time comes from a damaged or hostile file, and ns still fit 63 bits
 MAX_N0 = 2**62
 _FRAMES_PER_NS = 20_000e-9  # fifty times what the fastest box sends
-_FRAMES_AT_ONCE = 1000  # of a link that delivers late
+_FRAMES_AT_ONCE = 1000  # on a link that delivers late
 
 # A data frame as the box writes it: array(8), type, seq, stream < 24, n0, t0_us, period_ns, tag 78, byte string of 24 … 255.
 _USUAL = struct.Struct(">3sIBBQBQBI3sB")
@@ -40,7 +41,7 @@ _USUAL_MARKS = (b"\x88\x10\x1a", 0x1B, 0x1B, 0x1A, b"\xd8\x4e\x58")
 
 
 class Data(NamedTuple):
-    """A data frame. ``period_ns`` 0: ``offsets_us`` holds uint16, one a sample."""
+    """A data frame. If ``period_ns`` is 0, ``offsets_us`` holds one uint16 per sample."""
 
     seq: int
     stream: int
@@ -53,9 +54,10 @@ class Data(NamedTuple):
 
 
 def usual_data(payload: bytes) -> Data | None:
-    """A data frame of the usual layout, without a CBOR decoder: nine of ten frames are such, 0.8 µs instead of 1.8 µs.
+    """Decode a data frame of the usual layout without a CBOR decoder.
 
-    None for all others, which ``decode`` and ``data_of`` then judge; the answer is the same (a test holds it).
+    Nine out of ten frames have this layout; decoding takes 0.8 µs instead of 1.8 µs. Returns None for all others, which
+    ``decode`` and ``data_of`` then check. Both ways give the same result (there is a test for it).
     """
     if len(payload) < _USUAL.size + 1 or len(payload) > MAX_PAYLOAD:
         return None
@@ -68,12 +70,12 @@ def usual_data(payload: bytes) -> Data | None:
 
 
 def data_frame(payload: bytes) -> Data | None:
-    """A data frame of any layout; None if it is not one."""
+    """Decode a data frame of any layout; None if it is not a data frame."""
     return usual_data(payload) or (None if (frame := decode(payload)) is None else data_of(frame))
 
 
 def decode(payload: bytes) -> list[Any] | None:
-    """The elements of a payload; None if it is not [type, seq, …]."""
+    """Return the elements of a payload; None if it is not [type, seq, …]."""
     if len(payload) > MAX_PAYLOAD:
         return None
     try:
@@ -86,7 +88,7 @@ def decode(payload: bytes) -> list[Any] | None:
 
 
 def data_of(frame: list[Any]) -> Data | None:
-    """A decoded data frame, checked."""
+    """Check a decoded data frame and return it; None if it is invalid."""
     if len(frame) < 8:
         return None
     _, seq, stream, n0, t0_us, timing, samples, flags = frame[:8]
@@ -102,7 +104,10 @@ def data_of(frame: list[Any]) -> Data | None:
 
 
 def too_many(lost: int, elapsed_ns: int) -> bool:
-    """Whether more frames would be lost than any link carries in the host's time between two of them: the count is not to be believed."""
+    """Return whether more frames would be lost than any link can carry in the host time between two frames.
+
+    If so, the count cannot be trusted.
+    """
     return lost > _FRAMES_AT_ONCE + _FRAMES_PER_NS * max(0, elapsed_ns)
 
 
@@ -112,11 +117,11 @@ def _is_array(value: object, tag: int) -> bool:
 
 MAX_HOST_NS = 2**62
 
-_TIME_AT = {wire.DATA: 4, wire.HEARTBEAT: 3, wire.SYNC_REPLY: 3}  # where a frame has its device time
+_TIME_AT = {wire.DATA: 4, wire.HEARTBEAT: 3, wire.SYNC_REPLY: 3}  # index of the device time in a frame
 
 
 class Exchange(NamedTuple):
-    """An answered clock request: host before write, device received, device sent, host arrival."""
+    """An answered clock request: times of host write, device receive, device send and host arrival."""
 
     t0_ns: int
     t1_us: int
@@ -125,7 +130,7 @@ class Exchange(NamedTuple):
 
 
 def is_text(data: bytes) -> bool:
-    """Whether bytes are text that a program printed rather than a damaged frame."""
+    """Return whether the bytes are text printed by a program rather than a damaged frame."""
     try:
         text = data.decode()
     except UnicodeDecodeError:
@@ -134,7 +139,7 @@ def is_text(data: bytes) -> bool:
 
 
 def parse_exchange(data: bytes) -> Exchange | None:
-    """A ``/sync`` message; None if it was not answered (or is no such message, which answers nothing either)."""
+    """Parse a ``/sync`` message; None if the request was not answered or the message is invalid."""
     try:
         return _exchange(json.loads(data))
     except (ValueError, RecursionError):
@@ -142,7 +147,7 @@ def parse_exchange(data: bytes) -> Exchange | None:
 
 
 def parse_exchanges(lines: list[bytes]) -> list[Exchange | None]:
-    """What ``parse_exchange`` makes of each of several messages."""
+    """Apply ``parse_exchange`` to each of several messages."""
     try:
         documents = json.loads(b"[" + b",".join(lines) + b"]")
     except (ValueError, RecursionError):
@@ -161,12 +166,15 @@ def _exchange(document: Any) -> Exchange | None:
 
 
 def is_echo(frame: list[Any]) -> bool:
-    """Whether a frame is of a type that only a host sends (SPEC §6)."""
+    """Return whether a frame has a type that only a host sends (SPEC §6)."""
     return bool(frame[0] == wire.SYNC_REQUEST or 48 <= frame[0] < 64)
 
 
 def device_time(frame: list[Any]) -> tuple[int, int] | None:
-    """The kind of device time (a stream's id, or a negative number) and its value, of a frame that has one."""
+    """Return the kind of device time in a frame (a stream id, or a negative number) and its value.
+
+    None if the frame has no device time.
+    """
     kind = frame[0]
     if kind not in _TIME_AT or len(frame) <= _TIME_AT[kind]:
         return None
@@ -179,20 +187,20 @@ def device_time(frame: list[Any]) -> tuple[int, int] | None:
 
 
 def is_boot(frame: list[Any]) -> bool:
-    """Whether a frame is the first page of the ident that a box sends unasked at boot (SPEC §5: req_id 0)."""
+    """Return whether a frame is the first page of the ident that a box sends unprompted at boot (SPEC §5: req_id 0)."""
     return frame[0] == wire.IDENT and frame[2:4] == [0, 0]
 
 
 def boot_id(frame: list[Any]) -> int | None:
-    """The boot that a heartbeat is of; None for other frames."""
+    """Return the boot id of a heartbeat; None for other frames."""
     return frame[2] if frame[0] == wire.HEARTBEAT and len(frame) > 2 and type(frame[2]) is int else None
 
 
 class Pages:
-    """Joins the pages of one document at a time; what it holds is bounded by the specification.
+    """Joins the pages of one document at a time, within the size limits of the specification.
 
-    Page 0 begins a document and drops an unfinished one. A page that repeats an earlier one is ignored, and so is a page
-    of another document; one that contradicts an earlier one, or comes before its turn, drops the document.
+    Page 0 begins a document and discards an unfinished one. Repeated pages and pages of another document are ignored. A
+    page that contradicts an earlier one or arrives out of order discards the document.
     """
 
     def __init__(self) -> None:
@@ -200,7 +208,7 @@ class Pages:
         self._parts: list[bytes] = []
 
     def push(self, req_id: int, page: int, pages: int, data: bytes) -> bytes | None:
-        """The document, if this page completes it."""
+        """Return the document if this page completes it, else None."""
         if not 0 <= page < pages <= PAGES_MAX or len(data) > PAGE_BYTES:
             return None
         if page == 0:
@@ -221,7 +229,7 @@ class Pages:
 
 NO_TIME = -1  # kind of a frame without device time
 NO_BOOT = -1
-CIRCLE = 2**32  # seq counts in it
+CIRCLE = 2**32  # seq wraps here
 
 _DATA = np.dtype(
     {
@@ -249,18 +257,19 @@ _SYNC = np.dtype(
     }
 )
 _HEARTBEAT_VALUES = len(wire.names(wire.HEARTBEAT)) - 1  # without seq
-_HEARTBEAT_NEEDED = wire.needed(wire.HEARTBEAT) - 1  # of a box of any minor version
-_UINT8, _UINT32, _UINT64 = 0x18, 0x1A, 0x1B  # CBOR: an unsigned integer of so many bits follows
-_ID_BYTES = {0x18: 2, 0x19: 3, 0x1A: 5}  # of an unsigned integer that is not below 24
+_HEARTBEAT_NEEDED = wire.needed(wire.HEARTBEAT) - 1  # of a box with any minor version
+_UINT8, _UINT32, _UINT64 = 0x18, 0x1A, 0x1B  # CBOR: an unsigned integer of this many bits follows
+_ID_BYTES = {0x18: 2, 0x19: 3, 0x1A: 5}  # of an unsigned integer of 24 or more
 
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """The frames (f,) of a batch of messages in the order of their arrival, those that are none left out.
+    """The frames (f,) in a batch of messages, in order of arrival; messages that are not frames are left out.
 
-    ``kind`` is that of the device time ``t_us``: a stream's number, minus the type of another frame, NO_TIME without. Of data frames n0,
-    period (0: ``offsets_us`` says when), flags and where the samples stand, else 0. ``single``: the elements of a frame
-    that is neither data nor a usual heartbeat or sync reply; ``heartbeats``: the values of heartbeats without seq.
+    ``kind`` is the kind of the device time ``t_us``: the stream number for data, minus the type for other frames,
+    NO_TIME for frames without a time. n0, period (0: ``offsets_us`` holds the times), flags and the position of the
+    samples are set for data frames and 0 otherwise. ``single`` holds the elements of a frame that is neither data nor a
+    usual heartbeat or sync reply. ``heartbeats`` holds the values of heartbeats without seq.
     """
 
     messages: Messages
@@ -269,7 +278,7 @@ class Frames:
     seq: Ints
     kind: Ints
     t_us: Ints
-    boot_id: Ints  # of a heartbeat, NO_BOOT of others
+    boot_id: Ints  # of a heartbeat; NO_BOOT for other frames
     is_data: NDArray[np.bool_]
     n0: Ints
     period_ns: Ints
@@ -279,8 +288,8 @@ class Frames:
     offsets_us: dict[int, bytes]
     single: dict[int, list[Any]]
     heartbeats: dict[int, list[int]]
-    run_begins: NDArray[np.intp]  # a run ends where the next begins
-    of_kind: dict[int, list[int]]  # the frames that have a time of each kind
+    run_begins: NDArray[np.intp]  # a run ends where the next one begins
+    of_kind: dict[int, list[int]]  # the frames that have a time, by kind
     beats: list[int]  # the frames that are in ``heartbeats``
     malformed: int
 
@@ -288,14 +297,16 @@ class Frames:
         return len(self.row)
 
     def runs(self) -> Iterator[Run]:
-        """The frames run by run."""
+        """Yield the frames run by run."""
         for begin, end in pairwise([*self.run_begins.tolist(), len(self)]):
             yield Run(self, begin, end)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """Frames ``begin`` to ``end`` of a batch, at least one. Without more said, what is asked is asked of the first."""
+    """Frames ``begin`` to ``end`` of a batch, at least one. Properties refer to the first frame unless stated
+    otherwise.
+    """
 
     frames: Frames
     begin: int
@@ -305,46 +316,46 @@ class Run:
         return self.end - self.begin
 
     def first(self, n: int) -> Run:
-        """The first n frames."""
+        """Return the first n frames."""
         return Run(self.frames, self.begin, self.begin + n)
 
     def after(self, head: Run) -> Run:
-        """What comes behind these first frames."""
+        """Return the frames that follow these first ones."""
         return Run(self.frames, head.end, self.end)
 
     @property
     def row(self) -> int:
-        """Which message of the batch it is."""
+        """Index of the message in the batch."""
         return int(self.frames.row[self.begin])
 
     @property
     def seq(self) -> int:
-        """Its number."""
+        """Sequence number."""
         return int(self.frames.seq[self.begin])
 
     @property
     def t_host_ns(self) -> int:
-        """When it arrived."""
+        """Arrival time on the host [ns]."""
         return int(self.frames.t_host_ns[self.begin])
 
     @property
     def last_host_ns(self) -> int:
-        """When the last frame arrived."""
+        """Arrival time of the last frame on the host [ns]."""
         return int(self.frames.t_host_ns[self.end - 1])
 
     @property
     def payload(self) -> bytes:
-        """Its bytes."""
+        """Payload bytes."""
         return self.frames.messages.payload(self.row)
 
     @property
     def is_boot(self) -> bool:
-        """Whether it is the first page of the ident that a box sends unasked at boot."""
+        """Whether the frame is the first page of the ident that a box sends unprompted at boot."""
         elements = self.frames.single.get(self.begin)
         return elements is not None and is_boot(elements)
 
     def times(self) -> list[tuple[int, int, int, int]]:
-        """Of each kind of device time in the run: the kind, the first frame that has one, its time and that of the last."""
+        """Return the kind, the first frame, its time and the last time for each kind of device time in the run."""
         found = []
         for kind, frames in self.frames.of_kind.items():
             first = bisect_left(frames, self.begin)
@@ -355,7 +366,10 @@ class Run:
         return found
 
     def first_heartbeat(self) -> tuple[int, int | None]:
-        """The first heartbeat of the run and its boot id, None without one; all heartbeats of a run have the same."""
+        """Return the first heartbeat of the run and its boot id; None if there is none.
+
+        All heartbeats of a run have the same boot id.
+        """
         alone = self.frames.single.get(self.begin)
         if alone is not None:
             return self.begin, boot_id(alone)
@@ -367,7 +381,7 @@ class Run:
 
 
 def frames_of(messages: Messages) -> Frames:
-    """The frames among messages of a box."""
+    """Return the frames among the messages of a box."""
     rows = messages.rows(lambda topic: topic.startswith("/box/") and topic != "/box/console")
     begin, end = messages.begin[rows], messages.end[rows]
     n, size = len(rows), end - begin
@@ -446,7 +460,7 @@ def frames_of(messages: Messages) -> Frames:
 
 
 def heartbeat_values(elements: list[Any]) -> list[int] | None:
-    """What a heartbeat says after its seq; None where it does not keep to the specification."""
+    """Return the values of a heartbeat after seq; None if they violate the specification."""
     values = elements[2 : 2 + _HEARTBEAT_VALUES]
     if len(values) < _HEARTBEAT_NEEDED or any(type(value) is not int for value in values):
         return None
@@ -454,7 +468,7 @@ def heartbeat_values(elements: list[Any]) -> list[int] | None:
 
 
 def _usual_data(messages: Messages, begin: Ints, end: Ints) -> NDArray[np.bool_]:
-    """Which payloads are data frames of the usual layout (``usual_data``)."""
+    """Return which payloads are data frames of the usual layout (``usual_data``)."""
     head = heads(messages.data, begin, _DATA)
     size = end - begin
     usual = (head["begin"] == 0x88) & (head["type"] == wire.DATA) & (head["mark"] == _UINT32)
@@ -467,7 +481,7 @@ def _usual_data(messages: Messages, begin: Ints, end: Ints) -> NDArray[np.bool_]
 
 
 def _usual_syncs(messages: Messages, begin: Ints, size: Ints) -> tuple[NDArray[np.bool_], Ints, Ints]:
-    """Which payloads are sync replies of the usual layout; seq and t1 [µs] of these."""
+    """Return which payloads are sync replies of the usual layout, with their seq and t1 [µs]."""
     head = heads(messages.data, begin, _SYNC)
     usual = (head["begin"] == 0x85) & (head["type"][:, 0] == _UINT8) & (head["type"][:, 1] == wire.SYNC_REPLY)
     usual &= head["mark"] == _UINT32
@@ -488,7 +502,7 @@ def _usual_syncs(messages: Messages, begin: Ints, size: Ints) -> tuple[NDArray[n
 def _run_begins(
     seq: Ints, t_us: Ints, boot: Ints, of_kind: dict[int, NDArray[np.intp]], single: dict[int, list[Any]]
 ) -> NDArray[np.intp]:
-    """Where a frame does not simply follow the one before it."""
+    """Return where a frame does not simply follow the previous one."""
     if not len(seq):
         return np.empty(0, np.intp)
     cut = np.ones(len(seq) + 1, bool)

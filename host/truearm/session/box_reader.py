@@ -1,11 +1,12 @@
-"""Box messages in the order of their arrival → blocks of samples, clock exchanges and exact losses (hop 4).
+"""Convert box messages in order of arrival to blocks of samples, clock exchanges and exact losses (hop 4).
 
-``FrameOrder`` puts the frames into the order of sending, says what is missing between them and where the box restarted. A new **segment** begins
-there. What comes of a batch of messages are columns: one row a data frame, of one stream, one segment and one ident.
+``FrameOrder`` restores the order of sending and reports missing frames and restarts of the box. Each restart begins a
+new **segment**. A batch of messages becomes columns with one row per data frame of one stream, one segment and one
+ident.
 
-``n0`` counts samples. A jump with frames lost since the stream's last block: the samples went with them; without: the box
-overran. ``n0`` that falls back without a restart is a new ``start``, a new **run**. Device time belongs to a segment;
-samples are whole within a run between blocks marked ``gap``.
+``n0`` counts samples. If it jumps and frames were lost since the stream's last block, the samples were lost with them;
+if no frames were lost, the box overran. If ``n0`` falls back without a restart, a new ``start`` began, and with it a
+new **run**. Device time is valid within a segment. Samples are complete within a run between blocks marked ``gap``.
 """
 
 from __future__ import annotations
@@ -39,10 +40,11 @@ from truearm_wire import messages as wire
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Data frames (b,) of one stream, segment and ident, in the order of sending: ``n`` samples of each channel, from number ``n0`` on.
+    """Data frames (b,) of one stream, segment and ident, in order of sending: ``n`` samples per channel, from number
+    ``n0`` on.
 
-    ``gap``: samples before the block are missing; ``period_ns`` 0: ``offsets_us`` of the block says when its samples were taken.
-    ``at``: with which message of the batch the block came out.
+    ``gap``: samples before the block are missing. If ``period_ns`` is 0, the block's ``offsets_us`` hold the sample
+    times. ``at``: index of the message in the batch that released the block.
     """
 
     segment: int
@@ -66,18 +68,18 @@ class Blocks:
 
     @property
     def first(self) -> Ints:
-        """Where in ``counts`` each block begins."""
+        """Offset of each block in ``counts``."""
         return np.asarray(np.cumsum(self.n) - self.n)
 
     def part(self, begin: int, end: int) -> Blocks:
-        """The blocks from one on, up to another."""
+        """Return the blocks in a range."""
         cut = slice(begin, end)
         columns = ("run", "gap", "n", "n0", "t0_us", "period_ns", "flags", "t_host_ns", "at", "samples_at")
         offsets = {k - begin: value for k, value in self.offsets_us.items() if begin <= k < end}
         return replace(self, **{name: getattr(self, name)[cut] for name in columns}, offsets_us=offsets)
 
     def counts(self) -> NDArray[np.int32]:
-        """All samples as (Σ n, channels)."""
+        """Return all samples as (Σ n, channels)."""
         channels = len(self.stream.channels)
         sizes = np.unique(self.n)
         if len(sizes) == 1:
@@ -96,9 +98,9 @@ class Blocks:
         return np.asarray(window[at]).view("<i4")
 
     def within_ns(self) -> Ints:
-        """How long after its block's first sample each sample was taken [ns].
+        """Return the time from the first sample of its block to each sample [ns].
 
-        Samples are placed by the period as it stands: 13 ms at 1000 ppm are 13 ns.
+        The nominal period is used: 1000 ppm over 13 ms is 13 µs.
         """
         place = np.arange(int(self.n.sum())) - np.repeat(self.first, self.n)
         within = place * np.repeat(self.period_ns, self.n)
@@ -110,15 +112,15 @@ class Blocks:
 
 @dataclass
 class Segment:
-    """One life of the box, from boot to reboot."""
+    """The time of the box from one boot to the next."""
 
     index: int
-    booted: bool = False  # within the session
+    booted: bool = False  # the box booted within the session
     boot_id: int | None = None
     ident: Ident | None = None
     heard: list[Ints] = field(
         default_factory=list
-    )  # (k, 4) each: host before write, device received, sent, host arrival
+    )  # (k, 4) each: times of host write, device receive, device send, host arrival
     output: list[tuple[int, bool]] = field(default_factory=list)  # edges of the trigger output: device time [µs], level
     temperatures: dict[str, list[tuple[int, int]]] = field(
         default_factory=dict
@@ -126,15 +128,15 @@ class Segment:
 
     @property
     def exchanges(self) -> Ints:
-        """The clock exchanges (k, 4): host before write, device received, device sent, host arrival."""
+        """Clock exchanges (k, 4): times of host write, device receive, device send and host arrival."""
         return np.concatenate([np.empty((0, 4), np.int64), *self.heard])
 
 
 class BoxReader:
-    """Takes the box's and the clock's messages batch by batch; see the module's text for the rules.
+    """Processes the messages of the box and the clock batch by batch; see the module docstring for the rules.
 
-    ``ident`` describes the streams where the session itself holds no ident frames before the data. ``keep_exchanges``
-    False leaves the exchanges out (a second pass needs them no more).
+    ``ident`` describes the streams if the session has no ident frames before the data. Set ``keep_exchanges`` to False
+    to leave out the exchanges, which a second pass does not need.
     """
 
     def __init__(self, ident: Ident | None = None, keep_exchanges: bool = True) -> None:
@@ -144,24 +146,24 @@ class BoxReader:
         self._count: Counter[str] = Counter()
         self._order = FrameOrder()
         self._exchanges = _Exchanges()
-        self._aside: list[Ints] = []  # exchanges that came while it was undecided whether the box had restarted
-        self._restarted_at: list[int] = []  # messages of the newest batch with which segments begin
+        self._aside: list[Ints] = []  # exchanges that arrived while it was undecided whether the box had restarted
+        self._restarted_at: list[int] = []  # messages of the newest batch that begin segments
         self._streams: dict[int, StreamTrack] = {}
         self._pages = Pages()
         self._heartbeats = Heartbeats()
         self._placed: list[
             tuple[Placed, int]
-        ] = []  # usual frames that are to be accounted for, and frames lost by then
+        ] = []  # usual frames still to be accounted for, and the frames lost before each
         self._blocks: list[Blocks] = []
         self._batch: Messages | None = None
 
     @property
     def segment(self) -> Segment:
-        """The segment that the last message belongs to."""
+        """The segment of the last message."""
         return self._segment
 
     def feed(self, messages: Messages) -> list[Blocks]:
-        """Account for a batch; the blocks of samples that are due by then. Messages of other topics are ignored."""
+        """Account for a batch and return the blocks of samples that are now due. Messages of other topics are ignored."""
         self._batch = messages
         frames = frames_of(messages)
         self._count["frames_malformed"] += frames.malformed
@@ -181,7 +183,7 @@ class BoxReader:
         return self._accounted()
 
     def finish(self) -> list[Blocks]:
-        """The blocks that were held back for late frames, at the end of the session."""
+        """Return the blocks held back for late frames, at the end of the session."""
         end = 0 if self._batch is None else len(self._batch)
         for placed in self._order.finish(end):
             self._place(placed, None)
@@ -189,12 +191,12 @@ class BoxReader:
         return self._accounted()
 
     def segment_at(self, rows: NDArray[np.intp]) -> Ints:
-        """The segment under way at messages (k,) of the newest batch."""
+        """Return the current segment at messages (k,) of the newest batch."""
         begun = len(self._restarted_at)
         return self._segment.index - begun + np.searchsorted(self._restarted_at, rows, side="right")
 
     def losses(self) -> Losses:
-        """The account so far."""
+        """Return the losses so far."""
         box = self._heartbeats.summary({s.index for s in self.segments if s.booted})
         order = self._order
         count = self._count + Counter(
@@ -206,22 +208,22 @@ class BoxReader:
         return Losses(**known, box=box)
 
     def temperatures(self) -> Mapping[int, Sequence[tuple[int, int]]]:
-        """What the heartbeats of each segment said so far of the box's temperature: device time [µs] and m°C."""
+        """Return the box temperatures from the heartbeats of each segment so far: device time [µs] and m°C."""
         return self._heartbeats.temperatures
 
     def streams(self) -> tuple[StreamReport, ...]:
-        """The streams so far."""
+        """Return the streams so far."""
         return tuple(stream.report(k, self._described(k)) for k, stream in sorted(self._streams.items()))
 
     def _described(self, stream_id: int) -> Stream:
-        """A stream is only counted while an ident describes it, but the last boot may have said none."""
+        """A stream is counted only while an ident describes it, and the last boot may not have sent one."""
         idents = [s.ident for s in self.segments if s.ident is not None and stream_id in s.ident.streams]
         return idents[-1].streams[stream_id]
 
     # ------------------------------------------------------------------------------------------------ frames
 
     def _place(self, placed: Placed, arriving: Run | None) -> None:
-        """Account for frames in their place: usual ones together later, others now."""
+        """Account for frames in their order: usual frames together later, others now."""
         if placed.restarts:
             self._account()
             self._restart(placed.at, arriving)
@@ -292,13 +294,13 @@ class BoxReader:
         return blocks
 
     def _account(self) -> None:
-        """Account for the usual frames that are in their place."""
+        """Account for the usual frames that are in order."""
         waiting, self._placed = self._placed, []
         for _, parts in groupby(waiting, key=lambda part: id(part[0].run.frames)):
             self._account_for(list(parts))
 
     def _account_for(self, parts: list[tuple[Placed, int]]) -> None:
-        """Runs of one batch."""
+        """Account for runs of one batch."""
         frames = parts[0][0].run.frames
         index = np.concatenate([np.arange(placed.run.begin, placed.run.end) for placed, _ in parts])
         n = [len(placed.run) for placed, _ in parts]
@@ -318,7 +320,7 @@ class BoxReader:
                 self._stream(frames, index[mine], lost[mine], at[mine], ident, ident.streams[stream_id])
 
     def _stream(self, frames: Frames, index: Ints, lost: Ints, at: Ints, ident: Ident, stream: Stream) -> None:
-        """The data frames of one stream."""
+        """Account for the data frames of one stream."""
         n, rest = np.divmod(frames.samples_bytes[index], 4 * len(stream.channels))
         period_ns = frames.period_ns[index]
         whole = (rest == 0) & (n > 0)
@@ -391,7 +393,7 @@ class BoxReader:
             self._count.update(console_runs=1, console_bytes=len(data), console_text_runs=int(is_text(data)))
 
     def _hear_until(self, row: int) -> None:
-        """The clock exchanges before a message of the batch belong to the segment under way, if it is known which that is."""
+        """Assign the clock exchanges before a message to the current segment, if that segment is known."""
         exchanges = self._exchanges.before(row)
         if self._order.undecided:
             self._aside.append(exchanges)
@@ -399,7 +401,7 @@ class BoxReader:
             self.segment.heard.append(exchanges)
 
     def _hear_aside(self) -> None:
-        """The exchanges that came while it was undecided whether the box had restarted."""
+        """Assign the exchanges that arrived while it was undecided whether the box had restarted."""
         self.segment.heard += [exchanges for exchanges in self._aside if len(exchanges)]
         self._aside = []
 
@@ -413,7 +415,7 @@ class _Exchanges:
         self._next = 0
 
     def take(self, messages: Messages) -> tuple[int, int]:
-        """How many there are, and how many of them were not answered."""
+        """Return the number of exchanges and how many of them were unanswered."""
         rows = messages.rows(lambda topic: topic == "/sync")
         found = parse_exchanges(messages.payloads(rows))
         answered = np.array([i for i, one in enumerate(found) if one is not None], dtype=np.intp)
@@ -422,6 +424,6 @@ class _Exchanges:
         return len(rows), len(rows) - len(answered)
 
     def before(self, row: int) -> Ints:
-        """The times (k, 4) of those before a message that were not asked for yet."""
+        """Return the times (k, 4) of the exchanges before a message that have not been returned yet."""
         first, self._next = self._next, max(self._next, int(np.searchsorted(self._rows, row)))
         return self._times[first : self._next]

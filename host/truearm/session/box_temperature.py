@@ -1,7 +1,8 @@
-"""How warm the box was while something was measured, by its heartbeats.
+"""Estimate the box's temperature during a measurement from its heartbeats.
 
-The sensor is the microcontroller's own: steps of half a degree, good to some degrees, but it follows the box as that warms up. The mean
-over two minutes smooths the steps; a box changes by less than a step in that time.
+The sensor is the microcontroller's own. It has a resolution of half a degree and an accuracy of a few degrees, but it
+follows the box as the box warms up. Averaging over two minutes smooths the steps; a box changes by less than one step
+in that time.
 """
 
 from __future__ import annotations
@@ -16,18 +17,18 @@ from truearm.session.message_columns import Ints
 from truearm.types import Floats
 from truearm.units import MDEGC
 
-AROUND_NS = 60_000_000_000  # before and after
-COLDEST, WARMEST = -60_000, 200_000  # m°C; anything else is no reading
+AROUND_NS = 60_000_000_000  # on each side
+COLDEST, WARMEST = -60_000, 200_000  # m°C; anything else is not a reading
 
 
 class BoxTemperature(NamedTuple):
-    """Readings (k,) in the order of their host time [ns], in °C."""
+    """Readings (k,) in °C in order of host time [ns]."""
 
     t_host_ns: Ints
     degc: Floats
 
     def at(self, t_host_ns: Ints) -> Floats:
-        """(n,) means of the readings around host times (n,); NaN where there is none."""
+        """Return the means (n,) of the readings around host times (n,); NaN where there are none."""
         first = np.searchsorted(self.t_host_ns, t_host_ns - AROUND_NS)
         last = np.searchsorted(self.t_host_ns, t_host_ns + AROUND_NS, side="right")
         total = np.concatenate([[0.0], np.cumsum(self.degc)])
@@ -35,7 +36,10 @@ class BoxTemperature(NamedTuple):
         return np.where(n > 0, (total[last] - total[first]) / np.maximum(n, 1), np.nan)
 
     def between(self, t_host_ns: Ints) -> Floats:
-        """(n,) readings at host times (n,) by straight lines between neighbours, for a thermometer of fine steps; NaN where none is near."""
+        """Return readings (n,) at host times (n,), interpolated linearly; NaN where no reading is near.
+
+        Meant for a thermometer with fine resolution.
+        """
         if not len(self.degc):
             return np.full(len(t_host_ns), np.nan)
         k = np.clip(np.searchsorted(self.t_host_ns, t_host_ns), 1, max(len(self.degc) - 1, 1))
@@ -48,7 +52,10 @@ class BoxTemperature(NamedTuple):
 def box_temperature(
     heard: Mapping[int, Sequence[tuple[int, int]]], clocks: Mapping[int, DeviceClock]
 ) -> BoxTemperature:
-    """The readings ``heard`` in each segment, device time [µs] and m°C; those of segments without a clock are left out."""
+    """Return the readings ``heard`` in each segment, given as device time [µs] and m°C.
+
+    Readings of segments without a clock are left out.
+    """
     times, degrees = [np.zeros(0, np.int64)], [np.zeros(0)]
     for segment, beats in heard.items():
         readings = [(t_us, mdegc) for t_us, mdegc in beats if COLDEST <= mdegc <= WARMEST]

@@ -1,28 +1,30 @@
-"""Lines between two-sided bounds of one clock's time by another's, in overlapping windows (hop 4).
+"""Fit lines between two-sided bounds on one clock's time as a function of another's, in overlapping windows (hop 4).
 
-A row (t0, t1, t2, t3) says of the host's time h(d) of device time d: h(t1 + 1 µs) ≥ t0 (device time counts whole microseconds, so the
-true instant lies up to one after t1) and h(t2) ≤ t3. Within a window of 60 s the estimate of h is a line, a + (1 + r) d with
-|r| ≤ 1000 ppm, the one with the largest margin to both bounds,
+A row (t0, t1, t2, t3) bounds the host time h(d) at device time d: h(t1 + 1 µs) ≥ t0 and h(t2) ≤ t3. Device time counts
+whole microseconds, so the true instant lies up to one microsecond after t1. Within a window of 60 s the estimate of h
+is a line, a + (1 + r) d with |r| ≤ 1000 ppm. It is the line with the largest margin to both bounds,
 
     max over r of  U(r) − L(r),    U(r) = min(t3 − (1 + r) t2),    L(r) = max(t0 − (1 + r)(t1 + 1 µs)),
 
 with a half-way between. U − L is concave and piecewise linear in r, and it bends only at the slopes of the edges of two
-convex hulls: the optimum follows exactly from a few dozen candidates, without an iteration.
+convex hulls. The optimum therefore follows exactly from a few dozen candidates, without iteration.
 
-The rate h′ is taken to change by no more than DRIFT, 1 ppm a minute. Then h keeps within ½ · DRIFT · x² of its tangent in the
-window's centre, x away from it: 7.5 µs at the ends of 60 s. The tangent therefore is among the lines that keep to
-all bounds when these are widened by as much. Such lines form a convex polygon in (a, r); a window's bound is the farthest
-that any of them is from the estimate, and ½ · DRIFT · x².
+The rate h′ is assumed to change by no more than DRIFT, 1 ppm per minute. Then, at a distance x from the window's
+centre, h stays within ½ · DRIFT · x² of its tangent at the centre: 7.5 µs at the ends of 60 s. The tangent is therefore
+among the lines that satisfy all bounds once these are widened by that amount. Such lines form a convex polygon in (a,
+r). A window's bound is the largest distance of any of them from the estimate, plus ½ · DRIFT · x².
 
-Windows overlap by half. Between the centres of two neighbours their lines are blended linearly, and so are their
-bounds: h has no steps.
+Windows overlap by half. Between the centres of two neighbours, their lines are blended linearly, and so are their
+bounds. Thus h has no steps.
 
-A row that no line can keep to together with the rest, by the widened bounds, is rejected: the least sum of
-violations (a linear program) finds it. If two neighbours or more than a fifth would go, the clock was not steady; the
-window is halved. What stays rejected widens its window's bound by the farthest that it allows, for it may be right.
+A row is rejected if no line can satisfy its widened bounds together with those of the other rows. A linear program
+finds such rows by minimising the sum of violations. If two neighbours or more than a fifth of the rows would be
+rejected, the clock was not steady and the window is halved. A row that remains rejected may still be right, so the
+window's bound is extended to the farthest point that the row allows.
 
-**Hulls.** A line y = offset + rate · x lies under all points exactly if it lies under the corners of their lower hull, of which there
-are a dozen where there are thousands of points. Each further question is then answered exactly by looking at all corners.
+**Hulls.** A line y = offset + rate · x lies under all points exactly if it lies under the corners of their lower hull.
+Thousands of points have about a dozen corners, so each further question can be answered exactly by checking all
+corners.
 """
 
 from __future__ import annotations
@@ -39,19 +41,19 @@ from truearm.types import Floats
 
 
 def lower_hull(x: Floats, y: Floats) -> NDArray[np.intp]:
-    """Indices, by ascending x, of the corners of the lower hull of n ≥ 1 points."""
+    """Return the indices, by ascending x, of the corners of the lower hull of n ≥ 1 points."""
     return lower_hulls(x, y, np.zeros(x.size, dtype=np.intp))
 
 
 def lower_hulls(x: Floats, y: Floats, group: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
-    """Indices, by ascending group and x, of the corners of the lower hull of each group of n ≥ 1 points.
+    """Return the indices, by ascending group and x, of the corners of the lower hull of each group of n ≥ 1 points.
 
-    Quickhull on points sorted by x: below a chord the lowest point is a corner and splits the rest in two slices
-    (Barber, Dobkin, Huhdanpaa, "The quickhull algorithm", 1996). All chords of a level are looked at together.
+    Quickhull on points sorted by x: the lowest point below a chord is a corner and splits the rest into two slices
+    (Barber, Dobkin, Huhdanpaa, "The quickhull algorithm", 1996). All chords of one level are processed together.
     """
     order = np.lexsort((y, x, group))
     xs, groups = x[order], group[order]
-    other = np.flatnonzero((np.diff(groups) != 0) | (np.diff(xs) > 0)) + 1  # of equal x the lowest y
+    other = np.flatnonzero((np.diff(groups) != 0) | (np.diff(xs) > 0)) + 1  # for equal x, the lowest y
     order = order[np.concatenate([[0], other])]
     xs, ys, groups = x[order], y[order], group[order]
     begins = np.concatenate([[0], np.flatnonzero(np.diff(groups)) + 1])
@@ -78,10 +80,11 @@ def lower_hulls(x: Floats, y: Floats, group: NDArray[np.integer[Any]]) -> NDArra
 
 
 def line_under(x: Floats, y: Floats, middle: float) -> tuple[float, float]:
-    """(offset, rate) of the line under all points that is nearest to them on average, where their mean x is ``middle``.
+    """Return (offset, rate) of the line under all points that is nearest to them on average; ``middle`` is their mean
+    x.
 
-    The mean distance of a line under the points is its distance at their mean x: the best one is the hull's edge there.
-    One point: rate 0.
+    The mean distance of a line under the points is its distance at their mean x, so the best line is the edge of the
+    hull there. The rate is 0 for a single point.
     """
     corners = lower_hull(x, y)
     if corners.size == 1:
@@ -90,7 +93,7 @@ def line_under(x: Floats, y: Floats, middle: float) -> tuple[float, float]:
     (x0, x1), (y0, y1) = x[corners[edge : edge + 2]], y[corners[edge : edge + 2]]
     with np.errstate(
         over="ignore", invalid="ignore"
-    ):  # times may differ by next to nothing; the rate is then no number
+    ):  # times may differ by almost nothing; the rate is then not finite
         rate = float((y1 - y0) / (x1 - x0))
         return float(y0 - rate * x0), rate
 
@@ -111,7 +114,7 @@ DRIFT = 1e-6 / 60.0  # 1/s: a rate changes by no more than 1 ppm a minute
 
 
 def slack_ns(from_centre_ns: Floats) -> Floats:
-    """How far [ns] a clock that keeps to DRIFT may be from its tangent in a window's centre."""
+    """Return how far [ns] a clock that satisfies DRIFT may be from its tangent in a window's centre."""
     return 0.5e-9 * DRIFT * np.square(from_centre_ns)
 
 
@@ -125,20 +128,20 @@ class Window:
     rate: float
     margin_ns: float  # to the bounds without slack; negative where the clock bends
     centre_us: int
-    rejected_us: tuple[int, ...]  # t1 of the exchanges that were left out
-    reach_ns: float  # the farthest that these allow; 0 without any
+    rejected_us: tuple[int, ...]  # t1 of the rejected exchanges
+    reach_ns: float  # the farthest that these allow; 0 if there are none
     kept: Ints  # (n, 4) the rows
 
     @cached_property
     def lines(self) -> Floats:
-        """Offset_ns and rate (v, 2) of the corners of all lines that may be the tangent in the centre."""
+        """Return offset_ns and rate (v, 2) of the corners of the set of lines that may be the tangent in the centre."""
         rates, low, high = _widened_candidates(self.kept, self.device_ref_us, self.host_ref_ns, self.centre_us)
-        short = min(0.0, 0.5 * float(np.max(high - low)))  # by no more than rounding, or there were no window
+        short = min(0.0, 0.5 * float(np.max(high - low)))  # at most rounding, otherwise there would be no window
         return _corners(rates, low + short, high - short)
 
     def to_host_ns(self, t_us: Ints) -> tuple[Ints, Floats]:
-        """Host times [ns] of device times (n,) and how far they may be off [ns]."""
-        whole = 1000 * (t_us - self.device_ref_us)  # exact; only what is small becomes a float
+        """Return the host times [ns] of device times (n,) and the bounds of their errors [ns]."""
+        whole = 1000 * (t_us - self.device_ref_us)  # exact; only small values become floats
         dx = whole.astype(np.float64)
         correction = self.offset_ns + self.rate * dx
         others = self.lines[:, :1] + self.lines[:, 1:] * dx
@@ -148,17 +151,17 @@ class Window:
 
 
 def windows_of(sane: Ints, window_us: int = WINDOW_US) -> tuple[Window, ...]:
-    """The lines in overlapping windows that exchanges (n, 4) in order of t1 allow, by ascending centre."""
+    """Return the lines, in overlapping windows, that exchanges (n, 4) in order of t1 allow, by ascending centre."""
     return tuple(_distinct([window for part in _overlapping(sane, window_us) for window in _fit_or_halve(part)]))
 
 
 def _distinct(windows: list[Window]) -> list[Window]:
-    """By ascending centre; halves of neighbours may share one."""
+    """Return the windows by ascending centre without duplicates; halves of neighbours may coincide."""
     return list({window.centre_us: window for window in sorted(windows, key=lambda w: w.centre_us)}.values())
 
 
 def _overlapping(sane: Ints, window_us: int) -> list[Ints]:
-    """The exchanges of each window; windows overlap by half."""
+    """Yield the exchanges of each window; windows overlap by half."""
     if not len(sane):
         return []
     t1 = sane[:, 1]
@@ -171,7 +174,7 @@ def _overlapping(sane: Ints, window_us: int) -> list[Ints]:
 
 
 def _fit_or_halve(part: Ints) -> list[Window]:
-    """The windows of these exchanges: one if a line fits but for single ones, else those of both halves."""
+    """Return one window if a line fits all but isolated exchanges, else the windows of both halves."""
     keep = np.ones(len(part), dtype=bool)
     window = fit_line(part, keep)
     if window is not None:
@@ -187,7 +190,7 @@ def _fit_or_halve(part: Ints) -> list[Window]:
 
 
 class Points(NamedTuple):
-    """What a line must lie above (low) and below (high); y is host − device, both from references."""
+    """Points that a line must lie above (low) and below (high); y is host − device, both relative to references."""
 
     x_low: Floats
     y_low: Floats
@@ -195,7 +198,7 @@ class Points(NamedTuple):
     y_high: Floats
 
     def widened(self, centre: float) -> Points:
-        """The same with what a clock that keeps to DRIFT may be from its tangent at x = centre."""
+        """Return the points widened by how far a clock that satisfies DRIFT may be from its tangent at x = centre."""
         low, high = slack_ns(self.x_low - centre), slack_ns(self.x_high - centre)
         return Points(self.x_low, self.y_low - low, self.x_high, self.y_high + high)
 
@@ -211,7 +214,7 @@ def _centre(part: Ints) -> int:
 
 
 def fit_line(part: Ints, keep: NDArray[np.bool_]) -> Window | None:
-    """The line with the largest margin; None if none keeps to the widened bounds of the exchanges that are kept."""
+    """Return the line with the largest margin; None if no line satisfies the widened bounds of the exchanges kept."""
     if not np.any(keep):
         return None
     used, centre = part if np.all(keep) else part[keep], _centre(part)
@@ -231,23 +234,24 @@ def _widened_candidates(used: Ints, device_ref: int, host_ref: int, centre: int)
 
 
 def _middle(rates: Floats, low: Floats, high: Floats) -> tuple[float, float, float]:
-    """Offset, rate and margin of the line that is farthest from both bounds."""
+    """Return offset, rate and margin of the line that is farthest from both bounds."""
     widest = float(np.max(high - low))
-    # Device stamps are whole ticks, so margins that differ by less tell nothing: the middle of all such rates.
+    # Device stamps are whole ticks, so margins that differ by less carry no information: take the middle of all such
+    # rates.
     best = rates[high - low >= widest - 1000.0 * TICK_US]
     rate = float(0.5 * (best[0] + best[-1]))
     return float(np.interp(rate, rates, 0.5 * (low + high))), rate, 0.5 * widest
 
 
 def _reach(rejected: Points, offset: float, rate: float) -> float:
-    """The farthest from the line that exchanges allow."""
+    """Return the largest distance from the line that exchanges allow."""
     low = rejected.y_low - offset - rate * rejected.x_low
     high = rejected.y_high - offset - rate * rejected.x_high
     return float(np.max(np.abs([low, high]), initial=0.0))
 
 
 def _candidates(points: Points) -> tuple[Floats, Floats, Floats]:
-    """Rates at which U − L can bend, ascending, and L and U there."""
+    """Return the rates at which U − L can bend, ascending, and L and U there."""
     x_low, y_low, x_high, y_high = points
     below, above = lower_hull(x_low, -y_low), lower_hull(x_high, y_high)
     x_low, y_low, x_high, y_high = x_low[below], y_low[below], x_high[above], y_high[above]
@@ -259,7 +263,7 @@ def _candidates(points: Points) -> tuple[Floats, Floats, Floats]:
 
 
 def _corners(rates: Floats, low: Floats, high: Floats) -> Floats:
-    """Corners (offset, rate) of the polygon L ≤ offset ≤ U: both curves where U ≥ L, and where they cross."""
+    """Return the corners (offset, rate) of the polygon L ≤ offset ≤ U: both curves where U ≥ L, and where they cross."""
     gap = high - low
     inside = np.flatnonzero(gap >= 0.0)
     crossings = []
@@ -272,14 +276,14 @@ def _corners(rates: Floats, low: Floats, high: Floats) -> Floats:
 
 
 def consistent(part: Ints) -> NDArray[np.bool_]:
-    """Mask of the exchanges whose widened bounds the line with the least sum of violations keeps to."""
+    """Return a mask of the exchanges satisfied, after widening, by the line with the least sum of violations."""
     from scipy.optimize import linprog  # type: ignore[attr-defined]  # takes 0.1 s, and steady clocks do without
 
     middle = part[len(part) // 2]
     points = _points(part, int(middle[1]), int(middle[0]))
     x_low, y_low, x_high, y_high = points.widened(1e3 * (_centre(part) - int(middle[1])))
     n = len(part)
-    scale = max(1.0, float(np.ptp(x_high)))  # rate · scale is of the size of an offset
+    scale = max(1.0, float(np.ptp(x_high)))  # rate · scale has the magnitude of an offset
     slack = np.tile(-np.eye(n), (2, 1))
     line = np.concatenate([np.stack([-np.ones(n), -x_low / scale], 1), np.stack([np.ones(n), x_high / scale], 1)])
     solution = linprog(
@@ -295,7 +299,7 @@ def consistent(part: Ints) -> NDArray[np.bool_]:
 
 
 class _Lines(NamedTuple):
-    """The lines of windows (k,)."""
+    """The lines of k windows."""
 
     centre_us: Ints
     device_ref_us: Ints
@@ -309,15 +313,15 @@ class _Lines(NamedTuple):
         return cls(*whole.T, *np.array([(w.offset_ns, w.rate) for w in windows]).T)
 
     def host_ns(self, k: NDArray[np.intp], t_us: Ints) -> Ints:
-        """Host times (n,) of device times by the lines k (n,)."""
-        whole = 1000 * (t_us - self.device_ref_us[k])  # exact; only what is small becomes a float
+        """Return the host times (n,) of device times by the lines k (n,)."""
+        whole = 1000 * (t_us - self.device_ref_us[k])  # exact; only small values become floats
         return np.asarray(
             self.host_ref_ns[k] + whole + np.rint(self.offset_ns[k] + self.rate[k] * whole).astype(np.int64)
         )
 
 
 def host_by_lines(windows: Sequence[Window], t_us: Ints) -> Ints:
-    """Host times [ns] by the lines of the two windows about each device time (n,)."""
+    """Return the host times [ns] by the lines of the two windows around each device time (n,)."""
     lines = _Lines.of(windows)
     centre, last = lines.centre_us, len(windows) - 1
     left = np.clip(np.searchsorted(centre, t_us, side="right") - 1, 0, last)
@@ -328,14 +332,14 @@ def host_by_lines(windows: Sequence[Window], t_us: Ints) -> Ints:
 
 
 def disagreements(windows: Sequence[Window]) -> Ints:
-    """What the lines of neighbours differ by half-way between their centres (k − 1,) [ns]."""
+    """Return the differences (k − 1,) [ns] between neighbouring lines half-way between their centres."""
     lines, k = _Lines.of(windows), np.arange(len(windows) - 1)
     halfway = (lines.centre_us[:-1] + lines.centre_us[1:]) // 2
     return lines.host_ns(k, halfway) - lines.host_ns(k + 1, halfway)
 
 
 def blended(windows: Sequence[Window], t_us: Ints) -> tuple[Ints, Floats]:
-    """Host times [ns] by the two windows about each device time (n,), and the bound [ns] that their lines give."""
+    """Return the host times [ns] by the two windows around each device time (n,), and the bound [ns] from their lines."""
     centres = np.array([window.centre_us for window in windows])
     left = np.clip(np.searchsorted(centres, t_us, side="right") - 1, 0, len(centres) - 1)
     host, bound = np.empty(t_us.shape, np.int64), np.empty(t_us.shape)
@@ -356,7 +360,7 @@ def _between(windows: Sequence[Window], k: int, t_us: Ints) -> tuple[Ints, Float
     next_host, next_bound = windows[k + 1].to_host_ns(t_us)
     apart = (next_host - host).astype(np.float64)
     mixed = bound + weight * (next_bound - bound)
-    # Windows that contradict each other or their exchanges: one of them is right, which one is not known.
+    # These windows contradict each other or their exchanges. One of them is right, but it is not known which.
     torn = np.maximum(bound + weight * np.abs(apart), next_bound + (1.0 - weight) * np.abs(apart))
     doubtful = (np.abs(apart) > bound + next_bound) | bool(windows[k].rejected_us or windows[k + 1].rejected_us)
     mixed = np.where(doubtful & (weight > 0.0) & (weight < 1.0), torn, mixed)

@@ -1,42 +1,48 @@
-"""Device time ↔ host time, from the recorded exchanges and while they are recorded (hop 4).
+"""Convert device time to host time, from recorded exchanges or during recording (hop 4).
 
-An exchange says four things: the host wrote at t0, the device had received at t1, it answered at t2, the host had the
-answer at t3. Nothing can arrive before it was sent, whatever the link does meanwhile, so the host's time h(d) of device
-time d keeps to two hard bounds, h(t1 + 1 µs) ≥ t0 and h(t2) ≤ t3.
+An exchange has four times: the host wrote at t0, the device received at t1, it answered at t2, and the host received
+the answer at t3. Nothing can arrive before it was sent, whatever the link does. The host time h(d) at device time d
+therefore has two hard bounds, h(t1 + 1 µs) ≥ t0 and h(t2) ≤ t3.
 
-The **estimate** is the line with the largest margin to all bounds, in windows (``clock_windows``). The **bound** on its error is how far
-what the exchanges nearby allow (``ClockBounds``) reaches to either side of it. It does not rest on the lines, nor on finding where a
-clock stepped: what one needs to assume stands below.
+The **estimate** is the line with the largest margin to all bounds, in windows (``clock_windows``). The **bound** on its
+error is the distance from the estimate to the farthest value on either side that nearby exchanges allow
+(``ClockBounds``). It depends neither on the lines nor on the detection of clock steps; its assumptions are listed
+below.
 
-A clock that steps or is slewed begins a new **stretch** with windows of its own. Between two stretches, and wherever a line leaves what
-the exchanges allow, the estimate is the middle of what they do, and the bound is as wide as that is.
+A clock that steps or is slewed begins a new **stretch** with windows of its own. Between two stretches, and wherever a
+line leaves the range that the exchanges allow, the estimate is the middle of that range and the bound covers it.
 
-The bound contains the half-asymmetry (± half the shortest round trip, and it is never less) that no exchange can show:
-if the way there takes constantly longer than the way back the estimate is off by half the difference, and every
-exchange looks the same.
+The bound includes the half-asymmetry, ± half the shortest round trip, and is never less. No exchange can show the
+asymmetry: if the outward trip takes constantly longer than the return trip, the estimate is off by half the difference
+and every exchange looks the same.
 
-**What exchanges allow** of the host's time at any device time, also where a clock steps or is slewed. An exchange k says l_k ≤ y(x_k) ≤ u_k of y = host − device at device time x_k. Where y′ stays within a known range [lo, hi], each exchange bounds y at
-any other time t as well: above by u_k + ∫hi from x_k to t for t behind it and by u_k − ∫lo from t to x_k before it, below likewise. That is sure only while
-nothing steps, so never more than SPAN consecutive exchanges are asked together: a **window**. At t the answers of all windows that
-touch t (they hold the exchange before t or the one after it) are united. A window allows the intersection of what its exchanges allow; where
-that is empty for any two of them, the clock was not steady in it: it is refuted and not asked.
+**What exchanges allow.** The exchanges limit the host time at any device time, even where a clock steps or is slewed.
+Exchange k states that l_k ≤ y(x_k) ≤ u_k, where y = host − device at device time x_k. If y′ stays within a known range
+[lo, hi], each exchange also bounds y at any other time t. The upper bound is u_k + ∫hi from x_k to t for later t, and
+u_k − ∫lo from t to x_k for earlier t; the lower bound is analogous. This is valid only while nothing steps, so at most
+SPAN consecutive exchanges, a **window**, are used together. At time t, the ranges of all windows that touch t (they
+contain the exchange before t or the one after it) are united. A window allows the intersection of the ranges of its
+exchanges. If that intersection is empty for any two of them, the clock was not steady in the window: the window is
+refuted and not used.
 
-**The range of rates.** y′ lies within WANDER, 30 ppm, of the usual rate, which may change slowly or for good: the median of the slopes over 10 s
-within two minutes about t, which neither steps nor slews that last for less than half of the time can move. Where it does change, the range spans the
-medians of half a minute before and after. To that comes how well exchanges show a rate at all: their round trip over the time that the slopes cover.
-About the first and last SPAN exchanges there are no others on one side, which would show that the rate was another there: the range also holds all
-rates that the outer 10 s allow.
+**The range of rates.** y′ lies within WANDER, 30 ppm, of the usual rate, which may change slowly or permanently. The
+usual rate is the median of the slopes over 10 s within two minutes on each side of t. Steps and slews that last for
+less than half of that time cannot shift it. Where it does change, the range spans the medians of half a minute before
+and after. The range is widened by the uncertainty with which exchanges show a rate: their round trip divided by the
+time that the slopes cover. The first and last SPAN exchanges have neighbours on one side only, so a different rate
+there would go unnoticed. For them the range also includes all rates that the outer 10 s allow.
 
-**What is claimed.** The bound holds at t if
+**Conditions.** The bound holds at t if one of these is true:
 
-1. t lies in a stretch of SPAN exchanges in which the rate is within its range: one of the united windows then lies wholly in it, whatever happened before
-   and after, and whether it shows or not; or
-2. both clocks depart from that only one way about t (a slew): then the windows wholly before t bound y on one side, those wholly behind it on the other; or
-3. some window that touches t is refuted: then only two consecutive exchanges are asked together, and of the rate only that it is below 1000 ppm; and if two of those
-   contradict each other, each by itself.
+1. t lies in a stretch of SPAN exchanges in which the rate is within its range. One of the united windows then lies
+   completely within the stretch, whatever happened before and after, detected or not.
+2. Both clocks depart from that in only one direction around t (a slew). The windows completely before t then bound y on
+   one side, and those completely after t bound it on the other.
+3. Some window that touches t is refuted. Then only two consecutive exchanges are used together, and the rate is only
+   assumed to be below 1000 ppm. If two of those contradict each other, each is used by itself.
 
-What remains is a stretch of fewer than SPAN exchanges, between two steps against each other or between a step and the first or last exchange, that contradicts no other
-exchange, or holds none: nothing can show it.
+The remaining case is a stretch of fewer than SPAN exchanges that contradicts no other exchange, or contains none. It
+lies between two opposite steps, or between a step and the first or last exchange. Nothing can reveal it.
 """
 
 from __future__ import annotations
@@ -65,20 +71,20 @@ from truearm.session.clock_windows import (
 from truearm.types import Floats
 from truearm.units import PPM
 
-# ------------------------------------------------------------------------------------------------- what exchanges allow
+# ------------------------------------------------------------------------------------------------ bounds from exchanges
 
-WANDER = 30e-6  # a clock's rate stays within this of what it usually is
-SPAN = 8  # exchanges asked together
-SLOPE_NS = 10e9  # over which the usual rate is looked at
-USUAL_NS = 120e9  # to both sides of the time that it is for
-BLOCK_NS = 30e9  # for which one usual rate holds
-LEAST_SLOPES = 8  # to both sides, where exchanges are sparse
+WANDER = 30e-6  # a clock's rate stays within this of its usual rate
+SPAN = 8  # exchanges used together
+SLOPE_NS = 10e9  # baseline of the slopes for the usual rate
+USUAL_NS = 120e9  # on each side of the time concerned
+BLOCK_NS = 30e9  # interval with one usual rate
+LEAST_SLOPES = 8  # on each side, where exchanges are sparse
 ROUNDING_NS = 2.0  # two stamps are whole ns
-AT_ONCE = 2048  # times, or windows
+AT_ONCE = 2048  # times or windows processed together
 
 
 class Rates(NamedTuple):
-    """Lowest and highest y′ from each node [ns] to the next, and their integrals up to the nodes [ns]."""
+    """Lowest and highest y′ from each node [ns] to the next, and their integrals up to the nodes."""
 
     node: Floats
     low: Floats
@@ -88,19 +94,19 @@ class Rates(NamedTuple):
 
     @classmethod
     def of(cls, node: Floats, low: Floats, high: Floats) -> Rates:
-        """From rates that hold from each node (b,) on; the first also before."""
+        """Build from rates (b,) that hold from each node on; the first also holds before its node."""
         sums = [np.concatenate([[0.0], np.cumsum(rate[:-1] * np.diff(node))]) for rate in (low, high)]
         return cls(node, low, high, *sums)
 
     def integrals(self, t: Floats) -> tuple[Floats, Floats]:
-        """∫low and ∫high from the first node to times (n,) [ns]."""
+        """Return ∫low and ∫high from the first node to times (n,) [ns]."""
         k = np.maximum(np.searchsorted(self.node, t, side="right") - 1, 0)
         since = t - self.node[k]
         return self.low_sum[k] + self.low[k] * since, self.high_sum[k] + self.high[k] * since
 
 
 def usual_rates(x: Floats, low: Floats, high: Floats) -> Rates:
-    """The range of y′ about what it usually is, of exchanges low ≤ y(x) ≤ high (n,)."""
+    """Return the range of y′ around its usual value, from exchanges low ≤ y(x) ≤ high (n,)."""
     far = np.minimum(np.searchsorted(x, x + min(SLOPE_NS, 0.5 * (x[-1] - x[0]))), x.size - 1)
     near = np.flatnonzero(x[far] > x)
     if not near.size:
@@ -120,7 +126,7 @@ def usual_rates(x: Floats, low: Floats, high: Floats) -> Rates:
 
 
 def _with_ends(x: Floats, low: Floats, high: Floats, rates: Rates) -> Rates:
-    """The rates with all that the outer exchanges allow for the first and last SPAN of them."""
+    """Return the rates, extended by all rates that the outer exchanges allow, for the first and last SPAN exchanges."""
     few = min(SPAN, x.size)
     begin_end, end_begin = x[few - 1], x[-few]
     node = np.unique(np.concatenate([rates.node, [begin_end, end_begin]]))
@@ -138,7 +144,7 @@ def _with_ends(x: Floats, low: Floats, high: Floats, rates: Rates) -> Rates:
 
 
 def _possible_rates(first: tuple[Floats, Floats, Floats], last: tuple[Floats, Floats, Floats]) -> tuple[float, float]:
-    """Least and greatest rate from some exchanges (x, low, high) to others behind them; any where they contradict each other."""
+    """Return the least and greatest rate from some exchanges (x, low, high) to later ones; any rate if they contradict."""
     (x, low, high), (x_last, low_last, high_last) = first, last
     apart = x_last - x[:, None]
     behind = apart > 0.0
@@ -151,7 +157,7 @@ def _possible_rates(first: tuple[Floats, Floats, Floats], last: tuple[Floats, Fl
 
 
 class Cones(NamedTuple):
-    """Bounds (n,) of exchanges, less what y may have changed by since the first node, at most (high) or least (low)."""
+    """Bounds (n,) of exchanges, minus the largest (high) or smallest (low) possible change of y since the first node."""
 
     upper_low: Floats
     upper_high: Floats
@@ -160,38 +166,40 @@ class Cones(NamedTuple):
 
     @classmethod
     def of(cls, x: Floats, low: Floats, answered: Floats, high: Floats, rates: Rates) -> Cones:
-        """Of exchanges low ≤ y(x), y(answered) ≤ high."""
+        """Build from exchanges low ≤ y(x), y(answered) ≤ high."""
         least, most = rates.integrals(x)
         least_there, most_there = rates.integrals(answered)
         high = high + np.maximum(least - least_there, most - most_there)  # at x
         return cls(high - least, high - most, low - least, low - most)
 
     def of_some(self, which: NDArray[np.intp] | slice) -> Cones:
-        """Those of some exchanges."""
+        """Return the bounds of some exchanges."""
         return Cones(*(column[which] for column in self))
 
     def refuted(self) -> NDArray[np.bool_]:
-        """Whether two exchanges (…, m), in order of time along the last axis, leave nothing between them."""
+        """Return whether two of the exchanges (…, m), in order of time along the last axis, contradict each other."""
         risen = np.maximum.accumulate(self.lower_low, axis=-1) > self.upper_low + ROUNDING_NS
         fallen = np.minimum.accumulate(self.upper_high, axis=-1) < self.lower_high - ROUNDING_NS
         return np.asarray(np.any(risen | fallen, axis=-1))
 
 
 class Level(NamedTuple):
-    """What windows of m of the n exchanges allow under a range of rates, in each of the n + 1 gaps before, between and behind them."""
+    """What windows of m of the n exchanges allow under a range of rates, for each of the n + 1 gaps around the
+    exchanges.
+    """
 
     rates: Rates
     cones: Cones
     m: int
-    refuted: NDArray[np.bool_]  # (n − m + 1,) windows by their first exchange
+    refuted: NDArray[np.bool_]  # (n − m + 1,) windows, indexed by their first exchange
     doubtful: NDArray[np.bool_]  # (n + 1,) gaps that a refuted window touches
 
     @classmethod
     def of(cls, cones: Cones, rates: Rates, m: int) -> Level:
-        """The windows of m consecutive exchanges."""
+        """Build from the windows of m consecutive exchanges."""
         windows = Cones(*(sliding_window_view(column, m) for column in cones))
         refuted = np.zeros(len(windows.upper_low), dtype=bool)
-        if m > 1:  # else there is nothing to ask instead
+        if m > 1:  # else there is no narrower level to fall back to
             for first in range(0, len(refuted), AT_ONCE):
                 some = slice(first, first + AT_ONCE)
                 refuted[some] = windows.of_some(some).refuted()
@@ -201,10 +209,10 @@ class Level(NamedTuple):
         return cls(rates, cones, m, refuted, doubtful)
 
     def at(self, t: Floats, gap: NDArray[np.intp]) -> tuple[Floats, Floats]:
-        """Lowest and highest y (k,) [ns] at times (k,) in these gaps.
+        """Return the lowest and highest y (k,) [ns] at times (k,) in these gaps.
 
-        With L and H the integrals at t, y is at most the largest min(upper_before + H, upper_after + L) of the windows that touch the
-        gap, and at least the smallest max(lower_before + L, lower_after + H).
+        With L and H the integrals at t, y is at most the largest min(upper_before + H, upper_after + L) of the windows
+        that touch the gap, and at least the smallest max(lower_before + L, lower_after + H).
         """
         least, most = (integral[:, None] for integral in self.rates.integrals(t))
         gaps, of = np.unique(gap, return_inverse=True)
@@ -212,7 +220,7 @@ class Level(NamedTuple):
         window = gaps[:, None] + np.arange(-m, 1)
         asked = (window >= 0) & (window <= n - m)
         asked &= ~self.refuted[np.clip(window, 0, n - m)]
-        first = max(0, int(gaps[0]) - m)  # no exchange farther away is asked
+        first = max(0, int(gaps[0]) - m)  # exchanges farther away are not used
         cones, gaps = self.cones.of_some(slice(first, int(gaps[-1]) + m)), gaps - first
         upper_before = np.where(asked, _least_before(cones.upper_high, m, gaps), -np.inf)
         upper_after = np.where(asked, _least_after(cones.upper_low, m, gaps), -np.inf)
@@ -224,13 +232,13 @@ class Level(NamedTuple):
 
 
 def _least_before(values: Floats, m: int, gaps: NDArray[np.intp]) -> Floats:
-    """Least (g, m + 1) of the m, m − 1 … 0 values before some gaps (g,)."""
+    """Return the least (g, m + 1) of the m, m − 1 … 0 values before some gaps (g,)."""
     last = sliding_window_view(np.pad(values, m, constant_values=np.inf), m)[gaps, ::-1]
     return np.pad(np.minimum.accumulate(last, axis=1)[:, ::-1], ((0, 0), (0, 1)), constant_values=np.inf)
 
 
 def _least_after(values: Floats, m: int, gaps: NDArray[np.intp]) -> Floats:
-    """Least (g, m + 1) of the 0, 1 … m values behind some gaps (g,)."""
+    """Return the least (g, m + 1) of the 0, 1 … m values after some gaps (g,)."""
     return _least_before(values[::-1], m, values.size - gaps)[:, ::-1]
 
 
@@ -243,16 +251,16 @@ class Change(NamedTuple):
 
 @dataclass(frozen=True)
 class ClockBounds:
-    """Bounds of host time that follow from the exchanges of one segment."""
+    """Bounds of host time from the exchanges of one segment."""
 
     device_ref_us: int
     host_ref_ns: int
     x: Floats  # (n,) ns since device_ref_us, ascending
-    levels: tuple[Level, ...]  # the first is asked, and where it is in doubt the next
+    levels: tuple[Level, ...]  # the first is used; where it is in doubt, the next
 
     @classmethod
     def of(cls, exchanges: Ints) -> ClockBounds:
-        """Of n ≥ 1 exchanges (n, 4) in order of t1."""
+        """Build from n ≥ 1 exchanges (n, 4) in order of t1."""
         t0, t1, t2, t3 = exchanges.T
         device_ref, host_ref = int(t1[0]), int(t0[0])
         received, answered = 1000 * (t1 + TICK_US - device_ref), 1000 * (t2 - device_ref)
@@ -269,7 +277,9 @@ class ClockBounds:
         return cls(device_ref, host_ref, x, levels)
 
     def at(self, t_us: Ints) -> tuple[Ints, Floats, Floats]:
-        """Host times (n,) [ns] by the first exchange and a rate of 1, and how far [ns] the truth is behind them, at least and at most."""
+        """Return the host times (n,) [ns] by the first exchange and a rate of 1, and the range of the true minus these
+        [ns].
+        """
         whole = 1000 * (t_us - self.device_ref_us)
         parts = [self._at(part) for part in np.split(whole.astype(float), range(AT_ONCE, t_us.size, AT_ONCE))]
         low, high = (np.concatenate(column) for column in zip(*parts, strict=True))
@@ -288,13 +298,17 @@ class ClockBounds:
         return low, high
 
     def changes(self) -> tuple[list[Change], NDArray[np.bool_]]:
-        """Where a clock changed, in order, and which exchanges (n,) are wrong: those before and after them go together, but not with them."""
+        """Return where a clock changed, in order, and which exchanges (n,) are wrong.
+
+        A wrong exchange contradicts those before and after it, which agree with each other.
+        """
         level, n, m = self.levels[0], self.x.size, self.levels[0].m
         at = np.flatnonzero(level.refuted)
         found, wrong = list[Change](), np.zeros(n, dtype=bool)
         for run in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if at.size else []:
             first, last = int(run[0]), int(run[-1])
-            # Something happened before the last exchange of the first window, and something after the first of the last.
+            # One change lies before the last exchange of the first window, another after the first exchange of the last
+            # window.
             change = Change(min(last, first + m - 2), max(first + m - 1, last + 1))
             if found and change.before <= found[-1].after:
                 change = Change(found.pop().before, change.after)
@@ -314,12 +328,14 @@ class ClockBounds:
 # ------------------------------------------------------------------------------------------------------------ the clock
 
 HOST_ROUNDING_NS = 1.0  # host times are whole
-MOST_EXCHANGES = 480  # at 4 Hz a window has 240; somebody who probes faster gets a shorter one
+MOST_EXCHANGES = 480  # a window has 240 at 4 Hz; it is shorter if the probe rate is higher
 LEAST_EXCHANGES = 3
 
 
 class Stretch(NamedTuple):
-    """Device times [µs] of the first and last exchange between two changes of a clock, and the lines between, by ascending centre."""
+    """Device times [µs] of the first and last exchange between two clock changes, and the lines between, by ascending
+    centre.
+    """
 
     begin_us: int
     end_us: int
@@ -328,7 +344,7 @@ class Stretch(NamedTuple):
 
 @dataclass(frozen=True)
 class DeviceClock:
-    """The clock of one segment: its steady stretches in order, and what the exchanges allow at any time."""
+    """The clock of one segment: its steady stretches in order, and the range that the exchanges allow at any time."""
 
     segment: int
     stretches: tuple[Stretch, ...]
@@ -337,14 +353,14 @@ class DeviceClock:
 
     @property
     def windows(self) -> tuple[Window, ...]:
-        """The windows of all stretches, by ascending centre."""
+        """Return the windows of all stretches, by ascending centre."""
         return tuple(window for stretch in self.stretches for window in stretch.windows)
 
     def to_host_ns(self, t_us: Ints) -> tuple[Ints, Floats]:
-        """Host times [ns] of device times (n,) [µs] and the bound of each one's error [ns].
+        """Return the host times [ns] of device times (n,) [µs] and the bounds of their errors [ns].
 
-        Beyond the exchanges the outer windows are continued; the bound grows as it must. Between two stretches, and where the exchanges
-        exclude the windows' lines, it is the middle of what they allow.
+        Beyond the exchanges, the outer windows are extrapolated and the bound grows accordingly. Between two stretches,
+        and where the exchanges exclude the windows' lines, the host time is the middle of the allowed range.
         """
         t_us = np.asarray(t_us, dtype=np.int64)
         reference, low, high = self.bounds.at(t_us)
@@ -364,35 +380,35 @@ class ClockChange:
     """A step or slew of one of the clocks."""
 
     device_us: tuple[int, int]  # the exchanges before and after it
-    by_ns: int  # how far the host's time went ahead of the device's
+    by_ns: int  # how far host time advanced relative to device time
 
 
 @dataclass(frozen=True)
 class ClockReport:
-    """How well the clock of one segment is known. Times in ns; those of a single window have no spread (NaN)."""
+    """How well the clock of one segment is known. Times in ns; the spread of a single window is NaN."""
 
     segment: int
     exchanges: int
     rejected: int
     windows: int
     device_us: tuple[int, int]  # first and last exchange
-    offset_ns: int  # host − device in the middle of the segment
+    offset_ns: int  # host − device at the middle of the segment
     rate_ppm: float  # how much faster the host counts than the device, mean
-    rate_range_ppm: float  # largest less smallest of the windows
-    spread_ns: float  # disagreement of neighbouring windows half-way between their centres, RMS over √2
+    rate_range_ppm: float  # largest minus smallest of the windows
+    spread_ns: float  # disagreement of neighbouring windows half-way between their centres, RMS divided by √2
     margin_ns: float  # smallest of the windows
     bound_ns: float  # largest at any exchange
     rtt_min_ns: int
     rtt_median_ns: int
-    half_asymmetry_ns: float  # rtt_min / 2: unobservable, contained in the bound
+    half_asymmetry_ns: float  # rtt_min / 2: unobservable, included in the bound
     changes: tuple[ClockChange, ...]
 
 
 def fit_clock(segment: int, exchanges: Sequence[Exchange] | Ints) -> tuple[DeviceClock, ClockReport] | None:
-    """The clock of one segment and its report; None where no exchange is usable."""
+    """Return the clock of one segment and its report; None if no exchange is usable."""
     every = np.array(exchanges, dtype=np.int64).reshape(-1, 4)
     sane = every[(every[:, 1] <= every[:, 2]) & (every[:, 0] <= every[:, 3])]
-    # It took the host less time than the device, by any clock: a stamp is wrong.
+    # By any clock, the host measured less time than the device: a stamp is wrong.
     sane = sane[_round_trips(sane) >= -1000.0 * TICK_US - RATE_LIMIT * 1000.0 * (sane[:, 2] - sane[:, 1])]
     sane = sane[np.argsort(sane[:, 1], kind="stable")]
     if not len(sane):
@@ -407,7 +423,7 @@ def fit_clock(segment: int, exchanges: Sequence[Exchange] | Ints) -> tuple[Devic
 
 
 def _stretches(sane: Ints, changes: Sequence[Change], wrong: NDArray[np.bool_]) -> tuple[Stretch, ...]:
-    """The windows between the changes, by the exchanges that are not wrong."""
+    """Return the windows between the changes, from the exchanges that are not wrong."""
     firsts = [0, *(change.after for change in changes)]
     ends = [*(change.before + 1 for change in changes), len(sane)]
     found = []
@@ -455,7 +471,7 @@ def _report(clock: DeviceClock, every: Ints, sane: Ints, wrong: NDArray[np.bool_
 
 
 def _change(before: Stretch, after: Stretch) -> ClockChange:
-    """What the lines before and after it differ by in the middle between them."""
+    """Return the difference between the lines before and after the change, half-way between them."""
     middle = np.array([(before.end_us + after.begin_us) // 2])
     (from_ns,), (to_ns,) = (host_by_lines(stretch.windows, middle) for stretch in (before, after))
     return ClockChange((before.end_us, after.begin_us), int(to_ns - from_ns))
@@ -463,26 +479,28 @@ def _change(before: Stretch, after: Stretch) -> ClockChange:
 
 @dataclass(frozen=True)
 class OnlineEstimate:
-    """The clock at the newest exchange that has SPAN others behind it, or the middle one of fewer. Times in ns."""
+    """The clock at the newest exchange with SPAN exchanges after it, or at the middle one of fewer. Times in ns."""
 
     device_us: int
     offset_ns: int  # host − device there
     rate_ppm: float  # how much faster the host counts than the device
     bound_ns: float  # of the offset's error
-    half_asymmetry_ns: float  # half the shortest round trip: no exchange can show it, the bound contains it
+    half_asymmetry_ns: float  # half the shortest round trip: no exchange can show it; included in the bound
     rtt_min_ns: int
     exchanges: int
     rejected: int
 
 
 class OnlineClock:
-    """Takes the exchanges as they come. Device time that steps back is a box that restarted: what was before it is forgotten."""
+    """Processes exchanges as they arrive. If device time steps back, the box restarted and earlier exchanges are
+    dropped.
+    """
 
     def __init__(self) -> None:
         self._window: deque[Exchange] = deque(maxlen=MOST_EXCHANGES)
 
     def add(self, t0_ns: int, t1_us: int, t2_us: int, t3_ns: int) -> None:
-        """One answered exchange: host before writing, device received, device sent, host arrival."""
+        """Add an answered exchange: times of host write, device receive, device send and host arrival."""
         window = self._window
         if window and t1_us < window[-1].t1_us:
             window.clear()
@@ -491,9 +509,9 @@ class OnlineClock:
             window.popleft()
 
     def estimate(self) -> OnlineEstimate | None:
-        """What is known a few exchanges ago; None before the third one, or where none of them can be used.
+        """Return the estimate as of a few exchanges ago; None before the third exchange or if none is usable.
 
-        Of the newest ones themselves nobody knows yet whether a clock stepped.
+        For the newest exchanges it is not yet known whether a clock stepped.
         """
         if len(self._window) < LEAST_EXCHANGES:
             return None

@@ -1,14 +1,15 @@
-"""What the robot said: lines of joint readings → columns → the robot's clock, its inputs, and short bins that dwells are found in (hop 4).
+"""Parse the robot's joint readings: lines → columns, clock, digital inputs, and bins for finding dwells (hop 4).
 
-One reading is a line of JSON (docs/session-format.md), judged alike when recorded (``parse_line()``) and when read (``parse_lines()``). A message of
-``/robot/columns`` holds what ``parse_lines()`` makes of the messages of ``/robot/joints`` before it, since the last such message. It is CBOR: typed
-arrays (RFC 8746) by name, which NumPy takes as they are.
+A reading is a line of JSON (docs/reference/session-format.md), checked in the same way during recording
+(``parse_line()``) and reading (``parse_lines()``). A message on ``/robot/columns`` holds the result of
+``parse_lines()`` for the preceding messages of ``/robot/joints``, since the last such message. It is CBOR: typed arrays
+(RFC 8746) by name, which NumPy uses as they are.
 
-A session may hold ten million readings. Of 50 ms of them only count, mean, extremes and scatter are kept (``JointReader``): 0.25 kB a bin for six joints, 110 MB
-for six hours.
+A session may hold ten million readings. For each 50 ms only count, mean, extremes and scatter are kept
+(``JointReader``). That is 0.25 kB per bin for six joints, 110 MB for six hours.
 
-A reading shows the controller's inputs at its own instant (``InputTrack``). An edge lies between the last reading that shows the old level and the first that
-shows the new one: two controller times, a cycle apart where no reading is missing.
+A reading shows the controller's inputs at its own instant (``InputTrack``). An edge lies between the last reading with
+the old level and the first with the new one: two controller times, one cycle apart if no reading is missing.
 """
 
 from __future__ import annotations
@@ -30,10 +31,10 @@ from truearm.session.message_columns import Messages
 from truearm.session.robot_clock import Arrivals, RobotClock, RobotClockReport, fit_robot_clock
 from truearm.types import Floats
 
-MAX_T_S = 4e9  # ns of such times still fit 63 bits
+MAX_T_S = 4e9  # such times in ns still fit 63 bits
 MAX_SEQ = 2**62
 MAX_JOINTS = 32
-UNNUMBERED = -MAX_SEQ  # seq of a reading that has none
+UNNUMBERED = -MAX_SEQ  # seq of a reading without a number
 
 Joints = Annotated[list[float], msgspec.Meta(min_length=1, max_length=MAX_JOINTS)]
 
@@ -47,7 +48,7 @@ class Reading(NamedTuple):
 
 
 class JointLine(msgspec.Struct, gc=False):
-    """All that a line says; None for what it does not say, or not as docs/session-format.md has it."""
+    """The contents of a line; None for what is missing or does not conform to docs/reference/session-format.md."""
 
     t: Annotated[float, msgspec.Meta(ge=0.0, lt=MAX_T_S)]
     q: Joints
@@ -61,16 +62,17 @@ class JointLine(msgspec.Struct, gc=False):
     runtime_state: float | None = None
 
 
-ARRAYS = ("q_cmd", "qd", "current", "effort")  # a number for each joint
+ARRAYS = ("q_cmd", "qd", "current", "effort")  # one number per joint
 NUMBERS = ("robot_mode", "runtime_state")
 
 _usual_line = msgspec.json.Decoder(JointLine).decode
 
 
 def parse_line(line: bytes) -> JointLine | None:
-    """What a line says, None where it is no reading. About 0.8 µs for six joints.
+    """Parse a line; None if it is not a reading. Takes about 0.8 µs for six joints.
 
-    A reading is an object with ``t`` and ``q``, finite numbers; ``seq`` is a whole number if there. More keys are ignored.
+    A reading is an object with finite numbers ``t`` and ``q``; ``seq`` is an integer if present. Other keys are
+    ignored.
     """
     try:
         found = _usual_line(line)
@@ -82,7 +84,10 @@ def parse_line(line: bytes) -> JointLine | None:
 
 
 def parse_usual(lines: Sequence[bytes]) -> list[JointLine] | None:
-    """What lines say that all are as docs/session-format.md has them, None where one is not: the same as ``parse_line``, for less."""
+    """Parse lines that all conform to docs/reference/session-format.md; None if one does not.
+
+    Gives the same result as ``parse_line`` in less time.
+    """
     try:
         return [_usual_line(line) for line in lines] if all(map(bytes.isascii, lines)) else None
     except (msgspec.MsgspecError, RecursionError):
@@ -90,16 +95,19 @@ def parse_usual(lines: Sequence[bytes]) -> list[JointLine] | None:
 
 
 def parse_reading(line: bytes) -> Reading | None:
-    """Time, number and joints of a line, None where it is no reading: see ``parse_line``."""
+    """Return time, number and joints of a line; None if it is not a reading (see ``parse_line``)."""
     found = parse_line(line)
     return None if found is None else Reading(found.t, None if found.seq == UNNUMBERED else found.seq, found.q)
 
 
 def _unusual_line(line: bytes) -> JointLine | None:
-    """A line that says something that is not as it should be, which it may, but for ``t``, ``q`` and ``seq``: NaN, a word, null."""
+    """Parse a line with invalid values such as NaN, a word or null.
+
+    These are accepted except in ``t``, ``q`` and ``seq``.
+    """
     try:
         row = json.loads(line.decode())
-    except (ValueError, RecursionError):  # no UTF-8, no JSON, a number of a thousand digits, nested without end
+    except (ValueError, RecursionError):  # not UTF-8, not JSON, a number with a thousand digits, endless nesting
         return None
     if not isinstance(row, dict):
         return None
@@ -119,14 +127,14 @@ def _unusual_line(line: bytes) -> JointLine | None:
 
 
 def are_joints(value: object) -> TypeGuard[list[float]]:
-    """Whether something is a list of 1 to MAX_JOINTS finite numbers."""
+    """Return whether a value is a list of 1 to MAX_JOINTS finite numbers."""
     return isinstance(value, list) and 1 <= len(value) <= MAX_JOINTS and all(map(_finite, value))
 
 
 def format_reading(t: float, seq: int | None, q: Sequence[float], **more: object) -> bytes:
-    """The line of a reading, every number with all its digits; of ``more`` what is None is left out.
+    """Return the line of a reading, every number with all its digits; entries of ``more`` that are None are left out.
 
-    ``more`` may hold what docs/session-format.md names: ``q_cmd``, ``qd``, ``current`` ….
+    ``more`` may hold the optional keys of docs/reference/session-format.md: ``q_cmd``, ``qd``, ``current`` ….
     """
     row = {"t": t, "seq": seq, "q": list(q), **more}
     return json.dumps({key: value for key, value in row.items() if value is not None}, separators=(",", ":")).encode()
@@ -140,13 +148,13 @@ Ints = NDArray[np.int64]
 
 # ------------------------------------------------------------------------------------------------------- digital inputs
 
-NO_INPUTS = -1  # inputs of a reading that does not say them
-MOST_CHANGES = 1_000_000  # of a segment; a signal faster than that is none that edges can be told in
+NO_INPUTS = -1  # inputs of a reading without them
+MOST_CHANGES = 1_000_000  # per segment; edges cannot be distinguished in a signal faster than that
 
 
 @dataclass(frozen=True)
 class Changes:
-    """Changes (k,) of one input in order: each lies between two controller times [s]; ``level`` is the new one."""
+    """Changes (k,) of one input in order: each lies between two controller times [s]; ``level`` is the new level."""
 
     before_s: Floats
     after_s: Floats
@@ -155,16 +163,16 @@ class Changes:
 
 @dataclass
 class InputTrack:
-    """Gathers the changes of one segment of controller time."""
+    """Collects the changes of the inputs in one segment of controller time."""
 
-    readings: int = 0  # that say their inputs
+    readings: int = 0  # readings with inputs
     count: int = 0
     _last: tuple[float, int] | None = None
     _times: list[Floats] = field(default_factory=list)  # (k, 2) before and after
     _bits: list[Ints] = field(default_factory=list)  # (k, 2)
 
     def add(self, t: Floats, bits: Ints) -> None:
-        """Take readings (n,) in order of controller time [s]; ``bits`` NO_INPUTS where one does not say them."""
+        """Take readings (n,) in order of controller time [s]; ``bits`` is NO_INPUTS for readings without inputs."""
         known = bits >= 0
         t, bits = t[known], bits[known]
         if not t.size:
@@ -180,14 +188,14 @@ class InputTrack:
             self._bits.append(np.stack([bits[at], bits[at + 1]], axis=1))
 
     def inputs(self) -> list[int]:
-        """The inputs that changed, ascending."""
+        """Return the inputs that changed, ascending."""
         changed = 0
         for bits in self._bits:
             changed |= int(np.bitwise_or.reduce(bits[:, 0] ^ bits[:, 1]))
         return [k for k in range(63) if changed >> k & 1]
 
     def changes(self, number: int) -> Changes:
-        """Those of one input."""
+        """Return the changes of one input."""
         times = np.concatenate(self._times or [np.empty((0, 2))])
         bits = np.concatenate(self._bits or [np.empty((0, 2), np.int64)]) >> number & 1
         of_it = bits[:, 0] != bits[:, 1]
@@ -205,11 +213,11 @@ _DTYPES = {_FLOAT64: "<f8", _SINT64: "<i8"}
 
 @dataclass(frozen=True, eq=False)
 class JointBatch:
-    """Readings (n,) in order of arrival, of j joints.
+    """Readings (n,) of j joints in order of arrival.
 
-    ``seq`` is UNNUMBERED where a reading has none, ``q_cmd`` NaN where it has no commanded joints, ``inputs`` NO_INPUTS where it has none.
-    ``more``: velocities ``qd``, ``current``, ``effort`` (n, j), ``robot_mode``, ``runtime_state`` (n,), those that some reading has; NaN
-    where it has none.
+    ``seq`` is UNNUMBERED, ``q_cmd`` NaN and ``inputs`` NO_INPUTS where a reading does not have them. ``more``:
+    velocities ``qd``, ``current``, ``effort`` (n, j), ``robot_mode`` and ``runtime_state`` (n,), as far as any reading
+    has them; NaN where a reading does not.
     """
 
     arrival_ns: Ints
@@ -228,7 +236,9 @@ class JointBatch:
 
 
 def parse_lines(lines: Sequence[bytes], arrival_ns: Sequence[int] | Ints, joints: int | None = None) -> JointBatch:
-    """The readings among ``lines``: what ``parse_line`` takes, of as many joints as ``joints`` (None: as the first)."""
+    """Return the readings among ``lines``, as ``parse_line`` accepts them, with ``joints`` joints (None: as many as the
+    first).
+    """
     rows = parse_usual(lines)
     if rows and {len(row.q) for row in rows} == {joints or len(rows[0].q)}:
         return columns_of_rows(rows, arrival_ns)
@@ -239,7 +249,7 @@ def parse_lines(lines: Sequence[bytes], arrival_ns: Sequence[int] | Ints, joints
 
 
 def concatenate(batches: Sequence[JointBatch]) -> JointBatch:
-    """Batches of readings of equally many joints, one after the other; at least one."""
+    """Concatenate at least one batch of readings with equal numbers of joints."""
     keys = dict.fromkeys(chain.from_iterable(batch.more for batch in batches))
     filled = [
         replace(batch, more={key: batch.more.get(key, _nothing(batch, key)) for key in keys}) for batch in batches
@@ -248,7 +258,7 @@ def concatenate(batches: Sequence[JointBatch]) -> JointBatch:
 
 
 def pack(batch: JointBatch) -> bytes:
-    """The message of a batch; a column that says nothing is left out."""
+    """Encode a batch as a message; columns without values are left out."""
     columns: dict[str, NDArray[Any]] = {"arrival_ns": batch.arrival_ns, "t": batch.t, "seq": batch.seq, "q": batch.q}
     if not np.isnan(batch.q_cmd).all():
         columns["q_cmd"] = batch.q_cmd
@@ -259,7 +269,7 @@ def pack(batch: JointBatch) -> bytes:
 
 
 def unpack(data: bytes) -> JointBatch | None:
-    """The batch of a message, None where it is not what ``pack`` makes of readings: the lines say it all the same."""
+    """Decode the batch in a message; None if ``pack`` cannot have made it, as the lines contain the same data."""
     try:
         said = {str(name): _array(tagged) for name, tagged in cbor2.loads(data).items()}
         t, seq, arrival_ns, flat = (said.pop(name) for name in ("t", "seq", "arrival_ns", "q"))
@@ -294,7 +304,7 @@ def _array(tagged: Any) -> NDArray[Any]:
 def columns_of_rows(
     rows: Sequence[JointLine], arrival_ns: Sequence[int] | Ints, width: int | None = None
 ) -> JointBatch:
-    """Lines of equally many joints, ``width`` where there is no line, as columns."""
+    """Return the columns of lines with equal numbers of joints; ``width`` is used if there are no lines."""
     width = len(rows[0].q) if rows else width or 0
     numbers = {key: [getattr(row, key) for row in rows] for key in NUMBERS}
     arrays = {key: _joints([getattr(row, key) for row in rows], width) for key in ARRAYS}
@@ -313,7 +323,7 @@ def columns_of_rows(
 
 
 def _joints(values: list[list[float] | None], width: int) -> Floats | None:
-    """A key's numbers (n, j), NaN where a reading has not one for each joint; None where no reading has."""
+    """Return the numbers (n, j) of a key, NaN where a reading does not have one per joint; None if no reading has them."""
     if values.count(None) == len(values):
         return None
     nothing = [np.nan] * width
@@ -326,12 +336,12 @@ def _table(rows: Sequence[Sequence[float]], width: int) -> Floats:
 
 
 def _nothing(batch: JointBatch, key: str) -> Floats:
-    """A column of ``more`` of which no reading has anything."""
+    """Return a column of ``more`` for which no reading has a value."""
     return np.full(batch.q.shape if key in ARRAYS else len(batch), np.nan)
 
 
 def _each(made: Callable[..., NDArray[Any]], *batches: JointBatch) -> JointBatch:
-    """A batch whose every column is made of those of ``batches``, which have the same."""
+    """Combine each column of ``batches``, which have the same columns, into one batch."""
     names = ("arrival_ns", "t", "seq", "q", "q_cmd", "inputs")
     columns = {name: made(*(getattr(batch, name) for batch in batches)) for name in names}
     more = {key: made(*(batch.more[key] for batch in batches)) for key in batches[0].more}
@@ -340,24 +350,24 @@ def _each(made: Callable[..., NDArray[Any]], *batches: JointBatch) -> JointBatch
 
 # ------------------------------------------------------------------------------------------------------- clock and bins
 
-CHUNK = 2048  # readings taken at a time
+CHUNK = 2048  # readings processed at a time
 BIN_S = 0.05
-READING_GAP_S = 0.25  # without a reading for so long nobody knows whether the robot stood still
-NOTED_S = 1.0  # readings that lie further apart in the middle were taken down one by one
-LATE_S = 1.0  # time this little backward is a datagram overtaken by another; more is a restart
-FINEST_STEP = 1e-9  # rad or m; smaller differences are arithmetic, not an encoder
-COARSEST_STEP = 1e-3  # rad or m; no encoder worth calibrating is coarser
+READING_GAP_S = 0.25  # after such a gap it is not known whether the robot stood still
+NOTED_S = 1.0  # a larger median interval means that the readings were noted one by one
+LATE_S = 1.0  # a smaller step back in time is a datagram overtaken by another, a larger one a restart
+FINEST_STEP = 1e-9  # rad or m; smaller differences are rounding errors, not an encoder
+COARSEST_STEP = 1e-3  # rad or m; upper limit for an encoder worth calibrating
 
 
 @dataclass(frozen=True)
 class Bins:
-    """Readings in bins (b,), in order; ``gap`` where readings are missing before a bin or another segment begins."""
+    """Readings in bins (b,), in order. ``gap``: readings are missing before the bin, or another segment begins with it."""
 
     segment: NDArray[np.int32]
     t_first_s: Floats
     t_last_s: Floats
     n: NDArray[np.int32]
-    mean: Floats  # (b, j), of the measured joints, as all that follows
+    mean: Floats  # (b, j), of the measured joints, as are all following fields
     low: Floats  # (b, j)
     high: Floats  # (b, j)
     scatter: NDArray[np.float32]  # (b, j (j + 1) / 2) sums of products of deviations from the mean, of pairs()
@@ -368,20 +378,20 @@ _BIN_TYPES: dict[str, type[np.generic]] = {"segment": np.int32, "n": np.int32, "
 
 
 def pairs(joints: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """The pairs of joints in ``Bins.scatter``: first and second, which is not before it."""
+    """Return the pairs of joints in ``Bins.scatter``: first and second, with second ≥ first."""
     return np.triu_indices(joints)
 
 
 @dataclass(frozen=True)
 class JointStream:
-    """What the robot sent. ``step``: smallest change (or change of a change) of each joint, its quantisation."""
+    """The robot's data. ``step``: smallest change (or change of a change) of each joint, its quantisation."""
 
     readings: int
     malformed: int
     duplicated: int
     late: int
-    lost: int | None  # gaps of seq; None (not known) where readings have none
-    gaps: int  # places where no reading came for longer than READING_GAP_S
+    lost: int | None  # gaps of seq; None (unknown) if readings have none
+    gaps: int  # times without a reading for longer than READING_GAP_S
     restarts: int
     rate_hz: float  # NaN with fewer than two readings
     step: Floats  # (j,)
@@ -393,25 +403,26 @@ class JointStream:
 
 _BACK = b'"kind":"robot-back"'
 OVERTAKEN_NS = (
-    5_000_000_000  # readings that stand so far behind later ones in the file are put in order: chunks that were swapped
+    5_000_000_000  # readings that are this far behind later ones in the file are put in order: swapped chunks
 )
 
 
 class ReadingOrder:
-    """The robot's readings in the order in which they arrived, whatever the order of the file's chunks.
+    """Restores the order of arrival of the robot's readings, whatever the order of the file's chunks.
 
-    Each answer is the batches that are due, each with whether it begins a segment: the robot came back, or its controller restarted.
+    Each call returns the batches that are due, and for each whether it begins a segment: the robot came back, or its
+    controller restarted.
     """
 
     def __init__(self, joints: int | None = None) -> None:
-        """``joints``: how many a reading has, None: as the first."""
+        """``joints``: number of joints per reading; None: as in the first."""
         self.malformed = 0
-        self.period_s: float | None = None  # between the first readings, in the middle; None before there are any
+        self.period_s: float | None = None  # median interval between the first readings; None before there are any
         self._joints = joints
-        self._lines: list[bytes] = []  # behind the last batch
+        self._lines: list[bytes] = []  # after the last batch
         self._arrival_ns: list[int] = []
         self._batches: list[JointBatch] = []
-        self._waiting = self._held = 0  # readings in them; those that were held back for earlier ones
+        self._waiting = self._held = 0  # number of readings in them; number held back for earlier ones
         self._returns_ns: list[int] = []  # when the link was back: the next reading begins a segment
         self._latest_s = -np.inf  # of the segment
 
@@ -435,7 +446,7 @@ class ReadingOrder:
         return due + self._add(messages, lines[begin:])
 
     def finish(self) -> list[tuple[bool, JointBatch]]:
-        """What is left, when the session is at its end."""
+        """Return the remaining readings at the end of the session."""
         return self._parsed() + self._due(0)
 
     def _add(self, messages: Messages, rows: NDArray[np.intp]) -> list[tuple[bool, JointBatch]]:
@@ -458,7 +469,7 @@ class ReadingOrder:
         return self._wait(batch)
 
     def _wait(self, batch: JointBatch) -> list[tuple[bool, JointBatch]]:
-        """Take a batch with the next ones: the first must be long enough to show the readings' period."""
+        """Hold a batch until more follow: the first must be long enough to show the period of the readings."""
         if not len(batch):
             return []
         self._joints = self._joints or batch.q.shape[1]
@@ -467,11 +478,11 @@ class ReadingOrder:
             return []
         self._batches.append(batch)
         self._waiting += len(batch)
-        # What is held back is copied each time: never more than what is new.
+        # The held readings are copied each time: never more of them than there are new ones.
         return self._due(OVERTAKEN_NS) if self._waiting >= CHUNK + 2 * self._held else []
 
     def _due(self, hold_ns: int) -> list[tuple[bool, JointBatch]]:
-        """The readings that wait, in order, but for the latest ``hold_ns`` of them."""
+        """Return the waiting readings in order, except the latest ``hold_ns``."""
         if not self._batches:
             return []
         batch = concatenate(self._batches)
@@ -488,7 +499,7 @@ class ReadingOrder:
         return self._segments(batch[:end], place[:end]) if end else []
 
     def _segments(self, batch: JointBatch, place: Ints) -> list[tuple[bool, JointBatch]]:
-        """The batch in pieces, each of one segment."""
+        """Split the batch into pieces of one segment each."""
         back = [t_ns for t_ns in self._returns_ns if t_ns <= place[-1]]
         self._returns_ns = [t_ns for t_ns in self._returns_ns if t_ns > place[-1]]
         first = [0] if self._latest_s == -np.inf else []
@@ -501,15 +512,15 @@ class ReadingOrder:
 
 
 class JointReader:
-    """Takes the robot's messages batch by batch in log order."""
+    """Processes the robot's messages batch by batch in log order."""
 
     def __init__(self) -> None:
         self._order = ReadingOrder()
         self._arrivals: list[Arrivals] = []
         self._inputs: list[InputTrack] = []
-        # Bytes of the columns of all bins: to join arrays in the end would take the memory of both.
+        # Columns of all bins as bytes: joining arrays at the end would need twice the memory.
         self._bins = {name: bytearray() for name in Bins.__dataclass_fields__}
-        self._carried: tuple[NDArray[Any], ...] | None = None  # readings of the bin that is still open
+        self._carried: tuple[NDArray[Any], ...] | None = None  # readings of the open bin
         self._last: tuple[float, int] | None = None
         self._latest_s = -np.inf
         self._previous_bin_s = -np.inf
@@ -526,7 +537,7 @@ class JointReader:
             self._part(batch, begins)
 
     def finish(self) -> JointStream:
-        """What all messages say; the reader is of no use afterwards."""
+        """Return the data of all messages; the reader cannot be used afterwards."""
         for begins, batch in self._order.finish():
             self._part(batch, begins)
         self._close_bin()
@@ -562,19 +573,19 @@ class JointReader:
         self._step = np.full(joints, np.inf)
         self._fast_step = np.full(joints, np.inf)
         period = self._order.period_s or 0.0
-        if period >= NOTED_S:  # noted one by one: each is a bin of its own, and nothing is known between them
+        if period >= NOTED_S:  # noted one by one: each is a bin of its own, and nothing is known in between
             period = 0.0
         self._bin_s, self._gap_s = max(BIN_S, 4.0 * period), max(READING_GAP_S, 5.0 * period)
 
     def _part(self, batch: JointBatch, begins: bool) -> None:
-        """Readings of one segment, which may begin with them."""
+        """Process readings of one segment, which may begin with them."""
         if not self._step.size:
             self._begin(batch.q.shape[1])
         self._numbered &= bool(np.all(batch.seq != UNNUMBERED))
         t, seq = batch.t, batch.seq
         if begins:
             if self._last is not None and t[0] > self._latest_s and seq[0] > self._last[1]:
-                self._holes.skip(self._last[1], int(seq[0]))  # the robot counted on while nobody listened
+                self._holes.skip(self._last[1], int(seq[0]))  # the robot continued counting while nobody listened
             self._close_bin()
             self._arrivals.append(Arrivals(float(t[0]), int(batch.arrival_ns[0])))
             self._inputs.append(InputTrack())
@@ -598,7 +609,7 @@ class JointReader:
     def _account(
         self, seq: NDArray[np.int64], previous: NDArray[np.int64], late: NDArray[np.bool_], keep: NDArray[np.bool_]
     ) -> None:
-        """Count what is missing, in order of arrival; ``previous`` (k,): the number before each kept one."""
+        """Count what is missing, in order of arrival; ``previous`` (k,): the number before each reading that is kept."""
         before = seq.copy()
         before[keep] = previous[: int(np.sum(keep))]
         for i in np.flatnonzero(late | (keep & (seq - 1 > before))):
@@ -631,7 +642,7 @@ class JointReader:
         deviation = q - np.repeat(mean, n, axis=0)
         first, second = pairs(q.shape[1])
         scatter = np.add.reduceat(deviation[:, first] * deviation[:, second], starts, axis=0)
-        # A gap may also lie inside a bin where bins are long; it then counts before the bin.
+        # A gap may also lie inside a long bin; it then counts as before the bin.
         silent = np.diff(np.concatenate([[self._previous_bin_s], t])) > self._gap_s
         gap = np.logical_or.reduceat(silent, starts)
         self.gaps += int(np.sum(silent)) - int(np.isinf(self._previous_bin_s))
@@ -645,23 +656,26 @@ class JointReader:
 
 
 def restarts(t: Floats, latest_s: float) -> NDArray[np.intp]:
-    """Where controller times (n,) [s] begin anew; ``latest_s``: the latest of the segment so far, -inf before the first."""
+    """Return where controller times (n,) [s] begin again.
+
+    ``latest_s``: the latest time of the segment so far, -inf before the first.
+    """
     starts = np.flatnonzero(np.diff(t) < -LATE_S) + 1
     return np.concatenate([[0], starts]) if t[0] < latest_s - LATE_S else starts
 
 
 def _smallest(change: Floats) -> Floats:
-    """Smallest change (j,) that is none of arithmetic, inf where there is none."""
+    """Return the smallest change (j,) that is not a rounding error, inf if there is none."""
     size = np.abs(change)
     return np.asarray(np.min(np.where(size > FINEST_STEP, size, np.inf), axis=0, initial=np.inf))
 
 
 def _step(slow: Floats, fast: Floats) -> Floats:
-    """The quantisation (j,) of the readings, 0 where nothing changes.
+    """Return the quantisation (j,) of the readings, 0 if nothing changes.
 
-    A robot that comes to rest passes through single steps. Where none was seen slowly, how fast changes differ shows the step; but it
-    shows the rounding of what is printed too, so that is the second choice: a reading of few digits would pass for a
-    fine encoder.
+    A robot that comes to rest passes through single steps. If no slow motion was seen, the differences between fast
+    changes show the step. They also show the rounding of the printed numbers, so this is only the fallback: otherwise a
+    reading with few digits would pass for a fine encoder.
     """
     step = np.where(slow <= COARSEST_STEP, slow, np.minimum(slow, fast))
     return np.asarray(np.where(np.isfinite(step), step, 0.0))

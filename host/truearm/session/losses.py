@@ -1,29 +1,36 @@
-"""What did not arrive, counted exactly (hop 4): frames, the samples of each stream, and where the box said nothing at all.
+"""Count exactly what did not arrive (hop 4): frames, samples of each stream, and times when the box sent nothing.
 
-**Frames** come in the order in which the box sent them out of ``FrameOrder``, however they arrived. Every frame counts in one ``seq`` (SPEC §4). A link or a
-damaged file may deliver frames late, twice or never, and a box that restarts begins a new count. What a frame is, is decided in this order:
+**Frames** leave ``FrameOrder`` in the order in which the box sent them, regardless of the order of arrival. All frames
+share one ``seq`` counter (SPEC §4). A link or a damaged file may deliver frames late, twice or never, and a box that
+restarts begins a new count. Each frame is classified by the first rule that applies:
 
-1. The bytes of a frame that is remembered under its seq: **doubled**. It changes nothing.
-2. The first page of the ident that a box sends unasked at boot: a **restart**.
-3. The next frame, or one ahead of it by no more than the link can have carried since (``too_many``) and with a device time that
-   does not run backward: it belongs to the count. It waits until those before it have come, or until a frame REACH further on has; what has not
-   come by then is **lost**. A frame that arrives late within that reach takes its place.
-4. All others are **suspects**. They begin a new count if a heartbeat among them has another boot id, if BEHIND_RUN of them follow each other without a frame of
-   the old count between, or FAR_RUN where they lie too far ahead. As soon as the old count goes on they are dismissed: frames that came **too late**,
-   or that are **malformed** because nothing can have counted so far, as are frames of a type that only a host sends: an echo.
+1. Its bytes equal those of a frame remembered under its seq: **doubled**. It changes nothing.
+2. It is the first page of the ident that a box sends unprompted at boot: a **restart**.
+3. It is the next frame, or one ahead of it by no more than the link can have carried since (``too_many``), and its
+   device time does not run backward: it belongs to the count. It waits until all earlier frames have arrived or until a
+   frame REACH later has arrived; frames still missing then are **lost**. A late frame within that reach takes its
+   place.
+4. Anything else is a **suspect**. Suspects begin a new count if a heartbeat among them has another boot id, or if
+   BEHIND_RUN of them (FAR_RUN if they lie too far ahead) follow each other without a frame of the old count in between.
+   As soon as the old count continues, they are dismissed. They are then frames that arrived **too late**, or
+   **malformed** frames because nothing can have counted that far. Frames of a type that only a host sends (echoes) are
+   malformed too.
 
-So neither a late frame nor a doubled one is a restart: the boot id decides. Frames come in runs (``box_frames``), whose seq goes on by one, whose device times
-do not run backward and whose heartbeats are of one boot. What holds for the first frame of a run therefore holds for as many more as ``_belonging`` says; a
-frame alone is a run of one.
+Neither a late frame nor a doubled one is therefore taken for a restart: the boot id decides. Frames arrive in runs
+(``box_frames``): seq increases by one, device times do not run backward, and all heartbeats have the same boot id. What
+holds for the first frame of a run therefore holds for as many frames as ``_belonging`` returns. A single frame is a run
+of one.
 
-**Samples** count in the ``n0`` of each stream (``StreamTrack``). A jump with frames lost since the stream's last block: the samples went with them; without:
-the box overran. ``n0`` that falls back without a restart is a new ``start``, a new run. A box that a killed recorder left streaming still holds blocks of then.
-The next one stops it and starts it anew: what was missing before that start is not the session's loss.
+**Samples** are counted by the ``n0`` of each stream (``StreamTrack``). If ``n0`` jumps and frames were lost since the
+stream's last block, the samples were lost with them; if no frames were lost, the box overran. If ``n0`` falls back
+without a restart, a new ``start`` began, and with it a new run. A box left streaming by a killed recorder still holds
+old blocks. The next recorder stops and restarts it; samples missing before that start are not losses of the session.
 
-**The box's own counters** (``Heartbeats``) run since boot and wrap at 2^30 (SPEC §4). A session that joins a running box must not be charged with what happened
-before: of a boot that the session did not see only what came after its first heartbeat is counted, so up to a second
-of the session's beginning is not. Of a boot in mid-session everything is. What an element is stands in the layout that is generated from
-protocol/frames.cddl: a ``counter`` is summed, of a ``largest`` or ``smallest`` the extreme is kept. A box of an older minor version sends fewer elements.
+**The box's own counters** (``Heartbeats``) count from boot and wrap at 2^30 (SPEC §4). A session that joins a running
+box must not be charged with earlier events. If the session did not see the boot, only events after its first heartbeat
+are counted, so up to a second at the beginning of the session is not covered. If the box boots during the session,
+everything is counted. The layout generated from protocol/frames.cddl gives the kind of each element: a ``counter`` is
+summed; for ``largest`` or ``smallest`` the extreme is kept. A box with an older minor version sends fewer elements.
 """
 
 from __future__ import annotations
@@ -43,19 +50,22 @@ from truearm.session.box_ident import Stream
 from truearm.session.message_columns import Ints, Messages
 from truearm_wire import messages as wire
 
-REMEMBERED = 256  # holes, and late numbers that fill none; a number that comes later than that is not looked for
+REMEMBERED = 256  # holes, and late numbers that fill none; a number that arrives later than that is not looked up
 
 
 class MissingNumbers:
-    """Counts numbers that were skipped and did not come late. A number that was never missed, or comes late twice, fills nothing."""
+    """Counts skipped numbers that did not arrive late.
+
+    A number that was never missing, or arrives late twice, fills nothing.
+    """
 
     def __init__(self) -> None:
         self.lost = 0
         self._open: deque[tuple[int, int]] = deque(maxlen=REMEMBERED)  # the numbers around each hole
-        self._spare: deque[int] = deque(maxlen=REMEMBERED)  # late numbers whose hole may still show
+        self._spare: deque[int] = deque(maxlen=REMEMBERED)  # late numbers with a hole that may still appear
 
     def skip(self, before: int, after: int) -> None:
-        """``after`` came next after ``before``."""
+        """Record that ``after`` followed ``before``."""
         if after - before > 1:
             self.lost += after - before - 1
             self._open.append((before, after))
@@ -64,7 +74,7 @@ class MissingNumbers:
                 self.fill(number)
 
     def fill(self, number: int) -> None:
-        """A number came late, or out of time before the next one showed that it was skipped."""
+        """Record a number that arrived late, or before the next one showed that it had been skipped."""
         for k, (before, after) in enumerate(self._open):
             if before < number < after:
                 del self._open[k]
@@ -74,24 +84,24 @@ class MissingNumbers:
         self._spare.append(number)
 
     def forget(self) -> None:
-        """Numbers begin anew; what was lost stays so."""
+        """Restart the numbering; losses so far are kept."""
         self._open.clear()
         self._spare.clear()
 
 
 # --------------------------------------------------------------------------------------------------------------- frames
 
-REACH = 512  # frames that a late one may lag behind: some seconds of a box, less than what sessions hold back for late messages
-BEHIND_RUN = 64  # a heartbeat comes once in 80 to 350 frames and is hardly ever lost
+REACH = 512  # frames that a late one may lag behind: some seconds, less than sessions hold back for late messages
+BEHIND_RUN = 64  # a heartbeat arrives once in 80 to 350 frames and is hardly ever lost
 FAR_RUN = 2
-BEFORE_FIRST = 16  # frames that may have been overtaken by the first one of a session
+BEFORE_FIRST = 16  # frames that the first one of a session may have overtaken
 _HALF = CIRCLE // 2
 
 
 class Placed(NamedTuple):
-    """Frames in their place. ``lost``: frames missing before the first; ``restarts``: it is the first of a new count.
+    """Frames in order. ``lost``: frames missing before the first; ``restarts``: the first frame begins a new count.
 
-    ``at``: the row of the newest batch with which they came out, but for frames that arrived later themselves.
+    ``at``: row of the newest batch that released the frames, unless the frames themselves arrived later.
     """
 
     run: Run
@@ -102,7 +112,7 @@ class Placed(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Held:
-    """A run that waits; ``count`` of its first frame."""
+    """A waiting run; ``count`` is that of its first frame."""
 
     count: int
     run: Run
@@ -117,56 +127,59 @@ _COUNT = attrgetter("count")
 
 @dataclass
 class FrameOrder:
-    """Takes runs as they arrive and gives them back in the order of sending; ``doubled``, ``late`` and ``malformed`` count the other frames."""
+    """Takes runs in order of arrival and returns them in the order of sending.
+
+    ``doubled``, ``late`` and ``malformed`` count the other frames.
+    """
 
     doubled: int = 0
     late: int = 0
     malformed: int = 0
-    _next: int = -1  # the count that is given back next, unwrapped; -1: no frame was taken yet
-    _newest: int = 0  # the highest count that was taken
+    _next: int = -1  # the count to be returned next, unwrapped; -1: no frame yet
+    _newest: int = 0  # the highest count so far
     _newest_host_ns: int = 0
-    _uncounted: int = 0  # below it, missing frames were sent before the session began
+    _uncounted: int = 0  # missing frames below this were sent before the session began
     _waiting: list[_Held] = field(default_factory=list)  # by ascending count
     _remembered: deque[tuple[int, int, Run]] = field(
         default_factory=deque
-    )  # as they were taken, each with its seq and length
+    )  # in order of acceptance, each with its seq and length
     _n_remembered: int = 0
-    _by_seq: dict[int, tuple[int, Run]] = field(default_factory=dict)  # of them: length and frames, by the first seq
-    _long: set[int] = field(default_factory=set)  # the first seq of those that are more than one frame
+    _by_seq: dict[int, tuple[int, Run]] = field(default_factory=dict)  # of these: length and frames, by the first seq
+    _long: set[int] = field(default_factory=set)  # the first seq of those with more than one frame
     _times: dict[int, int] = field(default_factory=dict)  # newest device time of each kind
-    _placed_times: dict[int, int] = field(default_factory=dict)  # of the frames that were given back
+    _placed_times: dict[int, int] = field(default_factory=dict)  # of the frames already returned
     _boot_id: int | None = None
-    _restarting: bool = False  # the next frame that is given back is the first of a count
+    _restarting: bool = False  # the next frame returned is the first of a count
     _suspects: list[Run] = field(default_factory=list)  # of one frame each
     _far: bool = False  # the suspects lie too far ahead
 
     @property
     def undecided(self) -> bool:
-        """Whether frames are held of which nobody knows yet what they are."""
+        """Whether frames are held that are not classified yet."""
         return bool(self._suspects)
 
     def parts(self, run: Run) -> Iterator[Run]:
-        """A run in parts that can be taken at once; to be asked for one by one, each when the one before was taken."""
+        """Yield a run in parts that can each be taken at once. Take each part before requesting the next."""
         while len(run):
             head = run.first(max(1, self._belonging(run)))
             yield head
             run = run.after(head)
 
     def take(self, part: Run) -> Iterator[Placed]:
-        """Take a part of a run; the frames that are due by then, in order."""
+        """Take a part of a run and return the frames that are now due, in order."""
         yield from self._take(part, part.row)
 
     def finish(self, at: int) -> Iterator[Placed]:
-        """What is still held, at the end of the session."""
+        """Return the frames still held, at the end of the session."""
         self._dismiss()
         yield from self._all_waiting(at)
 
     def new_boot(self, boot_id: int) -> None:
-        """The box said that it is of this boot; what is counted goes on."""
+        """Note the boot id stated by the box; the current count continues."""
         self._boot_id = boot_id
 
     def _take(self, run: Run, at: int) -> Iterator[Placed]:
-        """Take frames that belong to the count, or a single one of which that is not known."""
+        """Take frames that belong to the count, or a single frame for which this is not known."""
         if len(run) > 1 or self._belonging(run):
             yield from self._accept(run, at)
         elif self._is_doubled(run):
@@ -187,11 +200,11 @@ class FrameOrder:
         yield from self._accept(run, at)
 
     def _unwrapped(self, seq: int) -> int:
-        """The count that a seq stands for: the nearest to the newest one."""
+        """Return the unwrapped count of a seq: the one nearest to the newest."""
         return self._newest + (seq - self._newest + _HALF) % CIRCLE - _HALF
 
     def _belonging(self, run: Run) -> int:
-        """How many of the first frames of a run are of this count and still waited for (rule 3)."""
+        """Return how many of the first frames of a run belong to this count and are still awaited (rule 3)."""
         count, n = self._unwrapped(run.seq), len(run)
         if count < max(self._next, 0) or self._next < 0:
             return 0
@@ -199,13 +212,13 @@ class FrameOrder:
             if self._is_far(run):
                 return 0
             times = self._times
-        else:  # late: sent after all that were given back
+        else:  # late: sent after all frames already returned
             place = bisect_left(self._waiting, count, key=_COUNT)
             if (place and count < self._waiting[place - 1].end) or self._waiting[place].count == count:
                 return 0
             n = min(n, self._waiting[place].count - count)
             times = self._placed_times
-        if run.is_boot and self._times:  # what a box sends at boot it sends before everything that has a time
+        if run.is_boot and self._times:  # a box sends its boot ident before any frame with a time
             return 0
         for kind, frame, t_us, _ in run.times():
             if t_us < times.get(kind, 0):
@@ -216,7 +229,7 @@ class FrameOrder:
         return n
 
     def _is_far(self, run: Run) -> bool:
-        """Whether a frame lies further ahead than frames can have come since the newest."""
+        """Return whether a frame lies further ahead than frames can have arrived since the newest."""
         return too_many(self._unwrapped(run.seq) - self._newest, run.t_host_ns - self._newest_host_ns)
 
     def _accept(self, run: Run, at: int) -> Iterator[Placed]:
@@ -224,7 +237,7 @@ class FrameOrder:
         self._waiting.insert(bisect_left(self._waiting, held.count, key=_COUNT), held)
         self._remember(run)
         if held.count > self._newest:
-            self._dismiss()  # the count goes on
+            self._dismiss()  # the count continues
             self._newest, self._newest_host_ns = held.end - 1, run.last_host_ns
         for kind, _, _, t_us in run.times():
             self._times[kind] = max(t_us, self._times.get(kind, 0))
@@ -248,7 +261,7 @@ class FrameOrder:
             yield self._given_back(at)
 
     def _given_back(self, at: int) -> Placed:
-        """The first run that waits."""
+        """Return the first waiting run."""
         held = self._waiting.pop(0)
         count, run = held.count, held.run
         lost = max(0, count - max(self._next, self._uncounted)) if count > self._next else 0
@@ -279,7 +292,7 @@ class FrameOrder:
             self._long.add(seq)
 
     def _is_doubled(self, run: Run) -> bool:
-        """Whether the bytes of a frame are remembered under its seq."""
+        """Return whether the bytes of a frame are remembered under its seq."""
         asked = run.seq
         for seq in (asked, *self._long):
             n, known = self._by_seq.get(seq, (0, run))
@@ -302,13 +315,13 @@ class FrameOrder:
             yield from self._restart(suspects, at)
 
     def _restart(self, runs: Sequence[Run], at: int) -> Iterator[Placed]:
-        """The frames are the first of a new count; nothing more comes of the old one."""
+        """Begin a new count with these frames; the old one is closed."""
         yield from self._all_waiting(at)
         first, far = runs[0], self._far
         self._remembered, self._n_remembered, self._times, self._placed_times = deque(), 0, {}, {}
         self._by_seq, self._long = {}, set()
         self._boot_id, self._restarting, self._far = None, True, False
-        # The count of a box begins at 0; one that lies too far ahead says nothing of what was lost.
+        # A box counts from 0. A count that lies too far ahead gives no information about losses.
         from_ = first.seq if far else 0
         yield from self._begin(first, from_, from_, at)
         for run in runs[1:]:
@@ -327,7 +340,7 @@ class FrameOrder:
 WRAP = 2**30
 _ELEMENTS = [entry.partition(":")[::2] for entry in wire.LAYOUT[wire.HEARTBEAT][1:]]  # name and type, after seq
 COUNTERS = tuple(name for name, kind in _ELEMENTS if kind == "counter")
-# element → what is kept of it, and the name of that
+# element → what is kept of it, and the name of the result
 EXTREMES: Mapping[str, tuple[Callable[[int, int], int], str]] = {
     name: (max, name) if kind == "largest" else (min, f"{name}_min")
     for name, kind in _ELEMENTS
@@ -343,7 +356,7 @@ NO_HEARTBEAT: Summary = {
 
 @dataclass
 class _Boot:
-    """The heartbeats of one boot: the first, the last, and the sums between them."""
+    """The heartbeats of one boot: first, last, and the sums between them."""
 
     segment: int
     first: Mapping[str, int]
@@ -352,7 +365,7 @@ class _Boot:
 
 
 class Heartbeats:
-    """Takes the values of heartbeats (boot_id, t_us, counters …) in their order."""
+    """Processes the values of heartbeats (boot_id, t_us, counters …) in order."""
 
     def __init__(self) -> None:
         self._boots: dict[int, _Boot] = {}
@@ -361,10 +374,13 @@ class Heartbeats:
         self.temperatures: dict[int, list[tuple[int, int]]] = {}  # of each segment: device time [µs], m°C
 
     def take(self, segment: int, values: Sequence[int]) -> None:
-        """One heartbeat of a segment. Segments of one boot id are one boot: a frame that came late looks like a restart."""
+        """Take one heartbeat of a segment.
+
+        Segments with the same boot id are one boot, because a late frame can look like a restart.
+        """
         beat = {name: value for (name, _), value in zip(_ELEMENTS, values, strict=False)}
         boot = self._boots.setdefault(beat["boot_id"], _Boot(segment, beat, beat))
-        if beat["t_us"] >= boot.last["t_us"]:  # else it came late and says nothing new
+        if beat["t_us"] >= boot.last["t_us"]:  # else it is late and contains nothing new
             for name in COUNTERS:
                 boot.since[name] += (beat.get(name, 0) - boot.last.get(name, 0)) % WRAP
             boot.last = beat
@@ -377,7 +393,8 @@ class Heartbeats:
                 self._worst[key] = beat[name] if before is None else extreme(before, beat[name])
 
     def summary(self, booted: Collection[int]) -> Summary:
-        """Return the number of heartbeats, the sum of every counter and the worst of every extreme, None without one.
+        """Return the number of heartbeats, the sum of every counter and the worst of every extreme; None without
+        heartbeats.
 
         ``booted``: the segments that began with a boot in the session.
         """
@@ -391,57 +408,57 @@ class Heartbeats:
 
 # ------------------------------------------------------------------------------------------------------------- accounts
 
-SILENT_NS = 2_000_000_000  # a box that is well sends a heartbeat every second
-_GONE = (b'"link-lost"', b'"box-gone"')  # however short the silence was then
+SILENT_NS = 2_000_000_000  # a healthy box sends a heartbeat every second
+_GONE = (b'"link-lost"', b'"box-gone"')  # counted however short the silence was
 
 
 @dataclass(frozen=True)
 class Losses:
     """Exact accounting of a session.
 
-    A flipped bit makes one console run and one lost frame; a traceback in the stream one console run; a doubled frame
-    one duplicate. Frames before the first one seen cannot be counted; after a restart ``seq`` begins at 0, so
-    there they are.
+    A flipped bit causes one console run and one lost frame, a traceback in the stream one console run, and a doubled
+    frame one duplicate. Frames before the first one seen cannot be counted, except after a restart, where ``seq``
+    begins at 0.
     """
 
-    frames: int = 0  # frames received, each counted once, of whatever type
+    frames: int = 0  # frames of any type received, each counted once
     frames_lost: int = 0  # gaps of seq
     loss_events: int = 0  # places where seq has a gap
     frames_duplicated: int = 0
-    frames_late: int = 0  # frames that came when they were no longer waited for: counted as lost, too
-    frames_malformed: int = 0  # frames with a good CRC that do not keep to the specification
-    frames_unknown: int = 0  # of types that this version does not know
+    frames_late: int = 0  # frames that arrived too late to be used; also counted as lost
+    frames_malformed: int = 0  # frames with a valid CRC that violate the specification
+    frames_unknown: int = 0  # of types unknown to this version
     blocks: int = 0
     samples: int = 0
-    samples_lost: int = 0  # jumps of n0 with a gap of seq: they went with lost frames
+    samples_lost: int = 0  # jumps of n0 with a gap of seq: lost with frames
     samples_overrun: int = 0  # jumps of n0 without a gap of seq: lost in the box
-    blocks_without_ident: int = 0  # data of a stream that no ident describes: unusable
-    converter_faults: int = 0  # blocks that the box flagged
-    console_runs: int = 0  # runs of bytes that were no frame
-    console_text_runs: int = 0  # those of them that are text
+    blocks_without_ident: int = 0  # data of a stream without an ident: unusable
+    converter_faults: int = 0  # blocks flagged by the box
+    console_runs: int = 0  # runs of bytes that were not a frame
+    console_text_runs: int = 0  # of these, the runs that are text
     console_bytes: int = 0
     restarts: int = 0
-    starts: int = 0  # times that n0 began anew without a restart
+    starts: int = 0  # how often n0 began again without a restart
     sync_requests: int = 0
     sync_unanswered: int = 0
-    box: Summary = field(default_factory=lambda: NO_HEARTBEAT)  # the box's own counters, of its heartbeats
+    box: Summary = field(default_factory=lambda: NO_HEARTBEAT)  # the box's own counters, from its heartbeats
 
 
 class Silences:
-    """Where a session goes on and its box says nothing, in its frames or otherwise: a link that was lost, a box that hangs.
+    """Times in a session when the box sent nothing at all: the link was lost or the box hung.
 
-    ``gaps`` holds the last word before and the first one after, or the session's last message, as host times [ns].
-    What a box sent meanwhile and the link lost shows in ``seq`` too, if it ever came back.
+    ``gaps`` holds the host times [ns] of the last message before and the first one after, or of the session's last
+    message. Frames that a box sent meanwhile and the link lost also show in ``seq``, if the box came back.
     """
 
     def __init__(self) -> None:
         self.gaps: list[tuple[int, int]] = []
         self._box_ns: int | None = None
         self._last_ns = 0
-        self._gone = False  # the recorder says that it lost the box
+        self._gone = False  # the recorder reported that it lost the box
 
     def take(self, messages: Messages) -> None:
-        """Take a batch of messages of the session, of whatever topics."""
+        """Take a batch of messages of the session, on any topics."""
         box = messages.rows(lambda topic: topic.startswith("/box/"))
         events = messages.rows(lambda topic: topic == "/events")
         gone = [row for row in events.tolist() if any(kind in messages.payload(row) for kind in _GONE)]
@@ -449,7 +466,7 @@ class Silences:
         silent = np.diff(t_ns, prepend=t_ns[:1]) > SILENT_NS
         silent[:1] = True
         silent[[k for k in np.searchsorted(box, gone).tolist() if k < len(box)]] = True
-        for k in np.flatnonzero(silent).tolist():  # nothing was silent between the others
+        for k in np.flatnonzero(silent).tolist():  # no silence between the others
             if k:
                 self._box_ns = int(t_ns[k - 1])
                 self._gone = any(box[k - 1] < row < box[k] for row in gone)
@@ -463,7 +480,7 @@ class Silences:
         self._last_ns = max(self._last_ns, int(messages.t_host_ns.max(initial=0)))
 
     def finish(self) -> list[tuple[int, int]]:
-        """All gaps, when the session is at its end."""
+        """Return all gaps at the end of the session."""
         self._close(self._last_ns)
         return self.gaps
 
@@ -477,24 +494,27 @@ COUNTED = ("blocks", "samples", "samples_lost", "samples_overrun", "converter_fa
 
 @dataclass(frozen=True)
 class StreamReport:
-    """A stream as it came. ``period_ns`` is what its last block says, ``measured_ns`` the mean period by the box's stamps
-    where nothing is missing (NaN where that is nowhere)."""
+    """A stream as received.
+
+    ``period_ns`` is the value in its last block. ``measured_ns`` is the mean period by the box's stamps where nothing
+    is missing, or NaN if there is no such part.
+    """
 
     id: int
     name: str
     channels: tuple[str, ...]
     samples: int
-    pieces: int  # that are whole in themselves: 1 where no sample is missing
+    pieces: int  # gap-free pieces: 1 if no sample is missing
     period_ns: int
     measured_ns: float
 
 
 @dataclass
 class StreamTrack:
-    """Where a stream stands, and its account."""
+    """The current position of a stream and its account."""
 
     next_n0: int | None = None
-    frames_lost: int = 0  # on the link, when the last block came
+    frames_lost: int = 0  # on the link, as of the last block
     run: int = 0
     pieces: int = 0
     blocks: int = 0
@@ -503,15 +523,15 @@ class StreamTrack:
     samples_overrun: int = 0
     converter_faults: int = 0
     starts: int = 0
-    joined: bool = False  # the box was sampling before the session began, and was not started by it yet
+    joined: bool = False  # the box was sampling before the session began and has not been started by it yet
     period_ns: int = 0
     last_t0_us: int = 0
     last_n: int = 0
-    whole_us: int = 0  # device time between blocks without a gap, and the samples that fill it
+    whole_us: int = 0  # device time between blocks without a gap, and the samples in it
     whole_samples: int = 0
 
     def take(self, n0: Ints, n: Ints, t0_us: Ints, flags: Ints, frames_lost: Ints) -> tuple[NDArray[np.bool_], Ints]:
-        """Account for blocks (b,); before which of them samples are missing, and the run of each."""
+        """Account for blocks (b,); return before which of them samples are missing, and the run of each."""
         expected = np.concatenate([[-1 if self.next_n0 is None else self.next_n0], (n0 + n)[:-1]])
         lost_before = np.concatenate([[self.frames_lost], frames_lost[:-1]])
         unusual = np.flatnonzero((n0 != expected) | (frames_lost != lost_before) | (flags != 0))
@@ -534,16 +554,19 @@ class StreamTrack:
         return gap, run
 
     def restart(self, frames_lost: int) -> None:
-        """The box restarted; ``n0`` counts from 0 again."""
+        """Note a restart of the box; ``n0`` counts from 0 again."""
         self.next_n0, self.frames_lost = None, frames_lost
 
     def _unusual(self, n0: int, flags: int, frames_lost: int, seen: bool) -> bool:
-        """Account for what is missing before a block, of which ``seen`` says whether it is not the stream's first; whether anything is."""
+        """Account for what is missing before a block and return whether anything is.
+
+        ``seen``: the block is not the first of the stream.
+        """
         with_frames, self.frames_lost = frames_lost != self.frames_lost, frames_lost
         self.converter_faults += bool(flags & wire.FLAG_CONVERTER)
         expected = self.next_n0
         if expected is None:
-            # Joined, or restarted. Without a frame lost the box had been sampling before the session began.
+            # Joined or restarted. If no frame is lost, the box had been sampling before the session began.
             missing = n0 if with_frames else 0
             self.joined = not (seen or with_frames) and n0 > 0
         elif n0 < expected:
@@ -561,7 +584,7 @@ class StreamTrack:
         return n0 != expected or bool(flags & wire.FLAG_OVERRUN)
 
     def report(self, stream_id: int, described: Stream) -> StreamReport:
-        """The account, under the name that an ident gives the stream."""
+        """Return the account, under the name that an ident gives the stream."""
         return StreamReport(
             id=stream_id,
             name=described.name,

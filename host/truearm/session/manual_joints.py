@@ -1,9 +1,10 @@
-"""Dwells of a robot that says nothing: joints noted by hand, one reading a pose, and rest as the sensor sees it (hop 5).
+"""Find dwells of a robot without a joint stream, from manually noted joints and the sensor's rest (hop 5).
 
-Joints that somebody read off a pendant come once in several seconds. They cannot say when the robot stood still; the ball-bar can: the
-stops of its length are found as those of joints are (``find_stops()``). A reading noted while the bar rested is that rest's.
-Two readings in one rest that differ are a move that the bar did not show, and a reading at another time is of no rest.
-What remains unseen is a move along which the bar's length stays the same to a few noises.
+Joints read off a pendant arrive every few seconds, so they cannot show when the robot stood still. The ball-bar can:
+the stops of its length are found in the same way as those of joints (``find_stops()``). A reading noted while the bar
+rested belongs to that rest. Two differing readings in one rest mean that the robot moved without the bar showing it. A
+reading at any other time belongs to no rest. A motion that keeps the bar's length constant to within a few noise
+standard deviations remains undetected.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ NO_STEP = np.zeros(1)
 
 
 def has_manual_joints(stream: JointStream) -> bool:
-    """Whether the readings are too far apart to say when the robot stood still."""
+    """Return whether the readings are too far apart to show when the robot stood still."""
     return stream.bins is not None and (stream.readings == 1 or stream.rate_hz * NOTED_S < 1.0)
 
 
@@ -35,7 +36,10 @@ def manual_dwells(
     clocks: Mapping[int, DeviceClock],
     rules: DwellRules,
 ) -> list[Dwell]:
-    """One dwell a reading, in order; those in no rest of the sensor, or in one with another reading, carry their reason."""
+    """Return one dwell per reading, in order.
+
+    Those in no rest of the sensor, or in one with another reading, carry their reason.
+    """
     bins = stream.bins
     if bins is None:
         return []
@@ -69,9 +73,10 @@ def manual_dwells(
 
 
 def sensor_bins(blocks: Iterable[ChannelBlocks], clocks: Mapping[int, DeviceClock]) -> Bins | None:
-    """The sensor's extension in bins of BIN_S [s of the host's clock], as of a single joint; None where there is none.
+    """Return the sensor's extension in bins of BIN_S [s of the host's clock], as a single joint; None if there is none.
 
-    What stands at a rail is left out: an empty coil is quiet, but no rest. Raises SessionError where the channel has no calibration.
+    Samples at a rail are left out: an open coil is quiet but not at rest. Raises SessionError if the channel has no
+    calibration.
     """
     rows: list[tuple[int, float, float, int, float, float, float, bool]] = []
     for placed in _chunks(blocks, clocks):
@@ -91,19 +96,19 @@ def sensor_bins(blocks: Iterable[ChannelBlocks], clocks: Mapping[int, DeviceCloc
 
 
 class _Block(NamedTuple):
-    """The samples of one block, and when the first was taken."""
+    """The samples of one block, and the time of the first."""
 
     segment: int
     host_s: float
     counts: NDArray[np.int32]
-    period_ns: int  # as the block says it
-    sampled_ns: int  # how much time it covers
+    period_ns: int  # as stated in the block
+    sampled_ns: int  # time that the block covers
     gap: bool
     channel: Channel
 
 
 def _chunks(blocks: Iterable[ChannelBlocks], clocks: Mapping[int, DeviceClock]) -> Iterator[list[_Block]]:
-    """Blocks with their host time, BIN_S of them together and none missing between."""
+    """Yield blocks with their host time, grouped to BIN_S without gaps."""
     placed: list[_Block] = []
     for block in _singly(blocks, clocks):
         if placed and (block.gap or placed[0].segment != block.segment):
@@ -129,7 +134,7 @@ def _singly(blocks: Iterable[ChannelBlocks], clocks: Mapping[int, DeviceClock]) 
 
 
 def _noted(stream: JointStream, bins: Bins, k: int, t_host_ns: int, reason: str = "", detail: str = "") -> Dwell:
-    """The dwell of reading k alone, at the time at which it was noted."""
+    """Return a dwell from reading k alone, at the time at which it was noted."""
     t = float(bins.t_first_s[k])
     return Dwell(
         segment=int(bins.segment[k]),
@@ -148,7 +153,7 @@ def _noted(stream: JointStream, bins: Bins, k: int, t_host_ns: int, reason: str 
 
 
 def _resting(dwell: Dwell, rest: Dwell, t_host_ns: int) -> Dwell:
-    """The dwell over the whole rest of the sensor, whose times are the host's."""
+    """Return the dwell over the complete rest of the sensor, in host times."""
     begin, end, stood = (round(1e9 * t) for t in (rest.start_s, rest.end_s, rest.stood_s))
     at = dwell.start_s
     return replace(

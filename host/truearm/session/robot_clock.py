@@ -1,23 +1,27 @@
-"""Robot controller time ↔ host time from arrivals alone (hop 4).
+"""Relate robot controller time to host time from arrivals alone (hop 4).
 
-A reading stamped t by the controller arrives at h(t) + latency, and no latency is negative. The line under all arrivals that
-is nearest to them on average (the lower hull's edge at their middle) follows the fastest packets; queues and a busy host only
-push arrivals up. Windows of 60 s overlap by half and are blended as in ``clock_windows``.
+A reading stamped t by the controller arrives at h(t) + latency, and latency is never negative. The line under all
+arrivals that is nearest to them on average (the lower hull's edge at their middle) follows the fastest packets; queues
+and a busy host only delay arrivals. Windows of 60 s overlap by half and are blended as in ``clock_windows``.
 
-**The shortest latency itself cannot be seen**: a constant one is part of the offset. Here it is left in; what remains is the
-parameter τ of the identification. A robot at rest does not care. Edges of a trigger line (``edges``) do see it.
+**The shortest latency cannot be observed**: a constant latency is part of the offset. It is not removed here; the
+parameter τ of the identification absorbs it. It does not matter for a robot at rest. Edges of a trigger line
+(``edges``) do reveal it.
 
-The **bound** is of what is left besides: how far the line may lie from that of the shortest latency. It is no hard one, as a link
-may hold up every packet of a minute and nothing shows it. It takes the fastest packet of each second: their mean height above the line, twice. Of 60
-seconds' fastest the very fastest lies about a sixtieth of that above the shortest latency where latencies near it are as likely as elsewhere, a seventh where
-their density vanishes linearly there, a quarter where quadratically; at a window's ends the line may be off by a few times as much. To that comes what a rate that drifts
-by 1 ppm a minute bends away from a line, and what neighbouring windows disagree about.
+The **bound** covers the rest: how far the line may be from that of the shortest latency. It is not a hard bound,
+because a link may hold up every packet for a minute without any sign. It is twice the mean height above the line of the
+fastest packet of each second. Of 60 such packets, the very fastest lies above the shortest latency by a fraction of
+that height: about a sixtieth if latencies near the shortest are as likely as elsewhere, a seventh if their density
+vanishes linearly there, a quarter if quadratically. At the ends of a window the line may be off by a few times as much.
+Two terms are added: the deviation from a line for a rate drift of 1 ppm per minute, and the disagreement of
+neighbouring windows.
 
-**Where a clock steps or is slewed** the line follows what lies lowest, and the rest of the window stands above it. So the bound is also at least 1.75 times the height that all
-packets of any eight seconds in succession keep above the line. It holds if in every eight seconds some packet comes nearly as fast as packets can, and if the clocks change one way
-within any eight seconds. The windows about a step are as wide as the step.
+**Where a clock steps or is slewed**, the line follows the lowest arrivals and the rest of the window lies above it. The
+bound is therefore also at least 1.75 times the height above the line that all packets of any eight consecutive seconds
+keep. This holds if every eight seconds contain a packet that is nearly as fast as possible, and if the clocks change in
+only one direction within any eight seconds. The windows around a step are as wide as the step.
 
-Controller time that runs backward is a restart of the controller: another segment, with a clock of its own.
+If controller time runs backward, the controller restarted: another segment with its own clock begins.
 """
 
 from __future__ import annotations
@@ -36,33 +40,33 @@ from truearm.units import PPM
 Ints = NDArray[np.int64]
 
 HALF_WINDOW_S = 30.0
-BLOCK_S = 1.0  # whose fastest packet counts for the bound
-RUN = 8  # seconds in which some packet comes nearly as fast as packets can
-TILTED = 1.75  # of a run's height: a change tilts the line, by less than 3/7 of what it leaves above it within a run (slews and steps of 10 ms: 0.88 of this bound)
-LEAST_BLOCKS = 16  # with fewer the bound grows in proportion
+BLOCK_S = 1.0  # the fastest packet of each such interval counts for the bound
+RUN = 8  # seconds that contain a packet nearly as fast as possible
+TILTED = 1.75  # factor on a run's height: a change tilts the line, by less than 3/7 of the height that it leaves within a run (slews and steps of 10 ms: 0.88 of this bound)
+LEAST_BLOCKS = 16  # with fewer, the bound grows in proportion
 ROUNDING_NS = 1000.0  # stamps are printed to the microsecond
-MAX_RATE = 0.01  # a controller's clock may be poor, but 1 % off it is another unit of time
+MAX_RATE = 0.01  # a controller's clock may be poor, but 1 % off means another unit of time
 
 
 @dataclass(frozen=True)
 class RobotClock:
-    """host = host_ref_ns + dt + offset_ns + rate · dt with dt = 1e9 · (t − t_ref_s), for each window; k windows."""
+    """For each of k windows: host = host_ref_ns + dt + offset_ns + rate · dt with dt = 1e9 · (t − t_ref_s)."""
 
     t_ref_s: float
     host_ref_ns: int
     centre_s: Floats  # (k,) ascending
     offset_ns: Floats  # (k,)
     rate: Floats  # (k,)
-    bound_ns: Floats  # (k,) of the error near each centre; of "arrivals" without the link's shortest latency, which is unknown
+    bound_ns: Floats  # (k,) of the error near each centre; for "arrivals" excluding the link's shortest latency, which is unknown
     source: str = "arrivals"  # or "edges", of a trigger line
 
     def bound_at(self, t_robot_s: Floats) -> Floats:
-        """Bounds (n,) [ns] at controller times: the larger of the two windows about each."""
+        """Return bounds (n,) [ns] at controller times: the larger one of the two windows around each."""
         right = np.clip(np.searchsorted(self.centre_s, t_robot_s), 0, len(self.centre_s) - 1)
         return np.asarray(np.maximum(self.bound_ns[np.maximum(right - 1, 0)], self.bound_ns[right]))
 
     def to_robot_s(self, t_host_ns: Ints) -> Floats:
-        """Controller times (n,) [s] of host times: the inverse of ``to_host_ns``, to the nanosecond."""
+        """Return controller times (n,) [s] of host times: the inverse of ``to_host_ns``, to the nanosecond."""
         host = np.asarray(t_host_ns, dtype=np.int64)
         t = self.t_ref_s + 1e-9 * (host - self.host_ref_ns).astype(np.float64)
         for _ in range(6):  # rates are below 1 %: each step gains two digits
@@ -70,7 +74,7 @@ class RobotClock:
         return np.asarray(t)
 
     def to_host_ns(self, t_robot_s: Floats) -> Ints:
-        """Host times [ns] of controller times (n,) [s], late by the shortest latency of the link."""
+        """Return host times [ns] of controller times (n,) [s], late by the shortest latency of the link."""
         dt = 1e9 * (np.asarray(t_robot_s, dtype=np.float64) - self.t_ref_s)
         place = np.interp(t_robot_s, self.centre_s, np.arange(len(self.centre_s)))
         left = np.minimum(place.astype(int), max(0, len(self.centre_s) - 2))
@@ -82,31 +86,34 @@ class RobotClock:
 
 @dataclass(frozen=True)
 class EdgeReport:
-    """What the edges of the box's trigger output say of one segment of controller time.
+    """Results from the edges of the box's trigger output for one segment of controller time.
 
-    ``shortest_latency_ns`` is what no arrival can show: how late the arrivals' clock is by the edges', in the middle; its error is at most
-    ``bound_ns`` and that of the arrivals' clock together. What the input's shorter delay exceeds the range of ``trigger_edges`` by is in it too.
+    ``shortest_latency_ns`` is the delay of the arrivals' clock relative to the edges' clock in the middle of the segment,
+    which arrivals alone cannot show. Its error is at most the sum of ``bound_ns`` and the bound of the arrivals' clock.
+    If the input's shorter delay exceeds the range of ``trigger_edges``, the excess is included.
     """
 
-    input: int | None  # of the controller that follows the output; None: none does
-    inverted: bool  # it goes off when the output goes high
-    edges: int  # of the box's output while the controller's readings came
+    input: int | None  # of the controller, following the output; None: no input does
+    inverted: bool  # it goes low when the output goes high
+    edges: int  # edges of the box's output while the controller sent readings
     used: int
-    unseen: int  # edges that no reading shows
-    unclear: int  # edges and changes of the input that cannot be told apart: bounces, missing readings
-    stray: int  # changes of the input that no edge explains
+    unseen: int  # edges not visible in any reading
+    unclear: int  # edges and changes of the input that cannot be distinguished: bounces, missing readings
+    stray: int  # changes of the input without a matching edge
     rejected: int  # edges that contradict the others
     falling_later_ns: tuple[
         float, float
     ]  # falling edges of the output are seen later than rising ones by, at least and at most; NaN if unknown
-    bound_ns: float  # largest at any edge; NaN where none is used
-    shortest_latency_ns: float  # NaN where none is used
-    in_use: bool  # the robot's readings are placed by them, not by their arrivals
+    bound_ns: float  # largest at any edge; NaN if none is used
+    shortest_latency_ns: float  # NaN if none is used
+    in_use: bool  # the robot's readings are timed by the edges, not by their arrivals
 
 
 @dataclass(frozen=True)
 class RobotClockReport:
-    """How well a segment of controller time is tied to host time. A constant latency is unknowable and not in here."""
+    """How well a segment of controller time is tied to host time. A constant latency cannot be known and is not
+    included.
+    """
 
     segment: int
     readings: int
@@ -114,15 +121,15 @@ class RobotClockReport:
     rate_ppm: float  # how much faster the host counts than the controller, mean
     rate_range_ppm: float
     spread_ns: float  # disagreement of neighbouring windows half-way, RMS over √2; NaN for one window
-    jitter_ns: float  # mean of the arrivals above the line; median of the half windows
+    jitter_ns: float  # mean height of the arrivals above the line; median over the half windows
     windows: int
-    bound_ns: float  # largest of the clock that is used; of arrivals beside the shortest latency
-    edges: EdgeReport | None = None  # of a trigger line, where the box toggled one
+    bound_ns: float  # largest of the clock in use; for arrivals excluding the shortest latency
+    edges: EdgeReport | None = None  # of a trigger line, if the box toggled one
 
 
 @dataclass
 class Arrivals:
-    """Gathers (controller time, arrival) of one segment; keeps the hull of each second, not the readings."""
+    """Collects (controller time, arrival) of one segment; keeps the hull of each second instead of the readings."""
 
     t_ref_s: float
     host_ref_ns: int
@@ -156,7 +163,7 @@ class Arrivals:
 
 
 def fit_robot_clock(segment: int, arrivals: Arrivals) -> tuple[RobotClock, RobotClockReport]:
-    """The clock of one segment of controller time and its report. ``arrivals`` must hold a reading."""
+    """Return the clock of one segment of controller time and its report. ``arrivals`` must hold a reading."""
     keys = sorted(arrivals.sums)
     blocks: dict[int, list[Floats]] = {key: [] for key in keys}
     for block, corners in arrivals.hulls.items():
@@ -174,7 +181,7 @@ def fit_robot_clock(segment: int, arrivals: Arrivals) -> tuple[RobotClock, Robot
 def _line(
     arrivals: Arrivals, blocks: dict[int, list[Floats]], pair: tuple[int, int]
 ) -> tuple[float, float, float, float]:
-    """Centre [s], offset [ns], rate and bound [ns] of the line under two half windows."""
+    """Return centre [s], offset [ns], rate and bound [ns] of the line under two half windows."""
     keys = sorted(set(pair))
     each = [corners for key in keys for corners in blocks[key]]
     corners = np.concatenate(each)
@@ -183,7 +190,7 @@ def _line(
     offset, per_second = line_under(dt, latency, dt_sum / count)
     if abs(per_second) > 1e9 * MAX_RATE:
         offset, per_second = float(np.min(latency)), 0.0
-    # The fastest of each second above the line; of too few seconds all packets count.
+    # The height of the fastest packet of each second above the line; if there are too few seconds, all packets count.
     fastest = [float(np.min(block[:, 1] - offset - per_second * block[:, 0])) for block in each]
     height = float(np.mean(fastest)) * max(1.0, LEAST_BLOCKS / len(each))
     if len(each) < 3:
@@ -195,7 +202,9 @@ def _line(
 
 
 def _with_disagreement(lines: Floats) -> Floats:
-    """Bounds (k,) of the windows, each at least what it and a neighbour disagree about half-way beyond both bounds."""
+    """Return the bounds (k,) of the windows, each at least the disagreement with a neighbour half-way beyond both
+    bounds.
+    """
     centre, offset, rate, own = lines.T
     halfway = 0.5 * (centre[1:] + centre[:-1])
     here, there = (offset[k] + 1e9 * rate[k] * halfway for k in (slice(None, -1), slice(1, None)))
@@ -223,7 +232,7 @@ def _report(segment: int, arrivals: Arrivals, lines: Floats, bound_ns: float) ->
 
 
 def _mean_heights(arrivals: Arrivals, lines: Floats) -> Floats:
-    """Mean latency [ns] above the nearest window's line, of each half window."""
+    """Return the mean latency [ns] above the nearest window's line, for each half window."""
     count, dt, latency = np.array(list(arrivals.sums.values())).T
     nearest = lines[np.argmin(np.abs(lines[:, :1] - dt / count), axis=0)]
     return np.asarray(latency / count - nearest[:, 1] - 1e9 * nearest[:, 2] * dt / count)

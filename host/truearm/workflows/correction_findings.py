@@ -1,4 +1,7 @@
-"""What a correction did and what is expected of it: shifts, expected errors, margins, straight moves; as a document and as warnings."""
+"""Compute the effect of a correction and the expected errors, as a document and as warnings.
+
+These are shifts, expected errors, margins and straight moves.
+"""
 
 from __future__ import annotations
 
@@ -23,17 +26,20 @@ from truearm.types import CurveKnots, Floats
 from truearm.units import DEG, MM, MRAD, key, shown
 from truearm.workflows.calibration import Calibration
 
-STRAIGHT = 1e-4  # m: a straight move that bends more is warned of
+STRAIGHT = 1e-4  # m: a larger deviation from a straight move gives a warning
 COVERAGE = 2.0  # k of the expanded uncertainty, about 95 % of a normal error
-NEAR_OBSERVED = 0.05  # rad, m beyond the readings that were fitted: no extrapolation worth a warning
-RMS_OF_MEAN = math.sqrt(0.5 * math.pi)  # of |x| where x is normal
+NEAR_OBSERVED = 0.05  # rad, m beyond the fitted readings: a smaller extrapolation gives no warning
+RMS_OF_MEAN = math.sqrt(0.5 * math.pi)  # over the mean of |x| for normal x
 FADES = " Error curves fade out there: what is corrected is geometry and sag."
 FORMAT = "truearm-correction"
 FORMAT_VERSION = 1
 
 
 class CorrectedTargets(NamedTuple):
-    """n targets as asked and as told (n, 4, 4), in the frame of the file; ``tools`` (n, 4, 4) are poses of the tools in the end frame."""
+    """n targets as requested and as commanded (n, 4, 4), in the frame of the file.
+
+    ``tools`` (n, 4, 4) are poses of the tools in the end frame.
+    """
 
     places: tuple[str, ...]  # "line 12", "row 3"
     joints: NDArray[np.bool_]  # (n,) a target of joint readings
@@ -44,7 +50,10 @@ class CorrectedTargets(NamedTuple):
 
 
 class CorrectedMoves(NamedTuple):
-    """n straight moves between corrected targets by the places of both; ``unchecked``: straight moves whose start is not known, or too many."""
+    """n straight moves between corrected targets, by the places of both ends.
+
+    ``unchecked``: straight moves with an unknown start, or too many of them.
+    """
 
     places: tuple[str, ...] = ()
     starts: tuple[str, ...] = ()
@@ -56,9 +65,11 @@ class CorrectedMoves(NamedTuple):
 class Findings:
     """What is expected of n corrected targets.
 
-    ``before`` and ``after`` (n,) [m]: the error of the tool by the identified robot. ``shift`` and ``expected`` (n, 2) [m, rad]: how far the command moved, and the expanded uncertainty of the tool (k = 2) by covariance and unexplained
-    error, NaN where it is not known. ``limits`` (n, j) [rad, m] and ``singular_value`` (n,) are margins. ``outside`` (n, j) says which joints read what the fitted
-    observations do not; None where the result does not say.
+    ``before`` and ``after`` (n,) [m]: the error of the tool according to the identified robot. ``shift`` (n, 2) [m,
+    rad]: how far the command moved. ``expected`` (n, 2) [m, rad]: the expanded uncertainty of the tool (k = 2) from
+    covariance and unexplained error, NaN if unknown. ``limits`` (n, j) [rad, m] and ``singular_value`` (n,) are
+    margins. ``outside`` (n, j): joints outside the range of the fitted observations; None if the result does not
+    contain that range.
     """
 
     targets: CorrectedTargets
@@ -75,7 +86,7 @@ class Findings:
 
 
 def findings(calibration: Calibration, pair: ModelPair, targets: CorrectedTargets, moves: CorrectedMoves) -> Findings:
-    """Judge a correction by the calibration that it rests on; the mountings of ``pair`` were taken out."""
+    """Evaluate a correction by the calibration on which it is based; the mountings of ``pair`` were removed."""
     q, chain = targets.correction.q, calibration.chain
     points = (inverted(pair.mountings.tool) @ targets.tools)[:, :3, 3]
     own = not np.allclose(pair.mountings.base, np.eye(4), rtol=0.0, atol=1e-12)
@@ -92,7 +103,7 @@ def findings(calibration: Calibration, pair: ModelPair, targets: CorrectedTarget
         for poses in (believed(pair, done.q_nominal), reached(pair, done.q_nominal), reached(pair, done.q))
     )
     difference = apart(targets.told, targets.asked)
-    difference[np.isnan(targets.correction.before[:, 1]), 3:] = np.nan  # of positions alone the orientation is free
+    difference[np.isnan(targets.correction.before[:, 1]), 3:] = np.nan  # for positions alone the orientation is free
     return Findings(
         targets,
         moves,
@@ -109,10 +120,11 @@ def findings(calibration: Calibration, pair: ModelPair, targets: CorrectedTarget
 
 
 def unexplained_error(document: Mapping[str, Any]) -> tuple[float, float]:
-    """The standard deviation [m, rad] of the part of the error that the calibration's declared noise does not explain, 0 where it explains all.
+    """Return the standard deviation [m, rad] of the error not explained by the calibration's declared noise, or 0.
 
-    result.json has the mean of the error's norm; the RMS of a normal error along one axis is √(π/2) of it, of one along three only 1.09. Where it has an
-    error of each pose (``pose_error``), whose three axes have one standard deviation, the larger of the two counts.
+    result.json has the mean of the error's norm. For a normal error along one axis the RMS is √(π/2) times that, for
+    one along three axes only 1.09 times. If it has an error of each pose (``pose_error``), with one standard deviation
+    for all three axes, the larger of the two is used.
     """
     left = document.get("unexplained")
     means = [left.get(name) if isinstance(left, dict) else None for name in ("mean_mm", "mean_deg")]
@@ -124,7 +136,9 @@ def unexplained_error(document: Mapping[str, Any]) -> tuple[float, float]:
 
 
 def _outside(calibration: Calibration, q: Floats) -> NDArray[np.bool_] | None:
-    """(n, j) where a joint is outside the readings that were fitted; a whole turn of a revolute joint is the same place."""
+    """Return (n, j), where a joint is outside the fitted readings; a full turn of a revolute joint counts as the same
+    position.
+    """
     seen = calibration.stored.joint_range
     if seen is None:
         return None
@@ -135,7 +149,7 @@ def _outside(calibration: Calibration, q: Floats) -> NDArray[np.bool_] | None:
 
 
 def warnings(calibration: Calibration, targets: CorrectedTargets, moves: CorrectedMoves) -> list[str]:
-    """What the operator has to know before the program is run."""
+    """Return what the operator must know before the program is run."""
     said = []
     outside, drive = _outside(calibration, targets.correction.q), moves.found
     if outside is None:
@@ -172,7 +186,7 @@ def warnings(calibration: Calibration, targets: CorrectedTargets, moves: Correct
 def document_of(
     found: Findings, calibration: Calibration, said: Sequence[str], refused: Sequence[Refused], out: str
 ) -> dict[str, Any]:
-    """The findings and warnings as JSON (docs/target-format.md)."""
+    """Return the findings and warnings as JSON (docs/reference/target-format.md)."""
     return {
         **_head(calibration, out),
         "coverage_factor": COVERAGE,
@@ -187,7 +201,7 @@ def document_of(
 
 
 def refusal_of(calibration: Calibration, refused: Sequence[Refused]) -> dict[str, Any]:
-    """The document of a program of which nothing was written."""
+    """Return the document for a program that was not written."""
     return {**_head(calibration, None), "refused": [one._asdict() for one in refused]}
 
 
@@ -221,7 +235,7 @@ def _target_entries(found: Findings, units: Sequence[str]) -> list[dict[str, Any
 
 
 def _limit_entry(limits: Floats, units: Sequence[str]) -> dict[str, float | int | None]:
-    """The joint that is nearest to a limit of its own, from 1, and how far it is; both null where no joint has one."""
+    """Return the joint nearest to its limit, from 1, and the distance; both null if no joint has a limit."""
     nearest = int(np.argmin(limits))
     if not math.isfinite(limits[nearest]):
         return {"limit_joint": None, "limit_deg": None}
@@ -256,7 +270,7 @@ def _move_entries(moves: CorrectedMoves, units: Sequence[str]) -> list[dict[str,
 
 
 def _several(places: Sequence[str]) -> str:
-    """Places, one a name: "lines 3, 5 and 9"."""
+    """Join places under one name: "lines 3, 5 and 9"."""
     unique = list(dict.fromkeys(places))
     what = unique[0].partition(" ")[0]
     numbers = [place.partition(" ")[2] for place in unique]

@@ -1,4 +1,4 @@
-"""The page of a correction, made of what was found."""
+"""Format the findings of a correction as a page."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def page_of(
     notes: Sequence[str],
     refused: Sequence[Refused],
 ) -> CorrectionPage:
-    """The page; ``names`` are those of the targets' file, of the corrected one, and of the result."""
+    """Return the page; ``names`` are those of the targets' file, of the corrected file, and of the result."""
     of, units = found.targets, calibration.joint_units
     given, written, result = map(one_line, names)
     of_position, of_rotation = MM.text(found.unexplained[0], ".3f"), MRAD.text(found.unexplained[1], ".3f")
@@ -56,7 +56,7 @@ def page_of(
 
 
 def _limit(limits: Floats, units: Sequence[str]) -> str:
-    """The joint that is nearest to its limit, and how near."""
+    """Return the joint nearest to its limit, and the distance."""
     nearest = int(np.argmin(limits))
     if not math.isfinite(limits[nearest]):
         return "none"
@@ -65,7 +65,7 @@ def _limit(limits: Floats, units: Sequence[str]) -> str:
 
 
 def _moves(found: Findings, units: Sequence[str]) -> tuple[tuple[str, ...], ...]:
-    """Rows of cells, the move that bends most first."""
+    """Return rows of cells, beginning with the move that deviates most from a straight line."""
     drive = found.moves.found
     if drive is None:
         return ()

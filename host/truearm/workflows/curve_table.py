@@ -1,4 +1,4 @@
-"""A compensation table: what each joint truly turns beyond offset and gain, reading by reading (CSV)."""
+"""Compensation table (CSV): each joint's true rotation beyond offset and gain, by reading."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ HEADER = "joint,reading_deg,error_mrad,sigma_mrad,covered"
 
 
 def curve_table(curves: Sequence[SampledCurve]) -> str:
-    """Return the table's text: a row a joint and reading, ``covered`` 1 where the calibration's rows reach, else 0."""
+    """Return the table's text: one row per joint and reading, ``covered`` 1 within the range of the calibration's rows,
+    else 0.
+    """
     lines = [HEADER]
     for curve in curves:
         name = one_line(curve.joint).replace(",", " ")
@@ -22,5 +24,5 @@ def curve_table(curves: Sequence[SampledCurve]) -> str:
 
 
 def looks_like_curves(head: bytes) -> bool:
-    """Whether a file that begins so is such a table, or empty."""
+    """Return whether a file with this beginning is such a table, or empty."""
     return not head.strip() or head.startswith(HEADER.encode())

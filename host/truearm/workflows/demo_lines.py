@@ -1,7 +1,8 @@
-"""``truearm demo --experiment line|both``: Renders' experiment, lines that a device measures in motion, by itself or beside the ball-bar.
+"""``truearm demo --experiment line|both``: Renders' experiment, lines measured in motion, alone or with the ball-bar.
 
-Four lines, planned for a region, are driven there and back to identify, and a fifth, drawn in the region by chance, to judge by
-(Renders 1991, III-E). The simulated robot's readings are late, which nobody is told and the identification has to find.
+Four lines, planned for a region, are driven there and back for the identification. A fifth, drawn at random in the
+region, is used for judging (Renders 1991, III-E). The simulated robot's readings are delayed; the identification is not
+told and has to find the delay.
 """
 
 from __future__ import annotations
@@ -21,19 +22,19 @@ if TYPE_CHECKING:
     from truearm_sim.world import World
 
 N_LINES = 4
-CHECK = "check"  # the line that judges
+CHECK = "check"  # the line used for judging
 REGION = (0.2, -0.35, 0.05), (0.7, 0.35, 0.6)
-REGION_REACH = 0.92  # m, of the arm that this region fits
+REGION_REACH = 0.92  # m, reach of the arm that this region fits
 LENGTH = 0.5  # m, of its lines
 CANDIDATES = 30
-DRAW = 1000  # of the line that judges: beside the planner's own
+DRAW = 1000  # random seed of the line used for judging, added to the planner's own
 SPEED = 0.1  # m/s
 ROBOT_DELAY_S = 8e-3
-RATE_HZ, RATE_OF_BOTH_HZ = 125.0, 50.0  # joint readings a second; an hour and a half at 125 would be recorded longer
+RATE_HZ, RATE_OF_BOTH_HZ = 125.0, 50.0  # joint readings per second; at 125, 1.5 hours would take longer to record
 
 
 def world_of(with_bar: bool, poses: int, seed: int, subject: Subject) -> World:
-    """The robot that drives planned lines, after ``poses`` dwells with each bar if ``with_bar``."""
+    """Return the robot that drives planned lines, after ``poses`` dwells with each bar if ``with_bar``."""
     from dataclasses import replace
 
     from truearm.files.plan_file import concatenate
@@ -57,7 +58,7 @@ def world_of(with_bar: bool, poses: int, seed: int, subject: Subject) -> World:
 
 
 def planned_lines(seed: int, robot: Robot) -> Plan:
-    """Lines as ``truearm plan line`` plans them on the design, and one more in their region."""
+    """Return lines as ``truearm plan line`` plans them on the design, and one more in their region."""
     from dataclasses import replace
 
     import numpy as np
@@ -89,26 +90,26 @@ def planned_lines(seed: int, robot: Robot) -> Plan:
 
 @dataclass(frozen=True)
 class LineCalibration:
-    """What was identified of lines, and by what else it is judged."""
+    """The results identified from lines, and the other fit used for comparison."""
 
     with_bar: bool
     subject: Subject
     rig: Rig
     table: ObservationTable
     estimate: Estimate
-    other: Estimate  # row by row where lines are alone, the ball-bar's alone where both are there
+    other: Estimate  # row by row for lines alone; the ball-bar's alone if both are used
     longitude: Floats
     predicted: PredictedError | None
     hold_out: tuple[str, ...]
 
     @property
     def prior(self) -> Prior:
-        """Lines alone do not see all that is free; beside a ball-bar nothing but the rows speaks."""
+        """The prior: lines alone do not determine all free parameters; together with a ball-bar none is needed."""
         return Prior.NONE if self.with_bar else Prior.WIDE
 
 
 def calibrate(with_bar: bool, out: Path, table: ObservationTable, subject: Subject) -> LineCalibration:
-    """Fit four lines, with them the shells of the first bar, and judge by the rest; writes result.json."""
+    """Fit four lines, and with them the shells of the first bar, judge by the rest, and write result.json."""
     import numpy as np
 
     from truearm.estimate.identify import SolverOptions, identify
@@ -154,7 +155,7 @@ def calibrate(with_bar: bool, out: Path, table: ObservationTable, subject: Subje
 
 
 def write_page(out: Path, found: LineCalibration, result: SyncResult, truth: ClockTruth, steps: Steps) -> Path:
-    """report.html: pictures and tables, everything inline."""
+    """Write report.html with pictures and tables, everything inline."""
     from truearm.report.calibration_page import CalibrationPage, render
 
     with_bar = " and ball-bar" * found.with_bar
@@ -176,7 +177,7 @@ def write_page(out: Path, found: LineCalibration, result: SyncResult, truth: Clo
 
 
 def delay_words(estimate: Estimate) -> str:
-    """τ and its standard deviation, beside the truth: a reading is late by what its network takes at least, too."""
+    """Describe τ and its standard deviation, next to the truth, which includes the shortest network delay."""
     from truearm_sim.lab import FROM_ROBOT
 
     k = estimate.parameter_names.index("time_offset")

@@ -1,4 +1,4 @@
-"""The work of ``truearm map``: the section, its table and picture, the best region."""
+"""Map the error over a section of the workspace (``truearm map``): table, picture and best region."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ MARK = "u_mm,v_mm"
 class Section(NamedTuple):
     """The section of the workspace to map.
 
-    ``joints``: the two that span it, from 1 on. ``at``: where the joints stand (j,) [rad, m]; None for 0.
-    ``elbow_up``: which of the arm's two configurations. ``cell`` [m] is the size of a cell. ``own_frames``: leave out how base and tool
-    were mounted.
+    ``joints``: the two that span it, counted from 1. ``at``: position of the joints (j,) [rad, m]; None for 0.
+    ``elbow_up``: which of the arm's two configurations. ``cell`` [m]: size of a cell. ``own_frames``: leave out how
+    base and tool were mounted.
     """
 
     joints: tuple[int, int] = (2, 3)
@@ -44,14 +44,14 @@ class Section(NamedTuple):
 
 
 class Task(NamedTuple):
-    """A task of a width and a height [m] to find the best place for, ``within`` u0, u1, v0, v1 [m] or anywhere."""
+    """A task of a width and a height [m] for which to find the best place, ``within`` u0, u1, v0, v1 [m] or anywhere."""
 
     size: tuple[float, float]
     within: tuple[float, float, float, float] | None = None
 
 
 class MapFiles(NamedTuple):
-    """What ``truearm map`` reads and writes."""
+    """Input and output files of ``truearm map``."""
 
     result: Path
     robot: RobotChoice
@@ -61,14 +61,17 @@ class MapFiles(NamedTuple):
 
 
 class Mapped(NamedTuple):
-    """A map, and the best region for the task; None where there is no task, or no place for it."""
+    """A map, and the best region for the task; None if there is no task, or no place for it."""
 
     map: ErrorMap
     region: Region | None
 
 
 def map_files(calibration: Calibration, files: MapFiles, section: Section, task: Task | None = None) -> Mapped:
-    """Make a map by the calibration of ``files.result`` and write what was asked for. Raises InputError in one line."""
+    """Make a map by the calibration of ``files.result`` and write the requested files.
+
+    Raises InputError with a one-line message.
+    """
     check_names(files.out, files.picture)
     read = [files.result, *files.robot.files]
     if files.out is not None:
@@ -87,7 +90,7 @@ def map_files(calibration: Calibration, files: MapFiles, section: Section, task:
 
 
 def mapped(calibration: Calibration, section: Section) -> ErrorMap:
-    """The map of a section. Raises InputError for joints that the robot does not have or cannot take."""
+    """Return the map of a section. Raises InputError for joints that the robot does not have or cannot reach."""
     chain = calibration.chain
     pair = ModelPair(
         chain, calibration.nominal, calibration.identified, chosen_mountings(calibration, section.own_frames)
@@ -109,7 +112,7 @@ def _looks_like_picture(head: bytes) -> bool:
 
 
 def _table(found: ErrorMap, units: tuple[str, ...]) -> str:
-    """One row a cell that is reached; u, v are the cell's middle, x, y, z where the nominal end is."""
+    """Return one row per reachable cell; u, v are the cell's centre, x, y, z the nominal end position."""
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     joints = [key(f"q{i}", unit) for i, unit in enumerate(units, start=1)]
@@ -132,7 +135,7 @@ def _picture(found: ErrorMap, region: Region | None, calibration: Calibration) -
 
 
 def axis(direction: Floats) -> str:
-    """x, y, z for the axes of the base frame, else the direction's components."""
+    """Return x, y, z for the axes of the base frame, else the direction's components."""
     for i, name in enumerate("xyz"):
         if abs(direction[i]) > 1.0 - 1e-6:
             return ("-" if direction[i] < 0.0 else "") + name

@@ -1,4 +1,4 @@
-"""What a recording that just ended holds for ``identify``: how many of its dwells can be used, and how many need the operator's word."""
+"""Count the usable dwells of a recording that just ended, and those that the operator must settle."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RecordedDwells:
-    """Of the stops at poses of the plan, without a plan of all that were long enough.
+    """Account of the stops at poses of the plan, or, without a plan, of all sufficiently long stops.
 
-    ``unusable``: for other reasons, each with how many; ``lost``: poses of the plan that were visited and gave no observation.
+    ``unusable``: rejected for other reasons, with the number for each. ``lost``: poses of the plan that were visited
+    and gave no observation.
     """
 
     dwells: int
@@ -30,7 +31,7 @@ class RecordedDwells:
 
     @property
     def sentence(self) -> str:
-        """``39 dwells: 31 usable, 8 need your word``."""
+        """Return ``39 dwells: 31 usable, 8 need your word``."""
         parts = [f"{self.usable} usable"]
         if self.need_words:
             parts.append(f"{self.need_words} {'needs' if self.need_words == 1 else 'need'} your word")
@@ -39,7 +40,7 @@ class RecordedDwells:
 
 
 def recorded_dwells(session: Path) -> RecordedDwells | None:
-    """Look through a session; None where it has no rig with a ball-bar, or cannot be read."""
+    """Return the account of a session; None if it has no rig with a ball-bar or cannot be read."""
     from truearm.session.session_file import open_session
     from truearm.workflows.session_observations import SessionOptions, attached_rig, observations_of_session
 
@@ -48,12 +49,12 @@ def recorded_dwells(session: Path) -> RecordedDwells | None:
         if rig is None or not rig.bars:
             return None
         return counted_dwells(observations_of_session(session, rig, SessionOptions(may_be_empty=True)))
-    except TruearmError:  # identify says what is wrong with it
+    except TruearmError:  # identify reports what is wrong with it
         return None
 
 
 def counted_dwells(result: SyncResult) -> RecordedDwells:
-    """The account of a session's dwells."""
+    """Return the account of a session's dwells."""
     from truearm.session.dwells import NEED_WORDS, DwellRules
 
     plan = result.survey.marks.plan()

@@ -1,4 +1,4 @@
-"""The work of ``truearm reproduce``: all chapters of a paper, computed, and written as a page and as numbers."""
+"""Compute all chapters of a paper and write them as a page and as numbers (``truearm reproduce``)."""
 
 from __future__ import annotations
 
@@ -14,14 +14,17 @@ if TYPE_CHECKING:
 
 
 class Paper(StrEnum):
-    """What can be reproduced."""
+    """A paper that can be reproduced."""
 
     goswami = "goswami"
     renders = "renders"
 
 
 def reproduced(paper: Paper, quick: bool, seed: int, step: Step) -> ReproducePage:
-    """All chapters of a paper, without the time that they took; ``quick``: with fewer experiments. ``step`` is entered about each step."""
+    """Return all chapters of a paper, without their durations.
+
+    ``quick``: with fewer experiments. ``step`` is entered as a context for each step.
+    """
     from truearm.report.reproduce_page import ReproducePage
     from truearm.reproduce import goswami_page, renders_page
 
@@ -39,7 +42,7 @@ def reproduced(paper: Paper, quick: bool, seed: int, step: Step) -> ReproducePag
 
 
 def planned_bench(n_poses: int, seed: int) -> Bench:
-    """The simulator's plan and rig: poses on the shells of both bars that the arm can go to."""
+    """Return the simulator's plan and rig: poses on the shells of both bars that the arm can reach."""
     from truearm.model.robot import builtin_robot
     from truearm.reproduce.goswami import bench
     from truearm_sim.world import standard_plan, standard_rig

@@ -1,4 +1,4 @@
-"""From a session file to observations: the border between the file (record) and what is made of it (sync)."""
+"""Read observations from a session file: the interface between the file (record) and its evaluation (sync)."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ if TYPE_CHECKING:
 
 SUFFIX = ".mcap"
 RIG = "rig.toml"
-SAID = 3  # places where a file is damaged; inspect says all
+SAID = 3  # damaged places reported; inspect lists all
 
-Say = Callable[[str], None]  # is called with a line of progress or of warning
-Heard = Callable[["Session", "SyncResult"], None]  # is called with each session and what was made of it
+Say = Callable[[str], None]  # called with a line of progress or a warning
+Heard = Callable[["Session", "SyncResult"], None]  # called with each session and its results
 
 
 def silent(_: str) -> None:
-    """A ``Say`` that says nothing."""
+    """A ``Say`` that discards its lines."""
 
 
 def unheard(_: Session, __: SyncResult) -> None:
-    """A ``Heard`` that keeps nothing."""
+    """A ``Heard`` that does nothing."""
 
 
 @dataclass(frozen=True)
 class SessionOptions:
     """How to read a session.
 
-    ``allow_damaged``: use what is whole of a damaged file, and call ``say`` with what is lost. ``may_be_empty``: a part of
-    a session need not give an observation. ``line_points``: of each pass along a line at most. ``heard`` is called with the
-    session and its observations.
+    ``allow_damaged``: use the intact parts of a damaged file, and call ``say`` with the losses. ``may_be_empty``: a
+    part of a session need not give an observation. ``line_points``: maximum number per pass along a line. ``heard`` is
+    called with the session and its observations.
     """
 
     allow_damaged: bool = False
@@ -48,19 +48,21 @@ class SessionOptions:
 
 
 def labels_of(path: Path) -> tuple[DwellLabel, ...] | None:
-    """What was settled of a session's dwells (``truearm relabel``), None where nothing was. Raises SessionError."""
+    """Return the settled labels of a session's dwells (``truearm relabel``), None if there are none. Raises
+    SessionError.
+    """
     from truearm.files.labels_file import last_dwells, read_labels
 
     return last_dwells(read_labels(path))
 
 
 def is_session(path: Path) -> bool:
-    """Whether a file's name says that it is a session."""
+    """Return whether a file's name is that of a session."""
     return path.suffix.lower() == SUFFIX
 
 
 def attached_rig(session: Session, path: Path) -> Rig | None:
-    """The rig that the recorder was given, None if it was given none. Raises RigError if it is no rig."""
+    """Return the rig given to the recorder, None if there was none. Raises RigError if it is not a valid rig."""
     from truearm.files.rig_file import parse_rig
 
     data = session.attachments.get(RIG)
@@ -73,9 +75,9 @@ def attached_rig(session: Session, path: Path) -> Rig | None:
 
 
 def observations_of_session(path: Path, rig: Rig | None = None, options: SessionOptions | None = None) -> SyncResult:
-    """Hops 4 and 5 of a session file. ``rig`` stands in for the one that was recorded.
+    """Run hops 4 and 5 on a session file. ``rig`` replaces the recorded one.
 
-    Raises SessionError for a file that is none or gave no observation, RigError if there is no rig.
+    Raises SessionError for a file that is not a session or gives no observation, RigError if there is no rig.
     """
     from truearm.session.line_passes import LineRules
     from truearm.session.observations import observations

@@ -1,4 +1,4 @@
-"""A program's text with other numbers in place of its targets'. Every byte that is no number of a target stays."""
+"""A program's text with other numbers in place of its targets'. Every byte that is not a number of a target stays."""
 
 from __future__ import annotations
 

@@ -1,10 +1,11 @@
-"""Error curve: a cubic B-spline of the joint's own reading, one parameter a coefficient.
+"""Error curve: a cubic B-spline of the joint's own reading, with one parameter per coefficient.
 
-The parameter of the coefficient k has ``basis`` (centre, spacing, period): its B-spline is at its largest at the reading
-``centre`` and reaches two spacings to either side. The knots of a joint are uniform. With a period other than 0 they go round
-a whole turn; else the curve is zero beyond its last coefficients. A whole turn of the joint is the same place either way.
+The parameter of coefficient k has ``basis`` (centre, spacing, period): its B-spline has its maximum at the reading
+``centre`` and extends two spacings to either side. The knots of a joint are uniform. With a period other than 0 they
+cover a complete turn; otherwise the curve is zero beyond its last coefficients. In both cases readings a complete turn
+of the joint apart are equivalent.
 
-A curve is no key of a robot file: ``model.law_chain`` adds it to a chain, by what an identification learned.
+A curve has no key in a robot file: ``model.law_chain`` adds it to a chain from the result of an identification.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class _Knots:
-    """The coefficients of one joint: they are ``some`` of the term's parameters."""
+    """The coefficients of one joint: ``some`` of the term's parameters."""
 
     joint: int
     some: slice
@@ -34,11 +35,14 @@ class _Knots:
 
     @property
     def count(self) -> int:
-        """Coefficients."""
+        """Return the number of coefficients."""
         return int(self.some.stop - self.some.start)
 
     def weights(self, q: Floats, derivative: bool = False) -> tuple[NDArray[np.intp], Floats]:
-        """Which coefficients (4, n) act at readings q (n,), counted from 0 with one zero at ``count``, and their weights."""
+        """Return the coefficients (4, n) that act at readings q (n,), and their weights.
+
+        Coefficients count from 0; index ``count`` stands for a zero.
+        """
         turn = 2.0 * np.pi
         middle = self.first + 0.5 * (self.count - 1) * self.spacing
         with np.errstate(invalid="ignore"):

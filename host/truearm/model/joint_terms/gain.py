@@ -1,4 +1,4 @@
-"""Gain: by how much a joint truly moves where its reading moves by one."""
+"""Gain: the true motion of a joint per unit of its reading."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from truearm.types import Floats
 
 
 class Gain(Term):
-    """gain·q; of a joint without a parameter the gain is 1."""
+    """gain·q; for a joint without a parameter the gain is 1."""
 
     name = "gain"
     unit = "1"

@@ -1,6 +1,6 @@
-"""The nominal robot without further terms of its joint law, for terms that need the arm's geometry.
+"""The nominal robot with offset and gain only, for terms of the joint law that need the arm's geometry.
 
-A term is part of the law and cannot ask it for joint angles. Here these are offset and gain alone.
+A term is part of the joint law, so it cannot obtain joint angles from it. Here the law consists of offset and gain.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class NominalArm:
-    """A chain of j joints with its nominal parameters; ``motions`` are the joints'."""
+    """A chain of j joints with its nominal parameters; ``motions`` are those of the joints."""
 
     def __init__(self, chain: Chain) -> None:
         self.motions = chain.motions
@@ -27,10 +27,10 @@ class NominalArm:
         self._offset, self._gain = Offset.of_chain(chain), Gain.of_chain(chain)
 
     def frames(self, q: Floats) -> list[Floats]:
-        """Frames (n, 4, 4) in the base frame at readings q (j, n): each joint's after its motion (j of them), then the end."""
+        """Return frames (n, 4, 4) in the base frame at readings q (j, n): each joint's after its motion, then the end."""
         angles = self._offset.value(self._params, q) + self._gain.value(self._params, q)
         return far_frames(self._links, self.motions, angles.T)
 
     def by_joints(self, q: Floats) -> Floats:
-        """(j, 1) by how much each joint moves where its reading moves by one."""
+        """Return the motion of each joint per unit of its reading, (j, 1)."""
         return self._gain.by_joints(self._params, q)

@@ -1,4 +1,4 @@
-"""Offset: the joint's true angle where its encoder, by the other terms, stands at zero."""
+"""Offset: the joint's true angle when the sum of the other terms is zero."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Offset(Term):
-    """A constant [rad or m]; of a joint without a parameter it is the fixed ``value`` of the joint's element."""
+    """A constant [rad or m]; for a joint without a parameter it is the fixed ``value`` of the joint's element."""
 
     name = "offset"
     unit = None

@@ -1,14 +1,14 @@
-"""Sag: a joint gives way to the weight of what it carries, without anyone knowing the masses.
+"""Sag: the deflection of a joint under the weight that it carries, with unknown masses.
 
     δθ_i = Σ_k s_ik · g·(axis_i × (p_k − origin_i))
 
-p_k are points that move with the links beyond joint i: the origins of further joints' frames and the end's. The sum over k
-is the torque of unit masses there; s_ik is joint i's compliance times the mass at p_k, an unknown [rad per kg·m, with g
-of length 1]. Any distribution of masses along the lines between these points has such a torque. The geometry is the
-nominal one. The parameter of (i, k) has ``basis`` (k, gx, gy, gz): the frame whose origin p_k is (the number of joints:
-the end), and the direction of gravity in the base frame.
+p_k are points that move with the links beyond joint i: the origins of the frames of further joints and of the end. The
+sum over k is the torque of unit masses at these points. s_ik is joint i's compliance times the mass at p_k, an unknown
+[rad per kg·m, with g of length 1]. Any distribution of masses along the lines between these points has such a torque.
+The geometry is the nominal one. The parameter of (i, k) has ``basis`` (k, gx, gy, gz): the frame with origin p_k (the
+number of joints stands for the end), and the direction of gravity in the base frame.
 
-As a curve, a sag is no key of a robot file: ``model.law_chain`` adds it to a chain.
+Like a curve, a sag has no key in a robot file: ``model.law_chain`` adds it to a chain.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class Sag(Term):
-    """s_ik [rad per kg·m]: by how much joint i turns under a unit mass at frame k."""
+    """s_ik [rad per kg·m]: the rotation of joint i under a unit mass at frame k."""
 
     name = "sag"
     unit = "rad"
@@ -57,7 +57,7 @@ class Sag(Term):
                     by = np.cross(axes[i], axes[at]) if at > i else np.zeros_like(lever)
                 elif at >= i:
                     by = np.cross(axes[i], np.cross(axes[at], origins[k] - origins[at]))
-                else:  # turns joint and mass alike
+                else:  # rotates joint and mass equally
                     by = np.cross(axes[at], np.cross(axes[i], lever))
                 out[i, at] += params[self.parameters[row]] * rates[at] * (by @ self._gravity[row])
         return out
@@ -66,7 +66,7 @@ class Sag(Term):
         return self._torques(q)
 
     def _torques(self, q: Floats) -> Floats:
-        """(m, n) [kg·m] of unit masses, gravity of length 1."""
+        """Return torques (m, n) [kg·m] of unit masses with gravity of length 1."""
         axes, origins = self._lines(self._arm.frames(q))
         # g·(a × l) = (g × a)·l
         rows = [
@@ -76,7 +76,7 @@ class Sag(Term):
         return np.stack(rows) if rows else np.zeros((0, q.shape[1]))
 
     def _lines(self, frames: list[Floats]) -> tuple[list[Floats], list[Floats]]:
-        """Axes of the joints and origins of all frames, (n, 3) each."""
+        """Return axes of the joints and origins of all frames, (n, 3) each."""
         axes = [frame[..., :3, axis_of(motion)] for frame, motion in zip(frames, self._arm.motions, strict=False)]
         return axes, [frame[..., :3, 3] for frame in frames]
 

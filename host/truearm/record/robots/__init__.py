@@ -1,7 +1,7 @@
-"""Joint sources: a file each. A source is a ``Link`` whose bytes are lines, readings as docs/session-format.md describes them.
+"""Joint sources, one file each. A source is a ``Link`` with readings as lines (docs/reference/session-format.md).
 
-It yields, reading by reading, the host's arrival (of the link), the controller's time ``t``, a number ``seq`` that counts the
-readings if there is one, the measured joints ``q`` and, as far as the robot says them, the commanded ones ``q_cmd``, velocities ``qd``,
-``current`` or ``effort``, and digital ``inputs``. Measured and commanded joints are kept apart. A line that is no such object is kept
-as console text. The recorder knows nothing of a source but that.
+Each reading has the host's arrival time (from the link), the controller's time ``t``, a sequence number ``seq`` if
+there is one, and the measured joints ``q``. If the robot provides them, it also has the commanded joints ``q_cmd``,
+velocities ``qd``, ``current`` or ``effort``, and digital ``inputs``. Measured and commanded joints are kept separate. A
+line that is not such an object is kept as console text. The recorder knows nothing else about a source.
 """

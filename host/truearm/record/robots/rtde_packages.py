@@ -1,7 +1,7 @@
-"""The packages of Universal Robots' Real-Time Data Exchange (RTDE), protocol version 2, as bytes.
+"""Encode and decode packages of Universal Robots' Real-Time Data Exchange (RTDE), protocol version 2.
 
-After the maker's public description: "Real-Time Data Exchange (RTDE) Guide", docs.universal-robots.com. Everything is
-big-endian. A package is its size [2 bytes, these three included], its type [1 byte, a letter] and a payload::
+Based on the manufacturer's public description: "Real-Time Data Exchange (RTDE) Guide", docs.universal-robots.com. Everything is
+big-endian. A package consists of its size [2 bytes, including these three], its type [1 byte, a letter] and a payload::
 
     letter  client → controller                          controller → client
     V       version (2 bytes)                            accepted (1 byte)
@@ -11,8 +11,8 @@ big-endian. A package is its size [2 bytes, these three included], its type [1 b
     U                                                    recipe (1 byte), the values in the order of the names
     M                                                    length (1 byte), text, length (1 byte), source, level (1 byte)
 
-S starts the data packages U, P pauses them. A name that the controller does not have gets the type NOT_FOUND. A package is at
-most 65535 bytes by its own size field; the names are at most 2048.
+S starts the data packages U, P pauses them. A name that the controller does not have gets the type NOT_FOUND. The size
+field limits a package to 65535 bytes; the names take at most 2048.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 VERSION, CONTROLLER, OUTPUTS, START, PAUSE, DATA, TEXT = b"VvOSPUM"
-BROKEN = 256  # no type: what stands where a package should begin
+BROKEN = 256  # not a type: data where a package should begin
 NOT_FOUND = "NOT_FOUND"
 LEVELS = ("exception", "error", "warning", "info")
 
-# type: struct's letter and how many of it
+# type: struct's letter and count
 TYPES = {
     "BOOL": ("?", 1),
     "UINT8": ("B", 1),
@@ -48,27 +48,27 @@ Value = float | list[float]
 
 
 def package(kind: int, payload: bytes = b"") -> bytes:
-    """A package as bytes; the payload must fit (65532 bytes)."""
+    """Return a package as bytes; the payload must fit (65532 bytes)."""
     return _HEAD.pack(_HEAD.size + len(payload), kind) + payload
 
 
 def request_version() -> bytes:
-    """Asks for protocol version 2."""
+    """Return a request for protocol version 2."""
     return package(VERSION, b"\0\2")
 
 
 def request_outputs(names: Sequence[str], frequency_hz: float) -> bytes:
-    """Asks for data packages of these fields; together with the commas they take at most MAX_NAMES_BYTES."""
+    """Return a request for data packages of these fields; with their commas they may take MAX_NAMES_BYTES."""
     return package(OUTPUTS, _FREQUENCY.pack(frequency_hz) + ",".join(names).encode())
 
 
 def controller_version(payload: bytes) -> tuple[int, ...] | None:
-    """Major, minor, bugfix and build from the answer to CONTROLLER; None if it is none."""
+    """Return major, minor, bugfix and build from the answer to CONTROLLER; None if it is invalid."""
     return _FOUR.unpack(payload) if len(payload) == _FOUR.size else None
 
 
 def text_message(payload: bytes) -> tuple[str, str, str] | None:
-    """Level, source and text of a text message; None if it is none."""
+    """Return level, source and text of a text message; None if it is invalid."""
     try:
         text_end = 1 + payload[0]
         source_end = text_end + 1 + payload[text_end]
@@ -83,9 +83,11 @@ def text_message(payload: bytes) -> tuple[str, str, str] | None:
 
 
 class Packages:
-    """Bytes in arbitrary pieces → packages ``(type, payload)``; keeps less than 64 kB and a piece.
+    """Splits bytes that arrive in arbitrary pieces into packages ``(type, payload)``; holds less than 64 kB and one
+    piece.
 
-    A size below 3 cannot be. The bytes from there on come out as BROKEN, and then nothing more: ``broken`` is true.
+    A size below 3 is invalid. The bytes from there on are returned as BROKEN, then nothing more, and ``broken`` is
+    true.
     """
 
     def __init__(self) -> None:
@@ -93,7 +95,7 @@ class Packages:
         self.broken = False
 
     def push(self, data: bytes) -> list[tuple[int, bytes]]:
-        """The packages that ``data`` completes."""
+        """Return the packages completed by ``data``."""
         if self.broken:
             return []
         found: list[tuple[int, bytes]] = []
@@ -113,14 +115,14 @@ class Packages:
 
 @dataclass(frozen=True)
 class Recipe:
-    """What a data package holds: the names, the layout, and each name's place among the unpacked numbers."""
+    """Layout of a data package: names, struct layout, and each name's position among the unpacked numbers."""
 
     number: int
     layout: struct.Struct
     places: dict[str, slice]
 
     def values(self, payload: bytes) -> dict[str, Value] | None:
-        """The values of a data package by name, vectors as lists; None if it is none of this recipe."""
+        """Return the values of a data package by name, vectors as lists; None if it does not match this recipe."""
         if len(payload) != self.layout.size or payload[0] != self.number:
             return None
         numbers = self.layout.unpack(payload)
@@ -131,7 +133,7 @@ class Recipe:
 
 
 def types_of(payload: bytes) -> list[str]:
-    """The types in an answer to OUTPUTS; [] if it is no text."""
+    """Return the types in an answer to OUTPUTS; [] if it is not text."""
     try:
         return payload[1:].decode("ascii").split(",")
     except UnicodeDecodeError:
@@ -139,7 +141,7 @@ def types_of(payload: bytes) -> list[str]:
 
 
 def recipe_of(names: Sequence[str], payload: bytes) -> Recipe | None:
-    """The recipe by the answer to OUTPUTS; None if it is refused or does not fit the names."""
+    """Return the recipe from the answer to OUTPUTS; None if it is refused or does not match the names."""
     types = types_of(payload)
     if len(types) != len(names) or not payload[0] or not all(type_ in TYPES for type_ in types):
         return None

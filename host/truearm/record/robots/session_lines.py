@@ -1,4 +1,4 @@
-"""Lines of JSON over TCP that are already as a session has them (docs/session-format.md): stored as they come."""
+"""Lines of JSON over TCP that are already in the session format (docs/reference/session-format.md): stored as received."""
 
 from __future__ import annotations
 
